@@ -1,0 +1,1 @@
+"""The command lfield: main and one file per command."""

@@ -1,0 +1,1 @@
+"""Everything a driver plugin may import."""

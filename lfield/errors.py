@@ -1,0 +1,142 @@
+"""Every exception lfield raises on purpose.
+
+    LfieldError
+    ├── UsageError                the command line was wrong                                  64
+    ├── ProgramError              an L program or a deployment has errors (diagnostics)       65
+    ├── BindingError              a devices file is wrong, or a device is missing             65
+    ├── ProgramFileError          not a program file, or one the verifier refused             65
+    ├── BlockError                bytes that are not a sound block of this program            65
+    ├── InputFileError            a file cannot be read                                       66
+    ├── OutputFileError           a file cannot be written (full disk, no permission)         73
+    ├── WireError                 bytes from a peer that break the protocol                   76
+    ├── GreetingError             a peer that must not be talked to                           76
+    ├── AddressError              a port in use, an address that is not ours                  69
+    └── PluginError               a driver is unknown, broken or lacks its vendor library     69
+        └── DeviceError           a device refused, failed or went away
+
+The number is the exit status a command ends with when the exception reaches it (sysexits).
+Data is kept in attributes; `str()` is one sentence that says what is wrong and what to do.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lfield.source import Diagnostic
+
+
+class LfieldError(Exception):
+    """Root of the tree; `exit_status` is what a command returns when nobody handles it."""
+
+    exit_status = 70
+
+
+class UsageError(LfieldError):
+    """A command line that makes no sense; the message says how to write it."""
+
+    exit_status = 64
+
+
+class ProgramError(LfieldError):
+    """An L program or a deployment file with errors: all of them, in source order."""
+
+    exit_status = 65
+
+    def __init__(self, diagnostics: Sequence[Diagnostic]) -> None:
+        self.diagnostics = tuple(diagnostics)
+        count = len(self.diagnostics)
+        super().__init__(f"{count} error{'s' if count != 1 else ''}")
+
+
+class BindingError(LfieldError):
+    """A devices file that cannot be used; `problems` lists everything found wrong, a sentence each."""
+
+    exit_status = 65
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(self.problems))
+
+
+class ProgramFileError(LfieldError):
+    """A program file that is damaged, of another version, or refused by the verifier."""
+
+    exit_status = 65
+
+    def __init__(self, reason: str, *, method: str = "", pc: int | None = None) -> None:
+        self.reason, self.method, self.pc = reason, method, pc
+        where = f" (in {method}, instruction {pc})" if method and pc is not None else ""
+        super().__init__(f"not a sound L program: {reason}{where}; build it again with 'lfield build'")
+
+
+class BlockError(LfieldError):
+    """Bytes that are not a sound block: wrong magic, wrong program, or a reference that leads nowhere."""
+
+    exit_status = 65
+
+    def __init__(self, reason: str, *, word: int | None = None) -> None:
+        self.reason, self.word = reason, word
+        super().__init__(f"not a sound block: {reason}" + (f" (word {word})" if word is not None else ""))
+
+
+class InputFileError(LfieldError):
+    """A file that cannot be read."""
+
+    exit_status = 66
+
+    def __init__(self, path: str, reason: str) -> None:
+        self.path, self.reason = path, reason
+        super().__init__(f"cannot read {path}: {reason}")
+
+
+class OutputFileError(LfieldError):
+    """A file or stream that cannot be written."""
+
+    exit_status = 73
+
+    def __init__(self, path: str, reason: str) -> None:
+        self.path, self.reason = path, reason
+        super().__init__(f"cannot write {path}: {reason}")
+
+
+class WireError(LfieldError):
+    """Bytes from a peer that break the protocol; the link they came on is closed."""
+
+    exit_status = 76
+
+
+class GreetingError(LfieldError):
+    """A peer of another protocol, program, deployment or name; the message says which."""
+
+    exit_status = 76
+
+
+class AddressError(LfieldError):
+    """An address that cannot be listened on or reached."""
+
+    exit_status = 69
+
+    def __init__(self, address: str, reason: str) -> None:
+        self.address, self.reason = address, reason
+        super().__init__(f"cannot use {address}: {reason}")
+
+
+class PluginError(LfieldError):
+    """A driver plugin that is unknown, broken, or lacks its vendor library."""
+
+    exit_status = 69
+
+
+class DeviceError(PluginError):
+    """A device refused a command, failed, or went away.
+
+    `device` is its name in L (`fc`), `kind` the L exception it becomes (`DeviceException` or
+    `DeviceTimeoutException`), `reason` the device's own words.
+    """
+
+    def __init__(self, device: str, reason: str, *, kind: str = "DeviceException") -> None:
+        self.device, self.reason, self.kind = device, reason, kind
+        super().__init__(f"{device}: {reason}")

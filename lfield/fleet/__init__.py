@@ -1,0 +1,1 @@
+"""One host of a team: its directory, mobility, devices and life."""

@@ -1,0 +1,88 @@
+"""The library of L: names, parameter types, results, and who may call them.
+
+The thesis' own names (appendix J, table J.9) come first in each group; the rest complete them in kind.
+`operation` is the instruction of the machine that does it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from lfield.lang.types import BOOLEAN, INT, REAL, STRING, VOID, Type
+
+Scope = Literal["any", "resource", "coordinator"]
+
+
+@dataclass(frozen=True, slots=True)
+class Function:
+    """A library function; several may share a name and differ in parameter types."""
+
+    name: str
+    parameters: tuple[Type, ...]
+    result: Type
+    operation: str
+    scope: Scope = "any"
+    meaning: str = ""
+
+
+FUNCTIONS: tuple[Function, ...] = (
+    Function("write", (INT,), VOID, "write_int", "resource", "writes a number to standard output"),
+    Function("write", (REAL,), VOID, "write_float", "resource", "writes a number to standard output"),
+    Function("write", (STRING,), VOID, "write_str", "resource", "writes text to standard output"),
+    Function("write", (BOOLEAN,), VOID, "write_bool", "resource", "writes true or false"),
+    Function("print", (INT,), VOID, "print_int", "any", "a line in the log of the host it runs on"),
+    Function("print", (REAL,), VOID, "print_float", "any", "a line in the log of the host it runs on"),
+    Function("print", (STRING,), VOID, "print_str", "any", "a line in the log of the host it runs on"),
+    Function("print", (BOOLEAN,), VOID, "print_bool", "any", "a line in the log of the host it runs on"),
+    Function("yield", (), VOID, "yield", "any", "lets other threads run"),
+    Function("sleep", (REAL,), VOID, "sleep", "any", "pauses this thread for seconds"),
+    Function("now", (), REAL, "now", "any", "seconds since 1970 on the clock of the host it runs on"),
+    Function("hops", (), INT, "hops", "coordinator", "how often this coordinator has migrated"),
+    Function("s2i", (STRING,), INT, "s2i", "any", "text to int; ConversionException"),
+    Function("s2f", (STRING,), REAL, "s2f", "any", "text to real; ConversionException"),
+    Function("i2f", (INT,), REAL, "i2f", "any", "int to real"),
+    Function("f2i", (REAL,), INT, "f2i", "any", "real to int, towards zero; ConversionException"),
+    Function("i2s", (INT,), STRING, "i2s", "any", "int to text"),
+    Function("f2s", (REAL,), STRING, "f2s", "any", "real to the shortest text that reads back the same"),
+    Function("f2s", (REAL, INT), STRING, "f2s_digits", "any", "real to text with so many decimals (0-17)"),
+    Function("b2s", (BOOLEAN,), STRING, "b2s", "any", "true or false as text"),
+    Function("abs", (INT,), INT, "abs_int", "any", "magnitude"),
+    Function("abs", (REAL,), REAL, "abs_float", "any", "magnitude"),
+    Function("min", (INT, INT), INT, "min_int", "any", "the smaller"),
+    Function("min", (REAL, REAL), REAL, "min_float", "any", "the smaller"),
+    Function("max", (INT, INT), INT, "max_int", "any", "the larger"),
+    Function("max", (REAL, REAL), REAL, "max_float", "any", "the larger"),
+    Function("sqrt", (REAL,), REAL, "sqrt", "any", "square root; ArithmeticException below 0"),
+    Function("sin", (REAL,), REAL, "sin", "any", "sine of radians"),
+    Function("cos", (REAL,), REAL, "cos", "any", "cosine of radians"),
+    Function("tan", (REAL,), REAL, "tan", "any", "tangent of radians"),
+    Function("asin", (REAL,), REAL, "asin", "any", "angle in radians; ArithmeticException outside -1..1"),
+    Function("acos", (REAL,), REAL, "acos", "any", "angle in radians; ArithmeticException outside -1..1"),
+    Function("atan2", (REAL, REAL), REAL, "atan2", "any", "angle of (y, x) in radians"),
+    Function("exp", (REAL,), REAL, "exp", "any", "e to the power"),
+    Function("log", (REAL,), REAL, "log", "any", "natural logarithm; ArithmeticException at or below 0"),
+    Function("pow", (REAL, REAL), REAL, "pow", "any", "power; ArithmeticException where undefined"),
+    Function("floor", (REAL,), REAL, "floor", "any", "the next whole number down"),
+    Function("ceil", (REAL,), REAL, "ceil", "any", "the next whole number up"),
+    Function("round", (REAL,), REAL, "round", "any", "the nearest whole number, halves away from zero"),
+    Function("random", (), REAL, "random", "any", "a number from 0 up to 1"),
+    Function("random", (INT,), INT, "random_int", "any", "a number from 0 up to n-1; ArithmeticException"),
+)
+
+#: Methods of strings: `s.length()`. The receiver is the first argument of the operation.
+STRING_METHODS: tuple[Function, ...] = (
+    Function("length", (), INT, "str_len", meaning="number of characters"),
+    Function("substring", (INT, INT), STRING, "substring", meaning="characters from..to-1; IndexException"),
+    Function("indexOf", (STRING,), INT, "index_of", meaning="where it first occurs, or -1"),
+)
+
+#: Methods of every exception object, built-in or caught as `Exception`.
+EXCEPTION_METHODS: tuple[Function, ...] = (
+    Function("message", (), STRING, "exc_message", meaning="what went wrong, one sentence"),
+    Function("type", (), STRING, "exc_type", meaning="the name of the class that was thrown"),
+    Function("source", (), STRING, "exc_source", meaning="the agent or device it is about, or ''"),
+)
+
+#: `a.length()` of any array.
+ARRAY_LENGTH = "array_len"

@@ -1,0 +1,341 @@
+"""The checked tree: what the front end hands to the compiler.
+
+Every name is resolved to the thing it means, every expression has its type, every conversion is a node,
+every overload is chosen. What was sugar in the source (`for`, field initialisers, implicit `this`,
+default constructors) is spelled out, so the compiler has one way to read each idea.
+Nodes are compared by identity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from lfield.lang.types import ArrayType, Type
+from lfield.manifest import DeviceManifest, Instruction
+from lfield.source import Source, Span
+
+UnitKind = Literal["class", "resource", "coordinator"]
+Usage = Literal["global", "resource", "coordinator"]
+MethodKind = Literal["method", "constructor", "init", "portal"]
+
+
+# --- declarations -------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True, eq=False)
+class Local:
+    """A parameter or local variable. Starts as 0, false or null."""
+
+    name: str
+    type: Type
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class Field:
+    """A field; `index` counts from 0 within its unit. A device field has a DeviceType and no storage use."""
+
+    name: str
+    type: Type
+    index: int
+    public: bool
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class Method:
+    """A method, constructor, init or portal. `unit` owns it; `body` ends at `end` (the closing brace)."""
+
+    name: str
+    kind: MethodKind
+    unit: Unit
+    parameters: list[Local]
+    result: Type
+    public: bool
+    synchronized: bool
+    span: Span
+    end: Span
+    body: list[Stmt] = field(default_factory=list)
+
+    @property
+    def signature(self) -> str:
+        """`fib(string, int)`: the name with the parameter types, as overloading and errors see it."""
+        return f"{self.name}({', '.join(str(p.type) for p in self.parameters)})"
+
+
+@dataclass(slots=True, eq=False)
+class Unit:
+    """A class, resource or coordinator. Classes always have at least one constructor."""
+
+    name: str
+    kind: UnitKind
+    usage: Usage
+    span: Span
+    fields: list[Field] = field(default_factory=list)
+    methods: list[Method] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
+class CheckedProgram:
+    """A whole program without errors. `units` in source order; `sources` are all files it was read from."""
+
+    units: list[Unit]
+    sources: list[Source]
+    devices: dict[str, DeviceManifest]
+
+
+# --- expressions --------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True, eq=False)
+class Expr:
+    """Anything with a value. `type` may be VOID for calls."""
+
+    span: Span
+    type: Type
+
+
+@dataclass(slots=True, eq=False)
+class Literal_(Expr):
+    """A constant: bool, int, float, str, or None for null."""
+
+    value: bool | int | float | str | None
+
+
+@dataclass(slots=True, eq=False)
+class This(Expr):
+    """The object, resource or coordinator the method runs in."""
+
+
+@dataclass(slots=True, eq=False)
+class LocalGet(Expr):
+    """The value of a local or parameter."""
+
+    local: Local
+
+
+@dataclass(slots=True, eq=False)
+class FieldGet(Expr):
+    """A field of an object; `object` may be null at run time."""
+
+    object: Expr
+    field: Field
+
+
+@dataclass(slots=True, eq=False)
+class Element(Expr):
+    """`array[index]`."""
+
+    array: Expr
+    index: Expr
+
+
+@dataclass(slots=True, eq=False)
+class Assign(Expr):
+    """`target = value`; its own value is the value assigned. The types are equal already."""
+
+    target: LocalGet | FieldGet | Element
+    value: Expr
+
+
+#: Operators of Binary: both sides have the same type already.
+BinaryOp = Literal["+", "-", "*", "/", "%", "==", "!=", "<", "<=", ">", ">="]
+
+
+@dataclass(slots=True, eq=False)
+class Binary(Expr):
+    """Arithmetic on int or real, `+` on strings, comparison of numbers, strings, booleans, references.
+
+    Operand kinds are those of `left.type`; reference comparison (objects, arrays, proxies) is `==`/`!=`
+    only, and one side may be a null Literal_.
+    """
+
+    op: BinaryOp
+    left: Expr
+    right: Expr
+
+
+@dataclass(slots=True, eq=False)
+class Logical(Expr):
+    """`&&` or `||`; the right side runs only when it is needed."""
+
+    op: Literal["&&", "||"]
+    left: Expr
+    right: Expr
+
+
+@dataclass(slots=True, eq=False)
+class Not(Expr):
+    """`!operand`."""
+
+    operand: Expr
+
+
+@dataclass(slots=True, eq=False)
+class Negate(Expr):
+    """`-operand`, int or real."""
+
+    operand: Expr
+
+
+@dataclass(slots=True, eq=False)
+class ToReal(Expr):
+    """An int widened to real, the only implicit conversion."""
+
+    operand: Expr
+
+
+@dataclass(slots=True, eq=False)
+class New(Expr):
+    """`new C(args)`. For a built-in exception class, `constructor` is None and args are () or (message)."""
+
+    constructor: Method | None
+    arguments: list[Expr]
+
+
+@dataclass(slots=True, eq=False)
+class NewArray(Expr):
+    """`new T[n]`, `new T[n][m]`: one array per length given, the rest null. `type` is the whole ArrayType."""
+
+    lengths: list[Expr]
+
+    @property
+    def array(self) -> ArrayType:
+        """The type as an array type."""
+        assert isinstance(self.type, ArrayType)
+        return self.type
+
+
+@dataclass(slots=True, eq=False)
+class Call(Expr):
+    """A method of an object of the program (`This` when called on itself)."""
+
+    object: Expr
+    method: Method
+    arguments: list[Expr]
+
+
+@dataclass(slots=True, eq=False)
+class PortalCall(Expr):
+    """A portal of a resource, through its proxy: the one place where a coordinator may travel."""
+
+    proxy: Expr
+    portal: Method
+    arguments: list[Expr]
+
+
+@dataclass(slots=True, eq=False)
+class Find(Expr):
+    """`findR(id)` gives a proxy, `findR()` (id None) all of them as an array."""
+
+    resource: Unit
+    id: Expr | None
+
+
+@dataclass(slots=True, eq=False)
+class Library(Expr):
+    """A function of the library (lang/library.py); `operation` names the instruction it becomes."""
+
+    operation: str
+    arguments: list[Expr]
+
+
+@dataclass(slots=True, eq=False)
+class DeviceCall(Expr):
+    """An instruction of a device: `fc.takeoff(10.0)`. Arguments have exactly the manifest's types."""
+
+    device: Field
+    manifest: DeviceManifest
+    instruction: Instruction
+    arguments: list[Expr]
+
+
+# --- statements ---------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True, eq=False)
+class Stmt:
+    """A step of a body."""
+
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class Evaluate(Stmt):
+    """An expression for its effect; the value is dropped."""
+
+    value: Expr
+
+
+@dataclass(slots=True, eq=False)
+class Declare(Stmt):
+    """A local comes into scope; with no value it is set to 0, false or null (again, in a loop)."""
+
+    local: Local
+    value: Expr | None
+
+
+@dataclass(slots=True, eq=False)
+class If(Stmt):
+    """`if (condition) then else otherwise`."""
+
+    condition: Expr
+    then: list[Stmt]
+    otherwise: list[Stmt]
+
+
+@dataclass(slots=True, eq=False)
+class Loop(Stmt):
+    """`while`, and `for` with its step: `step` also runs after `continue`."""
+
+    condition: Expr
+    body: list[Stmt]
+    step: list[Stmt]
+
+
+@dataclass(slots=True, eq=False)
+class Break(Stmt):
+    """Leave the innermost loop."""
+
+
+@dataclass(slots=True, eq=False)
+class Continue(Stmt):
+    """Go to the step of the innermost loop."""
+
+
+@dataclass(slots=True, eq=False)
+class Return(Stmt):
+    """Leave the method; `value` has exactly the result type."""
+
+    value: Expr | None
+
+
+@dataclass(slots=True, eq=False)
+class Throw(Stmt):
+    """Throw an object; null throws NullException."""
+
+    value: Expr
+
+
+@dataclass(slots=True, eq=False)
+class Catch:
+    """`catch (C e) ...`: `local.type` is the class caught; EXCEPTION takes any."""
+
+    local: Local
+    body: list[Stmt]
+
+
+@dataclass(slots=True, eq=False)
+class Try(Stmt):
+    """A body and its catches, tried in order."""
+
+    body: list[Stmt]
+    catches: list[Catch]
+
+
+@dataclass(slots=True, eq=False)
+class Block(Stmt):
+    """Statements with a scope of their own."""
+
+    body: list[Stmt]

@@ -1,0 +1,109 @@
+"""Source texts, places in them, and diagnostics drawn with a caret."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass, field
+from functools import cached_property
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """One text with the name it is shown under (usually its path)."""
+
+    name: str
+    text: str
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        starts = [0]
+        starts.extend(i + 1 for i, ch in enumerate(self.text) if ch == "\n")
+        return starts
+
+    def line_column(self, offset: int) -> tuple[int, int]:
+        """Line and column of a character offset, both counted from 1."""
+        line = bisect_right(self._starts, offset) - 1
+        return line + 1, offset - self._starts[line] + 1
+
+    def line_text(self, line: int) -> str:
+        """The text of a line (counted from 1) without its newline."""
+        start = self._starts[line - 1]
+        end = self._starts[line] - 1 if line < len(self._starts) else len(self.text)
+        return self.text[start:end].rstrip("\r")
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Characters `start` to `end` (exclusive) of a source."""
+
+    source: Source
+    start: int
+    end: int
+
+    @property
+    def line(self) -> int:
+        """Line of the first character, from 1."""
+        return self.source.line_column(self.start)[0]
+
+    @property
+    def column(self) -> int:
+        """Column of the first character, from 1."""
+        return self.source.line_column(self.start)[1]
+
+    @property
+    def text(self) -> str:
+        """The characters themselves."""
+        return self.source.text[self.start : self.end]
+
+    def to(self, other: Span) -> Span:
+        """From the start of this span to the end of another in the same source."""
+        return Span(self.source, self.start, max(self.end, other.end))
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostic:
+    """One finding: `L203`, a sentence, where it is, and what to do about it."""
+
+    code: str
+    message: str
+    span: Span
+    hint: str = ""
+    severity: str = "error"
+
+    def render(self) -> str:
+        """`file:line:col: error[LNNN]: sentence`, the source line, a caret, and the hint."""
+        line, column = self.span.source.line_column(self.span.start)
+        text = self.span.source.line_text(line)
+        # Tabs are kept in the margin so that the caret stands under the character it means.
+        margin = "".join("\t" if ch == "\t" else " " for ch in text[: column - 1])
+        width = max(1, min(self.span.end, self.span.start + len(text) - column + 1) - self.span.start)
+        lines = [
+            f"{self.span.source.name}:{line}:{column}: {self.severity}[{self.code}]: {self.message}",
+            f"    {text}",
+            f"    {margin}^{'~' * (width - 1)}",
+        ]
+        if self.hint:
+            lines.append(f"    hint: {self.hint}")
+        return "\n".join(lines)
+
+
+@dataclass(slots=True)
+class Diagnostics:
+    """Collects findings, so that one run reports all of them."""
+
+    found: list[Diagnostic] = field(default_factory=list)
+
+    def add(self, diagnostic: Diagnostic) -> None:
+        """Keep a finding; the same code at the same place is kept once."""
+        same = (diagnostic.code, diagnostic.span.start, diagnostic.span.source)
+        if all((d.code, d.span.start, d.span.source) != same for d in self.found):
+            self.found.append(diagnostic)
+
+    @property
+    def errors(self) -> list[Diagnostic]:
+        """The errors in source order (warnings left out)."""
+        return [d for d in self.in_order() if d.severity == "error"]
+
+    def in_order(self) -> list[Diagnostic]:
+        """Everything found, sorted by file, then place."""
+        return sorted(self.found, key=lambda d: (d.span.source.name, d.span.start))

@@ -1,0 +1,1 @@
+"""Public kits for tests: clocks, golden programs, conformance kits."""

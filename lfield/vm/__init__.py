@@ -1,0 +1,1 @@
+"""Runs programs: the block, the engine, threads. No sockets, files or drivers."""

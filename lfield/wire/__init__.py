@@ -1,0 +1,1 @@
+"""Messages between hosts, as bytes. No sockets."""
