@@ -1,0 +1,61 @@
+"""Program files: a magic, a version, a checksum, then core and debug information.
+
+    "LFLP"  u16 version  u16 0  32 bytes SHA-256 of all that follows  u32 length of core  core  debug
+
+Reading is safe for bytes from anywhere: lengths and types are checked while decoding, nothing is executed,
+and the verifier has passed the program before anybody gets it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+
+import msgspec
+
+from lfield.bytecode.program import Core, Debug, Program
+from lfield.bytecode.verify import verify
+from lfield.errors import ProgramFileError
+
+MAGIC = b"LFLP"
+VERSION = 1
+#: A larger file is refused unread.
+MAX_SIZE = 16 << 20
+
+_HEADER = struct.Struct("<4sHH32sI")
+_encoder = msgspec.msgpack.Encoder()
+_core = msgspec.msgpack.Decoder(Core)
+_debug = msgspec.msgpack.Decoder(Debug)
+
+
+def assemble(core: Core, debug: Debug) -> Program:
+    """A program from its parts, verified; its identity is the hash of the encoded core."""
+    program = Program(core, debug, hashlib.sha256(_encoder.encode(core)).digest())
+    verify(program)
+    return program
+
+
+def encode(program: Program) -> bytes:
+    """The bytes of a program file."""
+    core, debug = _encoder.encode(program.core), _encoder.encode(program.debug)
+    body = core + debug
+    return _HEADER.pack(MAGIC, VERSION, 0, hashlib.sha256(body).digest(), len(core)) + body
+
+
+def decode(data: bytes) -> Program:
+    """A verified program from the bytes of a program file; raises ProgramFileError."""
+    if len(data) < _HEADER.size or data[:4] != MAGIC:
+        raise ProgramFileError("it does not begin as a program file does")
+    if len(data) > MAX_SIZE:
+        raise ProgramFileError(f"it is larger than {MAX_SIZE >> 20} MiB")
+    _, version, _, checksum, length = _HEADER.unpack_from(data)
+    if version != VERSION:
+        raise ProgramFileError(f"it has format {version}, this lfield reads format {VERSION}")
+    body = memoryview(data)[_HEADER.size :]
+    if hashlib.sha256(body).digest() != checksum:
+        raise ProgramFileError("it is damaged (the checksum does not fit)")
+    try:
+        core, debug = _core.decode(body[:length]), _debug.decode(body[length:])
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise ProgramFileError(f"its records are malformed ({error})") from None
+    return assemble(core, debug)

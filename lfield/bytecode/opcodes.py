@@ -1,0 +1,202 @@
+"""THE table of instructions (appendix J, extended): encoder, verifier, disassembler, engine and the
+reference page are all derived from it.
+
+An instruction is a quad: an opcode and three 32-bit operands. The numbers are those that appendix B
+prints, where it prints any. An operand is one of
+
+    D   destination: a slot of the activation record          S   source: a slot, or a constant
+    V   source: a slot                                         L   label: an instruction of this method
+    C   class    T   type    M   method    F   field    K   string constant    I   device call
+
+A source operand >= 0 is a slot; below 0 it is constant number `-1 - operand`. Slot 0 is the object the
+method runs on (the thesis' `^0`), then come the parameters.
+
+**Groups.** The parameter stack of the thesis lives for the length of one group: `push ... push, head, pop`,
+where the head is the one instruction that takes the arguments (`call`, `pcall`, `find`, a library or a
+device instruction) and `pop` takes its result, if it has one. The verifier admits no jump into a group and
+no other instruction inside it. So a thread is only ever suspended at the first instruction of a group, the
+parameter stack is empty then, and it needs no place in the block.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Role = Literal["D", "S", "V", "L", "C", "T", "M", "F", "K", "I"]
+
+#: Kinds of types an operand may have. `same` ties operands of one instruction together; `ref` is any
+#: reference; `any` is decided by the instruction's other operands (the field, the element, the result).
+Kind = Literal["boolean", "int", "real", "string", "object", "array", "ref", "same", "any", ""]
+
+
+@dataclass(frozen=True, slots=True)
+class Operand:
+    """One operand: how it is encoded, and what type a value there has."""
+
+    role: Role
+    kind: Kind = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Opcode:
+    """One row of the table.
+
+    `takes` are the kinds popped from the parameter stack by a head, in the order they were pushed, or None
+    when the instruction is no head; `gives` is the kind of its result ('' for none). `exits` is true when
+    the instruction leaves the engine, because the world can see it.
+    """
+
+    code: int
+    name: str
+    operands: tuple[Operand, ...]
+    sentence: str
+    takes: tuple[Kind, ...] | None = None
+    gives: Kind = ""
+    exits: bool = False
+
+
+def _quad(code: int, name: str, operands: str, sentence: str) -> Opcode:
+    parsed = (word.partition(":") for word in operands.split())
+    return Opcode(code, name, tuple(Operand(role, kind) for role, _, kind in parsed), sentence)  # type: ignore[arg-type]  # the table's own words; a test checks them
+
+
+def _head(code: int, name: str, types: str, sentence: str, operands: str = "", exits: bool = False) -> Opcode:
+    takes, _, gives = types.partition("->")
+    plain = _quad(code, name, operands, sentence)
+    kinds = tuple(takes.split())
+    return Opcode(code, name, plain.operands, sentence, kinds, gives.strip(), exits)  # type: ignore[arg-type]  # as above
+
+
+def _family(first: int, suffix: str, kind: str) -> tuple[Opcode, ...]:
+    """The six comparisons of one kind of value, as table J.8 has them."""
+    operands = f"D:boolean S:{kind} S:{kind}"
+    words = (
+        ("eq", "equal to"),
+        ("sle", "less than or equal to"),
+        ("sge", "greater than or equal to"),
+        ("sne", "not equal to"),
+        ("slt", "less than"),
+        ("sgt", "greater than"),
+    )
+    return tuple(
+        _quad(first + i, name + suffix, operands, f"Sets 1 to whether {kind} 2 is {phrase} {kind} 3.")
+        for i, (name, phrase) in enumerate(words)
+    )
+
+
+TABLE: tuple[Opcode, ...] = (
+    # J.1 jumps
+    _quad(10, "bnz", "L V:boolean", "Branches to the label when the variable is true."),
+    _quad(11, "jmp", "L", "Branches to the label."),
+    _quad(12, "bz", "L V:boolean", "Branches to the label when the variable is false."),
+    # J.2 moves; the relative and indexed addressing modes of table J.11 are instructions of their own
+    _quad(100, "move", "D:same S:same", "Moves 2 to 1."),
+    _quad(101, "getf", "D:any V:object F", "Moves a field of object 2 to 1 (relative addressing)."),
+    _quad(102, "putf", "V:object F S:any", "Moves 3 to a field of object 1 (relative addressing)."),
+    _quad(103, "gete", "D:any V:array S:int", "Moves element 3 of array 2 to 1 (indexed addressing)."),
+    _quad(104, "pute", "V:array S:int S:any", "Moves 3 to element 2 of array 1 (indexed addressing)."),
+    _quad(105, "lds", "D:string K", "Puts a new copy of a string constant on the heap and into 1."),
+    # J.3 subroutines
+    _head(200, "call", "", "Calls a method with the object and arguments pushed.", "M"),
+    _head(202, "pcall", "", "Calls a portal; first moves the coordinator to its resource.", "M", True),
+    _quad(210, "frame", "M", "Begins a method: its activation record has the method's slots."),
+    _quad(220, "return", "S:any", "Leaves the method with a result."),
+    _quad(221, "rtn", "", "Leaves the method without a result."),
+    # J.4 memory
+    _quad(300, "new", "D:object C", "Puts a new object of a class into 1, its fields 0, false and null."),
+    _quad(301, "newarray", "D:array T S:int", "Puts a new array of type 2 with 3 elements into 1."),
+    # J.5 parameter stack
+    _quad(400, "push", "S:any", "Pushes an argument."),
+    _quad(401, "pop", "D:any", "Pops a parameter at the start of a method, or the result after a head."),
+    # J.7 arithmetic
+    _quad(500, "addi", "D:int S:int S:int", "Adds 3 to 2; ArithmeticException beyond 64 bits."),
+    _quad(501, "addf", "D:real S:real S:real", "Adds 3 to 2."),
+    _quad(502, "subi", "D:int S:int S:int", "Subtracts 3 from 2; ArithmeticException beyond 64 bits."),
+    _quad(503, "subf", "D:real S:real S:real", "Subtracts 3 from 2."),
+    _quad(504, "muli", "D:int S:int S:int", "Multiplies 2 by 3; ArithmeticException beyond 64 bits."),
+    _quad(505, "mulf", "D:real S:real S:real", "Multiplies 2 by 3."),
+    _quad(506, "divi", "D:int S:int S:int", "Divides 2 by 3 towards zero; ArithmeticException on 0."),
+    _quad(507, "divf", "D:real S:real S:real", "Divides 2 by 3; ArithmeticException on 0."),
+    _quad(508, "mod", "D:int S:int S:int", "Remainder of 2 by 3, signed as 2; ArithmeticException on 0."),
+    _quad(509, "modf", "D:real S:real S:real", "Remainder of 2 by 3, signed as 2; ArithmeticException on 0."),
+    _quad(510, "negi", "D:int S:int", "Negates 2; ArithmeticException beyond 64 bits."),
+    _quad(511, "negf", "D:real S:real", "Negates 2."),
+    # J.6 logic
+    _quad(600, "and", "D:boolean S:boolean S:boolean", "Sets 1 to whether 2 and 3 are both true."),
+    _quad(601, "or", "D:boolean S:boolean S:boolean", "Sets 1 to whether 2 or 3 is true."),
+    _quad(602, "not", "D:boolean S:boolean", "Sets 1 to whether 2 is false."),
+    # J.8 comparisons
+    *_family(700, "i", "int"),
+    *_family(710, "f", "real"),
+    *_family(720, "s", "string"),
+    _quad(730, "eqb", "D:boolean S:boolean S:boolean", "Sets 1 to whether boolean 2 is equal to boolean 3."),
+    _quad(731, "sneb", "D:boolean S:boolean S:boolean", "Sets 1 to whether boolean 2 differs from boolean 3."),
+    _quad(740, "eqr", "D:boolean S:ref S:ref", "Sets 1 to whether 2 and 3 are the same object, or both null."),
+    _quad(741, "sner", "D:boolean S:ref S:ref", "Sets 1 to whether 2 and 3 are different objects."),
+    _quad(750, "eqnull", "D:boolean S:ref", "Sets 1 to whether reference 2 is null."),
+    # J.9 library: output
+    _head(800, "write_int", "int", "Writes an int to standard output.", exits=True),
+    _head(801, "write_float", "real", "Writes a real to standard output.", exits=True),
+    _head(802, "write_str", "string", "Writes a string to standard output.", exits=True),
+    _head(803, "write_bool", "boolean", "Writes true or false to standard output.", exits=True),
+    _head(810, "print_int", "int", "Writes an int as a line of the host's log.", exits=True),
+    _head(811, "print_float", "real", "Writes a real as a line of the host's log.", exits=True),
+    _head(812, "print_str", "string", "Writes a string as a line of the host's log.", exits=True),
+    _head(813, "print_bool", "boolean", "Writes true or false as a line of the host's log.", exits=True),
+    # library: arrays and strings
+    _head(820, "array_len", "array->int", "The number of elements of an array."),
+    _head(821, "str_concat", "string string->string", "The second string put behind the first."),
+    _head(822, "str_len", "string->int", "The number of characters of a string."),
+    _head(823, "substring", "string int int->string", "Characters from 2 to before 3; IndexException outside."),
+    _head(824, "index_of", "string string->int", "Where the second string first occurs in the first, or -1."),
+    # library: conversions
+    _head(830, "i2f", "int->real", "int to real."),
+    _head(831, "f2i", "real->int", "real to int, towards zero; ConversionException outside 64 bits."),
+    _head(832, "s2i", "string->int", "A decimal number as int; ConversionException when it is none."),
+    _head(833, "s2f", "string->real", "A decimal number as real; ConversionException when it is none."),
+    _head(834, "i2s", "int->string", "int to text."),
+    _head(835, "f2s", "real->string", "real to the shortest text that reads back the same."),
+    _head(836, "f2s_digits", "real int->string", "real to text with 2 decimals; ArithmeticException beyond 17."),
+    _head(837, "b2s", "boolean->string", "true or false as text."),
+    # library: time and threads
+    _head(840, "yield", "", "Lets other threads run.", exits=True),
+    _head(841, "sleep", "real", "Pauses the thread for so many seconds.", exits=True),
+    _head(842, "now", "->real", "Seconds since 1970-01-01 UTC on the clock of the host.", exits=True),
+    _head(843, "hops", "->int", "How often this coordinator has migrated."),
+    _head(844, "random", "->real", "A random number from 0 up to 1.", exits=True),
+    _head(845, "random_int", "int->int", "A random int from 0 up to n-1; ArithmeticException.", exits=True),
+    # library: maths
+    _head(850, "abs_int", "int->int", "Magnitude; ArithmeticException beyond 64 bits."),
+    _head(851, "abs_float", "real->real", "Magnitude."),
+    _head(852, "min_int", "int int->int", "The smaller."),
+    _head(853, "min_float", "real real->real", "The smaller."),
+    _head(854, "max_int", "int int->int", "The larger."),
+    _head(855, "max_float", "real real->real", "The larger."),
+    _head(856, "sqrt", "real->real", "Square root; ArithmeticException below 0."),
+    _head(857, "sin", "real->real", "Sine of radians."),
+    _head(858, "cos", "real->real", "Cosine of radians."),
+    _head(859, "tan", "real->real", "Tangent of radians."),
+    _head(860, "asin", "real->real", "Angle in radians; ArithmeticException outside -1..1."),
+    _head(861, "acos", "real->real", "Angle in radians; ArithmeticException outside -1..1."),
+    _head(862, "atan2", "real real->real", "Angle of (y, x) in radians."),
+    _head(863, "exp", "real->real", "e to the power; ArithmeticException when too large."),
+    _head(864, "log", "real->real", "Natural logarithm; ArithmeticException at or below 0."),
+    _head(865, "pow", "real real->real", "1 to the power of 2; ArithmeticException where undefined."),
+    _head(866, "floor", "real->real", "The next whole number down."),
+    _head(867, "ceil", "real->real", "The next whole number up."),
+    _head(868, "round", "real->real", "The nearest whole number, halves away from zero."),
+    # exceptions (chapter V; never built in the prototype)
+    _head(870, "exc_message", "ref->string", "What an exception object says."),
+    _head(871, "exc_type", "ref->string", "The name of the class of an exception object."),
+    _head(872, "exc_source", "ref->string", "The agent or device an exception object is about, or ''."),
+    # J.10 find
+    _head(1300, "find", "string->ref", "A proxy by id; UnknownResourceException.", "C", True),
+    _head(1301, "findall", "->ref", "An array of proxies for all resources of a type.", "C", True),
+    _quad(1400, "throw", "V:ref", "Throws an object; NullException when it is null."),
+    _quad(1401, "noreturn", "", "Throws: a method with a result came to its end without a return."),
+    _head(1500, "device", "", "An instruction of a device of this resource.", "I", True),
+)
+
+BY_CODE: dict[int, Opcode] = {row.code: row for row in TABLE}
+BY_NAME: dict[str, Opcode] = {row.name: row for row in TABLE}

@@ -1,0 +1,208 @@
+"""A program: everything the compiler knows that the machine needs, as plain records.
+
+Every reference between records is an index. The records are msgspec structs encoded as arrays, so the same
+program is always the same bytes: their SHA-256 is its identity. Debug information is kept apart and is no
+part of the identity: where the source lay on disk does not change what a robot does.
+"""
+
+from __future__ import annotations
+
+import struct
+from functools import cached_property
+from typing import NamedTuple
+
+import msgspec
+
+# Kinds of types. The first eight types of every program are those without parts, at these very indexes.
+VOID, BOOLEAN, INT, REAL, STRING, ANY, NULL, DEVICE = range(8)
+ARRAY, OBJECT, PROXY = 8, 9, 10
+
+#: Kinds whose values are references into the block.
+REFERENCES = frozenset({STRING, ANY, NULL, ARRAY, OBJECT, PROXY})
+
+#: The built-in exception classes are the first classes of every program, in this order. Their objects have
+#: three fields: message, source and trace, all strings. `Exception` itself is index 0.
+BUILTIN_CLASSES = (
+    "Exception",
+    "UnreachableResourceException",
+    "RestartException",
+    "UnknownResourceException",
+    "NullException",
+    "IndexException",
+    "ArithmeticException",
+    "ConversionException",
+    "LimitException",
+    "DeviceException",
+    "DeviceTimeoutException",
+)
+MESSAGE, SOURCE, TRACE = 0, 1, 2
+
+_QUAD = struct.Struct("<4i")
+
+
+class Quad(NamedTuple):
+    """One instruction: opcode and three operands (unused ones are 0)."""
+
+    op: int
+    a: int
+    b: int
+    c: int
+
+
+class TypeRecord(msgspec.Struct, frozen=True, array_like=True):
+    """A type: its kind, and the element type of an ARRAY or the class of an OBJECT or PROXY."""
+
+    kind: int
+    of: int = 0
+
+
+class FieldRecord(msgspec.Struct, frozen=True, array_like=True):
+    """A field: name and type index. A device field has type DEVICE and keeps its word unused."""
+
+    name: str
+    type: int
+
+
+class DeviceField(msgspec.Struct, frozen=True, array_like=True):
+    """A device of a resource: the field's name and the device type's name."""
+
+    name: str
+    type: str
+
+
+class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
+    """A class, resource or coordinator. `init` is a method index, -1 for classes."""
+
+    name: str
+    kind: str  # "class", "resource", "coordinator"
+    usage: str  # "global", "resource", "coordinator"
+    fields: tuple[FieldRecord, ...] = ()
+    init: int = -1
+    devices: tuple[DeviceField, ...] = ()
+
+
+class Handler(msgspec.Struct, frozen=True, array_like=True):
+    """Instructions start..end-1 are protected; `catches` is a class index (0, Exception, takes any)."""
+
+    start: int
+    end: int
+    target: int
+    catches: int
+    slot: int
+
+
+class MethodRecord(msgspec.Struct, frozen=True, array_like=True):
+    """A subroutine: instructions entry..end-1. Slot 0 is the object; slots 1..parameters its arguments.
+
+    `slots` are the type indexes of all slots; `result` a type index (VOID for none). `kind` is "method",
+    "constructor", "init" or "portal". Handlers are ordered innermost first.
+    """
+
+    name: str
+    owner: int
+    kind: str
+    parameters: int
+    result: int
+    slots: tuple[int, ...]
+    entry: int
+    end: int
+    synchronized: bool = False
+    handlers: tuple[Handler, ...] = ()
+
+
+class DeviceCall(msgspec.Struct, frozen=True, array_like=True):
+    """One instruction of one device field that the program uses."""
+
+    owner: int  # class index of the resource
+    field: str
+    device: str
+    instruction: str
+    parameters: tuple[int, ...]
+    result: int
+    effect: str  # "query", "idempotent", "actuate"
+
+
+class MethodDebug(msgspec.Struct, frozen=True, array_like=True):
+    """Where a method comes from: rising (pc, line) pairs, and (slot, name) of its named slots."""
+
+    source: int
+    lines: tuple[tuple[int, int], ...]
+    names: tuple[tuple[int, str], ...]
+    signature: str
+
+
+class SourceText(msgspec.Struct, frozen=True, array_like=True):
+    """A source file: the name it is shown under, and its text."""
+
+    name: str
+    text: str
+
+
+class Debug(msgspec.Struct, frozen=True, array_like=True):
+    """Debug information: one entry per method, and the sources."""
+
+    methods: tuple[MethodDebug, ...]
+    sources: tuple[SourceText, ...]
+
+
+class Core(msgspec.Struct, frozen=True, array_like=True):
+    """What a program is and does: the part with an identity."""
+
+    types: tuple[TypeRecord, ...]
+    constants: tuple[bool | int | float | str | None, ...]
+    classes: tuple[ClassRecord, ...]
+    methods: tuple[MethodRecord, ...]
+    device_calls: tuple[DeviceCall, ...]
+    code: bytes
+
+
+class Program:
+    """A program in memory: the core, its debug information, its identity, and the code as quads."""
+
+    def __init__(self, core: Core, debug: Debug, digest: bytes) -> None:
+        self.core = core
+        self.debug = debug
+        #: SHA-256 of the encoded core: 32 bytes.
+        self.digest = digest
+
+    @cached_property
+    def quads(self) -> tuple[Quad, ...]:
+        """The code, decoded."""
+        return tuple(Quad(*row) for row in _QUAD.iter_unpack(self.core.code))
+
+    @cached_property
+    def class_index(self) -> dict[str, int]:
+        """Class, resource and coordinator indexes by name."""
+        return {record.name: i for i, record in enumerate(self.core.classes)}
+
+    @cached_property
+    def method_at(self) -> dict[int, int]:
+        """Method indexes by entry."""
+        return {record.entry: i for i, record in enumerate(self.core.methods)}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Deployable types: name to "resource" or "coordinator" (and "class" for the others)."""
+        return {c.name: c.kind for c in self.core.classes[len(BUILTIN_CLASSES) :]}
+
+    def method_name(self, index: int) -> str:
+        """`Owner.name` of a method, as tracebacks and listings show it."""
+        record = self.core.methods[index]
+        return f"{self.core.classes[record.owner].name}.{record.name}"
+
+    def line(self, method: int, pc: int) -> tuple[str, int]:
+        """File name and line of an instruction; ('', 0) where there is no debug information."""
+        if method >= len(self.debug.methods):
+            return "", 0
+        info = self.debug.methods[method]
+        line = 0
+        for at, number in info.lines:
+            if at > pc:
+                break
+            line = number
+        return self.debug.sources[info.source].name, line
+
+
+def encode_quads(quads: list[Quad]) -> bytes:
+    """Quads as bytes: four little-endian 32-bit integers each."""
+    return b"".join(_QUAD.pack(*quad) for quad in quads)
