@@ -1,0 +1,71 @@
+"""Verifying instructions: one pass over each method, then its jumps and handlers."""
+
+from __future__ import annotations
+
+from lfield.bytecode.opcodes import BY_CODE, BY_NAME
+from lfield.bytecode.program import ANY, OBJECT, Handler, Program, Quad, TypeRecord
+from lfield.bytecode.verify_groups import check_group
+from lfield.bytecode.verify_operands import MethodView
+from lfield.bytecode.verify_rules import RULES
+from lfield.bytecode.verify_types import TypeTable
+
+_FRAME, _PUSH, _POP = (BY_NAME[name].code for name in ("frame", "push", "pop"))
+_JUMPS = frozenset(row.code for row in BY_CODE.values() if row.operands and row.operands[0].role == "L")
+#: Instructions after which control never goes on to the next one.
+_TERMINALS = frozenset(BY_NAME[name].code for name in ("jmp", "return", "rtn", "throw", "noreturn"))
+
+
+def check_code(program: Program) -> None:
+    """Check the instructions of every method; all records have been checked already."""
+    types = TypeTable(program.core)
+    for index in range(len(program.core.methods)):
+        _check_method(MethodView(program.core, types, index), program.quads)
+
+
+def _check_method(view: MethodView, quads: tuple[Quad, ...]) -> None:
+    entry, end = view.method.entry, view.method.end
+    if quads[entry] != Quad(_FRAME, view.index, 0, 0):
+        raise view.refused(entry, "it does not begin with its frame")
+    starts: set[int] = set()
+    pc = entry + 1
+    while pc < end:
+        starts.add(pc)
+        pc = _check_step(view, quads, pc)
+    if quads[end - 1].op not in _TERMINALS:
+        raise view.refused(end - 1, "control can run off its end")
+    for pc in starts:
+        if quads[pc].op in _JUMPS and quads[pc].a not in starts:
+            raise view.refused(pc, "a jump leads into a group")
+    for handler in view.method.handlers:
+        _check_handler(view, handler, starts)
+
+
+def _check_step(view: MethodView, quads: tuple[Quad, ...], pc: int) -> int:
+    """Check the instruction or group at `pc`; returns where the next one begins."""
+    quad = quads[pc]
+    row = BY_CODE.get(quad.op)
+    if row is None:
+        raise view.refused(pc, f"there is no instruction {quad.op}")
+    if quad.op == _PUSH or row.takes is not None:
+        return check_group(view, quads, pc)
+    if quad.op in (_POP, _FRAME):
+        raise view.refused(pc, f"{row.name} is out of place")
+    view.check_operands(pc, row, quad)
+    rule = RULES.get(row.name)
+    if rule is not None and not rule[0](view, pc, quad):
+        raise view.refused(pc, rule[1])
+    return pc + 1
+
+
+def _check_handler(view: MethodView, handler: Handler, starts: set[int]) -> None:
+    end = view.method.end
+    if not (handler.start < handler.end and {handler.start, handler.end} <= starts | {end}):
+        raise view.refused(handler.start, "a handler protects no run of whole instructions")
+    if handler.target not in starts or handler.start <= handler.target < handler.end:
+        raise view.refused(handler.start, "a handler leads nowhere, or into what it protects")
+    if not 0 <= handler.catches < len(view.core.classes):
+        raise view.refused(handler.start, "a handler catches a class that does not exist")
+    # Class 0, Exception, takes any object, so only a slot of any class can hold what it catches.
+    caught = TypeRecord(ANY) if handler.catches == 0 else TypeRecord(OBJECT, handler.catches)
+    if view.types.record(view.target(handler.slot, handler.target)) not in (caught, TypeRecord(ANY)):
+        raise view.refused(handler.target, "what a handler catches does not fit its slot")

@@ -1,0 +1,128 @@
+"""Verifying method records: shapes, places in the code, and what may cross a portal."""
+
+from __future__ import annotations
+
+from lfield.bytecode.program import (
+    ANY,
+    ARRAY,
+    BUILTIN_CLASSES,
+    DEVICE,
+    OBJECT,
+    PROXY,
+    STRING,
+    VOID,
+    Core,
+    MethodRecord,
+    TypeRecord,
+)
+from lfield.bytecode.verify_types import TypeTable
+from lfield.errors import ProgramFileError
+
+#: The most slots an activation record may have: parameters, locals and temporaries together.
+MAX_SLOTS = 4096
+#: Bytes of one quad in the code.
+QUAD_SIZE = 16
+
+#: For each kind of method, the kinds of classes that may own it.
+_OWNERS = {
+    "method": frozenset({"class", "resource", "coordinator"}),
+    "constructor": frozenset({"class"}),
+    "init": frozenset({"resource", "coordinator"}),
+    "portal": frozenset({"resource"}),
+}
+
+
+def check_methods(core: Core) -> None:
+    """Every method has a sound record, and together they cover the code without gap or overlap."""
+    table = TypeTable(core)
+    at = 0
+    for method in core.methods:
+        if method.entry != at or method.end <= method.entry:
+            raise ProgramFileError(
+                "its methods do not follow one another", method=method.name, pc=method.entry
+            )
+        at = method.end
+        _check_shape(core, table, method)
+    if len(core.code) != at * QUAD_SIZE:
+        raise ProgramFileError("its code is longer or shorter than its methods")
+    _check_inits(core)
+    _check_portals(core)
+
+
+def _check_shape(core: Core, table: TypeTable, method: MethodRecord) -> None:
+    if not len(BUILTIN_CLASSES) <= method.owner < len(core.classes):
+        raise _refused(method, "it belongs to no class of the program")
+    if not method.name.isidentifier():
+        raise _refused(method, "it has a name no source can give it")
+    if core.classes[method.owner].kind not in _OWNERS.get(method.kind, ()):
+        raise _refused(
+            method, f"{core.classes[method.owner].name} cannot have a method of kind {method.kind!r}"
+        )
+    if not 0 <= method.parameters < len(method.slots) <= MAX_SLOTS:
+        raise _refused(method, f"it has {len(method.slots)} slots and {method.parameters} parameters")
+    if not all(map(table.has, method.slots)) or not table.has(method.result):
+        raise _refused(method, "it uses a type that does not exist")
+    if table.record(method.slots[0]) != TypeRecord(OBJECT, method.owner):
+        raise _refused(method, "its slot 0 is not the object it runs on")
+    if not all(map(table.is_value, method.slots[1:])):
+        raise _refused(method, "a slot has a type no variable can have")
+    if method.result != VOID and not table.is_value(method.result):
+        raise _refused(method, "it has a result of a type no value can have")
+    if method.kind == "constructor" and method.result != VOID:
+        raise _refused(method, "it is a constructor and has a result")
+
+
+def _check_inits(core: Core) -> None:
+    """Resources and coordinators have one init each, from string[] to nothing; classes have none."""
+    for index, method in enumerate(core.methods):
+        if method.kind != "init":
+            continue
+        if core.classes[method.owner].init != index:
+            raise _refused(method, "it is not the init that its class names")
+        arguments = [core.types[slot] for slot in method.slots[1 : method.parameters + 1]]
+        if arguments != [TypeRecord(ARRAY, STRING)] or method.result != VOID:
+            raise _refused(method, "it is an init and does not take string[] to nothing")
+    for record in core.classes[len(BUILTIN_CLASSES) :]:
+        if record.kind == "class":
+            if record.init != -1:
+                raise ProgramFileError(f"class {record.name} has an init")
+        elif not 0 <= record.init < len(core.methods) or core.methods[record.init].kind != "init":
+            raise ProgramFileError(f"{record.name} has no init")
+
+
+def _check_portals(core: Core) -> None:
+    """Nothing that belongs to one side may cross a portal, however deep in an argument it lies.
+
+    All portals share what was seen before, so each type is looked at once.
+    """
+    seen: set[int] = set()
+    for method in core.methods:
+        if method.kind != "portal":
+            continue
+        open_types = [method.result, *method.slots[1 : method.parameters + 1]]
+        while open_types:
+            index = open_types.pop()
+            if index in seen:
+                continue
+            seen.add(index)
+            if not _may_cross(core, core.types[index]):
+                raise _refused(method, f"it is a portal, and type {index} cannot cross one")
+            open_types.extend(_parts(core, core.types[index]))
+
+
+def _may_cross(core: Core, record: TypeRecord) -> bool:
+    if record.kind in (ANY, PROXY, DEVICE):
+        return False
+    return record.kind != OBJECT or core.classes[record.of].usage == "global"
+
+
+def _parts(core: Core, record: TypeRecord) -> list[int]:
+    if record.kind == ARRAY:
+        return [record.of]
+    if record.kind == OBJECT:
+        return [field.type for field in core.classes[record.of].fields]
+    return []
+
+
+def _refused(method: MethodRecord, reason: str) -> ProgramFileError:
+    return ProgramFileError(reason, method=method.name, pc=method.entry)

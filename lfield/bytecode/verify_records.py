@@ -1,0 +1,122 @@
+"""Verifying types, classes, constants and device calls."""
+
+from __future__ import annotations
+
+from lfield.bytecode.program import (
+    ARRAY,
+    BUILTIN_CLASSES,
+    DEVICE,
+    INT,
+    OBJECT,
+    PROXY,
+    REAL,
+    STRING,
+    VOID,
+    ClassRecord,
+    Core,
+    DeviceField,
+    FieldRecord,
+    TypeRecord,
+)
+from lfield.bytecode.verify_types import TypeTable
+from lfield.errors import ProgramFileError
+
+#: The eight types without parts that every program begins with.
+FIXED_TYPES = tuple(TypeRecord(kind) for kind in range(8))
+
+#: The built-in exception classes, exactly as every program has them.
+BUILTIN_RECORDS = tuple(
+    ClassRecord(
+        name, "class", "global", tuple(FieldRecord(f, STRING) for f in ("message", "source", "trace"))
+    )
+    for name in BUILTIN_CLASSES
+)
+
+_INT_MIN, _INT_MAX = -(1 << 63), (1 << 63) - 1
+_KINDS = frozenset({"class", "resource", "coordinator"})
+_USAGES = frozenset({"global", "resource", "coordinator"})
+_EFFECTS = frozenset({"query", "idempotent", "actuate"})
+
+
+def check_types(core: Core) -> None:
+    """The fixed types first; then arrays of earlier types, objects and proxies; none twice."""
+    if core.types[: len(FIXED_TYPES)] != FIXED_TYPES:
+        raise ProgramFileError("its first eight types are not those of every program")
+    if len(set(core.types)) != len(core.types):
+        raise ProgramFileError("a type is in its table twice")
+    if core.classes[: len(BUILTIN_RECORDS)] != BUILTIN_RECORDS:
+        raise ProgramFileError("its first classes are not the built-in exceptions")
+    table = TypeTable(core)
+    for index in range(len(FIXED_TYPES), len(core.types)):
+        _check_type(core, table, index)
+
+
+def _check_type(core: Core, table: TypeTable, index: int) -> None:
+    record = core.types[index]
+    if record.kind == ARRAY:
+        # Elements come from an earlier type, so no chain of arrays ever leads back to itself.
+        if not (0 <= record.of < index and table.is_value(record.of)):
+            raise ProgramFileError(f"type {index} is an array of something that is no earlier type of values")
+    elif record.kind in (OBJECT, PROXY):
+        if not 0 <= record.of < len(core.classes):
+            raise ProgramFileError(f"type {index} is of class {record.of}, which does not exist")
+        if record.kind == PROXY and core.classes[record.of].kind != "resource":
+            raise ProgramFileError(f"type {index} is a proxy for something that is no resource")
+    else:
+        raise ProgramFileError(f"type {index} is of unknown kind {record.kind}")
+
+
+def check_classes(core: Core) -> None:
+    """Names, kinds, fields and devices of classes; whether `init` fits is checked with the methods."""
+    names = [record.name for record in core.classes]
+    if len(set(names)) != len(names):
+        raise ProgramFileError("two of its classes have one name")
+    table = TypeTable(core)
+    for record in core.classes[len(BUILTIN_RECORDS) :]:
+        if not record.name.isidentifier():
+            raise ProgramFileError(f"a class has the name {record.name!r}, which no source can give it")
+        if record.kind not in _KINDS or record.usage not in _USAGES:
+            raise ProgramFileError(
+                f"class {record.name} is of unknown kind {record.kind!r}, {record.usage!r}"
+            )
+        _check_fields(record, table)
+
+
+def _check_fields(record: ClassRecord, table: TypeTable) -> None:
+    for field in record.fields:
+        if not field.name.isidentifier():
+            raise ProgramFileError(f"a field of {record.name} has the name {field.name!r}")
+        if not table.has(field.type) or not (field.type == DEVICE or table.is_value(field.type)):
+            raise ProgramFileError(f"field {record.name}.{field.name} has a type no field can have")
+    devices = [field.name for field in record.fields if field.type == DEVICE]
+    if devices != [device.name for device in record.devices]:
+        raise ProgramFileError(f"the devices of {record.name} are not its device fields")
+    if devices and record.kind != "resource":
+        raise ProgramFileError(f"{record.name} has a device and is no resource")
+
+
+def check_constants(core: Core) -> None:
+    """Ints within 64 bits; the other kinds are as wide as their encoding."""
+    for number, value in enumerate(core.constants):
+        if type(value) is int and not _INT_MIN <= value <= _INT_MAX:
+            raise ProgramFileError(f"constant {number} is an int beyond 64 bits")
+
+
+def check_device_calls(core: Core) -> None:
+    """Each names a device of a resource, and only values that may cross to a driver."""
+    crossing = {i for i, record in enumerate(core.types) if _crosses(record)}
+    for number, call in enumerate(core.device_calls):
+        if not 0 <= call.owner < len(core.classes):
+            raise ProgramFileError(f"device call {number} is of class {call.owner}, which does not exist")
+        if DeviceField(call.field, call.device) not in core.classes[call.owner].devices:
+            raise ProgramFileError(f"device call {number} names a device its resource does not have")
+        if call.effect not in _EFFECTS:
+            raise ProgramFileError(f"device call {number} has the unknown effect {call.effect!r}")
+        if not crossing.issuperset(call.parameters) or call.result not in crossing | {VOID}:
+            raise ProgramFileError(f"device call {number} takes or gives a type no driver knows")
+
+
+def _crosses(record: TypeRecord) -> bool:
+    """Whether it is a type of manifest.DEVICE_VALUE_TYPES."""
+    simple = range(1, STRING + 1)
+    return record.kind in simple or (record.kind == ARRAY and record.of in (INT, REAL))
