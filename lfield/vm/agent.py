@@ -1,0 +1,63 @@
+"""One agent on this host: its block, and what the host keeps about it besides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lfield.vm import layout
+from lfield.vm.block import Block
+from lfield.vm.limits import Limits
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """An agent of the team as every host knows it: its number is its place in the deployment."""
+
+    number: int
+    id: str
+    type: str
+    kind: str  # "resource" or "coordinator"
+    host: int
+    arguments: tuple[str, ...] = ()
+
+
+@dataclass(slots=True, eq=False)
+class Agent:
+    """An agent that is here. None of its execution state is outside `block`.
+
+    `open` is false until a resource's init has come to its first pause: calls wait in `waiting` till then.
+    `lines` holds what threads have written since their last newline.
+    """
+
+    member: Member
+    block: Block
+    limits: Limits
+    open: bool = False
+    frozen: bool = False
+    ended: str = ""
+    report: str = ""
+    served: int = 0
+    waiting: list[tuple[Agent, int]] = field(default_factory=list)
+    blocked: list[int] = field(default_factory=list)
+    lines: dict[int, str] = field(default_factory=dict)
+    polls: dict[int, int] = field(default_factory=dict)
+
+    @property
+    def id(self) -> str:
+        """The id of the deployment."""
+        return self.member.id
+
+    @property
+    def hops(self) -> int:
+        """Migrations made so far."""
+        return self.block.w[layout.W_HOPS]
+
+    @property
+    def generation(self) -> int:
+        """When it was started, ns since 1970."""
+        return self.block.w[layout.W_GENERATION]
+
+    @property
+    def sequence(self) -> int:
+        """Number of its last attempt to migrate."""
+        return self.block.w[layout.W_SEQUENCE]

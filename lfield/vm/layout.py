@@ -1,0 +1,97 @@
+"""How a block is laid out: its header, and the words of everything on its heap.
+
+A block is one contiguous run of little-endian 64-bit words (chapter V, Memory Management). A reference is
+the index of a word from the start of the block; 0 is null. Word 0 of everything on the heap is its header:
+kind in bits 0-7, record index in bits 8-31, size in words (header included) in bits 32-62. While the
+collector works, a negative header is the negated new place of what moved.
+
+    OBJECT   class index     fields
+    ARRAY    type index      elements
+    STRING   -               length in bytes, then UTF-8 padded with zeros
+    PROXY    class index     number of the agent in the deployment
+    FRAME    method index    caller, return pc, depth, slots
+    THREAD   -               see THREAD_* below
+"""
+
+from __future__ import annotations
+
+from lfield.bytecode.program import ARRAY as ARRAY_TYPE
+from lfield.bytecode.program import REFERENCES, Program
+
+MAGIC = int.from_bytes(b"LBLK", "little")
+VERSION = 1
+
+# The block's header, by word.
+W_MAGIC = 0  # magic, version in the upper half
+W_PROGRAM = 1  # SHA-256 of the program: four words
+W_TOP = 5  # first unused word
+W_CLASS = 6  # class index of the agent
+W_SELF = 7  # the resource or coordinator object
+W_ID = 8  # its id, a string
+W_THREADS = 9  # first thread
+W_NEXT_THREAD = 10  # id for the next thread
+W_OWNER = 11  # id of the thread that holds the monitor, or 0
+W_ENTRIES = 12  # how often it holds it
+W_GENERATION = 13  # when the agent was started, in ns since 1970: tells two starts apart
+W_SEQUENCE = 14  # number of the last attempt to migrate
+W_HOPS = 15  # migrations made
+W_TRAIL = 16  # the last hosts, as numbers from 1 in the order of the deployment; a ring
+TRAIL_LENGTH = 16
+HEADER_WORDS = W_TRAIL + TRAIL_LENGTH
+
+#: Header words that hold references: the collector's roots.
+ROOTS = (W_SELF, W_ID, W_THREADS)
+
+# Kinds of things on the heap.
+OBJECT, ARRAY, STRING, PROXY, FRAME, THREAD = 1, 2, 3, 4, 5, 6
+
+# A frame (activation record).
+FRAME_CALLER, FRAME_RETURN, FRAME_DEPTH, FRAME_SLOTS = 1, 2, 3, 4
+
+# A thread. STATE is one of the THREAD states; CALL is the host's number of the portal call it serves.
+THREAD_ID, THREAD_STATE, THREAD_FRAME, THREAD_PC, THREAD_NEXT, THREAD_CALL = 1, 2, 3, 4, 5, 6
+THREAD_WORDS = 7
+THREAD_REFERENCES = (THREAD_FRAME, THREAD_NEXT)
+
+# Thread states.
+READY, PARKED, SLEEPING, BLOCKED, CALLING, WAITING, DEAD = range(7)
+STATE_NAMES = ("ready", "parked", "sleeping", "blocked", "in a portal", "waiting for a device", "dead")
+
+
+def header(kind: int, index: int, words: int) -> int:
+    """The header word of something on the heap."""
+    return kind | index << 8 | words << 32
+
+
+class Layouts:
+    """Where the references are, for every record of one program; made once when it is loaded."""
+
+    def __init__(self, program: Program) -> None:
+        core = program.core
+        holds_reference = [t.kind in REFERENCES for t in core.types]
+        #: Per class: words of an object, and offsets of its reference fields.
+        self.class_words = [1 + len(c.fields) for c in core.classes]
+        self.class_references = [
+            tuple(1 + i for i, f in enumerate(c.fields) if holds_reference[f.type]) for c in core.classes
+        ]
+        #: Per type: whether an ARRAY of that type holds references.
+        self.array_references = [t.kind == ARRAY_TYPE and holds_reference[t.of] for t in core.types]
+        #: Per method: words of a frame, and offsets of its reference slots.
+        self.frame_words = [FRAME_SLOTS + len(m.slots) for m in core.methods]
+        self.frame_references = [
+            (FRAME_CALLER, *(FRAME_SLOTS + i for i, t in enumerate(m.slots) if holds_reference[t]))
+            for m in core.methods
+        ]
+
+    def references(self, head: int) -> tuple[int, ...] | range:
+        """Offsets of the references in the thing with that header word."""
+        kind, index = head & 0xFF, head >> 8 & 0xFFFFFF
+        if kind == OBJECT:
+            return self.class_references[index]
+        if kind == ARRAY:
+            return range(1, head >> 32) if self.array_references[index] else ()
+        if kind == FRAME:
+            return self.frame_references[index]
+        if kind == THREAD:
+            return THREAD_REFERENCES
+        return ()

@@ -1,0 +1,372 @@
+"""The machine of one host: its agents, their threads, and whose turn it is.
+
+A synchronous state machine: the host calls it (start, admit, answer, run), it calls the host's `World`.
+Time is read from the clock it was given. `run` returns when nothing can run, and says until when.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Callable, Sequence
+from heapq import heappop, heappush
+from typing import TypeVar
+
+from lfield.bytecode.program import Program
+from lfield.clock import Clock
+from lfield.manifest import DeviceValue
+from lfield.vm import layout, portals, traceback
+from lfield.vm.agent import Agent, Member
+from lfield.vm.block import Block, Full
+from lfield.vm.collector import collect
+from lfield.vm.engine import Engine
+from lfield.vm.engine.registers import Trap
+from lfield.vm.engine.run import new_exception
+from lfield.vm.exits import Blocked, Done, Exit, NoRoom, Outside, Spent, Thrown
+from lfield.vm.layout import (
+    BLOCKED,
+    CALLING,
+    DEAD,
+    OBJECT,
+    READY,
+    SLEEPING,
+    THREAD_CALL,
+    THREAD_ID,
+    THREAD_PC,
+    THREAD_STATE,
+)
+from lfield.vm.limits import Limits
+from lfield.vm.outside import Outsiders
+from lfield.vm.soundness import Soundness
+from lfield.vm.threads import new_thread, place_of, unlink
+from lfield.vm.values import word_for
+from lfield.vm.world import World
+
+#: Instructions a thread may run before the next one's turn.
+SLICE = 2000
+#: Slices one call of `run` gives before it lets the host look at the world.
+ROUND = 200
+
+T = TypeVar("T")
+
+
+class Machine:
+    """The agents of one host.
+
+    `team` is every agent of the deployment in its order, `here` this host's number in it.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        team: Sequence[Member],
+        here: int,
+        world: World,
+        clock: Clock,
+        dice: random.Random | None = None,
+    ) -> None:
+        self.program = program
+        self.team = team
+        self.here = here
+        self.world = world
+        self.clock = clock
+        self.engine = Engine(program)
+        self.layouts = self.engine.layouts
+        self.dice = dice or random.Random()
+        self.agents: dict[str, Agent] = {}
+        #: The portal calls under way: for each number, who waits for it.
+        self.calls: dict[int, tuple[Agent, int]] = {}
+        self.last_call = 0
+        self._ready: deque[tuple[Agent, int]] = deque()
+        self._timers: list[tuple[float, int, Agent, int]] = []
+        self._order = 0
+        self._outsiders = Outsiders(self)
+        self._soundness = Soundness(self.engine.prepared, len(team))
+
+    # --- agents come and go ---------------------------------------------------------------------------
+
+    def start(self, member: Member, limits: Limits, generation: int) -> Agent:
+        """Create an agent and the thread of its init; it runs at the next `run`."""
+        record = self.program.class_index[member.type]
+        block = Block.empty(self.program.digest, limits.heap // 8)
+        agent = Agent(member, block, limits, open=member.kind == "coordinator")
+        w = block.w
+        w[layout.W_CLASS] = record
+        w[layout.W_GENERATION] = generation
+        block.visit(self.here)
+        self.agents[member.id] = agent
+        try:
+            self.with_room(agent, lambda: self._begin(agent, record))
+        except Trap as trap:
+            self.die(agent, f"LimitException: {trap.message}")
+        return agent
+
+    def _begin(self, agent: Agent, record: int) -> None:
+        block = agent.block
+        w = block.w
+        w[layout.W_SELF] = block.allocate(OBJECT, record, self.layouts.class_words[record])
+        w[layout.W_ID] = block.new_string(agent.id)
+        texts = (agent.id, *agent.member.arguments)
+        init = self.program.core.methods[self.program.core.classes[record].init]
+        array = block.allocate(layout.ARRAY, init.slots[1], 1 + len(texts))
+        for i, text in enumerate(texts, array + 1):
+            w[i] = block.new_string(text)
+        identity = self.spawn(agent, self.program.core.classes[record].init, [w[layout.W_SELF], array], 0)
+        self._ready.append((agent, identity))
+
+    def admit(self, member: Member, image: bytes | memoryview, limits: Limits) -> Agent:
+        """Inject a coordinator that came from another host; raises BlockError when its bytes are not sound.
+
+        It goes on at its portal call, now here.
+        """
+        block = self._soundness.check(image, limits.heap // 8)
+        block.w[layout.W_HOPS] += 1
+        block.visit(self.here)
+        agent = Agent(member, block, limits, open=True)
+        self.agents[member.id] = agent
+        place = block.w[layout.W_THREADS]
+        block.w[place + THREAD_STATE] = READY
+        self._ready.appendleft((agent, block.w[place + THREAD_ID]))
+        return agent
+
+    def pack(self, agent: Agent) -> memoryview:
+        """The bytes of a frozen coordinator, live data only."""
+        collect(agent.block, self.layouts)
+        return agent.block.image()
+
+    def release(self, agent: Agent) -> None:
+        """Forget a coordinator that has left."""
+        if self.agents.get(agent.id) is agent:
+            del self.agents[agent.id]
+
+    def resume(self, agent: Agent, kind: str, message: str, source: str = "") -> None:
+        """Let a frozen coordinator go on with an exception in the statement that called the portal."""
+        agent.frozen = False
+        self.refuse(agent, agent.block.w[agent.block.w[layout.W_THREADS] + THREAD_ID], kind, message, source)
+
+    # --- answers from the world -----------------------------------------------------------------------
+
+    def answer(self, agent: Agent, thread: int, value: DeviceValue, kind: int, device: str) -> None:
+        """The value (of a type, by index) of the device instruction a thread waits for."""
+        if agent.ended:
+            return
+        block = agent.block
+        self.complete(agent, thread, lambda: word_for(block, self.program, kind, value, device))
+
+    def refuse(self, agent: Agent, thread: int, kind: str, message: str, source: str = "") -> None:
+        """Throw a built-in exception where a waiting thread stands."""
+        if agent.ended:
+            return
+        try:
+            thrown = self.with_room(agent, lambda: new_exception(agent.block, kind, message, source))
+        except Trap:
+            self.die(agent, f"{kind}: {message} (and no room left to throw it)")
+            return
+        self.throw(agent, thread, thrown)
+
+    def complete(self, agent: Agent, thread: int, word: Callable[[], int]) -> None:
+        """Give a waiting thread the word its head asked for, and its turn."""
+        try:
+            result = self.with_room(agent, word)
+        except Trap as trap:
+            self.refuse(agent, thread, trap.kind, trap.message)
+            return
+        self.engine.complete(agent.block, place_of(agent.block, thread), result)
+        self.make_ready(agent, thread)
+
+    # --- the loop -------------------------------------------------------------------------------------
+
+    def run(self) -> float | None:
+        """Give turns until nothing is ready or a round is over.
+
+        Returns the seconds until a thread can run again (0: at once), or None when only the world can
+        change that.
+        """
+        self._wake()
+        ready = self._ready
+        for _ in range(ROUND):
+            if not ready:
+                break
+            agent, thread = ready.popleft()
+            self._turn(agent, thread)
+        if ready:
+            return 0.0
+        return max(0.0, self._timers[0][0] - self.clock.monotonic()) if self._timers else None
+
+    def _wake(self) -> None:
+        if not self._timers:
+            return
+        now = self.clock.monotonic()
+        while self._timers and self._timers[0][0] <= now:
+            _, _, agent, thread = heappop(self._timers)
+            if not agent.ended and self.agents.get(agent.id) is agent:
+                self.make_ready(agent, thread)
+
+    def _turn(self, agent: Agent, thread: int) -> None:
+        """One slice of one thread, and whatever its exit asks for."""
+        if agent.ended or agent.frozen:
+            return
+        block = agent.block
+        place = place_of(block, thread)
+        leave = self.engine.run(block, place, SLICE, agent.limits)
+        if agent.blocked and not block.w[layout.W_OWNER]:
+            self._unblock(agent)
+        self._handle(agent, thread, leave)
+
+    def _handle(self, agent: Agent, thread: int, leave: Exit) -> None:
+        match leave:
+            case Outside():
+                self._outsiders.carry_out(agent, thread, leave)
+            case Spent():
+                self._ready.append((agent, thread))
+            case Done():
+                self._done(agent, thread, leave.word)
+            case NoRoom():
+                self._make_room(agent, thread, leave.words)
+            case Blocked():
+                self.set_state(agent, thread, BLOCKED)
+                agent.blocked.append(thread)
+            case Thrown():
+                self._uncaught(agent, thread, leave.place)
+
+    def _unblock(self, agent: Agent) -> None:
+        waiting, agent.blocked = agent.blocked, []
+        for thread in waiting:
+            self.make_ready(agent, thread)
+
+    def _make_room(self, agent: Agent, thread: int, words: int) -> None:
+        block = agent.block
+        collect(block, self.layouts, words)
+        if block.top + words <= block.limit:
+            self._ready.appendleft((agent, thread))
+            return
+        message = f"the heap is over its limit of {agent.limits.heap} bytes"
+        try:
+            thrown = new_exception(block, "LimitException", message, agent.id)
+        except Full:
+            self.die(agent, f"LimitException: {message}", thread)
+            return
+        self.throw(agent, thread, thrown)
+
+    # --- threads --------------------------------------------------------------------------------------
+
+    def spawn(self, agent: Agent, method: int, words: list[int], call: int) -> int:
+        """A thread of an agent, not yet in the queue; raises Full."""
+        record = self.program.core.methods[method]
+        frame = self.layouts.frame_words[method]
+        entry = record.entry if record.synchronized else record.entry + 1
+        return new_thread(agent.block, method, frame, entry, words, call)
+
+    def make_ready(self, agent: Agent, thread: int, first: bool = False) -> None:
+        """Put a thread in the queue, at its end unless it is to be `first`."""
+        self.set_state(agent, thread, READY)
+        if first:
+            self._ready.appendleft((agent, thread))
+        else:
+            self._ready.append((agent, thread))
+
+    def set_state(self, agent: Agent, thread: int, state: int) -> None:
+        """Note in the block what the thread waits for."""
+        agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = state
+
+    def sleep(self, agent: Agent, thread: int, seconds: float) -> None:
+        """Wake the thread after so many seconds."""
+        self.set_state(agent, thread, SLEEPING)
+        self._order += 1
+        heappush(self._timers, (self.clock.monotonic() + seconds, self._order, agent, thread))
+
+    def freeze(self, agent: Agent, thread: int) -> None:
+        """Hold a coordinator at its portal call."""
+        self.set_state(agent, thread, CALLING)
+        agent.frozen = True
+
+    def with_room(self, agent: Agent, work: Callable[[], T]) -> T:
+        """Do work that may raise Full, after a collection if it must; raises Trap at the limit."""
+        try:
+            return work()
+        except Full as full:
+            words = full.words
+        while True:
+            collect(agent.block, self.layouts, words)
+            if agent.block.top + words > agent.block.limit:
+                raise Trap(
+                    "LimitException", f"the heap of {agent.id} is over its limit of {agent.limits.heap} bytes"
+                )
+            try:
+                return work()
+            except Full as full:
+                words += full.words
+
+    # --- ends -----------------------------------------------------------------------------------------
+
+    def _done(self, agent: Agent, thread: int, word: int) -> None:
+        self.flush(agent, thread)
+        call = agent.block.w[place_of(agent.block, thread) + THREAD_CALL]
+        if call:
+            portals.finish(self, agent, thread, call, word)
+        elif agent.member.kind == "coordinator":
+            agent.ended = "done"
+            self.release(agent)
+            self.world.ended(agent)
+        else:
+            unlink(agent.block, thread)
+            self.open(agent)
+
+    def _uncaught(self, agent: Agent, thread: int, thrown: int) -> None:
+        call = agent.block.w[place_of(agent.block, thread) + THREAD_CALL]
+        if call:
+            self.flush(agent, thread)
+            portals.fail(self, agent, thread, call, thrown)
+            return
+        name, message, trace = traceback.describe(agent.block, self.program, thrown)
+        self.die(agent, f"{name}: {message}" if message else name, thread, trace)
+
+    def throw(self, agent: Agent, thread: int, thrown: int) -> None:
+        """Throw the object at `thrown` where a thread stands."""
+        if self.engine.throw(agent.block, place_of(agent.block, thread), thrown):
+            if agent.blocked and not agent.block.w[layout.W_OWNER]:
+                self._unblock(agent)
+            self.make_ready(agent, thread, first=True)
+        else:
+            self._uncaught(agent, thread, thrown)
+
+    def die(self, agent: Agent, reason: str, thread: int = 0, trace: str = "") -> None:
+        """End an agent: its report says what it died of and where it stood."""
+        lines = [reason]
+        if trace:
+            lines += trace.splitlines()
+        place = place_of(agent.block, thread) if thread else 0
+        if place:
+            lines += [f"    {line}" for line in traceback.lines(agent.block, self.program, place)]
+            agent.block.w[place + THREAD_STATE] = DEAD
+        agent.report = "\n".join(lines)
+        agent.ended = "died"
+        for waiting, waiter in portals.abandoned(self, agent):
+            self.refuse(
+                waiting, waiter, "UnreachableResourceException", f"{agent.id} has died: {reason}", agent.id
+            )
+        if agent.member.kind == "coordinator":
+            self.release(agent)
+        self.world.ended(agent)
+
+    def open(self, agent: Agent) -> None:
+        """A resource came to its first pause: calls that waited for it begin."""
+        if agent.open:
+            return
+        agent.open = True
+        waiting, agent.waiting = agent.waiting, []
+        for caller, thread in waiting:
+            self.make_ready(caller, thread)
+
+    def flush(self, agent: Agent, thread: int) -> None:
+        """Write what a thread has left of a line."""
+        if rest := agent.lines.pop(thread, ""):
+            self.world.write(agent, rest)
+
+    def place(self, agent: Agent, thread: int) -> int:
+        """Where a thread's record is in the agent's block."""
+        return place_of(agent.block, thread)
+
+    def standing(self, agent: Agent, thread: int) -> int:
+        """The instruction a thread stands at."""
+        return agent.block.w[place_of(agent.block, thread) + THREAD_PC]

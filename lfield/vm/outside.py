@@ -1,0 +1,196 @@
+"""Heads that leave the engine: output, time, chance, find, portals and devices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from lfield.bytecode.opcodes import BY_CODE
+from lfield.bytecode.program import ARRAY, PROXY
+from lfield.errors import DeviceError
+from lfield.vm import layout, portals
+from lfield.vm.engine.library import real_text
+from lfield.vm.exits import Outside
+from lfield.vm.layout import PARKED, WAITING
+from lfield.vm.values import plain, real_of, word_for, word_of
+from lfield.vm.world import Pending
+
+if TYPE_CHECKING:
+    from lfield.vm.agent import Agent
+    from lfield.vm.machine import Machine
+
+#: A thread that does nothing but ask and yield, so often in a row, is polling ...
+POLLS = 16
+#: ... and gets its turn again after so many seconds, so that waiting costs next to nothing.
+POLL_INTERVAL = 0.005
+
+Handler = Callable[["Agent", int, int, list[int]], None]
+
+
+class Outsiders:
+    """One method per kind of head; each ends by completing the thread's group, now or later."""
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        kinds: dict[str, Handler] = {
+            "pcall": self._pcall,
+            "yield": self._yield,
+            "sleep": self._sleep,
+            "now": self._now,
+            "random": self._random,
+            "random_int": self._random_int,
+            "find": self._find,
+            "findall": self._find_all,
+            "device": self._device,
+        }
+        self._by_code: dict[int, Handler] = {
+            row.code: kinds.get(row.name) or self._output(row.name) for row in BY_CODE.values() if row.exits
+        }
+
+    def carry_out(self, agent: Agent, thread: int, leave: Outside) -> None:
+        """Do what a thread asked for."""
+        if agent.polls:
+            self._note_poll(agent, thread, BY_CODE[leave.op].name)
+        self._by_code[leave.op](agent, thread, leave.operand, leave.words)
+
+    def _note_poll(self, agent: Agent, thread: int, name: str) -> None:
+        """Anything but asking and yielding shows that a thread does more than poll."""
+        if name not in ("yield", "now", "device"):
+            agent.polls.pop(thread, None)
+
+    def _go_on(self, agent: Agent, thread: int, word: int = 0) -> None:
+        """Complete a group that took no time: the thread keeps its turn."""
+        machine = self.machine
+        machine.engine.complete(agent.block, machine.place(agent, thread), word)
+        machine.make_ready(agent, thread, first=True)
+
+    # --- output ---------------------------------------------------------------------------------------
+
+    def _output(self, name: str) -> Handler:
+        verb, _, kind = name.partition("_")
+
+        def output(agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+            text = _shown(agent, kind, words[0])
+            if verb == "print":
+                self.machine.world.log(agent, text)
+            else:
+                self._write(agent, thread, text)
+            self._go_on(agent, thread)
+
+        return output
+
+    def _write(self, agent: Agent, thread: int, text: str) -> None:
+        """Keep text until its newline, so that lines of several threads are never torn."""
+        whole = agent.lines.pop(thread, "") + text
+        end = whole.rfind("\n") + 1
+        if end:
+            self.machine.world.write(agent, whole[:end])
+        if rest := whole[end:]:
+            agent.lines[thread] = rest
+
+    # --- time and chance ------------------------------------------------------------------------------
+
+    def _yield(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        machine = self.machine
+        place = machine.place(agent, thread)
+        parks = machine.engine.group(machine.standing(agent, thread)).parks
+        machine.engine.complete(agent.block, place, 0)
+        machine.open(agent)
+        if parks:
+            machine.set_state(agent, thread, PARKED)
+            return
+        agent.polls[thread] = polls = agent.polls.get(thread, 0) + 1
+        if polls > POLLS:
+            machine.sleep(agent, thread, POLL_INTERVAL)
+        else:
+            machine.make_ready(agent, thread)
+
+    def _sleep(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        machine = self.machine
+        machine.engine.complete(agent.block, machine.place(agent, thread), 0)
+        machine.open(agent)
+        seconds = real_of(words[0])
+        # Not a number sleeps not at all; a wait beyond any mission is as good as for ever.
+        machine.sleep(agent, thread, min(seconds, 1e9) if seconds > 0 else 0.0)
+
+    def _now(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        self._go_on(agent, thread, word_of(self.machine.clock.time()))
+
+    def _random(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        self._go_on(agent, thread, word_of(self.machine.dice.random()))
+
+    def _random_int(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        if words[0] <= 0:
+            self.machine.refuse(agent, thread, "ArithmeticException", f"random({words[0]}) has no result")
+            return
+        self._go_on(agent, thread, self.machine.dice.randrange(words[0]))
+
+    # --- the team -------------------------------------------------------------------------------------
+
+    def _pcall(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        portals.call(self.machine, agent, thread, operand, words)
+
+    def _find(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        machine = self.machine
+        wanted = agent.block.string(words[0])
+        name = machine.program.core.classes[operand].name
+        of_type = [m for m in machine.team if m.type == name]
+        found = next((m for m in of_type if m.id == wanted), None)
+        if found is None:
+            known = ", ".join(m.id for m in of_type[:10]) or "none"
+            message = f"the deployment has no {name} '{wanted}' (it has {known})"
+            machine.refuse(agent, thread, "UnknownResourceException", message, wanted)
+            return
+        number = found.number
+        machine.complete(agent, thread, lambda: _proxy(agent, operand, number))
+
+    def _find_all(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        machine = self.machine
+        name = machine.program.core.classes[operand].name
+        numbers = [m.number for m in machine.team if m.type == name]
+        of = next(i for i, t in enumerate(machine.program.core.types) if t.kind == PROXY and t.of == operand)
+        kind = next(i for i, t in enumerate(machine.program.core.types) if t.kind == ARRAY and t.of == of)
+
+        def work() -> int:
+            block = agent.block
+            array = block.allocate(layout.ARRAY, kind, 1 + len(numbers))
+            for i, number in enumerate(numbers, array + 1):
+                block.w[i] = _proxy(agent, operand, number)
+            return array
+
+        machine.complete(agent, thread, work)
+
+    def _device(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        machine = self.machine
+        call = machine.program.core.device_calls[operand]
+        values = [
+            plain(agent.block, machine.program, kind, word)
+            for kind, word in zip(call.parameters, words, strict=True)
+        ]
+        machine.set_state(agent, thread, WAITING)
+        try:
+            value = machine.world.device(agent, thread, call, values)
+            if isinstance(value, Pending):
+                return
+            machine.complete(
+                agent, thread, lambda: word_for(agent.block, machine.program, call.result, value, call.field)
+            )
+        except DeviceError as error:
+            machine.refuse(agent, thread, error.kind, f"{error.device}: {error.reason}", error.device)
+
+
+def _proxy(agent: Agent, record: int, number: int) -> int:
+    place = agent.block.allocate(layout.PROXY, record, 2)
+    agent.block.w[place + 1] = number
+    return place
+
+
+def _shown(agent: Agent, kind: str, word: int) -> str:
+    """A value as `write` and `print` show it."""
+    if kind == "str":
+        return agent.block.string(word)
+    if kind == "float":
+        return real_text(real_of(word))
+    if kind == "bool":
+        return "true" if word else "false"
+    return str(word)

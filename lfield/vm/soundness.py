@@ -1,0 +1,204 @@
+"""Whether bytes from a peer are a sound block: checked before they run, so that the engine need not.
+
+Everything on the heap is walked once: sizes must tile the block, every reference must lead to the start of
+a thing of the type its slot or field has, frames must form one chain that stands at a portal call.
+"""
+
+from __future__ import annotations
+
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.bytecode.program import ANY, PROXY, REFERENCES, STRING, Program
+from lfield.bytecode.program import ARRAY as ARRAY_TYPE
+from lfield.bytecode.program import OBJECT as OBJECT_TYPE
+from lfield.errors import BlockError
+from lfield.vm import layout
+from lfield.vm.block import Block
+from lfield.vm.engine.prepare import Prepared
+from lfield.vm.layout import (
+    FRAME,
+    FRAME_CALLER,
+    FRAME_DEPTH,
+    FRAME_RETURN,
+    FRAME_SLOTS,
+    HEADER_WORDS,
+    OBJECT,
+    THREAD,
+    THREAD_FRAME,
+    THREAD_ID,
+    THREAD_NEXT,
+    THREAD_PC,
+    THREAD_WORDS,
+)
+
+#: For a reference: the low half of the header its target must have; ANY_OBJECT accepts every object.
+ANY_OBJECT = -1
+Expected = tuple[tuple[int, int], ...]
+
+_PCALL = BY_NAME["pcall"].code
+
+
+class Soundness:
+    """The checks for blocks of one program."""
+
+    def __init__(self, prepared: Prepared, members: int) -> None:
+        self.prepared = prepared
+        self.program: Program = prepared.program
+        self.members = members
+        core = self.program.core
+        self._type_expects = [self._expected(i) for i in range(len(core.types))]
+        self._class_expects = [
+            self._references([f.type for f in record.fields], 1) for record in core.classes
+        ]
+        self._frame_expects = [self._references(record.slots, FRAME_SLOTS) for record in core.methods]
+
+    def _expected(self, kind: int) -> int | None:
+        """The expected header half for references of a type, None for types that hold none."""
+        record = self.program.core.types[kind]
+        if record.kind not in REFERENCES:
+            return None
+        if record.kind == STRING:
+            return layout.STRING
+        if record.kind == ARRAY_TYPE:
+            return layout.ARRAY | kind << 8
+        if record.kind == OBJECT_TYPE:
+            return layout.OBJECT | record.of << 8
+        if record.kind == PROXY:
+            return layout.PROXY | record.of << 8
+        return ANY_OBJECT if record.kind == ANY else 0
+
+    def _references(self, kinds: list[int] | tuple[int, ...], first: int) -> Expected:
+        pairs = ((first + i, self._type_expects[kind]) for i, kind in enumerate(kinds))
+        return tuple((offset, expected) for offset, expected in pairs if expected is not None)
+
+    def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
+        """A coordinator's block from its bytes; raises BlockError."""
+        block = self._adopt(image, limit)
+        starts = self._walk(block)
+        self._check_references(block, starts)
+        self._check_coordinator(block, starts)
+        return block
+
+    def _adopt(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
+        size = len(image)
+        if size % 8 or size < 8 * HEADER_WORDS:
+            raise BlockError(f"{size} bytes are no whole block")
+        if size > 8 * limit:
+            raise BlockError(f"{size} bytes are over the limit of {8 * limit}")
+        block = Block(bytearray(image), size // 8, limit)
+        w = block.w
+        if w[layout.W_MAGIC] != layout.MAGIC | layout.VERSION << 32:
+            raise BlockError("wrong magic or version", word=0)
+        if block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] != self.program.digest:
+            raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
+        if w[layout.W_TOP] != size // 8:
+            raise BlockError("its size is not what it says", word=layout.W_TOP)
+        return block
+
+    def _walk(self, block: Block) -> dict[int, int]:
+        """The places of all things, each with the low half of its header."""
+        w, top = block.w, block.top
+        starts: dict[int, int] = {}
+        place = HEADER_WORDS
+        while place < top:
+            head = w[place]
+            words = head >> 32
+            if (
+                head < 0
+                or words <= 0
+                or place + words > top
+                or not self._size_fits(block, place, head, words)
+            ):
+                raise BlockError("a thing on the heap has no sound header", word=place)
+            starts[place] = head & 0xFFFFFFFF
+            place += words
+        return starts
+
+    def _size_fits(self, block: Block, place: int, head: int, words: int) -> bool:
+        kind, index = head & 0xFF, head >> 8 & 0xFFFFFF
+        layouts = self.prepared.layouts
+        if kind == OBJECT:
+            return index < len(layouts.class_words) and words == layouts.class_words[index]
+        if kind == FRAME:
+            return index < len(layouts.frame_words) and words == layouts.frame_words[index]
+        if kind == layout.STRING:
+            return index == 0 and words >= 2 and self._is_text(block, place, words)
+        if kind == layout.ARRAY:
+            types = self.program.core.types
+            return index < len(types) and types[index].kind == ARRAY_TYPE
+        if kind == layout.PROXY:
+            return words == 2 and 0 <= block.w[place + 1] < self.members
+        return kind == THREAD and index == 0 and words == THREAD_WORDS
+
+    def _is_text(self, block: Block, place: int, words: int) -> bool:
+        length = block.w[place + 1]
+        if not 0 <= length <= 8 * (words - 2):
+            return False
+        try:
+            block.string(place)
+        except UnicodeDecodeError:
+            return False
+        return True
+
+    def _check_references(self, block: Block, starts: dict[int, int]) -> None:
+        w = block.w
+        for place, half in starts.items():
+            kind, index = half & 0xFF, half >> 8
+            if kind == OBJECT:
+                expects = self._class_expects[index]
+            elif kind == FRAME:
+                expects = self._frame_expects[index]
+            elif kind == layout.ARRAY:
+                expected = self._type_expects[self.program.core.types[index].of]
+                expects = () if expected is None else tuple((i, expected) for i in range(1, w[place] >> 32))
+            else:
+                continue
+            for offset, expected in expects:
+                target = w[place + offset]
+                if target and not _leads_to(starts.get(target, 0), expected):
+                    raise BlockError("a reference leads to no thing of its type", word=place + offset)
+
+    def _check_coordinator(self, block: Block, starts: dict[int, int]) -> None:
+        """One thread, its frames one chain, standing at the portal call it travels for."""
+        w = block.w
+        core = self.program.core
+        record = w[layout.W_CLASS]
+        if not 0 <= record < len(core.classes) or core.classes[record].kind != "coordinator":
+            raise BlockError("it is no coordinator's", word=layout.W_CLASS)
+        if (
+            starts.get(w[layout.W_SELF]) != OBJECT | record << 8
+            or starts.get(w[layout.W_ID]) != layout.STRING
+        ):
+            raise BlockError("its roots are not sound", word=layout.W_SELF)
+        thread = w[layout.W_THREADS]
+        if starts.get(thread) != THREAD or w[thread + THREAD_NEXT]:
+            raise BlockError("it has not exactly one thread", word=layout.W_THREADS)
+        if w[layout.W_OWNER] not in (0, w[thread + THREAD_ID]) or w[layout.W_HOPS] < 0:
+            raise BlockError("its header is not sound", word=layout.W_OWNER)
+        self._check_frames(w, starts, w[thread + THREAD_FRAME], w[thread + THREAD_PC])
+
+    def _check_frames(self, w: memoryview[int], starts: dict[int, int], frame: int, pc: int) -> None:
+        group = self.prepared.groups.get(pc)
+        if group is None or group.head.op != _PCALL:
+            raise BlockError("it does not stand at a portal call", word=frame)
+        methods = self.program.core.methods
+        callee = -1
+        depth = 0
+        while True:
+            half = starts.get(frame, 0)
+            if half & 0xFF != FRAME:
+                raise BlockError("its frames are no chain", word=frame)
+            method = methods[half >> 8]
+            if not method.entry < pc < method.end or (depth and w[frame + FRAME_DEPTH] != depth - 1):
+                raise BlockError("a frame stands outside its method", word=frame)
+            if callee >= 0 and self.program.quads[pc - 1][:2] != (BY_NAME["call"].code, callee):
+                raise BlockError("a frame does not stand behind its call", word=frame)
+            depth, callee, pc = w[frame + FRAME_DEPTH], half >> 8, w[frame + FRAME_RETURN]
+            frame = w[frame + FRAME_CALLER]
+            if not frame and depth == 1:
+                return
+            if depth < 1:
+                raise BlockError("its frames are no chain", word=frame)
+
+
+def _leads_to(half: int, expected: int) -> bool:
+    return half & 0xFF == OBJECT if expected == ANY_OBJECT else half == expected

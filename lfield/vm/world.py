@@ -1,0 +1,39 @@
+"""What the machine asks of the host it runs on."""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+from lfield.bytecode.program import DeviceCall
+from lfield.manifest import DeviceValue
+from lfield.vm.agent import Agent, Member
+
+
+class Pending:
+    """The type of PENDING: the answer comes later."""
+
+
+PENDING: Final = Pending()
+
+
+class World(Protocol):
+    """The host's side. Every method returns at once."""
+
+    def write(self, agent: Agent, text: str) -> None:
+        """Program output: whole lines, or what is left of one when its thread ends."""
+
+    def log(self, agent: Agent, text: str) -> None:
+        """A line of `print`."""
+
+    def depart(self, agent: Agent, resource: Member) -> None:
+        """The frozen coordinator must get to the host of the resource. Answer by `Machine.release` when it
+        has left, or by `Machine.resume` with the reason why it could not."""
+
+    def device(
+        self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
+    ) -> DeviceValue | Pending:
+        """Carry out a device instruction: its value, or PENDING and later `Machine.answer` or
+        `Machine.refuse`. Raises DeviceError."""
+
+    def ended(self, agent: Agent) -> None:
+        """A coordinator came to its end, or an agent died of an uncaught exception (`agent.report`)."""
