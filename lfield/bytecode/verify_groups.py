@@ -81,9 +81,8 @@ def _call(view: MethodView, pc: int, quad: Quad) -> Signature:
         raise view.refused(pc, f"a {callee.kind} is not called")
     if not view.sees(view.core.classes[callee.owner]):
         raise view.refused(pc, "the method is out of scope here")
-    return Signature(
-        [_accepts(kind) for kind in callee.slots[: callee.parameters + 1]], _given(callee.result)
-    )
+    arguments = callee.slots[: callee.parameters + 1]
+    return Signature([*map(_accepts, arguments)], _given(callee.result))
 
 
 def _pcall(view: MethodView, pc: int, quad: Quad) -> Signature:

@@ -38,9 +38,7 @@ def check_methods(core: Core) -> None:
     at = 0
     for method in core.methods:
         if method.entry != at or method.end <= method.entry:
-            raise ProgramFileError(
-                "its methods do not follow one another", method=method.name, pc=method.entry
-            )
+            raise ProgramFileError(f"there is a gap or an overlap before instruction {method.entry}")
         at = method.end
         _check_shape(core, table, method)
     if len(core.code) != at * QUAD_SIZE:
@@ -50,14 +48,12 @@ def check_methods(core: Core) -> None:
 
 
 def _check_shape(core: Core, table: TypeTable, method: MethodRecord) -> None:
+    if not method.name.isidentifier():
+        raise ProgramFileError(f"a method has the name {method.name!r}, which no source can give it")
     if not len(BUILTIN_CLASSES) <= method.owner < len(core.classes):
         raise _refused(method, "it belongs to no class of the program")
-    if not method.name.isidentifier():
-        raise _refused(method, "it has a name no source can give it")
     if core.classes[method.owner].kind not in _OWNERS.get(method.kind, ()):
-        raise _refused(
-            method, f"{core.classes[method.owner].name} cannot have a method of kind {method.kind!r}"
-        )
+        raise _refused(method, f"its class cannot have a method of kind {method.kind!r}")
     if not 0 <= method.parameters < len(method.slots) <= MAX_SLOTS:
         raise _refused(method, f"it has {len(method.slots)} slots and {method.parameters} parameters")
     if not all(map(table.has, method.slots)) or not table.has(method.result):

@@ -24,13 +24,9 @@ from lfield.errors import ProgramFileError
 #: The eight types without parts that every program begins with.
 FIXED_TYPES = tuple(TypeRecord(kind) for kind in range(8))
 
+_EXCEPTION_FIELDS = tuple(FieldRecord(name, STRING) for name in ("message", "source", "trace"))
 #: The built-in exception classes, exactly as every program has them.
-BUILTIN_RECORDS = tuple(
-    ClassRecord(
-        name, "class", "global", tuple(FieldRecord(f, STRING) for f in ("message", "source", "trace"))
-    )
-    for name in BUILTIN_CLASSES
-)
+BUILTIN_RECORDS = tuple(ClassRecord(name, "class", "global", _EXCEPTION_FIELDS) for name in BUILTIN_CLASSES)
 
 _INT_MIN, _INT_MAX = -(1 << 63), (1 << 63) - 1
 _KINDS = frozenset({"class", "resource", "coordinator"})
@@ -76,9 +72,7 @@ def check_classes(core: Core) -> None:
         if not record.name.isidentifier():
             raise ProgramFileError(f"a class has the name {record.name!r}, which no source can give it")
         if record.kind not in _KINDS or record.usage not in _USAGES:
-            raise ProgramFileError(
-                f"class {record.name} is of unknown kind {record.kind!r}, {record.usage!r}"
-            )
+            raise ProgramFileError(f"{record.name} is of unknown kind {record.kind!r}, {record.usage!r}")
         _check_fields(record, table)
 
 

@@ -36,10 +36,9 @@ def _lds(view: MethodView, pc: int, quad: Quad) -> bool:
 
 def _new(view: MethodView, pc: int, quad: Quad) -> bool:
     record = view.core.classes[quad.b]
-    into = view.types.record(view.slot(quad.a, pc))
-    return (
-        record.kind == "class" and view.sees(record) and into in (TypeRecord(OBJECT, quad.b), TypeRecord(ANY))
-    )
+    fitting = (TypeRecord(OBJECT, quad.b), TypeRecord(ANY))
+    fits = view.types.record(view.slot(quad.a, pc)) in fitting
+    return fits and record.kind == "class" and view.sees(record)
 
 
 def _newarray(view: MethodView, pc: int, quad: Quad) -> bool:

@@ -56,7 +56,7 @@ class TypeTable:
         return record.kind == OBJECT and self._classes[record.of].kind == "class"
 
     def is_value(self, index: int) -> bool:
-        """Whether variables may have the type. Agents are known by slot 0 only, devices by no value at all."""
+        """Whether variables may have the type: agents are known by slot 0 only, devices not at all."""
         kind = self._records[index].kind
         return kind in _VALUES and (kind != OBJECT or self.is_object(index))
 
