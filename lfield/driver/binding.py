@@ -1,0 +1,41 @@
+"""One bound device: what `mission.devices.yaml` says about one field of one agent."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+#: A value of an option in a devices file.
+OptionValue = bool | int | float | str
+
+
+class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
+    """A device with its driver, place and limits; travels to the guard as it is.
+
+    `ttl` is the time-to-live of a setpoint in seconds, `limits` are in the SI units that the manifest
+    names, `options` are the driver's own (`system`, `kind`). An absent limit does not limit.
+    """
+
+    agent: str
+    field: str
+    driver: str
+    endpoint: str
+    safe_state: str
+    ttl: float = 0.5
+    limits: dict[str, float] = {}
+    options: dict[str, OptionValue] = {}
+
+    @property
+    def name(self) -> str:
+        """`alpha.fc`: unique in a mission."""
+        return f"{self.agent}.{self.field}"
+
+    @property
+    def bus(self) -> tuple[str, str]:
+        """Devices with the same bus share one guard."""
+        return self.driver, self.endpoint
+
+    def option(self, name: str) -> Any:
+        """An option of the manifest; always present, since the loader fills in defaults."""
+        return self.options[name]

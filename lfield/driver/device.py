@@ -1,0 +1,144 @@
+"""What the author of a driver writes: a Driver for the bus, a Device for each thing on it.
+
+Users of the classes call the public methods; authors override the small ones that start with an
+underscore, and write one `do_...` coroutine per instruction of the manifest (`goTo` -> `do_go_to`).
+
+Everything runs on the event loop of the guard's process. A method must never block it: the guard's own
+timers live there. A vendor library that blocks belongs into `asyncio.to_thread`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from inspect import Parameter as MethodParameter
+from inspect import iscoroutinefunction, signature
+from typing import Protocol
+
+from lfield.clock import Clock
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.manifest_file import RELEASE, Manifest
+from lfield.driver.values import conform
+from lfield.errors import DeviceError, PluginError
+from lfield.manifest import DeviceValue
+
+
+class Reports(Protocol):
+    """What a driver can tell the guard."""
+
+    def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
+        """New values of telemetry quantities, true now."""
+
+    def heard(self, device: str) -> None:
+        """The device has just shown that it is alive."""
+
+    def note(self, device: str, text: str) -> None:
+        """One sentence for the log of the host."""
+
+    def crashed(self, reason: str) -> None:
+        """Something in the driver has broken: every device goes safe."""
+
+
+def method_name(instruction: str) -> str:
+    """`goTo` -> `do_go_to`."""
+    return "do_" + re.sub(r"([A-Z])", r"_\1", instruction).lower()
+
+
+class Device:
+    """One device on a bus. Authors override `_open`, `_make_safe` and write the `do_...` coroutines."""
+
+    def __init__(self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports) -> None:
+        self.binding, self.manifest, self.clock = binding, manifest, clock
+        self._reports = reports
+        self._types = {quantity.name: quantity.type for quantity in manifest.device.telemetry}
+
+    async def open(self) -> str:
+        """Find the device; its identity in words. Raises DeviceError."""
+        return await self._open()
+
+    async def execute(self, instruction: str, arguments: Sequence[DeviceValue]) -> DeviceValue:
+        """Carry an instruction out and return its result. Raises DeviceError when it did not happen."""
+        declared = self.manifest.device.instruction(instruction)
+        if declared is None:
+            raise self.error(f"there is no instruction '{instruction}'")
+        values = [conform(a, p.type) for a, p in zip(arguments, declared.parameters, strict=True)]
+        method: Callable[..., object] = getattr(self, method_name(instruction))
+        return conform(await method(*values), declared.result)  # type: ignore[misc]  # checked by check_methods
+
+    async def make_safe(self) -> None:
+        """Bring the device into its safe state and see that it is there. Raises DeviceError."""
+        await self._make_safe(self.binding.safe_state)
+
+    def publish(self, **values: object) -> None:
+        """Tell the host the present values of telemetry quantities."""
+        self._reports.publish(self.binding.name, {n: conform(v, self._types[n]) for n, v in values.items()})
+
+    def heard(self) -> None:
+        """The device has just shown that it is alive."""
+        self._reports.heard(self.binding.name)
+
+    def note(self, text: str) -> None:
+        """One sentence for the log of the host."""
+        self._reports.note(self.binding.name, text)
+
+    def error(self, reason: str, *, timeout: bool = False) -> DeviceError:
+        """The exception to raise when the device refused (or, with `timeout`, did not answer)."""
+        kind = "DeviceTimeoutException" if timeout else "DeviceException"
+        return DeviceError(self.binding.field, reason, kind=kind)
+
+    async def do_release(self) -> None:
+        """Called when the program releases the latch; most devices have nothing to do."""
+
+    async def _open(self) -> str:
+        raise NotImplementedError
+
+    async def _make_safe(self, state: str) -> None:
+        raise NotImplementedError
+
+
+class Driver:
+    """One bus with its devices. Authors override `_open`, `_close` and `_device`."""
+
+    def __init__(
+        self, bindings: Sequence[DeviceBinding], manifest: Manifest, clock: Clock, reports: Reports
+    ) -> None:
+        self.endpoint, self.manifest, self.clock, self.reports = (
+            bindings[0].endpoint,
+            manifest,
+            clock,
+            reports,
+        )
+        self.devices = {binding.name: self._device(binding) for binding in bindings}
+
+    async def open(self) -> None:
+        """Open the bus; the devices are opened after it, one by one. Raises DeviceError."""
+        await self._open()
+
+    async def close(self) -> None:
+        """Give the bus back. Called once, also after a failed open."""
+        await self._close()
+
+    def _device(self, binding: DeviceBinding) -> Device:
+        raise NotImplementedError
+
+    async def _open(self) -> None:
+        raise NotImplementedError
+
+    async def _close(self) -> None:
+        raise NotImplementedError
+
+
+def check_methods(device: type[Device], manifest: Manifest) -> None:
+    """Raise PluginError unless a Device class has one coroutine for each instruction it must carry out."""
+    for instruction in manifest.device.instructions:
+        if (instruction.effect == "query" and not instruction.blocking) or instruction is RELEASE:
+            continue
+        name, wanted = method_name(instruction.name), len(instruction.parameters)
+        method = getattr(device, name, None)
+        if method is None or not iscoroutinefunction(method):
+            raise PluginError(f"{device.__name__} needs 'async def {name}' for '{instruction.name}'")
+        taken = [
+            p for p in signature(method).parameters.values() if p.kind is not MethodParameter.KEYWORD_ONLY
+        ]
+        if len(taken) != wanted + 1:
+            raise PluginError(f"{device.__name__}.{name} must take the {wanted} parameters of its manifest")

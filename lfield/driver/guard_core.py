@@ -1,0 +1,327 @@
+"""The guard's decisions: when a device may move and when it must be safe. Events in, effects out.
+
+A device is free or latched. It is latched, and its safe state commanded until it is confirmed, when
+
+  - the host has been silent for longer than `silence`, or is gone, or asks for it;
+  - the time-to-live of a setpoint is over and nothing has replaced it;
+  - its driver raised anything but a DeviceError, or the guard was restarted.
+
+Only `release()` frees it, and only once its safe state is confirmed. One actuation runs at a time: a newer
+one replaces an older one, so that `land()` need not wait for a `goTo()` of another thread. A query that
+asks the device runs beside the others, also while the device is latched.
+
+Every event first looks at the clock: what is overdue happens before what has just arrived, so that a beat
+that lay in the pipe while this process was stopped does not excuse the silence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from lfield.clock import Clock
+from lfield.driver.manifest_file import RELEASE
+from lfield.driver.messages import Call, Done, Latched, Message, Note, Refused, Released, Stopped
+from lfield.manifest import DeviceManifest, DeviceValue, Instruction
+
+#: How long the host may be silent, in seconds (a beat comes every 50 ms).
+SILENCE = 0.2
+#: How long after a failed attempt the safe state is commanded again.
+RETRY = 1.0
+#: How long a stop waits for the safe states to be confirmed.
+STOP_BOUND = 8.0
+
+Way = Literal["ask", "act", "setpoint"]
+
+
+def way(instruction: Instruction) -> Way:
+    """How the guard treats an instruction: asking moves nothing; a setpoint acts on after it returned."""
+    if instruction.effect == "query" or instruction.name == RELEASE.name:
+        return "ask"
+    return "setpoint" if instruction.effect == "actuate" and not instruction.blocking else "act"
+
+
+@dataclass(frozen=True, slots=True)
+class Execute:
+    """Effect: have the driver carry out a call."""
+
+    call: Call
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """Effect: stop carrying out the call of this token; it has been answered."""
+
+    token: int
+
+
+@dataclass(frozen=True, slots=True)
+class MakeSafe:
+    """Effect: have the driver bring the device into its safe state, before anything else."""
+
+    device: str
+
+
+@dataclass(frozen=True, slots=True)
+class Tell:
+    """Effect: send a message to the host."""
+
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class Exit:
+    """Effect: close the bus and end the process with this status."""
+
+    status: int
+
+
+Effect = Execute | Cancel | MakeSafe | Tell | Exit
+
+
+@dataclass(slots=True)
+class _Device:
+    """What the guard knows of one device. `latched` is the reason, or '' when it is free."""
+
+    name: str
+    manifest: DeviceManifest
+    ttl: float
+    latched: str = ""
+    confirmed: bool = False
+    retry_at: float | None = None
+    setpoint_until: float | None = None
+    acting: Call | None = None
+    asking: dict[int, Call] = field(default_factory=dict)
+
+    def way(self, call: Call) -> Way:
+        """How a call that was let in is treated."""
+        instruction = self.manifest.instruction(call.instruction)
+        assert instruction is not None, "an unknown instruction is refused before it gets here"
+        return way(instruction)
+
+
+class GuardCore:
+    """The state machine of one guard; `devices` are (name, manifest, ttl)."""
+
+    def __init__(
+        self,
+        devices: Iterable[tuple[str, DeviceManifest, float]],
+        clock: Clock,
+        *,
+        silence: float = SILENCE,
+    ) -> None:
+        self._devices = {name: _Device(name, manifest, ttl) for name, manifest, ttl in devices}
+        self._clock = clock
+        self._silence = silence
+        self._last_beat = clock.monotonic()
+        self._stop_by: float | None = None
+        self._ended = False
+
+    # -- events ---------------------------------------------------------------------------------------
+
+    def opened(self, latched: str) -> list[Effect]:
+        """The devices are there; a reason in `latched` says that they come back from something."""
+        self._last_beat = self._clock.monotonic()
+        return self._latch_all(latched) if latched else []
+
+    def beat(self, sent: float) -> list[Effect]:
+        """The host was alive at `sent`."""
+        effects = self.tick()
+        self._last_beat = max(self._last_beat, min(sent, self._clock.monotonic()))
+        return effects
+
+    def call(self, call: Call) -> list[Effect]:
+        """The program calls an instruction; that is a sign of life too."""
+        effects = self.beat(call.sent)
+        device = self._devices.get(call.device)
+        instruction = device.manifest.instruction(call.instruction) if device else None
+        if device is None or instruction is None:
+            return [*effects, _refuse(call, f"there is no {call.device}.{call.instruction}()")]
+        if len(call.arguments) != len(instruction.parameters):
+            return [
+                *effects,
+                _refuse(call, f"{call.instruction}() takes {len(instruction.parameters)} arguments"),
+            ]
+        how = way(instruction)
+        if how == "ask":
+            return effects + self._ask(device, call)
+        refusal = self._why_not(device, call, how)
+        if refusal:
+            return [*effects, _refuse(call, refusal)]
+        effects += self._abandon(device, f"replaced by {call.instruction}()")
+        device.acting = call
+        return [*effects, Execute(call)]
+
+    def finished(self, token: int, value: DeviceValue) -> list[Effect]:
+        """The driver has carried a call out."""
+        effects = self.tick()
+        call = self._take(token)
+        if call is None:
+            return effects
+        device = self._devices[call.device]
+        how = device.way(call)
+        if how == "setpoint":
+            device.setpoint_until = call.sent + device.ttl
+        elif how == "act":
+            device.setpoint_until = None
+        return [*effects, Tell(Done(token, value))]
+
+    def refused(self, token: int, kind: str, reason: str) -> list[Effect]:
+        """The device did not do it, and said so: an exception for the program, no reason to go safe."""
+        effects = self.tick()
+        return [*effects, Tell(Refused(token, kind, reason))] if self._take(token) else effects
+
+    def crashed(self, token: int, reason: str) -> list[Effect]:
+        """The driver raised what it should not while it carried out a call."""
+        effects = self.tick()
+        call = self._take(token)
+        if call is None:
+            return effects
+        effects.append(_refuse(call, reason))
+        return effects + self._latch(self._devices[call.device], reason)
+
+    def safe(self, device: str, reason: str) -> list[Effect]:
+        """Somebody asks for the safe state of a device, or of all ('')."""
+        effects = self.tick()
+        if not device:
+            return effects + self._latch_all(reason)
+        return effects + self._latch(self._devices[device], reason) if device in self._devices else effects
+
+    def made_safe(self, name: str) -> list[Effect]:
+        """The driver has seen the device in its safe state."""
+        effects = self.tick()
+        device = self._devices[name]
+        device.confirmed, device.retry_at = True, None
+        effects.append(Tell(Latched(name, device.latched, True)))
+        return effects + self._end_if_safe()
+
+    def not_safe(self, name: str, reason: str) -> list[Effect]:
+        """The driver could not bring the device into its safe state; it is tried again."""
+        effects = self.tick()
+        self._devices[name].retry_at = self._clock.monotonic() + RETRY
+        return [*effects, Tell(Note(name, f"its safe state is not confirmed, trying again: {reason}"))]
+
+    def stop(self, reason: str) -> list[Effect]:
+        """The host ends, or has ended: make everything safe, then exit, within STOP_BOUND."""
+        effects = self.tick()
+        if self._stop_by is None and not self._ended:
+            self._stop_by = self._clock.monotonic() + STOP_BOUND
+            effects += self._latch_all(reason) + self._end_if_safe()
+        return effects
+
+    def tick(self) -> list[Effect]:
+        """Time has passed: whatever is due."""
+        now = self._clock.monotonic()
+        effects: list[Effect] = []
+        if now - self._last_beat > self._silence:
+            effects += self._latch_all(f"the host has been silent for {self._silence * 1000:.0f} ms")
+        for device in self._devices.values():
+            until = self._expiry(device)
+            if until is not None and now >= until:
+                effects += self._latch(device, f"the setpoint's time-to-live of {device.ttl:g} s is over")
+            if device.retry_at is not None and now >= device.retry_at:
+                device.retry_at = None
+                effects.append(MakeSafe(device.name))
+        if self._stop_by is not None and now >= self._stop_by:
+            effects += self._end()
+        return effects
+
+    def due(self) -> float | None:
+        """When the next tick is needed, on the injected clock; None when nothing can become due."""
+        if self._ended:
+            return None
+        times = [self._expiry(device) for device in self._devices.values()]
+        times += [device.retry_at for device in self._devices.values()]
+        times.append(self._stop_by)
+        if not all(device.latched for device in self._devices.values()):
+            times.append(self._last_beat + self._silence)
+        return min((time for time in times if time is not None), default=None)
+
+    # -- decisions ------------------------------------------------------------------------------------
+
+    def _why_not(self, device: _Device, call: Call, how: Way) -> str:
+        if device.latched:
+            return f"held in its safe state because {device.latched}; call release() first"
+        if how == "setpoint" and self._clock.monotonic() - call.sent >= device.ttl:
+            return f"the setpoint came after its time-to-live of {device.ttl:g} s"
+        return ""
+
+    def _ask(self, device: _Device, call: Call) -> list[Effect]:
+        """Let a call in that moves nothing; release() unlatches first, and tells the driver so."""
+        effects: list[Effect] = []
+        if call.instruction == RELEASE.name:
+            if self._stop_by is not None or self._ended:
+                return [_refuse(call, "the host is stopping")]
+            if device.latched and not device.confirmed:
+                return [
+                    _refuse(call, "its safe state is not confirmed yet; call release() again in a moment")
+                ]
+            if device.latched:
+                effects.append(Tell(Released(device.name)))
+            device.latched, device.confirmed = "", False
+        device.asking[call.token] = call
+        return [*effects, Execute(call)]
+
+    def _latch_all(self, reason: str) -> list[Effect]:
+        return [effect for device in self._devices.values() for effect in self._latch(device, reason)]
+
+    def _latch(self, device: _Device, reason: str) -> list[Effect]:
+        """Latch a free device; the first reason is the one that is kept."""
+        if device.latched:
+            return []
+        device.latched, device.confirmed, device.setpoint_until = reason, False, None
+        # The safe state goes out first: it is the effect that cannot wait.
+        stopped = self._abandon(device, f"stopped, since {reason}")
+        return [
+            *_cancels(stopped),
+            MakeSafe(device.name),
+            *_tells(stopped),
+            Tell(Latched(device.name, reason, False)),
+        ]
+
+    def _abandon(self, device: _Device, reason: str) -> list[Effect]:
+        call, device.acting = device.acting, None
+        if call is None:
+            return []
+        return [Cancel(call.token), _refuse(call, f"{call.instruction}() was {reason}")]
+
+    def _take(self, token: int) -> Call | None:
+        """The call of a token, no longer running; None when it has been answered before."""
+        for device in self._devices.values():
+            if device.acting is not None and device.acting.token == token:
+                call, device.acting = device.acting, None
+                return call
+            if token in device.asking:
+                return device.asking.pop(token)
+        return None
+
+    def _expiry(self, device: _Device) -> float | None:
+        """When the setpoint in effect is over. An actuation that runs replaces it, unless it fails."""
+        if device.latched:
+            return None
+        if device.acting is None:
+            return device.setpoint_until
+        return device.acting.sent + device.ttl if device.way(device.acting) == "setpoint" else None
+
+    def _end_if_safe(self) -> list[Effect]:
+        if self._stop_by is None or not all(device.confirmed for device in self._devices.values()):
+            return []
+        return self._end()
+
+    def _end(self) -> list[Effect]:
+        unsafe = [device.name for device in self._devices.values() if not device.confirmed]
+        self._stop_by, self._ended = None, True
+        return [Tell(Stopped(unsafe)), Exit(1 if unsafe else 0)]
+
+
+def _refuse(call: Call, reason: str) -> Tell:
+    return Tell(Refused(call.token, "DeviceException", reason))
+
+
+def _cancels(effects: list[Effect]) -> list[Effect]:
+    return [effect for effect in effects if isinstance(effect, Cancel)]
+
+
+def _tells(effects: list[Effect]) -> list[Effect]:
+    return [effect for effect in effects if isinstance(effect, Tell)]

@@ -1,0 +1,207 @@
+"""Reads a driver's `manifest.yaml`: the whole contract of a driver as data.
+
+```yaml
+driver: servo                       # the name in bindings
+type: Servo                         # the device type in L
+meaning: one servo on a bus
+safe_states: [hold, off]            # the first is the default
+options:                            # the driver's own keys of a binding
+  id: {type: int, default: 1, minimum: 1, maximum: 252, meaning: its number on the bus}
+limits:
+  speed: {unit: rad/s, meaning: the fastest it may turn}
+instructions:
+  turn: {parameters: {angle: {type: real, unit: rad}}, blocking: true, meaning: turns and waits}
+telemetry:                          # each is also a query of the same name: `s.angle()`
+  angle: {type: real, unit: rad, max_age: 0.5, meaning: where it is}
+```
+
+An instruction of effect `actuate` that is not blocking is a *setpoint*: it acts on after the call has
+returned, so the guard gives it a time-to-live. A `query` that is blocking asks the device itself.
+Every device type has two instructions more, `release()` and `age()`; no manifest declares them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal, cast
+
+from lfield.driver.binding import OptionValue
+from lfield.errors import PluginError
+from lfield.manifest import DEVICE_VALUE_TYPES, DeviceManifest, Effect, Instruction, Parameter, Quantity
+from lfield.source import Diagnostics, Span
+from lfield.yaml_source import Fields, Node, Scalar, decode
+
+#: What every device can do; the guard and the host answer them.
+RELEASE = Instruction(
+    "release",
+    effect="idempotent",
+    blocking=True,
+    meaning="takes the device out of its latched safe state, once that state is confirmed",
+)
+AGE = Instruction(
+    "age", result="real", unit="s", effect="query", meaning="seconds since the device was last heard"
+)
+STANDARD = (RELEASE, AGE)
+
+_NAME = re.compile(r"[a-z][A-Za-z0-9]*")
+_TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """A key of a binding that only this driver knows; `default` None means that it must be given."""
+
+    name: str
+    type: Literal["boolean", "int", "real", "string"]
+    default: OptionValue | None = None
+    choices: tuple[str, ...] = ()
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """A limit that a binding may set; the driver refuses what would exceed it."""
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """A manifest file: the device type for L, and what its bindings may say."""
+
+    device: DeviceManifest
+    options: tuple[Option, ...] = ()
+    limits: tuple[Limit, ...] = ()
+
+    @property
+    def default_safe_state(self) -> str:
+        """The first that the manifest lists."""
+        return self.device.safe_states[0]
+
+
+def load_manifest(name: str, data: bytes) -> Manifest:
+    """The manifest in some bytes. Raises PluginError with every finding drawn."""
+    found = Diagnostics()
+    node = decode(name, data, found)
+    manifest = _manifest(node, found) if node is not None else None
+    if found.errors or manifest is None:
+        raise PluginError("\n".join(["a driver's manifest is wrong:", *(d.render() for d in found.errors)]))
+    return manifest
+
+
+def _manifest(node: Node, found: Diagnostics) -> Manifest:
+    top = Fields(node, found, "a manifest")
+    driver = top.text("driver", required=True)
+    device_type = top.text("type", required=True)
+    _check_name(top, device_type, _TYPE_NAME, top.value_span("type"))
+    meaning = top.text("meaning")
+    safe_states = top.texts("safe_states")
+    if not safe_states:
+        top.report("Y110", "a manifest needs at least one safe state", top.value_span("safe_states"))
+    options = tuple(_option(name, fields) for name, fields in _named(top, "options"))
+    limits = tuple(
+        Limit(name, fields.text("unit"), fields.text("meaning")) for name, fields in _named(top, "limits")
+    )
+    instructions = [_instruction(name, fields) for name, fields in _named(top, "instructions")]
+    telemetry = tuple(_quantity(name, fields) for name, fields in _named(top, "telemetry"))
+    _check_names_differ(top, {instruction.name for instruction in instructions})
+    top.done()
+    queries = (Instruction(q.name, (), q.type, q.unit, "query", False, q.meaning) for q in telemetry)
+    device = DeviceManifest(
+        type=device_type,
+        driver=driver,
+        instructions=(*instructions, *queries, *STANDARD),
+        telemetry=telemetry,
+        safe_states=safe_states,
+        meaning=meaning,
+        bindings={option.name: option.meaning for option in options},
+    )
+    return Manifest(device, options, limits)
+
+
+def _check_names_differ(top: Fields, instructions: set[str]) -> None:
+    """A quantity is a query too, so all names of a device type are in one name space."""
+    standard = {instruction.name for instruction in STANDARD}
+    for section, taken in (("instructions", standard), ("telemetry", standard | instructions)):
+        for entry, _ in top.section(section).entries():
+            if entry.key in taken:
+                top.report(
+                    "Y113", f"'{entry.key}' is already an instruction of this device type", entry.key_span
+                )
+
+
+def _named(top: Fields, section: str) -> list[tuple[str, Fields]]:
+    """The entries of a section whose keys are names; `done` is left to the caller's reader."""
+    entries = []
+    for entry, fields in top.section(section).entries():
+        _check_name(top, entry.key, _NAME, entry.key_span)
+        entries.append((entry.key, fields))
+    return entries
+
+
+def _check_name(top: Fields, name: str, pattern: re.Pattern[str], span: Span) -> None:
+    if name and not pattern.fullmatch(name):
+        top.report(
+            "Y113", f"'{name}' cannot be a name in L here", span, "letters and digits, as in goTo or Servo"
+        )
+
+
+def _option(name: str, fields: Fields) -> Option:
+    kind = fields.text("type", "string", required=True, choices=("boolean", "int", "real", "string"))
+    default = fields.node("default")
+    option = Option(
+        name,
+        cast(Literal["boolean", "int", "real", "string"], kind),
+        default.value if isinstance(default, Scalar) else None,
+        fields.texts("choices"),
+        fields.number("minimum", -math.inf),
+        fields.number("maximum", math.inf),
+        fields.text("meaning"),
+    )
+    fields.done()
+    return option
+
+
+def _instruction(name: str, fields: Fields) -> Instruction:
+    parameters = tuple(_parameter(p, f) for p, f in _named(fields, "parameters"))
+    result = fields.text("result", "void", choices=("void", *DEVICE_VALUE_TYPES))
+    effect = fields.text("effect", "actuate", choices=("query", "idempotent", "actuate"))
+    instruction = Instruction(
+        name,
+        parameters,
+        result,
+        fields.text("unit"),
+        cast(Effect, effect),
+        fields.flag("blocking"),
+        fields.text("meaning"),
+    )
+    if effect == "query" and not instruction.blocking:
+        fields.report(
+            "Y113",
+            f"'{name}' is a query that asks nobody",
+            fields.span,
+            "put it under telemetry, or make it blocking to ask the device",
+        )
+    fields.done()
+    return instruction
+
+
+def _parameter(name: str, fields: Fields) -> Parameter:
+    kind = fields.text("type", "real", required=True, choices=DEVICE_VALUE_TYPES)
+    parameter = Parameter(name, kind, fields.text("unit"), fields.text("meaning"))
+    fields.done()
+    return parameter
+
+
+def _quantity(name: str, fields: Fields) -> Quantity:
+    kind = fields.text("type", "real", required=True, choices=DEVICE_VALUE_TYPES)
+    max_age = fields.number("max_age", 3.0, minimum=0.001)
+    quantity = Quantity(name, kind, fields.text("unit"), max_age, fields.text("meaning"))
+    fields.done()
+    return quantity

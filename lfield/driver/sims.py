@@ -1,0 +1,101 @@
+"""Fakes: the other end of the wire, found by the entry-point group `lfield.sims.v1`.
+
+`python -m lfield.driver.sims package.module:SIM ...` runs one, as the host does for `--sim`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
+from typing import Protocol, runtime_checkable
+
+from lfield.driver.binding import OptionValue
+from lfield.errors import LfieldError, PluginError
+
+GROUP = "lfield.sims.v1"
+
+
+@runtime_checkable
+class Sim(Protocol):
+    """One kind of fake. Importing its module must not import a vendor library."""
+
+    name: str
+    help: str
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add its options to a command line; they include `--listen` and `--until-stdin-closes`."""
+
+    def arguments(self, options: Mapping[str, OptionValue]) -> list[str]:
+        """The options that make it the device of a binding with these options, on a free port."""
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Serve until SIGTERM, SIGINT or (if asked) the end of stdin; the exit status.
+
+        Prints one line when ready: `ready ENDPOINT words...`, ENDPOINT as a binding would have it.
+        """
+
+
+@dataclass(slots=True)
+class Sims:
+    """The fakes that are installed, by driver name, and a sentence for each that is broken."""
+
+    by_name: dict[str, Sim] = field(default_factory=dict)
+    references: dict[str, str] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+    def add(self, reference: str) -> None:
+        """Take a fake in, or note why it cannot be. Raises PluginError on a duplicate name."""
+        try:
+            sim = load_sim(reference)
+        except PluginError as error:
+            self.problems.append(str(error))
+            return
+        if sim.name in self.by_name:
+            raise PluginError(
+                f"{self.references[sim.name]} and {reference} are both the fake '{sim.name}'; uninstall one"
+            )
+        self.by_name[sim.name], self.references[sim.name] = sim, reference
+
+
+def discover_sims(entries: Iterable[EntryPoint] | None = None) -> Sims:
+    """Every installed fake. Raises PluginError on duplicate names."""
+    sims = Sims()
+    found = entry_points(group=GROUP) if entries is None else entries
+    for reference in sorted({entry.value for entry in found}):
+        sims.add(reference)
+    return sims
+
+
+def load_sim(reference: str) -> Sim:
+    """The fake at `package.module:NAME`. Raises PluginError."""
+    module, _, name = reference.partition(":")
+    try:
+        sim = getattr(importlib.import_module(module), name)
+    except Exception as error:  # a plugin is foreign code: whatever it raises on import is its fault
+        raise PluginError(f"the fake '{reference}' cannot be imported: {error}") from error
+    if not isinstance(sim, Sim):
+        raise PluginError(f"the fake '{reference}' is not a lfield.driver.sims.Sim")
+    return sim
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the fake named by the first argument with the options that follow."""
+    if not arguments:
+        print("usage: python -m lfield.driver.sims package.module:SIM [options]", file=sys.stderr)
+        return 64
+    try:
+        sim = load_sim(arguments[0])
+        parser = argparse.ArgumentParser(prog=f"lfield sim {sim.name}", description=sim.help)
+        sim.add_arguments(parser)
+        return sim.run(parser.parse_args(arguments[1:]))
+    except LfieldError as error:
+        print(error, file=sys.stderr)
+        return error.exit_status
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
