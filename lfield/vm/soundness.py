@@ -27,6 +27,7 @@ from lfield.vm.layout import (
     THREAD_ID,
     THREAD_NEXT,
     THREAD_PC,
+    THREAD_STATE,
     THREAD_WORDS,
 )
 
@@ -34,6 +35,7 @@ from lfield.vm.layout import (
 ANY_OBJECT = -1
 Expected = tuple[tuple[int, int], ...]
 
+STATES = len(layout.STATE_NAMES)
 _PCALL = BY_NAME["pcall"].code
 
 
@@ -71,12 +73,46 @@ class Soundness:
         return tuple((offset, expected) for offset, expected in pairs if expected is not None)
 
     def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
-        """A coordinator's block from its bytes; raises BlockError."""
+        """A travelling coordinator's block from its bytes (`limit` in words); raises BlockError."""
         block = self._adopt(image, limit)
         starts = self._walk(block)
         self._check_references(block, starts)
         self._check_coordinator(block, starts)
         return block
+
+    def check_heap(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
+        """Any agent's block from its bytes, sound enough to be read; raises BlockError."""
+        block = self._adopt(image, limit)
+        starts = self._walk(block)
+        self._check_references(block, starts)
+        self._check_threads(block, starts)
+        return block
+
+    def _check_threads(self, block: Block, starts: dict[int, int]) -> None:
+        """The roots, and that every thread and every chain of frames ends."""
+        w = block.w
+        classes = self.program.core.classes
+        if not 0 <= w[layout.W_CLASS] < len(classes):
+            raise BlockError("its class is unknown", word=layout.W_CLASS)
+        for word, half in ((layout.W_SELF, OBJECT | w[layout.W_CLASS] << 8), (layout.W_ID, layout.STRING)):
+            if w[word] and starts.get(w[word]) != half:
+                raise BlockError("its roots are not sound", word=word)
+        seen: set[int] = set()
+        thread = w[layout.W_THREADS]
+        while thread:
+            if starts.get(thread) != THREAD or thread in seen or not 0 <= w[thread + THREAD_STATE] < STATES:
+                raise BlockError("its threads are no list", word=thread)
+            seen.add(thread)
+            self._check_chain(w, starts, w[thread + THREAD_FRAME])
+            thread = w[thread + THREAD_NEXT]
+
+    def _check_chain(self, w: memoryview[int], starts: dict[int, int], frame: int) -> None:
+        depth = 0
+        while frame:
+            if starts.get(frame, 0) & 0xFF != FRAME or (depth and w[frame + FRAME_DEPTH] != depth - 1):
+                raise BlockError("its frames are no chain", word=frame)
+            depth = w[frame + FRAME_DEPTH]
+            frame = w[frame + FRAME_CALLER]
 
     def _adopt(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         size = len(image)

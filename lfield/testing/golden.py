@@ -1,0 +1,118 @@
+"""Golden programs: a few lines of L with the expectation on the line itself.
+
+    write("a"); write("\n");     // expect: a
+    throw new NullException("x"); // throws: NullException: x
+    // deploy: Server:s1?5&3      (optional; else one agent of each unit, its id the type in lower case)
+
+`expect` lines are compared with everything the agents write and print, in order; `throws` with what
+agents died of. The program runs on one host in memory, with a clock that jumps to the next timer.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lfield.bytecode.program import DeviceCall, Program
+from lfield.clock import ManualClock
+from lfield.compiler.build import compile_program
+from lfield.errors import DeviceError, ProgramError
+from lfield.lang.frontend import check_text
+from lfield.manifest import DeviceValue
+from lfield.vm.agent import Agent, Member
+from lfield.vm.limits import Limits
+from lfield.vm.machine import Machine
+from lfield.vm.world import Pending
+
+#: Virtual seconds after which a golden program that still sleeps is stopped.
+PATIENCE = 1000.0
+#: Rounds of the machine after which a program that never pauses is stopped.
+ROUNDS = 500
+
+_EXPECT = re.compile(r"//\s*expect:\s?(.*?)\s*$", re.MULTILINE)
+_THROWS = re.compile(r"//\s*throws:\s*(.*?)\s*$", re.MULTILINE)
+_DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
+
+
+def compile_text(text: str, name: str = "golden.L") -> Program:
+    """A program from L text; raises ProgramError."""
+    checked = check_text(text, name)
+    if checked.program is None:
+        raise ProgramError([d for d in checked.diagnostics if d.severity == "error"])
+    return compile_program(checked.program)
+
+
+@dataclass
+class Desk:
+    """A world with nothing in it: output is kept, devices refuse, nobody is elsewhere."""
+
+    output: list[str] = field(default_factory=list)
+    endings: list[Agent] = field(default_factory=list)
+    departures: list[tuple[Agent, Member]] = field(default_factory=list)
+
+    def write(self, agent: Agent, text: str) -> None:
+        """Keep written text, line by line."""
+        self.output.extend(text.removesuffix("\n").split("\n"))
+
+    def log(self, agent: Agent, text: str) -> None:
+        """Keep a printed line."""
+        self.output.append(text)
+
+    def depart(self, agent: Agent, resource: Member) -> None:
+        """Note who wants to leave; a test lets it."""
+        self.departures.append((agent, resource))
+
+    def device(
+        self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
+    ) -> DeviceValue | Pending:
+        """There is no hardware here."""
+        raise DeviceError(call.field, "a golden program has no devices")
+
+    def ended(self, agent: Agent) -> None:
+        """Keep the agents that ended."""
+        self.endings.append(agent)
+
+
+def team_for(program: Program, deployed: list[tuple[str, str, str]]) -> list[Member]:
+    """Members on host 0 for (type, id, arguments joined by &); one of each unit when none are given."""
+    units = program.units
+    if not deployed:
+        deployed = [(name, name.lower(), "") for name, kind in units.items() if kind != "class"]
+    return [
+        Member(i, identity, name, units[name], 0, tuple(a for a in arguments.split("&") if a))
+        for i, (name, identity, arguments) in enumerate(deployed)
+    ]
+
+
+def run_text(text: str, limits: Limits | None = None, name: str = "golden.L") -> tuple[Desk, Machine]:
+    """Run a golden program to its end (or to where only the world could go on)."""
+    program = compile_text(text, name)
+    desk, clock = Desk(), ManualClock()
+    team = team_for(program, _DEPLOY.findall(text))
+    machine = Machine(program, team, 0, desk, clock, random.Random(1))
+    for member in team:
+        machine.start(member, limits or Limits(), generation=1)
+    settle(machine, clock)
+    return desk, machine
+
+
+def settle(machine: Machine, clock: ManualClock) -> None:
+    """Run until nothing can happen any more, jumping over every wait."""
+    end = clock.now + PATIENCE
+    for _ in range(ROUNDS):
+        pause = machine.run()
+        if pause is None or clock.now >= end:
+            return
+        clock.advance(pause)
+
+
+def check(path: Path, limits: Limits | None = None) -> None:
+    """Run the golden program in a file; AssertionError says what differed."""
+    text = path.read_text(encoding="utf-8")
+    desk, _ = run_text(text, limits, path.name)
+    expected = _EXPECT.findall(text)
+    assert desk.output == expected, f"{path.name}: expected {expected}, got {desk.output}"
+    deaths = [agent.report.splitlines()[0] for agent in desk.endings if agent.ended == "died"]
+    assert deaths == _THROWS.findall(text), f"{path.name}: agents died of {deaths}"
