@@ -1,0 +1,110 @@
+"""The command `lfield`: finds the subcommand, runs it, turns every failure into a sentence and a status.
+
+Exit statuses (after sysexits):
+    0 success   1 the mission failed   64 usage   65 bad program, deployment or data   66 no such input
+    69 unavailable: a port, driver or device   70 a bug in lfield   73 output cannot be written
+    74 input/output error   76 protocol error between hosts   130 interrupted
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NoReturn, Protocol
+
+from lfield import __version__
+from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
+
+#: Subcommands, each a module of this package, and what they are for.
+COMMANDS = {
+    "check": "find the errors of a program or deployment",
+    "build": "compile a program to a program file",
+    "disasm": "list a program file",
+    "up": "run the hosts of a deployment",
+    "ps": "show what runs where",
+    "inspect": "explain a dumped agent",
+    "sim": "run a stand-alone fake of a device",
+}
+_MODULES = {name: f"lfield.cli.{name}" for name in COMMANDS}
+
+
+class Command(Protocol):
+    """What a module of a subcommand provides."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declare its options."""
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Do it; returns the exit status. Raises LfieldError."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message} (see '{self.prog} --help')")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command line; returns the exit status."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _dispatch(words)
+    except ProgramError as error:
+        _tell("\n".join(d.render() for d in error.diagnostics))
+        _tell(f"lfield: {error}")
+        return error.exit_status
+    except BindingError as error:
+        for problem in error.problems:
+            _tell(problem)
+        _tell(f"lfield: {len(error.problems)} problem(s) with the devices")
+        return error.exit_status
+    except LfieldError as error:
+        _tell(f"lfield: {error}")
+        return error.exit_status
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        # Whoever read our output has left; a second failure at shutdown would print a traceback.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 74
+    except OSError as error:
+        _tell(f"lfield: {error.strerror or error}" + (f": {error.filename}" if error.filename else ""))
+        return 74
+    except Exception as error:
+        if os.environ.get("LFIELD_TRACEBACK"):
+            raise
+        _tell(f"lfield: a bug in lfield itself: {type(error).__name__}: {error}")
+        _tell("lfield: run again with LFIELD_TRACEBACK=1 and report what it prints")
+        return 70
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+def _dispatch(words: list[str]) -> int:
+    parser = _Parser(prog="lfield", description="One program for a team of robots.", epilog=_STATUSES)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--version", action="version", version=f"lfield {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    chosen = next((word for word in words if not word.startswith("-")), "")
+    for name, purpose in COMMANDS.items():
+        subparser = commands.add_parser(name, help=purpose, description=purpose.capitalize() + ".")
+        # Only the chosen command is imported: a small command starts fast, whatever the others need.
+        if name == chosen:
+            _command(name).add_arguments(subparser)
+    args = parser.parse_args(words)
+    return _command(args.command).run(args)
+
+
+def _command(name: str) -> Command:
+    return import_module(_MODULES[name])  # type: ignore[return-value]  # modules have the two functions
+
+
+_STATUSES = "exit statuses:" + (__doc__ or "").partition("(after sysexits):")[2]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
