@@ -36,6 +36,7 @@ from lfield.vm.layout import (
     THREAD_STATE,
 )
 from lfield.vm.limits import Limits
+from lfield.vm.liveness import Liveness
 from lfield.vm.outside import Outsiders
 from lfield.vm.soundness import Soundness
 from lfield.vm.threads import new_thread, place_of, unlink
@@ -81,6 +82,7 @@ class Machine:
         self._timers: list[tuple[float, int, Agent, int]] = []
         self._order = 0
         self._outsiders = Outsiders(self)
+        self._liveness = Liveness(program, self.layouts)
         self._soundness = Soundness(self.engine.prepared, len(team))
 
     # --- agents come and go ---------------------------------------------------------------------------
@@ -131,6 +133,7 @@ class Machine:
 
     def pack(self, agent: Agent) -> memoryview:
         """The bytes of a frozen coordinator, live data only."""
+        self._liveness.clear_dead(agent.block)
         collect(agent.block, self.layouts)
         return agent.block.image()
 
