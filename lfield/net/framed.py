@@ -1,0 +1,86 @@
+"""What every link does alike: messages to bytes, bytes to messages, and closing on bad ones."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lfield.errors import AddressError, GreetingError, WireError
+from lfield.wire.codec import TRANSFER, decode, decode_transfer, encode, encode_transfer, frame_decoder
+
+if TYPE_CHECKING:
+    from lfield.errors import LfieldError
+    from lfield.framing import Buffer
+    from lfield.net.transport import LinkHandler
+    from lfield.wire.messages import Message, Transfer
+
+# Up to here one copy is cheaper than a second system call; a larger block is written by itself.
+_ONE_WRITE = 64 * 1024
+
+
+class FramedLink:
+    """A link over some stream of bytes. A transport's own link gives it `write` and `close`.
+
+    The transport sets `handler` before the first bytes arrive, passes these to `received`, and the end of
+    the stream to `finished`.
+    """
+
+    handler: LinkHandler
+
+    def __init__(self, peer: str, max_block: int) -> None:
+        self.peer = peer
+        self.closed = False
+        self._error: LfieldError | None = None
+        self._decoder = frame_decoder(max_block, self._oversize)
+
+    def write(self, data: Buffer) -> None:
+        """Queue bytes as they are. Only `send` and `send_transfer`, and tests of bad bytes, call it."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Send what is queued, then close; sets `closed`."""
+        raise NotImplementedError
+
+    def send(self, message: Message) -> None:
+        """Queue a message. Raises AddressError on a closed link."""
+        self._require_open()
+        self.write(encode(message))
+
+    def send_transfer(self, header: Transfer, block: Buffer) -> None:
+        """Queue a coordinator. Raises AddressError on a closed link."""
+        self._require_open()
+        head = encode_transfer(header, len(block))
+        if len(block) <= _ONE_WRITE:
+            self.write(b"".join((head, block)))
+        else:
+            self.write(head)
+            self.write(block)
+
+    def received(self, data: Buffer) -> None:
+        """Hand on what the next bytes complete; close on bytes or messages that must not be."""
+        try:
+            for kind, payload in self._decoder.feed(data):
+                if kind == TRANSFER:
+                    header, block = decode_transfer(payload)
+                    self.handler.on_transfer(self, header, block)
+                else:
+                    self.handler.on_message(self, decode(kind, payload))
+                if self.closed:
+                    return
+        except (WireError, GreetingError) as error:
+            self._error = error
+            self.close()
+
+    def finished(self, error: LfieldError | None) -> None:
+        """The stream has ended; the first reason known is the one reported."""
+        half = not self.closed and self._decoder.unfinished
+        self.closed = True
+        if self._error is None and error is None and half:
+            error = WireError(f"{self.peer} closed the link in the middle of a message")
+        self.handler.on_closed(self, self._error or error)
+
+    def _oversize(self, header: Transfer, size: int) -> None:
+        self.handler.on_oversize(self, header, size)
+
+    def _require_open(self) -> None:
+        if self.closed:
+            raise AddressError(self.peer, "the link to it is closed")

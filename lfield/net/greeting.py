@@ -1,0 +1,109 @@
+"""Who may be talked to: the rules of the first message on a link, as a pure state machine.
+
+Both sides send their `Hello` at once. Whoever finds the other's unfit answers with `Refuse`, so that the
+same sentence is in both logs, and closes.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NoReturn
+
+from lfield.errors import GreetingError, WireError
+from lfield.wire.messages import PROTOCOL, ForeignHello, Hello, Ping, Refuse, StatusRequest
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from lfield.wire.messages import Message
+
+
+class Greeting:
+    """The greeting of one link, seen from one side.
+
+    `own` is the Hello this side sends. `hosts` are the names of the deployment, `linked` the hosts that
+    have a live link here, by name, with their incarnations (looked at when the peer's Hello comes).
+    `dialled` is the name of the host this side called; None on the side that was called. An observer
+    (`own.role`) knows no deployment: it passes no hosts and takes any.
+
+    Feed every message to `receive` until `peer` is set. When that raises, send `refusal`, if there is
+    one, and let the error close the link.
+    """
+
+    def __init__(
+        self,
+        own: Hello,
+        *,
+        hosts: Collection[str] = (),
+        linked: Mapping[str, int] | None = None,
+        dialled: str | None = None,
+    ) -> None:
+        self.own = own
+        self.peer: Hello | None = None
+        self.refusal: Refuse | None = None
+        self._hosts, self._dialled = hosts, dialled
+        self._linked: Mapping[str, int] = {} if linked is None else linked
+
+    def receive(self, message: Message) -> Hello:
+        """The peer's Hello, if it fits. Raises GreetingError, and WireError for anything but a greeting."""
+        if isinstance(message, Refuse):
+            raise GreetingError(f"{self._dialled or 'the peer'} refused this host: {message.reason}")
+        if isinstance(message, ForeignHello):
+            self._refuse(
+                f"{self.own.host} speaks protocol {PROTOCOL} and its peer protocol {message.protocol}; "
+                "install the same version of lfield on both"
+            )
+        if not isinstance(message, Hello):
+            raise WireError(f"a {type(message).__name__} came before the greeting")
+        if "observer" not in (self.own.role, message.role):
+            self._check_name(message)
+        self._check_hashes(message)
+        self.peer = message
+        return message
+
+    def admit(self, message: Message) -> None:
+        """Raises WireError for a message that the greeted peer must not send; observers may only look."""
+        if isinstance(message, Hello | ForeignHello):
+            raise WireError("a second greeting came on one link")
+        if self.peer is None:
+            raise WireError(f"a {type(message).__name__} came before the greeting")
+        if self.peer.role == "observer" and not isinstance(message, StatusRequest | Ping):
+            raise WireError(f"an observer sent a {type(message).__name__}; it may only ask for the status")
+
+    def _check_name(self, hello: Hello) -> None:
+        name = hello.host
+        if name == self.own.host:
+            if hello.incarnation == self.own.incarnation:
+                self._refuse(f"{name} reached itself; give every host of the deployment its own address")
+            self._refuse(f"two hosts call themselves {name}; start one of them under another --host name")
+        if name not in self._hosts:
+            self._refuse(
+                f"the deployment of {self.own.host} has no host {name}; use the same .dL file on both"
+            )
+        if self._dialled is not None and name != self._dialled:
+            self._refuse(
+                f"{name} answered at the address of {self._dialled}; correct the address or the --map"
+            )
+        if self._linked.get(name, hello.incarnation) != hello.incarnation:
+            self._refuse(
+                f"{self.own.host} already has a link to another {name}; stop one of the two, or try again "
+                "when the old link is gone"
+            )
+
+    def _check_hashes(self, hello: Hello) -> None:
+        pairs = (
+            ("program", self.own.program, hello.program, "the same program file"),
+            ("deployment", self.own.deployment, hello.deployment, "the same .dL file"),
+        )
+        for what, ours, theirs, remedy in pairs:
+            anything_goes = (not ours and self.own.role == "observer") or (
+                not theirs and hello.role == "observer"
+            )
+            if ours != theirs and not anything_goes:
+                self._refuse(
+                    f"{self.own.host} has {what} {ours.hex()[:12]} and {hello.host} has {what} "
+                    f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}"
+                )
+
+    def _refuse(self, reason: str) -> NoReturn:
+        self.refusal = Refuse(reason)
+        raise GreetingError(f"greeting refused: {reason}")

@@ -1,0 +1,133 @@
+"""Links over TCP, as asyncio protocols: the only sockets in lfield."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import socket
+from typing import TYPE_CHECKING, cast
+
+from lfield.errors import AddressError, WireError
+from lfield.net.framed import FramedLink
+from lfield.net.transport import join_address, split_address
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lfield.framing import Buffer
+    from lfield.net.transport import Link, LinkHandler
+
+_REASONS = {
+    errno.EADDRINUSE: "the port is in use; stop the program that has it, or choose another port",
+    errno.EADDRNOTAVAIL: "the address is not one of this machine; correct the deployment or map the host",
+    errno.EACCES: "this user may not use the port; choose one above 1023",
+    errno.ECONNREFUSED: "nobody listens there; is its host up?",
+    errno.EHOSTUNREACH: "there is no way to that machine",
+    errno.ENETUNREACH: "there is no way to that network",
+}
+
+
+class TcpTransport:
+    """Hosts reached over TCP, inside a running asyncio loop (uvloop's will do).
+
+    `max_block` is the largest block to take and `max_pending` the most bytes to hold for a peer that does
+    not read (by default room for four such blocks); a link over it is closed. `connect_timeout` is in
+    seconds.
+    """
+
+    def __init__(
+        self, max_block: int, *, max_pending: int | None = None, connect_timeout: float = 5.0
+    ) -> None:
+        self._max_block = max_block
+        self._max_pending = 4 * max_block + (1 << 20) if max_pending is None else max_pending
+        self._connect_timeout = connect_timeout
+
+    async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> TcpListener:
+        """Listen at exactly that address; port 0 takes a free one. Raises AddressError."""
+        host, port = split_address(address)
+        loop = asyncio.get_running_loop()
+        try:
+            server = await loop.create_server(lambda: self._new_link(on_link), host, port)
+        except (OSError, UnicodeError) as error:
+            raise AddressError(address, _reason(error)) from None
+        return TcpListener(server)
+
+    async def connect(self, address: str, handler: LinkHandler) -> Link:
+        """A link to whoever listens there. Raises AddressError."""
+        host, port = split_address(address)
+        loop = asyncio.get_running_loop()
+        try:
+            async with asyncio.timeout(self._connect_timeout):
+                _, link = await loop.create_connection(lambda: self._new_link(lambda _: handler), host, port)
+        except TimeoutError:
+            raise AddressError(address, f"no answer within {self._connect_timeout:g} s") from None
+        except (OSError, UnicodeError) as error:
+            raise AddressError(address, _reason(error)) from None
+        return link
+
+    def _new_link(self, on_link: Callable[[Link], LinkHandler]) -> _TcpLink:
+        return _TcpLink(self._max_block, self._max_pending, on_link)
+
+
+class TcpListener:
+    """An open TCP port."""
+
+    def __init__(self, server: asyncio.Server) -> None:
+        self._server = server
+        self.address = _socket_address(server.sockets[0].getsockname())
+
+    def close(self) -> None:
+        """Take no more links."""
+        self._server.close()
+
+
+class _TcpLink(FramedLink, asyncio.Protocol):
+    """One connection, either end."""
+
+    _transport: asyncio.Transport
+
+    def __init__(self, max_block: int, max_pending: int, on_link: Callable[[Link], LinkHandler]) -> None:
+        super().__init__("a peer", max_block)
+        self._max_pending = max_pending
+        self._on_link = on_link
+
+    def write(self, data: Buffer) -> None:
+        self._transport.write(data)
+
+    def close(self) -> None:
+        self.closed = True
+        self._transport.close()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._transport = cast("asyncio.Transport", transport)
+        self.peer = _socket_address(transport.get_extra_info("peername"))
+        # A hop is one small write that nobody answers: it must not wait to be joined by more.
+        transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._transport.set_write_buffer_limits(high=self._max_pending)
+        self.handler = self._on_link(self)
+
+    def data_received(self, data: bytes) -> None:
+        self.received(data)
+
+    def pause_writing(self) -> None:
+        """Asyncio's word for: more bytes wait than `max_pending`."""
+        self._error = WireError(f"{self.peer} does not read: over {self._max_pending} bytes wait for it")
+        self.closed = True
+        self._transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.finished(AddressError(self.peer, f"the connection was lost: {exc}") if exc else None)
+
+
+def _socket_address(name: tuple[str, int] | tuple[str, int, int, int]) -> str:
+    return join_address(name[0], name[1])
+
+
+def _reason(error: OSError | UnicodeError) -> str:
+    """What a socket's error means to the user."""
+    if isinstance(error, socket.gaierror | UnicodeError):
+        return "the name is not known; correct it, or map the host to an address"
+    if error.errno in _REASONS:
+        return _REASONS[error.errno]
+    return os.strerror(error.errno) if error.errno else str(error)

@@ -1,0 +1,188 @@
+"""What hosts say to one another (DESIGN section 6).
+
+Every message is a frozen msgspec struct, written in msgpack as an array whose first item is a small
+number, the tag. Decoding is strict: wrong types, strings or lists over their bounds, items too many, and
+unknown tags are all refused. Three messages are not in the `Control` union because they have a frame kind
+of their own: `Hello` and `Refuse`, whose outer form never changes between versions, and `Transfer`, which
+is followed by the raw bytes of a block. `codec` writes and reads them all.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+#: The version of everything in this package. Hosts of different versions do not talk.
+PROTOCOL = 1
+
+#: Longest name of an agent or host, in characters.
+MAX_NAME = 128
+
+#: Longest sentence or traceback that travels, in characters; `clip` cuts to it.
+MAX_TEXT = 4096
+
+#: Bytes of a program or deployment hash.
+HASH_SIZE = 32
+
+Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME)]
+MaybeName = Annotated[str, Meta(max_length=MAX_NAME)]
+Text = Annotated[str, Meta(max_length=MAX_TEXT)]
+Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
+
+#: Where a host's copy of a coordinator stands; see `lfield/docs/mobility.md`.
+CopyState = Literal["RUN", "FROZEN", "PREPARED", "IN DOUBT", "MOVED", "EXITED"]
+
+#: How a coordinator ended. 'superseded': an earlier start of it is alive, so this one was stopped.
+Outcome = Literal["done", "died", "lost", "superseded"]
+
+#: `Refused.kind` for an id that the receiver never saw and now never will take.
+NEVER_ARRIVED = "never arrived"
+
+#: `Refused.kind` for a copy that must end because an earlier start of its coordinator is alive.
+SUPERSEDED = "superseded"
+
+
+def clip(text: str) -> str:
+    """The text cut to what a message may carry."""
+    return text if len(text) <= MAX_TEXT else text[: MAX_TEXT - 4] + " ..."
+
+
+class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What one host knows of one start of a coordinator, for greetings and `lfield ps`.
+
+    `sequence` is the last transfer number this host's copy used. `where` is the host the copy went or
+    wants to go to (FROZEN, PREPARED, IN DOUBT, MOVED), or the host it ended on (EXITED). `outcome` and
+    `detail` are set for EXITED only.
+    """
+
+    agent: Name
+    generation: Count
+    sequence: Count
+    hops: Count
+    state: CopyState
+    where: MaybeName = ""
+    outcome: Literal["", "done", "died", "lost", "superseded"] = ""
+    detail: Text = ""
+
+
+class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The first message of both sides of a link.
+
+    `incarnation` is a random 63-bit number drawn at process start: the same host after a restart has
+    another. `program` and `deployment` are 32-byte hashes; an observer (`lfield ps`) may leave them empty.
+    `max_block` is the largest block this host takes, in bytes.
+    """
+
+    role: Literal["host", "observer"]
+    host: Name
+    incarnation: Count
+    program: Hash = b""
+    deployment: Hash = b""
+    max_block: Count = 0
+    coordinators: Annotated[list[Known], Meta(max_length=4096)] = []
+
+
+class ForeignHello(Struct, frozen=True):
+    """A greeting of another protocol version; nothing but the version can be read."""
+
+    protocol: int
+
+
+class Refuse(Struct, frozen=True):
+    """Sent instead of going on when a greeting does not fit; then the link is closed."""
+
+    reason: str
+
+
+class Transfer(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The header of a coordinator under way; `size` bytes of block follow it in the same frame.
+
+    (agent, generation, sequence) is the transfer's id. `hops` counts this hop too. `program` is the hash
+    of the program the block belongs to, `receiver_incarnation` the life of the receiver it is meant for.
+    """
+
+    agent: Name
+    generation: Count
+    sequence: Count
+    hops: Count
+    program: Hash
+    receiver_incarnation: Count
+    size: Count
+
+
+class Accepted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=1):
+    """The transfer was injected, or its coordinator is known to have gone on since."""
+
+    agent: Name
+    generation: Count
+    sequence: Count
+
+
+class Refused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=2):
+    """The transfer was not injected and never will be.
+
+    `kind` names the L exception to throw at the portal call, or is NEVER_ARRIVED or SUPERSEDED.
+    """
+
+    agent: Name
+    generation: Count
+    sequence: Count
+    kind: Name
+    reason: Text
+
+
+class Inquire(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=3):
+    """What became of this transfer? Answered by Accepted or Refused."""
+
+    agent: Name
+    generation: Count
+    sequence: Count
+    receiver_incarnation: Count
+
+
+class Ended(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=4):
+    """A coordinator has ended on `host`; repeated until every host has answered with EndedAck."""
+
+    agent: Name
+    generation: Count
+    outcome: Outcome
+    detail: Text
+    host: Name
+
+
+class EndedAck(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=5):
+    """The ending is known here."""
+
+    agent: Name
+    generation: Count
+
+
+class StatusRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=6):
+    """Asks a host for what `lfield ps` shows."""
+
+
+class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
+    """The answer: plain data (strings, numbers, lists, dicts with string keys)."""
+
+    data: dict[str, Any]
+
+
+class Ping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=8):
+    """Answered by a Pong with the same token: the peer's process is alive."""
+
+    token: Count
+
+
+class Pong(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=9):
+    """The answer to a Ping."""
+
+    token: Count
+
+
+#: Messages that share the control frame.
+Control = Accepted | Refused | Inquire | Ended | EndedAck | StatusRequest | Status | Ping | Pong
+
+#: Every message without a block.
+Message = Hello | ForeignHello | Refuse | Control
