@@ -1,0 +1,127 @@
+"""The first pass: types, classes, methods and their indexes, before any instruction is made."""
+
+from __future__ import annotations
+
+from lfield.bytecode.program import (
+    ANY,
+    ARRAY,
+    BOOLEAN,
+    BUILTIN_CLASSES,
+    DEVICE,
+    INT,
+    OBJECT,
+    PROXY,
+    REAL,
+    STRING,
+    VOID,
+    ClassRecord,
+    DeviceCall,
+    DeviceField,
+    FieldRecord,
+    TypeRecord,
+)
+from lfield.bytecode.verify_records import BUILTIN_RECORDS, FIXED_TYPES
+from lfield.compiler.constants import Pool
+from lfield.lang import tree, types
+from lfield.lang.types import ArrayType, ClassType, DeviceType, ResourceType, Type
+
+_SIMPLE = {
+    types.VOID: VOID,
+    types.BOOLEAN: BOOLEAN,
+    types.INT: INT,
+    types.REAL: REAL,
+    types.STRING: STRING,
+    types.EXCEPTION: ANY,
+    # A variable for nothing but null, as in `throw null`, may be of any class.
+    types.NULL: ANY,
+}
+
+#: The types of manifest.DEVICE_VALUE_TYPES, and no result.
+_DEVICE_TYPES = {
+    str(kind): kind
+    for kind in (
+        types.VOID,
+        types.BOOLEAN,
+        types.INT,
+        types.REAL,
+        types.STRING,
+        types.array_of(types.REAL),
+        types.array_of(types.INT),
+    )
+}
+
+
+class Tables:
+    """The tables of a program, filled by the first pass and, for types and constants, by need."""
+
+    def __init__(self, units: list[tree.Unit]) -> None:
+        self.pool = Pool()
+        self.types: list[TypeRecord] = list(FIXED_TYPES)
+        self.device_calls: list[DeviceCall] = []
+        self.methods = [method for unit in units for method in unit.methods]
+        self._type_indexes: dict[TypeRecord, int] = {record: i for i, record in enumerate(self.types)}
+        self._device_indexes: dict[DeviceCall, int] = {}
+        self._methods = {method: i for i, method in enumerate(self.methods)}
+        names = [*BUILTIN_CLASSES, *(unit.name for unit in units)]
+        self._classes = {name: i for i, name in enumerate(names)}
+        self.classes = [*BUILTIN_RECORDS, *map(self._class_record, units)]
+
+    def class_index(self, name: str) -> int:
+        """The index of a class, resource or coordinator."""
+        return self._classes[name]
+
+    def method_index(self, method: tree.Method) -> int:
+        """The index of a method."""
+        return self._methods[method]
+
+    def type_index(self, kind: Type) -> int:
+        """The index of a type; its record is added when the program had not used the type before."""
+        if kind in _SIMPLE:
+            return _SIMPLE[kind]
+        match kind:
+            case ArrayType():
+                return self._type(TypeRecord(ARRAY, self.type_index(kind.element)))
+            case ClassType():
+                return self.object_type(kind.name)
+            case ResourceType():
+                return self._type(TypeRecord(PROXY, self.class_index(kind.name)))
+            case DeviceType():
+                return DEVICE
+        raise AssertionError(f"the checker let the type {kind} through")
+
+    def object_type(self, name: str) -> int:
+        """The type of the objects of a class, or of an agent that looks at itself."""
+        return self._type(TypeRecord(OBJECT, self.class_index(name)))
+
+    def device_call(self, call: tree.DeviceCall, owner: tree.Unit) -> int:
+        """The index of an instruction of a device field; the same one is kept once."""
+        row = DeviceCall(
+            self.class_index(owner.name),
+            call.device.name,
+            call.manifest.type,
+            call.instruction.name,
+            tuple(self.type_index(_DEVICE_TYPES[p.type]) for p in call.instruction.parameters),
+            self.type_index(_DEVICE_TYPES[call.instruction.result]),
+            call.instruction.effect,
+        )
+        if row not in self._device_indexes:
+            self._device_indexes[row] = len(self.device_calls)
+            self.device_calls.append(row)
+        return self._device_indexes[row]
+
+    def _type(self, record: TypeRecord) -> int:
+        if record not in self._type_indexes:
+            self._type_indexes[record] = len(self.types)
+            self.types.append(record)
+        return self._type_indexes[record]
+
+    def _class_record(self, unit: tree.Unit) -> ClassRecord:
+        inits = (self._methods[method] for method in unit.methods if method.kind == "init")
+        return ClassRecord(
+            unit.name,
+            unit.kind,
+            unit.usage,
+            tuple(FieldRecord(field.name, self.type_index(field.type)) for field in unit.fields),
+            next(inits, -1),
+            tuple(DeviceField(f.name, f.type.name) for f in unit.fields if isinstance(f.type, DeviceType)),
+        )

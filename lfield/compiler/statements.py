@@ -1,0 +1,161 @@
+"""Statements. What control cannot come to is not compiled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from lfield.compiler.changes import changed_inside
+from lfield.compiler.code import Label
+from lfield.compiler.constants import fold
+from lfield.compiler.exceptions import compile_try
+from lfield.compiler.expressions import Expressions
+from lfield.compiler.frame import Frame
+from lfield.lang import types
+from lfield.lang.tree import (
+    Block,
+    Break,
+    Continue,
+    Declare,
+    Evaluate,
+    Expr,
+    If,
+    Loop,
+    Return,
+    Stmt,
+    Throw,
+    Try,
+)
+from lfield.lang.types import Type
+
+
+class _Exits(NamedTuple):
+    """Where `continue` and `break` go."""
+
+    step: Label
+    end: Label
+
+
+class Statements:
+    """The statements of one method."""
+
+    def __init__(self, frame: Frame) -> None:
+        self._frame = frame
+        self._code = frame.code
+        self._expressions = Expressions(frame)
+        self._loops: list[_Exits] = []
+
+    def block(self, body: list[Stmt]) -> None:
+        """Statements with a scope of their own."""
+        with self._frame.slots.scope():
+            for stmt in body:
+                if self._code.reachable:
+                    self._statement(stmt)
+
+    def _statement(self, stmt: Stmt) -> None:
+        self._code.line = stmt.span.line
+        match stmt:
+            case Evaluate():
+                self._prepare(stmt.value)
+                self._expressions.effect(stmt.value)
+            case Declare():
+                self._declare(stmt)
+            case If():
+                self._if(stmt)
+            case Loop():
+                self._loop(stmt)
+            case Break():
+                self._code.jump("jmp", self._loops[-1].end)
+            case Continue():
+                self._code.jump("jmp", self._loops[-1].step)
+            case Return():
+                self._return(stmt)
+            case Throw():
+                self._prepare(stmt.value)
+                thrown = self._expressions.value(stmt.value)
+                self._code.emit("throw", thrown)
+                self._frame.slots.release(thrown)
+            case Try():
+                compile_try(self._frame, stmt, self.block)
+            case Block():
+                self.block(stmt.body)
+
+    def _prepare(self, expr: Expr) -> None:
+        """Every expression begins here: the compiler must know what it changes before it reads."""
+        self._frame.changing = changed_inside(expr)
+
+    def _branch(self, condition: Expr, when: bool, label: Label) -> None:
+        self._code.line = condition.span.line
+        self._prepare(condition)
+        self._expressions.branch(condition, when, label)
+
+    def _declare(self, stmt: Declare) -> None:
+        kind = self._frame.tables.type_index(stmt.local.type)
+        if stmt.value is not None:
+            self._prepare(stmt.value)
+            # The local is declared first and may be written early: its value cannot read it.
+            self._expressions.value(stmt.value, self._frame.slots.declare(stmt.local, kind)[0])
+            return
+        slot, used = self._frame.slots.declare(stmt.local, kind)
+        if used or self._loops:  # otherwise `frame` has just cleared it
+            self._code.emit("move", slot, self._frame.constant(_zero(stmt.local.type)))
+
+    def _if(self, stmt: If) -> None:
+        constant = fold(stmt.condition)
+        if isinstance(constant, bool):
+            self.block(stmt.then if constant else stmt.otherwise)
+            return
+        leave = None if stmt.otherwise else self._leaving(stmt.then)
+        if leave is not None:
+            self._branch(stmt.condition, True, leave)
+            return
+        otherwise, end = Label(), Label()
+        self._branch(stmt.condition, False, otherwise)
+        self.block(stmt.then)
+        if stmt.otherwise:
+            self._code.jump("jmp", end)
+        self._code.place(otherwise)
+        self.block(stmt.otherwise)
+        self._code.place(end)
+
+    def _leaving(self, body: list[Stmt]) -> Label | None:
+        """The label that a body of nothing but `break` or `continue` jumps to."""
+        match body:
+            case [Break()]:
+                return self._loops[-1].end
+            case [Continue()]:
+                return self._loops[-1].step
+            case [Block(body=inner)]:
+                return self._leaving(inner)
+        return None
+
+    def _loop(self, stmt: Loop) -> None:
+        """The test comes last: a round costs one jump. Where it is always true there is none."""
+        constant = fold(stmt.condition)
+        if constant is False:
+            return
+        body, step, test, end = Label(), Label(), Label(), Label()
+        if constant is not True:
+            self._code.jump("jmp", test)
+        self._code.place(body, entered=True)
+        self._loops.append(_Exits(step, end))
+        self.block(stmt.body)
+        self._code.place(step)
+        self.block(stmt.step)
+        self._loops.pop()
+        self._code.place(test)
+        self._branch(stmt.condition, True, body)
+        self._code.place(end)
+
+    def _return(self, stmt: Return) -> None:
+        if stmt.value is None:
+            self._code.emit("rtn")
+            return
+        self._prepare(stmt.value)
+        result = self._expressions.operand(stmt.value)
+        self._code.emit("return", result)
+        self._frame.slots.release(result)
+
+
+def _zero(kind: Type) -> bool | int | float | None:
+    """What a variable of the type starts as."""
+    return {types.BOOLEAN: False, types.INT: 0, types.REAL: 0.0}.get(kind)
