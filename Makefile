@@ -1,0 +1,39 @@
+# Two commands do everything on a fresh machine with Python 3.11 or later:
+#   make demo   install into .venv and fly two simulated copters
+#   make test   install and pass the tests
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test bench lint clean
+
+demo: $(VENV)/.installed
+	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
+
+test: $(VENV)/.tested lint
+	$(BIN)/pytest
+
+lint: $(VENV)/.tested
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+
+bench: $(VENV)/.measured
+	$(BIN)/python tests/benchmarks/run.py
+
+$(VENV)/.installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[all]'
+	touch $@
+
+$(VENV)/.tested: $(VENV)/.installed
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[all,test]'
+	touch $@
+
+$(VENV)/.measured: $(VENV)/.tested
+	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[all,test,bench]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis
