@@ -108,7 +108,7 @@ TABLE: tuple[Opcode, ...] = (
     _quad(301, "newarray", "D:array T S:int", "Puts a new array of type 2 with 3 elements into 1."),
     # J.5 parameter stack
     _quad(400, "push", "S:any", "Pushes an argument."),
-    _quad(401, "pop", "D:any", "Pops a parameter at the start of a method, or the result after a head."),
+    _quad(401, "pop", "D:any", "Pops the result right after the head that gives it."),
     # J.7 arithmetic
     _quad(500, "addi", "D:int S:int S:int", "Adds 3 to 2; ArithmeticException beyond 64 bits."),
     _quad(501, "addf", "D:real S:real S:real", "Adds 3 to 2."),
@@ -131,8 +131,12 @@ TABLE: tuple[Opcode, ...] = (
     *_family(710, "f", "real"),
     *_family(720, "s", "string"),
     _quad(730, "eqb", "D:boolean S:boolean S:boolean", "Sets 1 to whether boolean 2 is equal to boolean 3."),
-    _quad(731, "sneb", "D:boolean S:boolean S:boolean", "Sets 1 to whether boolean 2 differs from boolean 3."),
-    _quad(740, "eqr", "D:boolean S:ref S:ref", "Sets 1 to whether 2 and 3 are the same object, or both null."),
+    _quad(
+        731, "sneb", "D:boolean S:boolean S:boolean", "Sets 1 to whether boolean 2 differs from boolean 3."
+    ),
+    _quad(
+        740, "eqr", "D:boolean S:ref S:ref", "Sets 1 to whether 2 and 3 are the same object, or both null."
+    ),
     _quad(741, "sner", "D:boolean S:ref S:ref", "Sets 1 to whether 2 and 3 are different objects."),
     _quad(750, "eqnull", "D:boolean S:ref", "Sets 1 to whether reference 2 is null."),
     # J.9 library: output
@@ -148,7 +152,9 @@ TABLE: tuple[Opcode, ...] = (
     _head(820, "array_len", "array->int", "The number of elements of an array."),
     _head(821, "str_concat", "string string->string", "The second string put behind the first."),
     _head(822, "str_len", "string->int", "The number of characters of a string."),
-    _head(823, "substring", "string int int->string", "Characters from 2 to before 3; IndexException outside."),
+    _head(
+        823, "substring", "string int int->string", "Characters from 2 to before 3; IndexException outside."
+    ),
     _head(824, "index_of", "string string->int", "Where the second string first occurs in the first, or -1."),
     # library: conversions
     _head(830, "i2f", "int->real", "int to real."),
@@ -157,7 +163,9 @@ TABLE: tuple[Opcode, ...] = (
     _head(833, "s2f", "string->real", "A decimal number as real; ConversionException when it is none."),
     _head(834, "i2s", "int->string", "int to text."),
     _head(835, "f2s", "real->string", "real to the shortest text that reads back the same."),
-    _head(836, "f2s_digits", "real int->string", "real to text with 2 decimals; ArithmeticException beyond 17."),
+    _head(
+        836, "f2s_digits", "real int->string", "real to text with 2 decimals; ArithmeticException beyond 17."
+    ),
     _head(837, "b2s", "boolean->string", "true or false as text."),
     # library: time and threads
     _head(840, "yield", "", "Lets other threads run.", exits=True),

@@ -51,7 +51,7 @@ class Code:
         self.emit(name, label.position or 0, condition)
 
     def place(self, label: Label, *, entered: bool = False) -> None:
-        """Put a label here. `entered` says that control comes by a way not made yet: a jump back, a handler."""
+        """Put a label here. `entered`: control comes by a way not made yet, a jump back or a handler."""
         label.position = self.position
         for index in label.jumps:
             self.quads[index] = self.quads[index]._replace(a=label.position)
