@@ -9,11 +9,12 @@ timers live there. A vendor library that blocks belongs into `asyncio.to_thread`
 
 from __future__ import annotations
 
+import asyncio
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from inspect import Parameter as MethodParameter
 from inspect import iscoroutinefunction, signature
-from typing import Protocol
+from typing import Any, Protocol
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
@@ -56,7 +57,7 @@ class Device:
         """Find the device; its identity in words. Raises DeviceError."""
         return await self._open()
 
-    async def execute(self, instruction: str, arguments: Sequence[DeviceValue]) -> DeviceValue:
+    async def execute(self, instruction: str, arguments: Sequence[object]) -> DeviceValue:
         """Carry an instruction out and return its result. Raises DeviceError when it did not happen."""
         declared = self.manifest.device.instruction(instruction)
         if declared is None:
@@ -108,6 +109,7 @@ class Driver:
             clock,
             reports,
         )
+        self._tasks: set[asyncio.Task[None]] = set()
         self.devices = {binding.name: self._device(binding) for binding in bindings}
 
     async def open(self) -> None:
@@ -116,7 +118,20 @@ class Driver:
 
     async def close(self) -> None:
         """Give the bus back. Called once, also after a failed open."""
+        for task in list(self._tasks):
+            task.cancel()
         await self._close()
+
+    def spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        """Run something in the background until `close`; if it fails, every device goes safe."""
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and task.exception() is not None:
+            self.reports.crashed(repr(task.exception()))
 
     def _device(self, binding: DeviceBinding) -> Device:
         raise NotImplementedError

@@ -34,17 +34,19 @@ class Telemetry:
 
     def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
         """New values, true now; a value that did not change is fresh all the same."""
-        latest = self._latest(device)
+        latest = self._fresh(device)
         latest.values.update(values)
         latest.times.update(dict.fromkeys(values, self._clock.monotonic()))
 
     def heard(self, device: str) -> None:
         """The device has shown that it is alive."""
-        self._latest(device)
+        self._fresh(device).heard = self._clock.monotonic()
 
     def flush(self) -> None:
         """Push what is fresh, now."""
-        self._timer = None
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
         now = self._clock.monotonic()
         for device, latest in self._devices.items():
             if not latest.fresh:
@@ -55,10 +57,10 @@ class Telemetry:
             latest.times.clear()
             latest.fresh = False
 
-    def _latest(self, device: str) -> _Latest:
-        """The record of a device, marked fresh; whoever publishes has heard it."""
-        latest = self._devices.setdefault(device, _Latest())
-        latest.heard, latest.fresh = self._clock.monotonic(), True
+    def _fresh(self, device: str) -> _Latest:
+        """The record of a device, now with something to push."""
+        latest = self._devices.setdefault(device, _Latest(heard=self._clock.monotonic()))
+        latest.fresh = True
         if self._timer is None:
             self._timer = asyncio.get_running_loop().call_later(1.0 / RATE, self.flush)
         return latest

@@ -1,0 +1,61 @@
+"""MAVLink 2 by pymavlink: the one place where the dialect is chosen, and packets are read and made.
+
+The dialect is imported by its name: `pymavlink.mavutil` would choose one by the environment and by what it
+happens to receive, and its `recv_match` throws away every message it was not asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+__all__ = ["AUTOPILOT", "COMPONENT", "SYSTEM", "Reader", "Writer", "dialect", "result_words"]
+
+#: Who we are: a ground station (the only id whose heartbeat counts by default), on board.
+SYSTEM, COMPONENT = 255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER
+#: The autopilot's component. pymavlink leaves the target component at 0 unless told.
+AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
+
+#: The parser keeps what it has read until its buffer is empty, which on a stream may be never.
+_KEPT = 4096
+
+
+class Reader:
+    """Bytes of a link to messages; broken packets and unknown messages are left out."""
+
+    def __init__(self) -> None:
+        self._parser: Any = dialect.MAVLink(None)
+        # Without it one wrong checksum raises.
+        self._parser.robust_parsing = True
+
+    def feed(self, data: bytes) -> Iterator[Any]:
+        """The messages that these bytes complete; never raises."""
+        parser = self._parser
+        for message in parser.parse_buffer(data) or ():
+            if message.get_msgId() >= 0 and not isinstance(message, dialect.MAVLink_unknown):
+                yield message
+        if parser.buf_index > _KEPT:
+            parser.buf = parser.buf[parser.buf_index :]
+            parser.buf_index = 0
+
+
+class Writer:
+    """Messages to packets, numbered."""
+
+    def __init__(self) -> None:
+        self._mavlink: Any = dialect.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+
+    def pack(self, message: Any) -> bytes:
+        """One packet."""
+        data = bytes(message.pack(self._mavlink))
+        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+        return data
+
+
+def result_words(result: int) -> str:
+    """`FAILED (4)`."""
+    entry = dialect.enums["MAV_RESULT"].get(result)
+    name = entry.name.removeprefix("MAV_RESULT_") if entry is not None else "unknown result"
+    return f"{name} ({result})"

@@ -1,0 +1,16 @@
+"""`python -m lfield_sim mavlink --listen udp:127.0.0.1:14550`: a fake by its name."""
+
+from __future__ import annotations
+
+import sys
+
+from lfield.driver.sims import main
+
+FAKES = {"mavlink": "lfield_sim.mavlink:SIM"}
+
+if __name__ == "__main__":
+    names = sys.argv[1:2]
+    if not names or names[0] not in FAKES:
+        print(f"usage: python -m lfield_sim {'|'.join(FAKES)} [options]", file=sys.stderr)
+        sys.exit(64)
+    sys.exit(main([FAKES[names[0]], *sys.argv[2:]]))

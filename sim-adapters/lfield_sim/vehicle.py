@@ -1,0 +1,212 @@
+"""How a vehicle moves: point kinematics with limits on speed and acceleration. No protocol, no modes.
+
+Local frame: metres north, east, down of the place where it was switched on; the ground is flat at
+down = 0. Angles in radians, yaw clockwise from north.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+GRAVITY = 9.80665
+#: What counts as in the air, in metres.
+AIRBORNE = 0.05
+
+Vector = tuple[float, float, float]
+ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(slots=True)
+class Limits:
+    """Speeds in m/s, accelerations in m/s2, yaw rate in rad/s."""
+
+    cruise: float = 5.0
+    climb: float = 2.5
+    descend: float = 1.5
+    land: float = 1.0
+    acceleration: float = 2.5
+    vertical_acceleration: float = 2.5
+    yaw_rate: float = math.radians(60.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """Goal: stay where you are."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """Goal: go to a place and stay there."""
+
+    place: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """Goal: keep a velocity."""
+
+    velocity: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Descend:
+    """Goal: straight down to the ground."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fall:
+    """Goal of a copter without motors."""
+
+
+Goal = Rest | Reach | Keep | Descend | Fall
+
+
+@dataclass(slots=True)
+class Vehicle:
+    """A copter. `yaw_goal` None turns the nose where it flies; `charge` is 0..1 of the battery."""
+
+    limits: Limits = field(default_factory=Limits)
+    place: Vector = ZERO
+    velocity: Vector = ZERO
+    acceleration: Vector = ZERO
+    yaw: float = 0.0
+    yaw_goal: float | None = None
+    goal: Goal = field(default_factory=Rest)
+
+    @property
+    def airborne(self) -> bool:
+        """Whether it is off the ground."""
+        return self.place[2] < -AIRBORNE
+
+    @property
+    def roll(self) -> float:
+        """Lean to the right that gives the present acceleration."""
+        north, east, _ = self.acceleration
+        return math.atan2(-north * math.sin(self.yaw) + east * math.cos(self.yaw), GRAVITY)
+
+    @property
+    def pitch(self) -> float:
+        """Nose up is positive; speeding up needs it down."""
+        north, east, _ = self.acceleration
+        return math.atan2(-(north * math.cos(self.yaw) + east * math.sin(self.yaw)), GRAVITY)
+
+    def settle(self) -> None:
+        """Stand on the ground, with the motors off."""
+        self.place, self.velocity, self.acceleration = (*self.place[:2], 0.0), ZERO, ZERO
+        self.goal = Rest()
+
+    def step(self, dt: float) -> None:
+        """Let `dt` seconds pass."""
+        before = self.velocity
+        north, east, down = self._wanted()
+        level = _towards_2d(before[:2], (north, east), self.limits.acceleration * dt)
+        rate = GRAVITY if isinstance(self.goal, Fall) else self.limits.vertical_acceleration
+        self.velocity = (*level, _towards(before[2], down, rate * dt))
+        self._move(dt)
+        self.acceleration = _scaled(_minus(self.velocity, before), 1.0 / dt)
+        self._turn(dt)
+
+    def _wanted(self) -> Vector:
+        """The velocity that serves the goal."""
+        match self.goal:
+            case Reach(place):
+                return self._approach(place)
+            case Keep(velocity):
+                return self._bounded(velocity)
+            case Descend():
+                return (0.0, 0.0, self.limits.land if self.place[2] > -10.0 else self.limits.descend)
+            case Fall():
+                return (self.velocity[0], self.velocity[1], 50.0)
+        return ZERO
+
+    def _approach(self, place: Vector) -> Vector:
+        limits = self.limits
+        north, east, down = _minus(place, self.place)
+        far = math.hypot(north, east)
+        speed = _braking(far, limits.cruise, limits.acceleration)
+        share = speed / far if far > 1e-9 else 0.0
+        fastest = limits.descend if down > 0 else limits.climb
+        vertical = math.copysign(_braking(abs(down), fastest, limits.vertical_acceleration), down)
+        return (north * share, east * share, vertical)
+
+    def _bounded(self, velocity: Vector) -> Vector:
+        north, east, down = velocity
+        speed = math.hypot(north, east)
+        share = min(1.0, self.limits.cruise / speed) if speed > 0 else 0.0
+        return (north * share, east * share, max(-self.limits.climb, min(self.limits.descend, down)))
+
+    def _move(self, dt: float) -> None:
+        north, east, down = (p + v * dt for p, v in zip(self.place, self.velocity, strict=True))
+        if down >= 0.0:
+            # The ground takes what is left of the motion, unless it is taking off.
+            self.place, self.velocity = (self.place[0], self.place[1], 0.0), ZERO
+        else:
+            self.place = (north, east, down)
+
+    def _turn(self, dt: float) -> None:
+        goal = self.yaw_goal
+        if goal is None and math.hypot(*self.velocity[:2]) > 0.5 and self.airborne:
+            goal = math.atan2(self.velocity[1], self.velocity[0])
+        if goal is not None:
+            error = wrap(goal - self.yaw)
+            self.yaw = wrap(
+                self.yaw
+                + max(-1.0, min(1.0, error / (self.limits.yaw_rate * dt))) * self.limits.yaw_rate * dt
+            )
+
+
+@dataclass(slots=True)
+class GroundVehicle(Vehicle):
+    """A rover: it drives where its nose points, and turns to point where it must go."""
+
+    @property
+    def airborne(self) -> bool:
+        """Never."""
+        return False
+
+    def step(self, dt: float) -> None:
+        """Let `dt` seconds pass."""
+        before = self.velocity
+        north, east, _ = self._wanted()
+        wanted = math.hypot(north, east)
+        course = math.atan2(east, north) if wanted > 1e-3 else self.yaw_goal
+        if course is not None:
+            turn = self.limits.yaw_rate * dt
+            self.yaw = wrap(self.yaw + max(-turn, min(turn, wrap(course - self.yaw))))
+            wanted *= max(0.0, math.cos(wrap(course - self.yaw)))
+        along = math.hypot(*before[:2])
+        speed = _towards(along, wanted, self.limits.acceleration * dt)
+        self.velocity = (speed * math.cos(self.yaw), speed * math.sin(self.yaw), 0.0)
+        self.place = (self.place[0] + self.velocity[0] * dt, self.place[1] + self.velocity[1] * dt, 0.0)
+        self.acceleration = _scaled(_minus(self.velocity, before), 1.0 / dt)
+
+
+def wrap(angle: float) -> float:
+    """The same angle from -pi to pi."""
+    return math.remainder(angle, math.tau)
+
+
+def _minus(a: Vector, b: Vector) -> Vector:
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def _scaled(a: Vector, by: float) -> Vector:
+    return (a[0] * by, a[1] * by, a[2] * by)
+
+
+def _braking(distance: float, fastest: float, acceleration: float) -> float:
+    """The speed from which one can still stop in `distance`; gentle near the end, so that it settles."""
+    return min(fastest, distance * 2.0, math.sqrt(acceleration * distance))
+
+
+def _towards(value: float, goal: float, change: float) -> float:
+    return value + max(-change, min(change, goal - value))
+
+
+def _towards_2d(value: tuple[float, ...], goal: tuple[float, float], change: float) -> tuple[float, float]:
+    """As _towards, with the change bounded as a vector."""
+    north, east = goal[0] - value[0], goal[1] - value[1]
+    size = math.hypot(north, east)
+    share = min(1.0, change / size) if size > 0 else 0.0
+    return (value[0] + north * share, value[1] + east * share)
