@@ -1,0 +1,255 @@
+"""Calls: own methods, methods of objects, portals, find, the library, devices, and `new`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lfield.lang import messages, syntax, tree
+from lfield.lang.checker.conversion import shown, unknown
+from lfield.lang.checker.names import method_names
+from lfield.lang.checker.overloads import Candidate, choose, of_methods
+from lfield.lang.checker.scope import Body
+from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
+from lfield.lang.checker.visibility import visible_type
+from lfield.lang.library import ARRAY_LENGTH, EXCEPTION_METHODS, FUNCTIONS, STRING_METHODS, Function
+from lfield.lang.suggest import FOREIGN_FUNCTIONS, closest, did_you_mean, listed
+from lfield.lang.types import (
+    INT,
+    STRING,
+    UNKNOWN,
+    ArrayType,
+    ClassType,
+    DeviceType,
+    ResourceType,
+    Type,
+    array_of,
+)
+from lfield.source import Span
+
+
+def bare(body: Body, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]) -> tree.Expr:
+    """`name(arguments)`: an own method, a find method or a library function."""
+    if body.methods(name.name):
+        return _method(body, raw, name.span, body.this(name.span), body.methods(name.name), given)
+    resource = body.symbols.resource(name.name.removeprefix("find"))
+    if resource is not None and name.name.startswith("find"):
+        return _find(body, raw, name.span, resource, given)
+    if name.name in LIBRARY_NAMES:
+        return _library(body, raw, name, given)
+    _unknown_function(body, name)
+    return unknown(raw.span)
+
+
+def member(
+    body: Body, raw: syntax.Call, function: syntax.Member, owner: tree.Expr, given: list[tree.Expr]
+) -> tree.Expr:
+    """`owner.name(arguments)`."""
+    kind, name, place = owner.type, function.name, function.place
+    unit = body.unit if isinstance(owner, tree.This) else body.symbols.named(kind)
+    if kind is UNKNOWN:
+        return unknown(raw.span)
+    if isinstance(kind, DeviceType):
+        return _device(body, raw, function, owner, given)
+    if unit is not None:
+        wanted = "portal" if isinstance(kind, ResourceType) else "method"
+        methods = [m for m in unit.methods if m.name == name and m.kind == wanted]
+        if methods:
+            return _method(body, raw, place, owner, methods, given)
+    else:
+        functions = _functions_of(kind, name)
+        if functions:
+            return _operation(body, raw, place, functions, given, owner)
+    _unknown_member(body, function, kind, unit)
+    return unknown(raw.span)
+
+
+def new(body: Body, raw: syntax.New, given: list[tree.Expr]) -> tree.Expr:
+    """`new C(arguments)`."""
+    name, place = raw.type.name, raw.type.span
+    unit = body.symbols.units.get(name)
+    if unit is not None and unit.kind != "class":
+        find = f"; a coordinator finds one with find{name}(...)" if unit.kind == "resource" else ""
+        body.report(messages.NEW_AGENT, place, kind=unit.kind, name=name, find=find)
+        return unknown(raw.span)
+    if name in EXCEPTION_NAMES:
+        candidates = [Candidate(name, types, None) for types in ((), (STRING,))]
+        chosen = choose(body.symbols, place, candidates, given)
+        return (
+            unknown(raw.span) if chosen is None else tree.New(raw.span, BUILTIN_TYPES[name], None, chosen[1])
+        )
+    kind = visible_type(body.symbols, body.unit, raw.type)
+    if unit is None or kind is UNKNOWN:
+        if kind is not UNKNOWN:
+            body.report(messages.NEW_TYPE, place, given=name)
+        return unknown(raw.span)
+    constructors = [m for m in unit.methods if m.kind == "constructor"]
+    constructor = _chosen(body, place, constructors, given)
+    return unknown(raw.span) if constructor is None else tree.New(raw.span, kind, *constructor)
+
+
+def _chosen(
+    body: Body, place: Span, methods: Sequence[tree.Method], given: list[tree.Expr]
+) -> tuple[tree.Method, list[tree.Expr]] | None:
+    """The overload that is meant, if it may be called from here."""
+    chosen = choose(body.symbols, place, of_methods(methods), given)
+    if chosen is not None and not chosen[0].public and chosen[0].unit is not body.unit:
+        method = chosen[0]
+        body.report(messages.PRIVATE_MEMBER, place, name=method.name, owner=method.unit.name)
+        return None
+    return chosen
+
+
+def _method(
+    body: Body,
+    raw: syntax.Call,
+    place: Span,
+    owner: tree.Expr,
+    methods: Sequence[tree.Method],
+    given: list[tree.Expr],
+) -> tree.Expr:
+    """A call of a method or, through a proxy, of a portal."""
+    chosen = _chosen(body, place, methods, given)
+    if chosen is None:
+        return unknown(raw.span)
+    method, arguments = chosen
+    if method.kind == "portal":
+        return tree.PortalCall(raw.span, method.result, owner, method, arguments)
+    return tree.Call(raw.span, method.result, owner, method, arguments)
+
+
+def _find(
+    body: Body, raw: syntax.Call, place: Span, resource: tree.Unit, given: list[tree.Expr]
+) -> tree.Expr:
+    """`findR(id)` or `findR()`; only where resources are visible."""
+    if body.unit.usage != "coordinator":
+        body.report(messages.FIND_PLACE, place, viewer=describe(body.unit))
+        return unknown(raw.span)
+    proxy = ResourceType(resource.name)
+    name = f"find{resource.name}"
+    candidates: list[Candidate[Type]] = [
+        Candidate(name, (STRING,), proxy),
+        Candidate(name, (), array_of(proxy)),
+    ]
+    chosen = choose(body.symbols, place, candidates, given)
+    if chosen is None:
+        return unknown(raw.span)
+    kind, arguments = chosen
+    return tree.Find(raw.span, kind, resource, arguments[0] if arguments else None)
+
+
+def _library(body: Body, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]) -> tree.Expr:
+    """A function of the library, where its scope allows it."""
+    functions = [f for f in FUNCTIONS if f.name == name.name]
+    scope, side = functions[0].scope, body.unit.usage
+    if scope in ("any", side):
+        return _operation(body, raw, name.span, functions, given, None)
+    rule = messages.COORDINATOR_FUNCTION
+    if scope == "resource":
+        rule = messages.COORDINATOR_IO if side == "coordinator" else messages.GLOBAL_IO
+    body.report(rule, name.span, viewer=describe(body.unit), unit=body.unit.name, name=name.name)
+    return unknown(raw.span)
+
+
+def _operation(
+    body: Body,
+    raw: syntax.Call,
+    place: Span,
+    functions: Sequence[Function],
+    given: list[tree.Expr],
+    receiver: tree.Expr | None,
+) -> tree.Expr:
+    """A library function or built-in method; its receiver is the first argument of the operation."""
+    chosen = choose(body.symbols, place, [Candidate(f.name, f.parameters, f) for f in functions], given)
+    if chosen is None:
+        return unknown(raw.span)
+    function, arguments = chosen
+    everything = arguments if receiver is None else [receiver, *arguments]
+    return tree.Library(raw.span, function.result, function.operation, everything)
+
+
+def _functions_of(kind: Type, name: str) -> list[Function]:
+    """The built-in methods of that name."""
+    if isinstance(kind, ArrayType):
+        methods: tuple[Function, ...] = (Function("length", (), INT, ARRAY_LENGTH),)
+    elif kind == STRING:
+        methods = STRING_METHODS
+    else:
+        methods = EXCEPTION_METHODS if isinstance(kind, ClassType) else ()
+    return [f for f in methods if f.name == name]
+
+
+def _device(
+    body: Body, raw: syntax.Call, function: syntax.Member, owner: tree.Expr, given: list[tree.Expr]
+) -> tree.Expr:
+    """`fc.instruction(arguments)`; only fields are of a device type."""
+    assert isinstance(owner, tree.FieldGet)
+    manifest = body.symbols.devices[owner.type.name]
+    instruction = manifest.instruction(function.name)
+    if instruction is None:
+        _unknown_member(body, function, owner.type, None)
+        return unknown(raw.span)
+    types = tuple(_manifest_type(p.type) for p in instruction.parameters)
+    candidate = Candidate(instruction.name, types, instruction)
+    chosen = choose(body.symbols, function.place, [candidate], given)
+    if chosen is None:
+        return unknown(raw.span)
+    result = _manifest_type(instruction.result)
+    return tree.DeviceCall(raw.span, result, owner.field, manifest, instruction, chosen[1])
+
+
+def _manifest_type(name: str) -> Type:
+    """The L type of a manifest's type name (`real[]`)."""
+    element = BUILTIN_TYPES[name.removesuffix("[]")]
+    return array_of(element) if name.endswith("[]") else element
+
+
+def _unknown_function(body: Body, name: syntax.Name) -> None:
+    """Report a bare call of something that is no own method and no function."""
+    called = name.name
+    unit = body.symbols.units.get(called)
+    if any(m.kind == "portal" and m.name == called for m in body.unit.methods):
+        body.report(messages.PORTAL_INSIDE, name.span, name=called)
+    elif unit is not None or called in EXCEPTION_NAMES:
+        may_be_made = unit is None or unit.kind == "class"
+        instead = f"make an object: new {called}(...)" if may_be_made else "agents come from the deployment"
+        body.report(messages.TYPE_AS_VALUE, name.span, name=called, instead=instead)
+    elif body.scope.find(called) is not None or body.field(called) is not None:
+        body.report(messages.NOT_A_METHOD, name.span, name=called)
+    elif not body.is_broken() and not (body.symbols.incomplete and called.startswith("find")):
+        body.report(messages.UNKNOWN_FUNCTION, name.span, hint=_function_hint(body, called), name=called)
+
+
+def _function_hint(body: Body, called: str) -> str | None:
+    if called in FOREIGN_FUNCTIONS:
+        return f"in L it is {FOREIGN_FUNCTIONS[called]}(...)"
+    own = [m.name for m in body.unit.methods if m.kind == "method"]
+    finds = [f"find{r}" for r in body.symbols.resource_names()] if body.unit.usage == "coordinator" else []
+    keyword = closest(called, ("if", "while", "for", "return", "catch"))
+    return did_you_mean(called, [*own, *finds, *LIBRARY_NAMES]) or (
+        f"did you mean {keyword} ?" if keyword else None
+    )
+
+
+def _unknown_member(body: Body, function: syntax.Member, kind: Type, unit: tree.Unit | None) -> None:
+    """Report a call of something the receiver does not have."""
+    name, place = function.name, function.place
+    if unit is not None and isinstance(kind, ResourceType):
+        if any(m.name == name and m.kind == "method" for m in unit.methods):
+            body.report(messages.ONLY_PORTALS, place, name=name, resource=unit.name)
+            return
+    elif unit is not None and any(m.name == name and m.kind == "portal" for m in unit.methods):
+        body.report(messages.PORTAL_INSIDE, place, name=name)
+        return
+    if unit is not None and unit.name in body.symbols.broken_units:
+        return
+    if unit is not None and not isinstance(kind, ResourceType) and any(f.name == name for f in unit.fields):
+        body.report(messages.NOT_A_METHOD, place, name=name)
+        return
+    known = method_names(body, kind, unit)
+    if not known and unit is None:
+        body.report(messages.NO_MEMBERS, place, given=shown(kind))
+        return
+    what = {ResourceType: "portal", DeviceType: "instruction"}.get(type(kind), "method")
+    listing = f"it has {listed(known, 'no ' + what + 's')}"
+    hint = did_you_mean(name, known) or listing
+    body.report(messages.UNKNOWN_METHOD, place, hint=hint, type=kind, kind=what, name=name, known=listing)

@@ -1,0 +1,161 @@
+"""Second pass: expressions. Every one gets its type, its conversions and the thing its names mean."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from lfield.lang import messages, syntax, tree
+from lfield.lang.checker import calls, names, operators
+from lfield.lang.checker.conversion import expect, shown, unknown
+from lfield.lang.checker.declarations import first_instruction
+from lfield.lang.checker.scope import Body
+from lfield.lang.checker.visibility import visible_type
+from lfield.lang.types import (
+    BOOLEAN,
+    INT,
+    NULL,
+    REAL,
+    STRING,
+    UNKNOWN,
+    VOID,
+    ArrayType,
+    DeviceType,
+    Type,
+)
+
+
+def value(body: Body, raw: syntax.Expr) -> tree.Expr:
+    """An expression that must have a value."""
+    found = evaluated(body, raw)
+    if found.type == VOID:
+        body.report(messages.VOID_VALUE, found.span, call=_called(raw))
+    elif isinstance(found.type, DeviceType):
+        example = first_instruction(body.symbols, found.type)
+        body.report(messages.DEVICE_USE, found.span, name=found.span.text, instruction=example)
+    elif isinstance(found, tree.This) and body.unit.kind != "class":
+        body.report(messages.THIS_VALUE, found.span, unit=f"a {body.unit.kind}")
+    else:
+        return found
+    return unknown(found.span)
+
+
+def evaluated(body: Body, raw: syntax.Expr) -> tree.Expr:
+    """Any expression: a call without a value, a device, and the `this` of a resource are allowed too."""
+    return _CHECKS[type(raw)](body, raw)
+
+
+def condition(body: Body, raw: syntax.Expr) -> tree.Expr:
+    """The boolean in the head of an if or a loop."""
+    return expect(body.symbols, value(body, raw), BOOLEAN, messages.CONDITION)
+
+
+def assignment(body: Body, raw: syntax.Assign) -> tree.Expr:
+    """`target = value`, where a statement or another assignment allows it."""
+    target = _target(body, raw.target)
+    wanted = UNKNOWN if target is None else target.type
+    given = assigned(body, raw.value, wanted)
+    if target is None:
+        return unknown(raw.span)
+    return tree.Assign(raw.span, target.type, target, given)
+
+
+def assigned(body: Body, raw: syntax.Expr, wanted: Type) -> tree.Expr:
+    """The right side of an assignment as the type of the left."""
+    given = assignment(body, raw) if isinstance(raw, syntax.Assign) else value(body, raw)
+    return expect(body.symbols, given, wanted)
+
+
+def _target(body: Body, raw: syntax.Expr) -> tree.LocalGet | tree.FieldGet | tree.Element | None:
+    """The left side of an assignment; None after a report."""
+    found = value(body, raw)
+    if isinstance(found, tree.LocalGet | tree.FieldGet | tree.Element):
+        return found
+    if found.type is not UNKNOWN:
+        body.report(messages.NOT_ASSIGNABLE, raw.span)
+    return None
+
+
+def _called(raw: syntax.Expr) -> str:
+    """A call without a value, as the message names it."""
+    function = raw.function if isinstance(raw, syntax.Call) else None
+    return f"{function.name}()" if function is not None else "this"
+
+
+def _bad(body: Body, raw: syntax.Bad) -> tree.Expr:
+    return unknown(raw.span)
+
+
+def _literal(body: Body, raw: syntax.Literal_) -> tree.Expr:
+    kinds: dict[type, Type] = {bool: BOOLEAN, int: INT, float: REAL, str: STRING}
+    return tree.Literal_(raw.span, kinds.get(type(raw.value), NULL), raw.value)
+
+
+def _name(body: Body, raw: syntax.Name) -> tree.Expr:
+    return names.variable(body, raw)
+
+
+def _this(body: Body, raw: syntax.This) -> tree.Expr:
+    return body.this(raw.span)
+
+
+def _unary(body: Body, raw: syntax.Unary) -> tree.Expr:
+    return operators.unary(body, raw, value(body, raw.operand))
+
+
+def _binary(body: Body, raw: syntax.Binary) -> tree.Expr:
+    return operators.binary(body, raw, value(body, raw.left), value(body, raw.right))
+
+
+def _assign(body: Body, raw: syntax.Assign) -> tree.Expr:
+    body.report(messages.ASSIGNMENT_HERE, raw.sign)
+    return unknown(raw.span)
+
+
+def _member(body: Body, raw: syntax.Member) -> tree.Expr:
+    return names.member(body, raw, evaluated(body, raw.object))
+
+
+def _call(body: Body, raw: syntax.Call) -> tree.Expr:
+    given = [value(body, argument) for argument in raw.arguments]
+    if isinstance(raw.function, syntax.Name):
+        return calls.bare(body, raw, raw.function, given)
+    return calls.member(body, raw, raw.function, evaluated(body, raw.function.object), given)
+
+
+def _index(body: Body, raw: syntax.Index) -> tree.Expr:
+    array = value(body, raw.array)
+    index = expect(body.symbols, value(body, raw.index), INT)
+    if isinstance(array.type, ArrayType):
+        return tree.Element(raw.span, array.type.element, array, index)
+    if array.type is not UNKNOWN:
+        hint = "write s.substring(i, i + 1)" if array.type == STRING else None
+        body.report(messages.NOT_AN_ARRAY, raw.array.span, hint=hint, given=shown(array.type))
+    return unknown(raw.span)
+
+
+def _new(body: Body, raw: syntax.New) -> tree.Expr:
+    given = [value(body, argument) for argument in raw.arguments]
+    return calls.new(body, raw, given)
+
+
+def _new_array(body: Body, raw: syntax.NewArray) -> tree.Expr:
+    lengths = [expect(body.symbols, value(body, length), INT) for length in raw.lengths]
+    kind = visible_type(body.symbols, body.unit, raw.type)
+    return tree.NewArray(raw.span, kind, lengths)
+
+
+_CHECKS: dict[type[syntax.Expr], Callable[[Body, Any], tree.Expr]] = {
+    syntax.Bad: _bad,
+    syntax.Literal_: _literal,
+    syntax.Name: _name,
+    syntax.This: _this,
+    syntax.Unary: _unary,
+    syntax.Binary: _binary,
+    syntax.Assign: _assign,
+    syntax.Member: _member,
+    syntax.Call: _call,
+    syntax.Index: _index,
+    syntax.New: _new,
+    syntax.NewArray: _new_array,
+}

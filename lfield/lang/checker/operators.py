@@ -1,0 +1,113 @@
+"""Operators: arithmetic, comparison, logic."""
+
+from __future__ import annotations
+
+from typing import Literal, cast
+
+from lfield.lang import messages, syntax, tree
+from lfield.lang.checker.conversion import converted, cost, unknown
+from lfield.lang.checker.scope import Body
+from lfield.lang.types import (
+    BOOLEAN,
+    EXCEPTION,
+    INT,
+    NULL,
+    REAL,
+    STRING,
+    UNKNOWN,
+    ClassType,
+    Type,
+    is_numeric,
+    is_reference,
+)
+
+_ORDER = ("<", "<=", ">", ">=")
+_EQUALITY = ("==", "!=")
+_TO_STRING = {INT: "i2s", REAL: "f2s", BOOLEAN: "b2s"}
+
+
+def unary(body: Body, raw: syntax.Unary, operand: tree.Expr) -> tree.Expr:
+    """`!operand` or `-operand`."""
+    kind = operand.type
+    if kind is UNKNOWN:
+        return operand
+    if raw.operator == "!" and kind == BOOLEAN:
+        return tree.Not(raw.span, BOOLEAN, operand)
+    if raw.operator == "-" and is_numeric(kind):
+        return tree.Negate(raw.span, kind, operand)
+    hint = (
+        "! turns a boolean round: did you mean == 0 ?" if raw.operator == "!" and is_numeric(kind) else None
+    )
+    body.report(messages.OPERAND, raw.span, hint=hint, operator=raw.operator, given=kind)
+    return unknown(raw.span)
+
+
+def binary(body: Body, raw: syntax.Binary, left: tree.Expr, right: tree.Expr) -> tree.Expr:
+    """Any operator with two sides."""
+    if UNKNOWN in (left.type, right.type):
+        return unknown(raw.span)
+    if raw.operator in ("&&", "||"):
+        if left.type == right.type == BOOLEAN:
+            return tree.Logical(raw.span, BOOLEAN, cast(Literal["&&", "||"], raw.operator), left, right)
+        return _misfit(body, raw, left, right)
+    if raw.operator in _EQUALITY:
+        return _equality(body, raw, left, right)
+    left, right = _widened(left, right)
+    kind = left.type
+    works = is_numeric(kind) or (kind == STRING and raw.operator in ("+", *_ORDER))
+    if kind != right.type or not works:
+        return _misfit(body, raw, left, right)
+    return _made(raw, BOOLEAN if raw.operator in _ORDER else kind, left, right)
+
+
+def _equality(body: Body, raw: syntax.Binary, left: tree.Expr, right: tree.Expr) -> tree.Expr:
+    """`==` and `!=`. A null stands on the right, so that the left side says what is compared."""
+    left, right = _widened(left, right)
+    if left.type == NULL:
+        left, right = right, left
+    if _comparable(left.type, right.type):
+        return _made(raw, BOOLEAN, left, right)
+    hint = None
+    if NULL in (left.type, right.type):
+        hint = f"{left.type} is never null"
+    elif STRING in (left.type, right.type):
+        hint = _string_hint(left.type, right.type)
+    body.report(messages.INCOMPARABLE, raw.sign, hint=hint, left=left.type, right=right.type)
+    return unknown(raw.span)
+
+
+def _comparable(left: Type, right: Type) -> bool:
+    if right == NULL:
+        return is_reference(left)
+    exceptions = EXCEPTION in (left, right) and isinstance(left, ClassType) and isinstance(right, ClassType)
+    return left == right or exceptions
+
+
+def _widened(left: tree.Expr, right: tree.Expr) -> tuple[tree.Expr, tree.Expr]:
+    """Both sides as real when one is real and the other int."""
+    if cost(left.type, right.type) == 1:
+        return converted(left, right.type), right
+    if cost(right.type, left.type) == 1:
+        return left, converted(right, left.type)
+    return left, right
+
+
+def _made(raw: syntax.Binary, kind: Type, left: tree.Expr, right: tree.Expr) -> tree.Expr:
+    return tree.Binary(raw.span, kind, cast(tree.BinaryOp, raw.operator), left, right)
+
+
+def _misfit(body: Body, raw: syntax.Binary, left: tree.Expr, right: tree.Expr) -> tree.Expr:
+    operator = raw.operator
+    hint = None
+    if operator in ("&&", "||"):
+        hint = "both sides must be boolean: compare them with something"
+    elif STRING in (left.type, right.type) and left.type != right.type:
+        hint = _string_hint(left.type, right.type)
+    body.report(messages.OPERANDS, raw.sign, hint=hint, operator=operator, left=left.type, right=right.type)
+    return unknown(raw.span)
+
+
+def _string_hint(left: Type, right: Type) -> str | None:
+    """How to make text of the side that is none."""
+    function = _TO_STRING.get(left) or _TO_STRING.get(right)
+    return f"make text of the other side: {function}(...)" if function else None

@@ -1,0 +1,95 @@
+"""Local names, and the place a body is checked in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from lfield.lang import messages
+from lfield.lang.checker.symbols import Symbols
+from lfield.lang.messages import Message
+from lfield.lang.tree import Field, Local, Method, This, Unit
+from lfield.lang.types import ClassType, Type
+from lfield.source import Span
+
+
+@dataclass(slots=True)
+class Scope:
+    """The locals of one block and of those around it.
+
+    `uncertain` after a statement that could not be read: it may have declared anything, so unknown names
+    are not reported any more.
+    """
+
+    outer: Scope | None = None
+    locals: dict[str, Local] = field(default_factory=dict)
+    uncertain: bool = False
+
+    def chain(self) -> Iterator[Scope]:
+        """This scope and those around it, from the inside."""
+        scope: Scope | None = self
+        while scope is not None:
+            yield scope
+            scope = scope.outer
+
+    def find(self, name: str) -> Local | None:
+        """The local of that name, the innermost first."""
+        return next((scope.locals[name] for scope in self.chain() if name in scope.locals), None)
+
+    def names(self) -> list[str]:
+        """All names that can be used here."""
+        return [name for scope in self.chain() for name in scope.locals]
+
+    def is_uncertain(self) -> bool:
+        """Whether this block or one around it holds a statement that could not be read."""
+        return any(scope.uncertain for scope in self.chain())
+
+
+@dataclass(slots=True)
+class Body:
+    """Where an expression or statement stands: the program, the unit, the method, the locals, the loops."""
+
+    symbols: Symbols
+    unit: Unit
+    method: Method
+    scope: Scope
+    loops: int = 0
+
+    def report(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
+        """Keep a finding."""
+        self.symbols.report(message, span, hint=hint, **values)
+
+    def this(self, span: Span) -> This:
+        """The object the body runs in. A resource or coordinator has a plain type: it is no value."""
+        name = self.unit.name
+        return This(span, ClassType(name) if self.unit.kind == "class" else Type(name))
+
+    def field(self, name: str) -> Field | None:
+        """The unit's own field of that name."""
+        return next((f for f in self.unit.fields if f.name == name), None)
+
+    def methods(self, name: str) -> list[Method]:
+        """The unit's own methods of that name; portals, constructors and init are none."""
+        return [m for m in self.unit.methods if m.name == name and m.kind == "method"]
+
+    def is_broken(self) -> bool:
+        """Whether the unit misses members that could not be read."""
+        return self.unit.name in self.symbols.broken_units
+
+    def declare(self, name: str, kind: Type, span: Span) -> Local:
+        """A new local in the innermost scope; a name that is taken by a local is reported."""
+        local = Local(name, kind, span)
+        earlier = self.scope.find(name)
+        if earlier is not None:
+            self.report(messages.LOCAL_TWICE, span, name=name, line=earlier.span.line)
+        self.scope.locals[name] = local
+        return local
+
+    def enter(self) -> None:
+        """Open a block."""
+        self.scope = Scope(self.scope)
+
+    def leave(self) -> None:
+        """Close the innermost block."""
+        assert self.scope.outer is not None
+        self.scope = self.scope.outer

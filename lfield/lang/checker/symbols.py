@@ -1,0 +1,114 @@
+"""What a program declares, and the report of mistakes: shared by everything in the checker."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from lfield.lang import messages, tree
+from lfield.lang.library import FUNCTIONS
+from lfield.lang.messages import Message
+from lfield.lang.suggest import FOREIGN_TYPES, closest
+from lfield.lang.syntax import BAD_TYPE, TypeName
+from lfield.lang.types import (
+    BOOLEAN,
+    BUILTIN_EXCEPTIONS,
+    EXCEPTION,
+    INT,
+    REAL,
+    STRING,
+    UNKNOWN,
+    VOID,
+    ArrayType,
+    ClassType,
+    DeviceType,
+    ResourceType,
+    Type,
+    array_of,
+)
+from lfield.manifest import DeviceManifest
+from lfield.source import Diagnostics, Span
+
+#: Names of types that every program has.
+BUILTIN_TYPES: dict[str, Type] = {
+    **{t.name: t for t in (BOOLEAN, INT, REAL, STRING, VOID, EXCEPTION)},
+    **{name: ClassType(name) for name in BUILTIN_EXCEPTIONS},
+}
+EXCEPTION_NAMES = (EXCEPTION.name, *BUILTIN_EXCEPTIONS)
+LIBRARY_NAMES = frozenset(f.name for f in FUNCTIONS)
+
+_RETURN_LIKE = ("return", "throw", "else")
+
+
+@dataclass(slots=True)
+class Symbols:
+    """The units of a program and the device types it may use.
+
+    `incomplete` says that declarations may be missing (a syntax error, a missing include): then unknown
+    types are taken as they are. `broken_units` miss members in the same way.
+    """
+
+    devices: Mapping[str, DeviceManifest]
+    found: Diagnostics
+    units: dict[str, tree.Unit] = field(default_factory=dict)
+    used_devices: dict[str, DeviceManifest] = field(default_factory=dict)
+    broken_units: set[str] = field(default_factory=set)
+    incomplete: bool = False
+
+    def report(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
+        """Keep a finding."""
+        self.found.add(message.at(span, hint=hint, **values))
+
+    def named(self, kind: Type) -> tree.Unit | None:
+        """The class or resource a type is about; None for any other type."""
+        return self.units.get(kind.name) if isinstance(kind, ClassType | ResourceType) else None
+
+    def resource(self, name: str) -> tree.Unit | None:
+        """The resource of that name."""
+        unit = self.units.get(name)
+        return unit if unit is not None and unit.kind == "resource" else None
+
+    def resource_names(self) -> list[str]:
+        """The names of all resources."""
+        return [name for name, unit in self.units.items() if unit.kind == "resource"]
+
+    def resolve(self, written: TypeName) -> Type:
+        """The type of that name, or UNKNOWN (reported) when there is none. Who may name it is not asked."""
+        element = self._element(written)
+        for _ in range(written.dimensions if element is not UNKNOWN else 0):
+            element = array_of(element)
+        return element
+
+    def _element(self, written: TypeName) -> Type:
+        name = written.name
+        if name in BUILTIN_TYPES:
+            return BUILTIN_TYPES[name]
+        unit = self.units.get(name)
+        if unit is not None:
+            return ResourceType(name) if unit.kind == "resource" else ClassType(name)
+        if name in self.devices:
+            return DeviceType(name)
+        if name != BAD_TYPE and not self.incomplete:
+            self.report(messages.UNKNOWN_TYPE, written.span, hint=self._type_hint(name), name=name)
+        return UNKNOWN
+
+    def _type_hint(self, name: str) -> str | None:
+        if name in FOREIGN_TYPES:
+            return f"in L it is called {FOREIGN_TYPES[name]}"
+        close = closest(name, [*BUILTIN_TYPES, *self.units, *self.devices, *_RETURN_LIKE])
+        return f"did you mean '{close}'?" if close else None
+
+
+def describe(unit: tree.Unit) -> str:
+    """A unit as the scope rules speak of it: `the resource specific class 'CacheTree'`."""
+    if unit.kind != "class":
+        return f"the {unit.kind} '{unit.name}'"
+    clause = "" if unit.usage == "global" else f"{unit.usage} specific "
+    return f"the {clause}class '{unit.name}'"
+
+
+def innermost(kind: Type) -> Type:
+    """The type of the innermost elements of an array type; any other type itself."""
+    while isinstance(kind, ArrayType):
+        kind = kind.element
+    return kind

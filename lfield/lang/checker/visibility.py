@@ -1,0 +1,120 @@
+"""The scope rules about naming: which unit may name which (chapters III and IV).
+
+A resource sees no coordinator and no other resource, a coordinator sees all resources and no coordinator,
+a class without a usage clause sees neither. What passes through a portal is stricter still.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from lfield.lang import messages, tree
+from lfield.lang.checker.symbols import Symbols, describe, innermost
+from lfield.lang.messages import Message
+from lfield.lang.syntax import TypeName
+from lfield.lang.types import EXCEPTION, UNKNOWN, DeviceType, Type
+from lfield.source import Span
+
+#: Where a type is written. A device type fits only a field, a portal is stricter than anything else.
+Place = Literal["field", "portal", "elsewhere"]
+
+
+_COORDINATOR_RULES: dict[tree.Usage, Message] = {
+    "resource": messages.RESOURCE_NAMES_COORDINATOR,
+    "coordinator": messages.COORDINATOR_NAMES_COORDINATOR,
+    "global": messages.GLOBAL_NAMES_COORDINATOR,
+}
+_RESOURCE_RULES: dict[tree.Usage, Message | None] = {
+    "resource": messages.RESOURCE_NAMES_RESOURCE,
+    "coordinator": None,
+    "global": messages.GLOBAL_NAMES_RESOURCE,
+}
+
+
+def visible_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: Place = "elsewhere") -> Type:
+    """The type of that name, if `viewer` may name it there; else UNKNOWN, and the rule is reported."""
+    kind = symbols.resolve(written)
+    element = innermost(kind)
+    if isinstance(element, DeviceType):
+        return _device_type(symbols, viewer, written, place)
+    unit = symbols.units.get(written.name)
+    if place == "portal":
+        if not _may_pass(symbols, viewer, kind, written.span):
+            return UNKNOWN
+    elif unit is not None and not may_name(symbols, viewer, unit, written.span):
+        return UNKNOWN
+    return kind
+
+
+def may_name(symbols: Symbols, viewer: tree.Unit, target: tree.Unit, span: Span) -> bool:
+    """Whether `viewer` may name `target`; the broken rule is reported."""
+    rule = _rule(viewer, target)
+    if rule is not None:
+        symbols.report(
+            rule, span, viewer=describe(viewer), unit=viewer.name, name=target.name, usage=target.usage
+        )
+    return rule is None
+
+
+def _rule(viewer: tree.Unit, target: tree.Unit) -> Message | None:
+    """The rule that forbids `viewer` to name `target`, or None."""
+    side = viewer.usage
+    if target.kind == "coordinator":
+        return _COORDINATOR_RULES[side]
+    if target.kind == "resource":
+        return _RESOURCE_RULES[side]
+    if target.usage in ("global", side):
+        return None
+    if side == "global":
+        return messages.GLOBAL_NAMES_SPECIFIC
+    return messages.RESOURCE_CLASS_OUTSIDE if side == "coordinator" else messages.COORDINATOR_CLASS_OUTSIDE
+
+
+def _device_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: Place) -> Type:
+    """A device type stands only at a plain field of a resource."""
+    if viewer.usage == "coordinator":
+        symbols.report(
+            messages.COORDINATOR_NAMES_DEVICE, written.span, viewer=describe(viewer), name=written.name
+        )
+        return UNKNOWN
+    if viewer.kind != "resource" or place != "field" or written.dimensions:
+        symbols.report(messages.DEVICE_PLACE, written.span, name=written.name)
+        return UNKNOWN
+    symbols.used_devices[written.name] = symbols.devices[written.name]
+    return DeviceType(written.name)
+
+
+def _may_pass(symbols: Symbols, viewer: tree.Unit, kind: Type, span: Span) -> bool:
+    """Whether values of the type may pass through a portal, copied as deep as they go."""
+    element = innermost(kind)
+    unit = symbols.named(element)
+    if unit is None:
+        return True
+    if unit.kind == "resource" or (unit.kind == "class" and unit.usage == "coordinator"):
+        symbols.report(messages.PORTAL_PROXY, span, type=kind)
+        return False
+    if unit.kind == "class" and unit.usage == "resource":
+        symbols.report(messages.PORTAL_RESOURCE_CLASS, span, type=kind)
+        return False
+    return may_name(symbols, viewer, unit, span)
+
+
+def check_portal_contents(symbols: Symbols, kind: Type, span: Span) -> None:
+    """Report a portal type that is or holds an Exception, which may be an object of any class at run time."""
+    seen: set[str] = set()
+    waiting = [(kind, "")]
+    while waiting:
+        held, path = waiting.pop()
+        element = innermost(held)
+        if element == EXCEPTION:
+            why = (
+                f"its field {path[1:]} is an Exception"
+                if path
+                else "an Exception may be an object of any class"
+            )
+            symbols.report(messages.PORTAL_EXCEPTION, span, type=kind, why=why)
+            return
+        unit = symbols.named(element)
+        if unit is not None and unit.name not in seen:
+            seen.add(unit.name)
+            waiting.extend((field.type, f"{path}.{field.name}") for field in unit.fields)

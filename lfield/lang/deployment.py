@@ -1,0 +1,202 @@
+"""Deployment files (`mission.dL`): which agent lives on which host, with which arguments (chapter IV).
+
+A line is `//Type:id@host[:port][?argument&argument]`; `pitp:` may stand before the slashes and the slashes
+may be left out. A `#` at the start of a line or after a space begins a comment.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+from lfield.errors import ProgramError, UsageError
+from lfield.lang import messages
+from lfield.lang.deployment_line import Entry, read_line
+from lfield.lang.reading import bad_byte, read_bytes
+from lfield.lang.suggest import did_you_mean, listed
+from lfield.lang.tree import UnitKind
+from lfield.source import Diagnostic, Diagnostics, Source, Span
+
+#: 'unknown' when the deployment was read without its program.
+AgentKind = Literal["resource", "coordinator", "unknown"]
+
+
+@dataclass(frozen=True, slots=True)
+class DeployedAgent:
+    """One line: an instance of a resource or coordinator. `port` is the TCP port written there, if any."""
+
+    type: str
+    id: str
+    kind: AgentKind
+    host: str
+    port: int | None
+    arguments: tuple[str, ...]
+    span: Span
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """A whole deployment; `agents` in the order of the file, which is the order proxies count in."""
+
+    name: str
+    agents: tuple[DeployedAgent, ...]
+
+    @cached_property
+    def hosts(self) -> tuple[str, ...]:
+        """The names of the hosts in order of first appearance."""
+        return tuple(dict.fromkeys(agent.host for agent in self.agents))
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 in hex of types, ids, hosts and arguments in file order.
+
+        Ports, comments and spacing do not count: hosts with different ports still run the same deployment.
+        """
+        content = [[a.type, a.id, a.host, list(a.arguments)] for a in self.agents]
+        return hashlib.sha256(json.dumps(content, separators=(",", ":")).encode("ascii")).hexdigest()
+
+    @cached_property
+    def _indexes(self) -> dict[str, int]:
+        return {agent.id: index for index, agent in enumerate(self.agents)}
+
+    def on(self, host: str) -> tuple[DeployedAgent, ...]:
+        """The agents of a host, in file order."""
+        return tuple(agent for agent in self.agents if agent.host == host)
+
+    def index(self, id: str) -> int:
+        """The position of an agent: the number a proxy carries. KeyError for an unknown id."""
+        return self._indexes[id]
+
+    def agent(self, id: str) -> DeployedAgent:
+        """The agent of that id. KeyError when there is none."""
+        return self.agents[self._indexes[id]]
+
+    def port(self, host: str) -> int | None:
+        """The port written for a host on any of its lines, or None."""
+        return next((agent.port for agent in self.on(host) if agent.port is not None), None)
+
+
+def parse_deployment(
+    text: str, name: str, units: Mapping[str, UnitKind] | None
+) -> tuple[Deployment | None, list[Diagnostic]]:
+    """The deployment of a text, or None, with everything found wrong in it.
+
+    `units` are the units of the program with their kinds; None leaves the types unchecked.
+    """
+    source = Source(name, text)
+    found = Diagnostics()
+    entries = _entries(source, found)
+    _Checks(found, units).check(entries)
+    if not entries and not found.found:
+        found.add(messages.DEPLOY_EMPTY.at(Span(source, 0, 0)))
+    if found.errors:
+        return None, found.in_order()
+    kinds = units or {}
+    agents = [
+        DeployedAgent(
+            e.type.text, e.id.text, _kind(kinds, e.type.text), e.host.text, e.port, e.arguments, e.span
+        )
+        for e in entries
+    ]
+    return Deployment(name, tuple(agents)), found.in_order()
+
+
+def read_deployment(path: Path, units: Mapping[str, UnitKind] | None) -> Deployment:
+    """The deployment of a file. Raises InputFileError, or ProgramError with all that is wrong in it."""
+    data = read_bytes(path)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        where, byte = bad_byte(str(path), error)
+        raise ProgramError([messages.DEPLOY_NOT_TEXT.at(where, byte=byte)]) from None
+    deployment, found = parse_deployment(text, str(path), units)
+    if deployment is None:
+        raise ProgramError(found)
+    return deployment
+
+
+def lookup_host(deployment: Deployment, name: str) -> str:
+    """The host of that name. Raises UsageError with the hosts there are, and the one probably meant."""
+    if name in deployment.hosts:
+        return name
+    hint = did_you_mean(name, deployment.hosts)
+    advice = f"; {hint}" if hint else ""
+    raise UsageError(f"{deployment.name} has no host '{name}': it has {listed(deployment.hosts)}{advice}")
+
+
+def _kind(units: Mapping[str, UnitKind], name: str) -> AgentKind:
+    kind = units.get(name)
+    return kind if kind in ("resource", "coordinator") else "unknown"
+
+
+def _entries(source: Source, found: Diagnostics) -> list[Entry]:
+    """All lines that can be read."""
+    entries = []
+    start = 0
+    for line in source.text.split("\n"):
+        entry = read_line(Span(source, start, start + len(line)), found)
+        if entry is not None:
+            entries.append(entry)
+        start += len(line) + 1
+    return entries
+
+
+class _Checks:
+    """What lines must keep together: types against the program, ids and hosts against one another."""
+
+    def __init__(self, found: Diagnostics, units: Mapping[str, UnitKind] | None) -> None:
+        self.found, self.units = found, units
+        self.deployable = [name for name, kind in (units or {}).items() if kind != "class"]
+        self.ids: dict[str, Span] = {}
+        self.spellings: dict[str, Span] = {}
+        self.ports: dict[str, tuple[int, Span]] = {}
+
+    def check(self, entries: list[Entry]) -> None:
+        """Check all lines; without anything to deploy in the program only the first one is told."""
+        if self.units is not None and not self.deployable and entries:
+            self.found.add(messages.DEPLOY_NO_PROGRAM.at(entries[0].type, name=entries[0].type.text))
+        for entry in entries:
+            if self.deployable:
+                self.type(entry.type)
+            self.id(entry.id)
+            self.host(entry.host)
+            self.port(entry)
+
+    def type(self, span: Span) -> None:
+        name = span.text
+        known = listed(self.deployable)
+        assert self.units is not None
+        if self.units.get(name) == "class":
+            self.found.add(messages.DEPLOY_CLASS.at(span, name=name, known=known))
+        elif name not in self.units:
+            hint = did_you_mean(name, self.deployable)
+            self.found.add(messages.DEPLOY_TYPE.at(span, hint=hint, name=name, known=known))
+
+    def id(self, span: Span) -> None:
+        earlier = self.ids.setdefault(span.text, span)
+        if earlier is not span:
+            self.found.add(messages.DEPLOY_DUPLICATE.at(span, id=span.text, line=earlier.line))
+
+    def host(self, span: Span) -> None:
+        first = self.spellings.setdefault(span.text.lower(), span)
+        if first.text != span.text:
+            self.found.add(
+                messages.DEPLOY_HOST_CASE.at(span, host=span.text, first=first.text, line=first.line)
+            )
+
+    def port(self, entry: Entry) -> None:
+        if entry.port is None:
+            return
+        host = entry.host.text
+        port, where = self.ports.setdefault(host.lower(), (entry.port, entry.host))
+        if port != entry.port:
+            self.found.add(
+                messages.DEPLOY_TWO_PORTS.at(
+                    entry.port_span, host=host, first=port, line=where.line, port=entry.port
+                )
+            )

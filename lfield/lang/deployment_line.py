@@ -1,0 +1,153 @@
+"""One line of a deployment file: `//Type:id@host[:port][?argument&argument]`."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from urllib.parse import unquote_to_bytes
+
+from lfield.lang import messages
+from lfield.lang.messages import Message
+from lfield.source import Diagnostics, Span
+
+_COMMENT = re.compile(r"(?:^|(?<=\s))#")
+_NAME = re.compile(r"[A-Za-z0-9._-]+", re.ASCII)
+_TYPE = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_ESCAPE = re.compile(r"%(?![0-9a-fA-F]{2}).{0,2}", re.DOTALL)
+_LONGEST_HOST = 253
+_HIGHEST_PORT = 65535
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """The parts of a line and where they stand; `port_span` is the port, or the host without one."""
+
+    span: Span
+    type: Span
+    id: Span
+    host: Span
+    port: int | None
+    port_span: Span
+    arguments: tuple[str, ...]
+
+
+class _Shapeless(Exception):
+    """The line cannot be taken apart; it is reported."""
+
+
+def read_line(line: Span, found: Diagnostics) -> Entry | None:
+    """The entry of a line; None for an empty line, a comment, or a line with mistakes (reported)."""
+    comment = _COMMENT.search(line.text)
+    whole = _trimmed(_part(line, 0, comment.start() if comment else len(line.text)))
+    if not whole.text:
+        return None
+    before = len(found.found)
+    try:
+        entry = _Reader(found).entry(whole)
+    except _Shapeless:
+        return None
+    return entry if len(found.found) == before else None
+
+
+class _Reader:
+    """Takes one line apart, then looks at each part; every bad part is reported."""
+
+    def __init__(self, found: Diagnostics) -> None:
+        self.found = found
+
+    def entry(self, whole: Span) -> Entry:
+        """The parts of the line."""
+        space = re.search(r"\s", whole.text)
+        if space is not None:
+            self.wrong(messages.DEPLOY_SPACE, _part(whole, space.start(), space.end()))
+            raise _Shapeless
+        body = self.without_scheme(whole)
+        place, _, _ = body.text.partition("?")
+        agent = _part(body, 0, len(place))
+        kind, rest = self.split(agent, ":", "no ':' after the type")
+        name, address = self.split(rest, "@", "no '@' after the id")
+        if not _TYPE.fullmatch(kind.text):
+            self.problem(
+                kind, f"'{kind.text}' is not the name of a type" if kind.text else "no type before ':'"
+            )
+        if not _NAME.fullmatch(name.text):
+            self.wrong(messages.DEPLOY_ID, name, id=name.text)
+        host, port_span, port = self.address(address)
+        arguments = self.arguments(_part(body, len(place) + 1, len(body.text)))
+        return Entry(whole, kind, name, host, port, port_span, arguments)
+
+    def without_scheme(self, whole: Span) -> Span:
+        """The line behind `pitp://` or `//`."""
+        scheme = re.match(r"([A-Za-z][\w+.-]*:)?//", whole.text)
+        if scheme is None:
+            if whole.text.startswith("/"):
+                self.problem(_part(whole, 0, 1), "one slash at the start: there are two or none")
+                raise _Shapeless
+            return whole
+        known = scheme.group(1) or ""
+        if known not in ("", "pitp:"):
+            self.problem(_part(whole, 0, len(known)), f"'{known}' is not known: write pitp:// or only //")
+        return _part(whole, scheme.end(), len(whole.text))
+
+    def split(self, span: Span, mark: str, problem: str) -> tuple[Span, Span]:
+        """What stands before and behind a mark."""
+        at = span.text.find(mark)
+        if at < 0:
+            self.problem(_part(span, len(span.text), len(span.text)), problem)
+            raise _Shapeless
+        return _part(span, 0, at), _part(span, at + 1, len(span.text))
+
+    def address(self, span: Span) -> tuple[Span, Span, int | None]:
+        """Host, the place of the port, and the port."""
+        at = span.text.find(":")
+        host = _part(span, 0, len(span.text) if at < 0 else at)
+        if not _NAME.fullmatch(host.text) or len(host.text) > _LONGEST_HOST:
+            self.wrong(messages.DEPLOY_HOST, host, host=host.text[:60])
+        if at < 0:
+            return host, host, None
+        written = _part(span, at + 1, len(span.text))
+        if re.fullmatch(r"[0-9]{1,5}", written.text) and 0 < int(written.text) <= _HIGHEST_PORT:
+            return host, written, int(written.text)
+        self.wrong(messages.DEPLOY_PORT, written, port=written.text[:20])
+        return host, written, None
+
+    def arguments(self, span: Span) -> tuple[str, ...]:
+        """The arguments with their percent escapes decoded; a bare `?` gives none."""
+        if not span.text:
+            return ()
+        decoded, start = [], 0
+        for argument in span.text.split("&"):
+            decoded.append(self.argument(_part(span, start, start + len(argument))))
+            start += len(argument) + 1
+        return tuple(decoded)
+
+    def argument(self, span: Span) -> str:
+        """One argument, decoded."""
+        bad = _ESCAPE.search(span.text)
+        try:
+            if bad is None:
+                return unquote_to_bytes(span.text).decode("utf-8")
+        except UnicodeError:
+            pass
+        where = span if bad is None else _part(span, bad.start(), bad.end())
+        self.wrong(messages.DEPLOY_ESCAPE, where, escape=where.text)
+        return ""
+
+    def problem(self, span: Span, problem: str) -> None:
+        """Report a line of another shape."""
+        self.wrong(messages.DEPLOY_SYNTAX, span, problem=problem)
+
+    def wrong(self, message: Message, span: Span, **values: str) -> None:
+        """Report a bad part."""
+        self.found.add(message.at(span, hint=None, **values))
+
+
+def _part(span: Span, start: int, end: int) -> Span:
+    """Characters `start` to `end` of a span; both stay inside it."""
+    length = span.end - span.start
+    return Span(span.source, span.start + min(start, length), span.start + min(end, length))
+
+
+def _trimmed(span: Span) -> Span:
+    text = span.text
+    return _part(span, len(text) - len(text.lstrip()), len(text.rstrip()))

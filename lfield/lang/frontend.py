@@ -1,0 +1,74 @@
+"""The front end as one call: a file or a text in, a checked program or diagnostics out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from lfield.errors import ProgramError
+from lfield.lang.checker import check
+from lfield.lang.includes import FileSet, FindInclude
+from lfield.lang.reading import read_bytes
+from lfield.lang.tree import CheckedProgram
+from lfield.manifest import DeviceManifest
+from lfield.source import Diagnostic, Diagnostics, Source
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """What the front end found: the program (None when there are errors), and all diagnostics in order."""
+
+    program: CheckedProgram | None
+    diagnostics: list[Diagnostic]
+
+    @property
+    def errors(self) -> list[Diagnostic]:
+        """The diagnostics without the warnings."""
+        return [d for d in self.diagnostics if d.severity == "error"]
+
+    def or_raise(self) -> CheckedProgram:
+        """The program, or ProgramError with the errors."""
+        if self.program is None:
+            raise ProgramError(self.errors)
+        return self.program
+
+
+def no_include(path: str) -> Path | None:
+    """The `find_include` of a program without drivers: `include <...>;` finds nothing."""
+    return None
+
+
+def check_file(
+    path: Path, *, devices: Mapping[str, DeviceManifest] | None = None, find_include: FindInclude = no_include
+) -> Checked:
+    """Check a program file and all it includes.
+
+    `devices` are the device types of the drivers by their name; `find_include` maps the path in
+    `include <name/file.L>;` to a file. Raises InputFileError when the file itself cannot be read; everything
+    else that is wrong with it is a diagnostic.
+    """
+    data = read_bytes(path)
+    found = Diagnostics()
+    files = FileSet(found, find_include)
+    files.read(data, path)
+    return _checked(files, found, devices)
+
+
+def check_text(
+    text: str,
+    name: str = "program.L",
+    *,
+    devices: Mapping[str, DeviceManifest] | None = None,
+    find_include: FindInclude = no_include,
+) -> Checked:
+    """Check a program text; its includes are looked up beside `name`."""
+    found = Diagnostics()
+    files = FileSet(found, find_include)
+    files.add(Source(name, text), Path(name))
+    return _checked(files, found, devices)
+
+
+def _checked(files: FileSet, found: Diagnostics, devices: Mapping[str, DeviceManifest] | None) -> Checked:
+    program = check(files.files, devices or {}, found, complete=files.complete)
+    return Checked(None if found.errors else program, found.in_order())

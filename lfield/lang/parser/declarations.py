@@ -1,0 +1,249 @@
+"""Units and their members (appendix A; members may come in any order)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from lfield.lang import messages
+from lfield.lang.parser.expressions import expression
+from lfield.lang.parser.statements import block
+from lfield.lang.parser.stream import UNIT_KEYWORDS, TokenStream, UnclosedBrace
+from lfield.lang.parser.types import misplaced_brackets, result_type, type_name
+from lfield.lang.scanner import Token
+from lfield.lang.suggest import FOREIGN_MODIFIERS, closest
+from lfield.lang.syntax import BAD_TYPE, Field, Method, Parameter, TypeName, Unit
+from lfield.lang.tree import UnitKind, Usage
+from lfield.source import Span
+
+_USAGES: dict[str, Usage] = {"resource": "resource", "coordinator": "coordinator"}
+_MODIFIERS = ("public", "private", "synchronized")
+
+
+def unit(s: TokenStream, kind: UnitKind) -> Unit:
+    """A resource, coordinator or class; the stream is at its name."""
+    name = s.expect_name(f"the name of the {kind}")
+    usage: Usage = _usage(s, kind) if kind == "class" else _USAGES[kind]
+    made = Unit(kind, usage, name.text, name.span)
+    if s.at_name() and s.at("extends", "implements"):
+        word = s.current.text
+        instead = "there is no inheritance; keep an object of the other class in a field"
+        s.report(messages.FOREIGN_WORD, s.current.span, word=word, instead=instead)
+        while not s.at_end() and not s.at("{", "}", ";"):
+            s.advance()
+    s.expect("{")
+    members(s, made, name.span)
+    return made
+
+
+def members(s: TokenStream, made: Unit, opening: Span) -> None:
+    """The members of a unit up to its `}`, added to it; `opening` is told when that is missing."""
+    while not s.accept("}"):
+        if s.at_end() or (s.at(*UNIT_KEYWORDS) and s.first_on_line()):
+            s.report(messages.UNCLOSED_BRACE, s.suspect or opening)
+            made.broken = True
+            return
+        s.suspect = None
+
+        def parse() -> None:
+            _member(s, made)
+
+        try:
+            made.broken |= not s.attempt(parse, s.skip_member)
+        except UnclosedBrace:
+            made.broken = True
+            if s.at_end() or s.at(*UNIT_KEYWORDS):
+                return
+
+
+def _usage(s: TokenStream, kind: UnitKind) -> Usage:
+    """`resource specific`, `coordinator specific` or nothing."""
+    if not s.at(*_USAGES):
+        return "global"
+    usage = _USAGES[s.advance().text]
+    if not (s.at_name() and s.at("specific")):
+        raise s.fail(messages.EXPECTED_SYMBOL, what="'specific'", found=s.current)
+    s.advance()
+    return usage
+
+
+class _Modifiers:
+    """The words before a member, each with its place."""
+
+    def __init__(self) -> None:
+        self.given: dict[str, Token] = {}
+        self.portal = False
+
+    @property
+    def public(self) -> bool:
+        return "public" in self.given
+
+    @property
+    def synchronized(self) -> bool:
+        return "synchronized" in self.given
+
+    @property
+    def access(self) -> Token | None:
+        return self.given.get("public") or self.given.get("private")
+
+
+def _modifiers(s: TokenStream) -> _Modifiers:
+    found = _Modifiers()
+    while not found.portal:
+        word = _respelt(s) or s.current.text
+        if word in _MODIFIERS:
+            found.given[word] = s.advance()
+        elif word == "portal":
+            s.advance()
+            found.portal = True
+        elif s.at_name() and s.at(*FOREIGN_MODIFIERS) and s.ahead(1).text not in ("(", "=", ";"):
+            s.report(messages.FOREIGN_WORD, s.advance().span, word=word, instead=FOREIGN_MODIFIERS[word])
+        else:
+            break
+    return found
+
+
+def _respelt(s: TokenStream) -> str | None:
+    """The word that `pubic` in `pubic int x;` was meant to be, reported; None where no member follows it."""
+    following = s.ahead(2).text
+    if not (
+        s.at_name() and s.ahead(1).text.isidentifier() and (following.isidentifier() or following == "(")
+    ):
+        return None
+    close = closest(s.current.text, (*_MODIFIERS, "portal"))
+    if close is not None:
+        s.report(messages.MISSPELT_KEYWORD, s.current.span, word=s.current.text, close=close)
+    return close
+
+
+def _member(s: TokenStream, made: Unit) -> None:
+    if s.accept(";"):
+        return
+    modifiers = _modifiers(s)
+    if modifiers.portal:
+        return _portal(s, made, modifiers)
+    if s.at("init"):
+        return _init(s, made, modifiers)
+    if s.at_name() and s.ahead(1).text == "(":
+        return _without_result(s, made, modifiers)
+    if not (s.at_name() or s.at("boolean", "int", "real", "string", "void")):
+        raise s.fail(messages.EXPECTED_MEMBER, found=s.current)
+    if s.at_name() and not (s.ahead(1).text.isidentifier() or s.ahead(1).text == "["):
+        raise s.fail(messages.EXPECTED_MEMBER, found=s.current)
+    declared = result_type(s)
+    name = s.expect_name("a name")
+    if s.at("("):
+        method = _method(s, "method", name, modifiers, declared)
+        if modifiers.access is None:
+            text = f"{declared} {name.text}(...)"
+            s.report(messages.MISSING_MODIFIER, declared.span, what="a method", text=text)
+        _body(s, made, method)
+    else:
+        _field(s, made, modifiers, declared, name)
+
+
+def _field(s: TokenStream, made: Unit, modifiers: _Modifiers, declared: TypeName, name: Token) -> None:
+    if declared.name == "void":
+        s.report(messages.VOID_VALUE_TYPE, declared.span, what="a field")
+        declared.name = BAD_TYPE
+    access = modifiers.access
+    if made.kind == "class" and access is None:
+        text = f"{declared} {name.text};"
+        s.report(messages.MISSING_MODIFIER, declared.span, what="a field of a class", text=text)
+    elif made.kind != "class" and access is not None:
+        what = f"a field of a {made.kind}"
+        _unwanted(s, access, what, ": only its own methods reach it anyway")
+    if modifiers.synchronized:
+        _unwanted(s, modifiers.given["synchronized"], "a field", "")
+    misplaced_brackets(s, declared, name.text)
+    field = Field(declared, name.text, modifiers.public, None, name.span)
+    made.fields.append(field)
+    if s.accept("="):
+        field.value = expression(s)
+    if s.at(","):
+        raise s.fail(messages.ONE_VARIABLE)
+    s.semicolon()
+
+
+def _portal(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
+    for word, token in modifiers.given.items():
+        place = ": write portal synchronized" if word == "synchronized" else ": every portal is public"
+        _unwanted(s, token, "a portal", place)
+    synchronized = s.accept("synchronized")
+    name = s.expect_name("the name of the portal")
+    method = _method(s, "portal", name, modifiers, None)
+    method.synchronized = synchronized
+    if s.accept("emit"):
+        method.result = type_name(s, "an emit")
+    _body(s, made, method)
+
+
+def _init(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
+    for token in modifiers.given.values():
+        _unwanted(s, token, "init", ": only the machine calls it")
+    _body(s, made, _method(s, "init", s.advance(), modifiers, None))
+
+
+def _without_result(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
+    """A constructor, or a method whose result type was forgotten."""
+    name = s.advance()
+    if made.kind != "class" or name.text != made.name:
+        close = closest(name.text, ("init",)) if made.kind != "class" else None
+        hint = f"did you mean '{close}'?" if close else None
+        s.report(messages.CONSTRUCTOR_NAME, name.span, hint=hint, name=name.text)
+        method = _method(s, "method", name, modifiers, TypeName(name.span, BAD_TYPE))
+        _body(s, made, method)
+        return
+    if modifiers.access is None:
+        s.report(messages.MISSING_MODIFIER, name.span, what="a constructor", text=f"{name.text}(...)")
+    if modifiers.synchronized:
+        _unwanted(s, modifiers.given["synchronized"], "a constructor", ": nobody else has the object yet")
+    _body(s, made, _method(s, "constructor", name, modifiers, None))
+
+
+def _unwanted(s: TokenStream, token: Token, what: str, reason: str) -> None:
+    s.report(messages.UNWANTED_MODIFIER, token.span, what=what, word=token.text, reason=reason)
+
+
+_Kind = Literal["method", "constructor", "init", "portal"]
+
+
+def _method(
+    s: TokenStream, kind: _Kind, name: Token, modifiers: _Modifiers, result: TypeName | None
+) -> Method:
+    """A method without its body; the stream is at the parameters."""
+    given = _parameters(s)
+    public = modifiers.public or kind in ("init", "portal")
+    return Method(kind, name.text, given, result, public, modifiers.synchronized, name.span)
+
+
+def _parameters(s: TokenStream) -> list[Parameter]:
+    opening = s.expect("(")
+    found: list[Parameter] = []
+    if not s.at(")"):
+        found.append(_parameter(s))
+        while s.accept(","):
+            found.append(_parameter(s))
+    s.close(")", opening)
+    return found
+
+
+def _parameter(s: TokenStream) -> Parameter:
+    declared = type_name(s, "a parameter")
+    name = s.expect_name("the name of a parameter")
+    misplaced_brackets(s, declared, name.text)
+    return Parameter(declared, name.text, name.span)
+
+
+def _body(s: TokenStream, made: Unit, method: Method) -> None:
+    """The body of a method, which is then added to the unit, whatever its body is like."""
+    made.methods.append(method)
+    before, s.broken = s.broken, False
+    try:
+        if s.at(";"):
+            s.report(messages.NEEDS_BODY, method.span, what=f"{method.kind} {method.name}".strip())
+            s.advance()
+        else:
+            method.body = block(s)
+    finally:
+        method.end = s.previous.span
+        method.broken, s.broken = s.broken, s.broken or before

@@ -1,0 +1,263 @@
+"""Expressions: appendix A with the precedence of C and Java."""
+
+from __future__ import annotations
+
+import math
+
+from lfield.lang import messages
+from lfield.lang.parser.stream import PRIMITIVES, TokenStream
+from lfield.lang.parser.types import brackets, element_name
+from lfield.lang.scanner import FOREIGN_OPERATORS, Kind, Token
+from lfield.lang.syntax import (
+    Assign,
+    Bad,
+    Binary,
+    Call,
+    Expr,
+    Index,
+    Literal_,
+    Member,
+    Name,
+    New,
+    NewArray,
+    This,
+    TypeName,
+    Unary,
+)
+from lfield.source import Span
+
+#: Binary operators from the weakest to the strongest; all of them group to the left.
+PRECEDENCE = {
+    "||": 1,
+    "&&": 2,
+    "==": 3,
+    "!=": 3,
+    "<": 4,
+    "<=": 4,
+    ">": 4,
+    ">=": 4,
+    "+": 5,
+    "-": 5,
+    "*": 6,
+    "/": 6,
+    "%": 6,
+}
+
+INT_LIMIT = 2**63
+
+#: What to write instead of an operator that L does not have.
+INSTEAD = {
+    "++": "write i = i + 1",
+    "--": "write i = i - 1",
+    "===": "write ==",
+    "!==": "write !=",
+    "&": "write && for a condition; L has no bit operators",
+    "|": "write || for a condition; L has no bit operators",
+    "=>": "did you mean >= ?",
+    "->": "members are reached with a point: object.name",
+    "::": "members are reached with a point: object.name",
+}
+_UPDATES = ("+=", "-=", "*=", "/=", "%=")
+
+
+def expression(s: TokenStream) -> Expr:
+    """Any expression, assignments included; the checker says where those may stand."""
+    with s.nested():
+        left = _binary(s, 1)
+        if s.at("="):
+            sign = s.advance().span
+            value = expression(s)
+            height = 1 + max(left.height, value.height)
+            return s.bounded(Assign(left.span.to(value.span), height, sign, left, value))
+        if s.at("?"):
+            return _ternary(s, left)
+        if s.at(*FOREIGN_OPERATORS):
+            return _foreign(s, left)
+        return left
+
+
+def parenthesised(s: TokenStream) -> Expr:
+    """`(condition)`. A mistake inside is skipped, so that the statement after it is still read."""
+    opening = s.current
+    found: list[Expr] = []
+
+    def parse() -> None:
+        s.expect("(")
+        found.append(expression(s))
+        s.close(")", opening)
+
+    if not s.attempt(parse, lambda: s.skip_parentheses(1)):
+        return Bad(opening.span, 1)
+    return found[0]
+
+
+def arguments(s: TokenStream) -> list[Expr]:
+    """`(a, b)`."""
+    opening = s.expect("(")
+    found: list[Expr] = []
+    if not s.at(")"):
+        found.append(expression(s))
+        while s.accept(","):
+            found.append(expression(s))
+    s.close(")", opening)
+    return found
+
+
+def _binary(s: TokenStream, weakest: int) -> Expr:
+    """Operators of at least this precedence."""
+    left = _unary(s)
+    while (strength := PRECEDENCE.get(s.current.text, 0)) >= weakest:
+        sign = s.advance()
+        with s.nested():
+            right = _binary(s, strength + 1)
+        height = 1 + max(left.height, right.height)
+        span = left.span.to(right.span)
+        left = s.bounded(Binary(span, height, sign.text, sign.span, left, right))
+    return left
+
+
+def _unary(s: TokenStream) -> Expr:
+    if s.at("-") and s.ahead(1).kind in (Kind.INT, Kind.REAL):
+        sign = s.advance()
+        return _number(s.advance(), s, sign)
+    if s.at("-", "!"):
+        sign = s.advance()
+        with s.nested():
+            operand = _unary(s)
+        return s.bounded(Unary(sign.span.to(operand.span), operand.height + 1, sign.text, operand))
+    if s.at("++", "--", "~"):
+        return _foreign(s, Bad(s.current.span, 1))
+    return _postfix(s)
+
+
+def _postfix(s: TokenStream) -> Expr:
+    """A primary expression with its calls, members and indexes."""
+    found = _primary(s)
+    while True:
+        if s.at("."):
+            s.advance()
+            name = s.expect_name("the name of a member")
+            found = Member(found.span.to(name.span), found.height + 1, found, name.text, name.span)
+        elif s.at("("):
+            found = _call(s, found)
+        elif s.at("["):
+            opening = s.advance()
+            index = expression(s)
+            s.close("]", opening)
+            height = 1 + max(found.height, index.height)
+            found = Index(found.span.to(s.previous.span), height, found, index)
+        else:
+            return found
+        s.bounded(found)
+
+
+def _call(s: TokenStream, function: Expr) -> Expr:
+    if not isinstance(function, Name | Member):
+        raise s.fail(messages.NOT_A_CALL)
+    given = arguments(s)
+    height = 1 + max([function.height, *(a.height for a in given)])
+    return Call(function.span.to(s.previous.span), height, function, given)
+
+
+def _primary(s: TokenStream) -> Expr:
+    token = s.current
+    match token.kind, token.text:
+        case ((Kind.INT | Kind.REAL), _):
+            return _number(s.advance(), s, None)
+        case Kind.STRING, _:
+            return Literal_(s.advance().span, 1, token.value)
+        case Kind.NAME, _:
+            return Name(s.advance().span, 1, token.text)
+        case _, "true" | "false":
+            return Literal_(s.advance().span, 1, token.text == "true")
+        case _, "null":
+            return Literal_(s.advance().span, 1, None)
+        case _, "this":
+            return This(s.advance().span, 1)
+        case _, "new":
+            return _new(s)
+        case _, "(":
+            return _group(s)
+        case _, "init":
+            raise s.fail(messages.INIT_CALLED)
+    if s.at(*PRIMITIVES, "void"):
+        raise s.fail(messages.CAST)
+    raise s.fail(messages.EXPECTED_EXPRESSION, found=token)
+
+
+def _group(s: TokenStream) -> Expr:
+    opening = s.advance()
+    inner = expression(s)
+    s.close(")", opening)
+    return inner
+
+
+def _number(token: Token, s: TokenStream, minus: Token | None) -> Expr:
+    """A number with its sign: the smallest int has no positive counterpart."""
+    value, span = token.value, token.span if minus is None else minus.span.to(token.span)
+    assert isinstance(value, int | float)
+    signed = value if minus is None else -value
+    if isinstance(signed, int) and not -INT_LIMIT <= signed < INT_LIMIT:
+        s.report(messages.NUMBER_RANGE, span, text=_shortened(span), type="int")
+        signed = 0
+    elif isinstance(signed, float) and math.isinf(signed):
+        s.report(messages.NUMBER_RANGE, span, text=_shortened(span), type="real")
+        signed = 0.0
+    return Literal_(span, 1, signed)
+
+
+def _shortened(span: Span) -> str:
+    return span.text if len(span.text) <= 40 else f"{span.text[:30]}..."
+
+
+def _new(s: TokenStream) -> Expr:
+    """`new C(args)`, `new T[n]`, `new T[n][m]`, `new T[n][]`."""
+    start = s.advance().span
+    if s.at("void"):
+        raise s.fail(messages.VOID_VALUE_TYPE, what="new")
+    made = element_name(s, "a type after new")
+    if s.at("("):
+        given = arguments(s)
+        height = 1 + max((a.height for a in given), default=0)
+        return s.bounded(New(start.to(s.previous.span), height, made, given))
+    if not s.at("["):
+        raise s.fail(messages.NEW_NEEDS, type=made)
+    return _new_array(s, start, made)
+
+
+def _new_array(s: TokenStream, start: Span, made: TypeName) -> Expr:
+    if s.ahead(1).text == "]":
+        raise s.fail(messages.ARRAY_LENGTH_MISSING, type=made)
+    lengths: list[Expr] = []
+    while s.at("[") and s.ahead(1).text != "]":
+        opening = s.advance()
+        lengths.append(expression(s))
+        s.close("]", opening)
+    made.dimensions = len(lengths)
+    brackets(s, made)
+    height = 1 + max(length.height for length in lengths)
+    return s.bounded(NewArray(start.to(s.previous.span), height, made, lengths))
+
+
+def _ternary(s: TokenStream, condition: Expr) -> Expr:
+    """`a ? b : c`: reported, and skipped as a whole."""
+    s.report(messages.NO_TERNARY, s.advance().span)
+    expression(s)
+    if s.accept(":"):
+        expression(s)
+    return Bad(condition.span.to(s.previous.span), condition.height)
+
+
+def _foreign(s: TokenStream, left: Expr) -> Expr:
+    """An operator that L does not have: reported, and skipped with its right side."""
+    sign = s.advance()
+    target = left.span.text if isinstance(left, Name) else "x"
+    instead = INSTEAD.get(sign.text, "L has no bit operators")
+    if sign.text in _UPDATES:
+        instead = f"write {target} = {target} {sign.text[0]} ...;"
+    elif sign.text in ("++", "--"):
+        instead = f"write {target} = {target} {sign.text[0]} 1;"
+    s.report(messages.FOREIGN_OPERATOR, sign.span, operator=sign.text, instead=instead)
+    if sign.text not in ("++", "--") or isinstance(left, Bad):
+        expression(s)
+    return Bad(left.span.to(s.previous.span), left.height)

@@ -1,0 +1,82 @@
+"""A whole file: includes and units."""
+
+from __future__ import annotations
+
+from lfield.lang import messages
+from lfield.lang.parser.declarations import members, unit
+from lfield.lang.parser.stream import UNIT_KEYWORDS, GiveUp, Recover, TokenStream
+from lfield.lang.scanner import Kind, scan
+from lfield.lang.suggest import FOREIGN_UNITS, closest
+from lfield.lang.syntax import File, Include
+from lfield.lang.tree import UnitKind
+from lfield.source import Diagnostics, Source
+
+_KINDS: dict[str, UnitKind] = {"resource": "resource", "coordinator": "coordinator", "class": "class"}
+#: Members that come after the last unit: a `}` too many closed it.
+_STRAY_MEMBERS = ("portal", "private", "public", "init")
+
+
+def parse(source: Source, found: Diagnostics) -> File:
+    """The syntax tree of a source. Mistakes go to `found`; what could be read is returned."""
+    scanned = scan(source, found)
+    file = File(source, broken=scanned.cut)
+    s = TokenStream(scanned, found)
+    try:
+        while not s.at_end():
+            if not s.attempt(lambda: _top_level(s, file), s.skip_unit):
+                file.broken = True
+    except GiveUp:
+        file.broken = True
+    return file
+
+
+def _top_level(s: TokenStream, file: File) -> None:
+    if s.at("include"):
+        file.includes.append(_include(s))
+        s.semicolon()
+    elif s.at(*UNIT_KEYWORDS):
+        file.units.append(unit(s, _KINDS[s.advance().text]))
+    elif s.at("}"):
+        s.report(messages.EXTRA_BRACE, s.current.span)
+        s.advance()
+    elif s.at(*_STRAY_MEMBERS) and file.units and s.previous.text == "}":
+        s.report(messages.EXTRA_BRACE, s.previous.span)
+        members(s, file.units[-1], s.previous.span)
+    else:
+        _neither(s, file)
+
+
+def _neither(s: TokenStream, file: File) -> None:
+    """Something that begins no unit: a misspelt keyword, a habit, or garbage."""
+    word = s.current
+    close = closest(word.text, (*UNIT_KEYWORDS, "include")) if s.at_name() else None
+    if close in UNIT_KEYWORDS and s.ahead(1).kind is Kind.NAME:
+        s.report(messages.MISSPELT_KEYWORD, word.span, word=word.text, close=close)
+        s.advance()
+        file.units.append(unit(s, _KINDS[close]))
+        return
+    if word.text in FOREIGN_UNITS:
+        s.report(messages.FOREIGN_WORD, word.span, word=word.text, instead=FOREIGN_UNITS[word.text])
+        if s.ahead(1).text in UNIT_KEYWORDS:
+            s.advance()
+            return
+        raise Recover
+    hint = f"did you mean '{close}'?" if close else None
+    raise s.fail(messages.EXPECTED_UNIT, hint=hint, found=word)
+
+
+def _include(s: TokenStream) -> Include:
+    """`include "path"` or `include <path>`."""
+    start = s.advance().span
+    if s.current.kind is Kind.STRING:
+        token = s.advance()
+        return Include(str(token.value), False, token.span)
+    if not s.at("<"):
+        raise s.fail(messages.INCLUDE_SYNTAX)
+    opening = s.advance().span
+    while not s.at(">"):
+        if s.at_end() or s.first_on_line():
+            raise s.fail(messages.INCLUDE_SYNTAX)
+        s.advance()
+    span = opening.to(s.advance().span)
+    return Include(span.text[1:-1].strip(), True, start.to(span))

@@ -1,0 +1,293 @@
+"""Statements (appendix A; `for`, `break` and `continue` added)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from lfield.lang import messages
+from lfield.lang.parser.expressions import expression, parenthesised
+from lfield.lang.parser.stream import MEMBER_KEYWORDS, TokenStream, UnclosedBrace
+from lfield.lang.parser.types import at_declaration, misplaced_brackets, type_name
+from lfield.lang.scanner import Kind, Token
+from lfield.lang.suggest import FOREIGN_STATEMENTS, closest
+from lfield.lang.syntax import (
+    BadStmt,
+    Block,
+    Break,
+    Catch,
+    Continue,
+    Declare,
+    Empty,
+    Evaluate,
+    For,
+    If,
+    Return,
+    Stmt,
+    Throw,
+    Try,
+    While,
+)
+
+#: Words before `{` or `(...) {` that a typing mistake may hide.
+_HEADS = ("if", "else", "while", "for", "try", "catch")
+
+
+def block(s: TokenStream) -> list[Stmt]:
+    """`{ ... }`: its statements. Ends at the matching brace, or where the next member shows it is missing."""
+    opening = s.expect("{")
+    body: list[Stmt] = []
+    while not s.at("}"):
+        if s.at_end() or _at_member(s):
+            _unclosed(s, opening)
+        body.append(statement(s))
+    _note_indentation(s, opening)
+    s.advance()
+    return body
+
+
+def statement(s: TokenStream) -> Stmt:
+    """One statement; after a mistake a BadStmt, with the stream at the next one."""
+    start = s.current.span
+    found: list[Stmt] = []
+
+    def parse() -> None:
+        with s.nested():
+            found.append(_STATEMENTS.get(s.current.text, _simple)(s))
+
+    if not s.attempt(parse, s.skip_statement):
+        return BadStmt(start)
+    return found[0]
+
+
+def _at_member(s: TokenStream) -> bool:
+    """Whether a member or a unit begins here, which cannot be inside a body."""
+    if not s.at(*MEMBER_KEYWORDS):
+        return False
+    return s.first_on_line() or s.previous.text in "{};"
+
+
+def _unclosed(s: TokenStream, opening: Token) -> None:
+    s.report(messages.UNCLOSED_BRACE, s.suspect or opening.span)
+    raise UnclosedBrace
+
+
+def _note_indentation(s: TokenStream, opening: Token) -> None:
+    """Remember the first brace whose closing brace is indented otherwise: probably its own is missing."""
+    if s.suspect is None and s.first_on_line() and s.current.span.line > opening.span.line:
+        line = opening.span.source.line_text(opening.span.line)
+        if len(line) - len(line.lstrip()) != s.current.span.column - 1:
+            s.suspect = opening.span
+
+
+def _block(s: TokenStream) -> Stmt:
+    start = s.current.span
+    body = block(s)
+    return Block(start.to(s.previous.span), body)
+
+
+def _empty(s: TokenStream) -> Stmt:
+    return Empty(s.advance().span)
+
+
+def _if(s: TokenStream) -> Stmt:
+    start = s.advance().span
+    condition = parenthesised(s)
+    then = statement(s)
+    if s.at_name() and s.at("elif", "elsif"):
+        word = s.current.text
+        s.report(messages.FOREIGN_WORD, s.current.span, word=word, instead=FOREIGN_STATEMENTS[word])
+        return If(start, condition, then, _if(s))
+    otherwise = statement(s) if s.accept("else") else None
+    return If(start, condition, then, otherwise)
+
+
+def _else(s: TokenStream) -> Stmt:
+    raise s.fail(messages.ELSE_WITHOUT_IF)
+
+
+def _catch(s: TokenStream) -> Stmt:
+    raise s.fail(messages.CATCH_WITHOUT_TRY)
+
+
+def _while(s: TokenStream) -> Stmt:
+    start = s.advance().span
+    condition = parenthesised(s)
+    return While(start, condition, statement(s))
+
+
+def _for(s: TokenStream) -> Stmt:
+    """`for (start; condition; step) body`; a mistake in the head is skipped with the head."""
+    where = s.advance().span
+    loop = For(where, None, None, None, Empty(where))
+
+    def head() -> None:
+        opening = s.expect("(")
+        loop.start = _for_start(s)
+        s.expect(";")
+        loop.condition = None if s.at(";") else expression(s)
+        s.expect(";")
+        loop.step = None if s.at(")") else _evaluate(s)
+        s.close(")", opening)
+
+    def skip() -> None:
+        while not s.at_end() and not s.at("{", "}", ")"):
+            s.advance()
+        s.accept(")")
+
+    well = s.attempt(head, skip)
+    loop.body = statement(s)
+    return loop if well else BadStmt(where)
+
+
+def _for_start(s: TokenStream) -> Stmt | None:
+    if s.at(";"):
+        return None
+    if not at_declaration(s):
+        return _evaluate(s)
+    if s.ahead(2).text == ":":
+        raise s.fail(messages.FOR_EACH)
+    return _declaration(s)
+
+
+def _break(s: TokenStream) -> Stmt:
+    span = s.advance().span
+    s.semicolon()
+    return Break(span)
+
+
+def _continue(s: TokenStream) -> Stmt:
+    span = s.advance().span
+    s.semicolon()
+    return Continue(span)
+
+
+def _return(s: TokenStream) -> Stmt:
+    span = s.advance().span
+    nothing = s.at(";", "}") or (s.first_on_line() and s.at(*_STATEMENTS))
+    value = None if nothing else expression(s)
+    s.semicolon()
+    return Return(span, value)
+
+
+def _throw(s: TokenStream) -> Stmt:
+    span = s.advance().span
+    value = expression(s)
+    s.semicolon()
+    return Throw(span, value)
+
+
+def _try(s: TokenStream) -> Stmt:
+    span = s.advance().span
+    body = statement(s)
+    if not s.at("catch") and not isinstance(body, BadStmt) and not s.at("finally"):
+        s.report(messages.TRY_WITHOUT_CATCH, span)
+    catches: list[Catch] = []
+    while s.at("catch"):
+        catches.extend(_catch_clause(s))
+    return Try(span, body, catches)
+
+
+def _catch_clause(s: TokenStream) -> list[Catch]:
+    """One catch; none when its head has a mistake, its body is skipped then."""
+    opening = s.advance()
+    found: list[Catch] = []
+
+    def head() -> None:
+        s.expect("(")
+        caught = type_name(s, "a catch")
+        name = s.expect_name("a name for the exception")
+        found.append(Catch(caught, name.text, name.span, Empty(opening.span)))
+        s.close(")", opening)
+
+    well = s.attempt(head, lambda: s.skip_parentheses(1))
+    body = statement(s)
+    for clause in found:
+        clause.body = body
+    return found if well else []
+
+
+def _simple(s: TokenStream) -> Stmt:
+    """A declaration or an expression with its `;`."""
+    if s.at_name():
+        word = s.current.text
+        if word in FOREIGN_STATEMENTS and _is_foreign(s):
+            return _foreign(s, word)
+        if _before_block(s) and (close := closest(word, _HEADS)):
+            return _misspelt(s, word, close)
+    found = _declaration(s) if at_declaration(s) else _evaluate(s)
+    s.semicolon()
+    return found
+
+
+def _is_foreign(s: TokenStream) -> bool:
+    """Whether the word here is used as in its own language, and not as a name of this program."""
+    following = s.ahead(1).text
+    return s.at("switch", "foreach") if following == "(" else following not in ("=", ".", "[", ";", ",")
+
+
+def _before_block(s: TokenStream) -> bool:
+    """Whether `word {` or `word (...) {` stands here."""
+    ahead, depth = 1, 0
+    while depth > 0 or s.ahead(ahead).text == "(":
+        token = s.ahead(ahead)
+        if token.kind is Kind.END or token.text in ("{", "}"):
+            return False
+        depth += {"(": 1, ")": -1}.get(token.text, 0)
+        ahead += 1
+    return s.ahead(ahead).text == "{"
+
+
+def _misspelt(s: TokenStream, word: str, close: str) -> Stmt:
+    """`whlie (...) {` or `esle {`: reported; only its block is read."""
+    span = s.current.span
+    s.report(messages.MISSPELT_KEYWORD, span, word=word, close=close)
+    while not s.at("{"):
+        s.advance()
+    return Block(span, [BadStmt(span), statement(s)])
+
+
+def _foreign(s: TokenStream, word: str) -> Stmt:
+    """A statement of another language: reported; its block, if it has one, is skipped."""
+    span = s.current.span
+    s.report(messages.FOREIGN_WORD, span, word=word, instead=FOREIGN_STATEMENTS[word])
+    while not s.at_end() and not s.at(";", "{", "}"):
+        s.advance()
+    if s.at("{"):
+        s.skip_braces()
+        if word == "do" and s.at("while"):
+            s.skip_statement()
+    else:
+        s.accept(";")
+    return BadStmt(span)
+
+
+def _declaration(s: TokenStream) -> Stmt:
+    """`T name` or `T name = value`, without its `;`."""
+    declared = type_name(s, "a variable")
+    name = s.expect_name("a name for the variable")
+    misplaced_brackets(s, declared, name.text)
+    value = expression(s) if s.accept("=") else None
+    if s.at(",") and s.ahead(1).kind is name.kind:
+        raise s.fail(messages.ONE_VARIABLE)
+    return Declare(declared.span.to(s.previous.span), declared, name.text, name.span, value)
+
+
+def _evaluate(s: TokenStream) -> Stmt:
+    value = expression(s)
+    return Evaluate(value.span, value)
+
+
+_STATEMENTS: dict[str, Callable[[TokenStream], Stmt]] = {
+    "{": _block,
+    ";": _empty,
+    "if": _if,
+    "else": _else,
+    "catch": _catch,
+    "while": _while,
+    "for": _for,
+    "break": _break,
+    "continue": _continue,
+    "return": _return,
+    "throw": _throw,
+    "try": _try,
+}

@@ -1,0 +1,234 @@
+"""The tokens of a file as the parser reads them, and how it goes on after a mistake.
+
+`fail` reports and raises `Recover`, which a statement, a member or a unit catches to go on at its next
+boundary. `GiveUp` ends the file: what follows could only repeat the same mistake.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from lfield.lang import messages
+from lfield.lang.messages import Message
+from lfield.lang.scanner import Kind, Scan, Token
+from lfield.lang.syntax import Expr
+from lfield.source import Diagnostic, Diagnostics, Span
+
+#: How deep statements and expressions may nest together; the checker and the compiler walk them recursively.
+MAX_NESTING = 100
+
+PRIMITIVES = ("boolean", "int", "real", "string")
+UNIT_KEYWORDS = ("resource", "coordinator", "class")
+#: Keywords that begin a member and nothing inside a body: there, a brace is missing before them.
+MEMBER_KEYWORDS = ("portal", "private", "public", "init", *UNIT_KEYWORDS)
+#: Keywords that begin a statement or a local declaration.
+STATEMENT_KEYWORDS = ("if", "while", "for", "break", "continue", "return", "try", "throw", *PRIMITIVES)
+
+
+class Recover(Exception):
+    """A syntax error that is reported: unwind to the next place where parsing can go on."""
+
+
+class UnclosedBrace(Exception):
+    """A body met the next member: unwind to the unit; it is reported."""
+
+
+class GiveUp(Exception):
+    """Parsing this file ends here; it is reported."""
+
+
+class TokenStream:
+    """A cursor over the tokens, with reporting."""
+
+    def __init__(self, scanned: Scan, found: Diagnostics) -> None:
+        self._tokens, self._bad_lines, self._found = scanned.tokens, scanned.bad_lines, found
+        self._at = 0
+        self.depth = 0
+        self.broken = False
+        #: The first brace of this member whose closing brace stands at another indentation.
+        self.suspect: Span | None = None
+
+    # --- looking and moving ---------------------------------------------------------------------------
+
+    @property
+    def current(self) -> Token:
+        """The token that is next."""
+        return self._tokens[self._at]
+
+    @property
+    def previous(self) -> Token:
+        """The token before it (the first token, at the start)."""
+        return self._tokens[max(self._at - 1, 0)]
+
+    def ahead(self, count: int) -> Token:
+        """The token so many places after the current one, or END."""
+        return self._tokens[min(self._at + count, len(self._tokens) - 1)]
+
+    def at(self, *texts: str) -> bool:
+        """Whether the current token is one of these symbols or words."""
+        return self.current.text in texts
+
+    def at_name(self) -> bool:
+        """Whether the current token is a name."""
+        return self.current.kind is Kind.NAME
+
+    def at_end(self) -> bool:
+        """Whether everything is read."""
+        return self.current.kind is Kind.END
+
+    def first_on_line(self) -> bool:
+        """Whether the current token begins its line."""
+        return self._at == 0 or self.current.span.line > self.previous.span.line
+
+    def advance(self) -> Token:
+        """Take the current token."""
+        token = self.current
+        if token.kind is not Kind.END:
+            self._at += 1
+        return token
+
+    def accept(self, text: str) -> bool:
+        """Take the current token if it is this one."""
+        if not self.at(text):
+            return False
+        self.advance()
+        return True
+
+    # --- expectations ---------------------------------------------------------------------------------
+
+    def expect(self, text: str) -> Token:
+        """Take this symbol or word, or fail."""
+        if not self.at(text):
+            raise self.fail(messages.EXPECTED_SYMBOL, what=f"'{text}'", found=self.current)
+        return self.advance()
+
+    def expect_name(self, what: str) -> Token:
+        """Take a name, or fail."""
+        if self.current.kind is Kind.KEYWORD:
+            raise self.fail(messages.RESERVED_NAME, word=self.current.text)
+        if not self.at_name():
+            raise self.fail(messages.EXPECTED_NAME, what=what, found=self.current)
+        return self.advance()
+
+    def semicolon(self) -> None:
+        """Take the `;` that ends a statement. If it is missing at a line's end, go on as if it were there."""
+        if self.accept(";"):
+            return
+        self.report(messages.MISSING_SEMICOLON, self.after_previous())
+        if not (self.first_on_line() or self.at("}", "{")):
+            raise Recover
+
+    def close(self, symbol: str, opening: Token) -> None:
+        """Take a closing bracket. If it is missing where the bracket must end, go on as if it were there."""
+        if self.accept(symbol):
+            return
+        self.report(
+            messages.MISSING_CLOSE,
+            self.after_previous(),
+            symbol=symbol,
+            opening=opening.text,
+            line=opening.span.line,
+        )
+        if not self.at(";", "{"):
+            raise Recover
+
+    def after_previous(self) -> Span:
+        """The place right after the previous token, where something is missing."""
+        end = self.previous.span.end
+        return Span(self.previous.span.source, end, end)
+
+    # --- reporting ------------------------------------------------------------------------------------
+
+    def report(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
+        """Report, unless the scanner found the mistake of this line already."""
+        self.broken = True
+        if not self._bad_lines.intersection((span.line, self.current.span.line)):
+            self.tell(message.at(span, hint=hint, **values))
+
+    def tell(self, diagnostic: Diagnostic) -> None:
+        """Keep a finding whatever else is wrong on its line."""
+        self.broken = True
+        self._found.add(diagnostic)
+
+    def fail(self, message: Message, *, hint: str | None = None, **values: object) -> Recover:
+        """Report at the current token; raise what this returns."""
+        self.report(message, self.current.span, hint=hint, **values)
+        return Recover()
+
+    # --- nesting --------------------------------------------------------------------------------------
+
+    @contextmanager
+    def nested(self) -> Iterator[None]:
+        """One level deeper, up to MAX_NESTING."""
+        self.depth += 1
+        self._limit(self.depth, self.current.span)
+        try:
+            yield
+        finally:
+            self.depth -= 1
+
+    def bounded(self, expression: Expr) -> Expr:
+        """The expression, if its tree is not too high for those who walk it."""
+        self._limit(self.depth + expression.height, expression.span)
+        return expression
+
+    def _limit(self, depth: int, span: Span) -> None:
+        if depth > MAX_NESTING:
+            self.report(messages.TOO_DEEP, span, limit=MAX_NESTING)
+            raise GiveUp
+
+    # --- going on after a mistake ---------------------------------------------------------------------
+
+    def attempt(self, parse: Callable[[], None], skip: Callable[[], None]) -> bool:
+        """Parse a piece; after a mistake in it, skip what is left of it. Whether it went well."""
+        try:
+            parse()
+        except Recover:
+            skip()
+            return False
+        return True
+
+    def skip_statement(self) -> None:
+        """To the next statement: behind a `;`, or before a brace or a keyword that begins a line."""
+        while not self.at_end() and not self.at("{", "}"):
+            if self.accept(";"):
+                return
+            self.advance()
+            if self.first_on_line() and self.at(*STATEMENT_KEYWORDS, *MEMBER_KEYWORDS):
+                return
+
+    def skip_member(self) -> None:
+        """To the next member: behind a `;` or a whole `{ ... }`, or before a word that begins a member."""
+        while not self.at_end() and not self.at("}"):
+            if self.accept(";"):
+                return
+            if self.at("{"):
+                self.skip_braces()
+                return
+            self.advance()
+            if self.first_on_line() and self.at(*MEMBER_KEYWORDS):
+                return
+
+    def skip_unit(self) -> None:
+        """To the next unit."""
+        while not self.at_end():
+            if self.at("{"):
+                self.skip_braces()
+                return
+            self.advance()
+            if self.accept(";") or self.at(*UNIT_KEYWORDS, "include"):
+                return
+
+    def skip_braces(self) -> None:
+        """Behind the `}` that closes the `{` here, or to the end."""
+        depth = 0
+        while not self.at_end():
+            depth += {"{": 1, "}": -1}.get(self.advance().text, 0)
+            if depth == 0:
+                return
+
+    def skip_parentheses(self, depth: int) -> None:
+        """Behind the `)` that closes so many open `(`, or before a brace, a `;` or the end."""
+        while depth > 0 and not self.at_end() and not self.at("{", "}", ";"):
+            depth += {"(": 1, ")": -1}.get(self.advance().text, 0)

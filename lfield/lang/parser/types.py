@@ -1,0 +1,63 @@
+"""Type names: `int`, `Server`, `string[]`."""
+
+from __future__ import annotations
+
+from lfield.lang import messages
+from lfield.lang.parser.stream import PRIMITIVES, TokenStream
+from lfield.lang.syntax import BAD_TYPE, TypeName
+
+#: How many `[]` a type may have.
+MAX_DIMENSIONS = 8
+
+
+def at_declaration(s: TokenStream) -> bool:
+    """Whether a declaration `T name` begins here, and not an expression."""
+    if s.at(*PRIMITIVES, "void"):
+        return True
+    next_is_name = s.ahead(1).kind == s.current.kind
+    return s.at_name() and (next_is_name or (s.ahead(1).text, s.ahead(2).text) == ("[", "]"))
+
+
+def element_name(s: TokenStream, what: str = "a type") -> TypeName:
+    """The name of a type without its `[]`."""
+    if s.at(*PRIMITIVES, "void"):
+        token = s.advance()
+    else:
+        token = s.expect_name(what)
+    return TypeName(token.span, token.text)
+
+
+def type_name(s: TokenStream, use: str) -> TypeName:
+    """A type for a variable, a field, ... (`use`, for the message); void is none."""
+    found = result_type(s)
+    if found.name == "void":
+        s.report(messages.VOID_VALUE_TYPE, found.span, what=use)
+        found.name = BAD_TYPE
+    return found
+
+
+def result_type(s: TokenStream) -> TypeName:
+    """A type or void."""
+    found = element_name(s)
+    brackets(s, found)
+    if found.name == "void" and found.dimensions:
+        s.report(messages.VOID_VALUE_TYPE, found.span, what="an array")
+        found.name = BAD_TYPE
+    return found
+
+
+def brackets(s: TokenStream, found: TypeName) -> None:
+    """The `[]` after a type name, counted into it."""
+    while s.at("[") and s.ahead(1).text == "]":
+        s.advance()
+        found.dimensions += 1
+        found.span = found.span.to(s.advance().span)
+    if found.dimensions > MAX_DIMENSIONS:
+        raise s.fail(messages.TOO_DEEP, hint="put the inner arrays into a class", limit=MAX_DIMENSIONS)
+
+
+def misplaced_brackets(s: TokenStream, declared: TypeName, name: str) -> None:
+    """`int a[]`, a habit from C: reported, and read as `int[] a`."""
+    if s.at("[") and s.ahead(1).text == "]":
+        s.report(messages.ARRAY_STYLE, s.current.span.to(s.ahead(1).span), type=declared, name=name)
+        brackets(s, declared)

@@ -1,0 +1,216 @@
+"""Characters to tokens (appendix A, completed with comments, escapes and reals)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from enum import Enum
+
+from lfield.lang import messages
+from lfield.source import Diagnostics, Source, Span
+
+#: Reserved words; `specific` is a word only after `resource` or `coordinator` in the head of a class.
+KEYWORDS = frozenset(
+    (
+        *("resource", "coordinator", "class", "include", "init", "portal", "emit", "synchronized"),
+        *("public", "private", "boolean", "int", "real", "string", "void"),
+        *("if", "else", "while", "for", "break", "continue", "return", "try", "catch", "throw"),
+        *("new", "this", "true", "false", "null"),
+    )
+)
+
+#: Operators of C and Java that L does not have; they are tokens, so that the parser can say so.
+FOREIGN_OPERATORS = frozenset(
+    (
+        *("++", "--", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^="),
+        *("===", "!==", "<<", ">>", "&", "|", "^", "~", "->", "=>", "::"),
+    )
+)
+
+
+class Kind(Enum):
+    """What a token is. Keywords and operators are told apart by their text."""
+
+    NAME = "name"
+    KEYWORD = "keyword"
+    INT = "int"
+    REAL = "real"
+    STRING = "string"
+    SYMBOL = "symbol"
+    END = "end"
+
+
+@dataclass(frozen=True, slots=True)
+class Token:
+    """One token; `value` is the number or the text (escapes decoded) of a literal."""
+
+    kind: Kind
+    text: str
+    span: Span
+    value: int | float | str | None = None
+
+    def __str__(self) -> str:
+        """How an error message names it."""
+        if self.kind is Kind.END:
+            return "the end of the file"
+        if self.kind is Kind.STRING:
+            return "text"
+        return f"'{self.text}'" if len(self.text) <= 40 else "a very long word"
+
+
+@dataclass(slots=True)
+class Scan:
+    """All tokens of a source, END last, and the lines on which scanning itself found a mistake.
+
+    The parser says nothing more about those lines, so that one mistake is told once. `cut` says that some
+    of the text could not be read at all and may have held anything.
+    """
+
+    tokens: list[Token] = field(default_factory=list)
+    bad_lines: set[int] = field(default_factory=set)
+    cut: bool = False
+
+
+_TOKEN = re.compile(
+    r"""
+      (?P<space>         [\ \t\r\n\f]++ | //[^\n]*+ )
+    | (?P<comment>       /\*(?s:.*?)\*/ )
+    | (?P<open_comment>  /\*(?s:.*) )
+    | (?P<real>          (?: \d*+\.\d++ (?:[eE][+-]?\d++)?+ | \d++[eE][+-]?\d++ ) (?![\w.]) )
+    | (?P<int>           \d++ (?![\w.]) )
+    | (?P<bad_number>    \.?\d[\w.]*+ )
+    | (?P<name>          [A-Za-z_]\w*+ )
+    | (?P<string>        "(?: [^"\\\n]++ | \\[^\n] )*+" )
+    | (?P<open_string>   "[^\n]*+ )
+    | (?P<quoted>        '[^'\n]*+'?+ )
+    | (?P<symbol>        ===|!==|&&|\|\||==|!=|<=|>=|\+\+|--|[-+*/%&|^]=|->|=>|::|<<|>>
+                         |[-+*/%=!<>&|^~?:;,.(){}\[\]] )
+    | (?P<illegal>       (?: [^\x00-\x7f] | [\#@`$\\\x00-\x08\x0b\x0e-\x1f\x7f] )++ )
+    """,
+    re.VERBOSE | re.ASCII,
+)
+_NOT_TEXT = re.compile("[\0\ud800-\udfff]")
+_ESCAPE = re.compile(r"\\(u\{[0-9a-fA-F]{1,6}\}|u\{?|.)", re.DOTALL)
+_SIMPLE_ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", '"': '"', "\\": "\\"}
+
+
+def scan(source: Source, found: Diagnostics) -> Scan:
+    """All tokens of the source. Mistakes go to `found`; only a text that is none stops the scan."""
+    scanner = _Scanner(source, found)
+    scanner.run()
+    return scanner.result
+
+
+class _Scanner:
+    """One run over one source."""
+
+    def __init__(self, source: Source, found: Diagnostics) -> None:
+        self.source, self.found = source, found
+        self.result = Scan()
+
+    def run(self) -> None:
+        text = self.source.text
+        end = self.span(len(text), len(text))
+        if alien := _NOT_TEXT.search(text):
+            where = self.span(alien.start(), alien.end())
+            self.error(messages.NOT_TEXT, where, character=f"U+{ord(alien.group()):04X}")
+            self.result.bad_lines.add(end.line)
+            self.result.cut = True
+        else:
+            for match in _TOKEN.finditer(text):
+                self.token(match)
+        self.result.tokens.append(Token(Kind.END, "", end))
+
+    def token(self, match: re.Match[str]) -> None:
+        """Append the token of one match, or report it."""
+        group, text, span = match.lastgroup, match.group(), self.span(match.start(), match.end())
+        match group:
+            case "space" | "comment":
+                return
+            case "name":
+                self.append(Kind.KEYWORD if text in KEYWORDS else Kind.NAME, span)
+            case "symbol":
+                self.append(Kind.SYMBOL, span)
+            case "int":
+                # Twenty digits are out of range already; more would only cost time.
+                self.append(Kind.INT, span, int((text.lstrip("0") or "0")[:20]))
+            case "real":
+                self.append(Kind.REAL, span, float(text))
+            case "string":
+                self.append(Kind.STRING, span, self.decoded(span))
+            case _:
+                self.mistake(str(group), span)
+
+    def mistake(self, group: str, span: Span) -> None:
+        """Report what is no token, and put in its place the token that was probably meant."""
+        text = span.text
+        match group:
+            case "open_comment":
+                opening = self.span(span.start, span.start + 2)
+                self.error(messages.UNCLOSED_COMMENT, opening)
+                self.result.bad_lines.add(self.span(span.end, span.end).line)
+                self.result.cut = True
+            case "bad_number":
+                self.error(messages.BAD_NUMBER, span, text=text[:40])
+                self.append(Kind.INT, span, 0)
+            case "open_string":
+                self.error(messages.UNCLOSED_STRING, span)
+                self.append(Kind.STRING, span, "")
+            case "quoted":
+                self.error(messages.SINGLE_QUOTES, span, text=text.strip("'"))
+                self.append(Kind.STRING, span, "")
+            case _:
+                self.error(
+                    messages.ILLEGAL_CHARACTER, span, hint=_character_hint(text), character=_shown(text[0])
+                )
+
+    def decoded(self, span: Span) -> str:
+        """The text of a string literal with its escapes replaced."""
+
+        def replace(match: re.Match[str]) -> str:
+            escape = match.group(1)
+            if escape in _SIMPLE_ESCAPES:
+                return _SIMPLE_ESCAPES[escape]
+            number = int(escape[2:-1], 16) if escape.endswith("}") and len(escape) > 3 else -1
+            if 0 <= number < 0xD800 or 0xE000 <= number <= 0x10FFFF:
+                return chr(number)
+            start = span.start + 1 + match.start()
+            where = self.span(start, start + len(match.group()))
+            self.error(messages.BAD_ESCAPE, where, escape=match.group())
+            return ""
+
+        return _ESCAPE.sub(replace, span.text[1:-1])
+
+    def append(self, kind: Kind, span: Span, value: int | float | str | None = None) -> None:
+        self.result.tokens.append(Token(kind, span.text, span, value))
+
+    def error(
+        self, message: messages.Message, span: Span, *, hint: str | None = None, **values: object
+    ) -> None:
+        self.found.add(message.at(span, hint=hint, **values))
+        self.result.bad_lines.add(span.line)
+
+    def span(self, start: int, end: int) -> Span:
+        return Span(self.source, start, end)
+
+
+def _shown(character: str) -> str:
+    """A character for a message: itself with its number, or only the number when it cannot be seen."""
+    number = f"U+{ord(character):04X}"
+    return f"'{character}' ({number})" if character.isprintable() and not character.isspace() else number
+
+
+def _character_hint(text: str) -> str | None:
+    """A better hint for characters that word processors and web pages put in; None keeps the usual one."""
+    character = text[0]
+    if character in "“”„‟«»":
+        return 'write the straight quote "'
+    if character in "‘’":
+        return "remove it; text stands in straight double quotes"
+    if character in "–—−":
+        return "write the minus sign -"
+    if character == "#":
+        return "a comment begins with //"
+    if character.isspace() or not character.isprintable():
+        return "it cannot be seen; replace it by a plain space"
+    return None

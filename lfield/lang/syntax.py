@@ -1,0 +1,318 @@
+"""The raw syntax tree: what was written, before any name means anything.
+
+The parser builds it, the checker turns it into tree.py. Where a piece of text made no sense there is a
+`Bad` node; the checker says nothing about it, because the parser has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from lfield.lang.tree import UnitKind, Usage
+from lfield.source import Source, Span
+
+#: The name of a type that could not be read; nobody can write it.
+BAD_TYPE = "?"
+
+
+@dataclass(slots=True, eq=False)
+class TypeName:
+    """`Server`, `int[]`: a name and how many `[]` follow it."""
+
+    span: Span
+    name: str
+    dimensions: int = 0
+
+    def __str__(self) -> str:
+        return self.name + "[]" * self.dimensions
+
+
+# --- expressions --------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True, eq=False)
+class Expr:
+    """An expression; `height` is the height of its tree, which the parser limits."""
+
+    span: Span
+    height: int
+
+
+@dataclass(slots=True, eq=False)
+class Bad(Expr):
+    """An expression with a syntax error that is reported already."""
+
+
+@dataclass(slots=True, eq=False)
+class Literal_(Expr):
+    """A number, text, true, false or null (None)."""
+
+    value: bool | int | float | str | None
+
+
+@dataclass(slots=True, eq=False)
+class Name(Expr):
+    """A bare name."""
+
+    name: str
+
+
+@dataclass(slots=True, eq=False)
+class This(Expr):
+    """`this`."""
+
+
+@dataclass(slots=True, eq=False)
+class Unary(Expr):
+    """`!x` or `-x`."""
+
+    operator: str
+    operand: Expr
+
+
+@dataclass(slots=True, eq=False)
+class Binary(Expr):
+    """Any operator with two sides; `sign` is where the operator stands."""
+
+    operator: str
+    sign: Span
+    left: Expr
+    right: Expr
+
+
+@dataclass(slots=True, eq=False)
+class Assign(Expr):
+    """`target = value`; `sign` is where the `=` stands."""
+
+    sign: Span
+    target: Expr
+    value: Expr
+
+
+@dataclass(slots=True, eq=False)
+class Member(Expr):
+    """`object.name`; `place` is where the name stands."""
+
+    object: Expr
+    name: str
+    place: Span
+
+
+@dataclass(slots=True, eq=False)
+class Call(Expr):
+    """`function(arguments)`, where the function is a Name or a Member."""
+
+    function: Name | Member
+    arguments: list[Expr]
+
+
+@dataclass(slots=True, eq=False)
+class Index(Expr):
+    """`array[index]`."""
+
+    array: Expr
+    index: Expr
+
+
+@dataclass(slots=True, eq=False)
+class New(Expr):
+    """`new Type(arguments)`."""
+
+    type: TypeName
+    arguments: list[Expr]
+
+
+@dataclass(slots=True, eq=False)
+class NewArray(Expr):
+    """`new T[n][m][]`: `type` is the whole array type."""
+
+    type: TypeName
+    lengths: list[Expr]
+
+
+# --- statements ---------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True, eq=False)
+class Stmt:
+    """A statement."""
+
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class BadStmt(Stmt):
+    """A statement with a syntax error: it may have declared anything."""
+
+
+@dataclass(slots=True, eq=False)
+class Empty(Stmt):
+    """`;`."""
+
+
+@dataclass(slots=True, eq=False)
+class Block(Stmt):
+    """`{ ... }`."""
+
+    body: list[Stmt]
+
+
+@dataclass(slots=True, eq=False)
+class Declare(Stmt):
+    """`T name;` or `T name = value;`; `place` is where the name stands."""
+
+    type: TypeName
+    name: str
+    place: Span
+    value: Expr | None
+
+
+@dataclass(slots=True, eq=False)
+class Evaluate(Stmt):
+    """An expression as a statement."""
+
+    value: Expr
+
+
+@dataclass(slots=True, eq=False)
+class If(Stmt):
+    """`if (condition) then else otherwise`."""
+
+    condition: Expr
+    then: Stmt
+    otherwise: Stmt | None
+
+
+@dataclass(slots=True, eq=False)
+class While(Stmt):
+    """`while (condition) body`."""
+
+    condition: Expr
+    body: Stmt
+
+
+@dataclass(slots=True, eq=False)
+class For(Stmt):
+    """`for (start; condition; step) body`; each of the three may be left out."""
+
+    start: Stmt | None
+    condition: Expr | None
+    step: Stmt | None
+    body: Stmt
+
+
+@dataclass(slots=True, eq=False)
+class Break(Stmt):
+    """`break;`."""
+
+
+@dataclass(slots=True, eq=False)
+class Continue(Stmt):
+    """`continue;`."""
+
+
+@dataclass(slots=True, eq=False)
+class Return(Stmt):
+    """`return;` or `return value;`."""
+
+    value: Expr | None
+
+
+@dataclass(slots=True, eq=False)
+class Throw(Stmt):
+    """`throw value;`."""
+
+    value: Expr
+
+
+@dataclass(slots=True, eq=False)
+class Catch:
+    """`catch (T name) body`; `place` is where the name stands."""
+
+    type: TypeName
+    name: str
+    place: Span
+    body: Stmt
+
+
+@dataclass(slots=True, eq=False)
+class Try(Stmt):
+    """`try body catch ...`."""
+
+    body: Stmt
+    catches: list[Catch]
+
+
+# --- declarations -------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True, eq=False)
+class Parameter:
+    """`T name`."""
+
+    type: TypeName
+    name: str
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class Field:
+    """A field with its initialiser, if it has one; `span` is its name."""
+
+    type: TypeName
+    name: str
+    public: bool
+    value: Expr | None
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class Method:
+    """A method, constructor, init or portal. `result` is None where none is written; `span` is its name."""
+
+    kind: Literal["method", "constructor", "init", "portal"]
+    name: str
+    parameters: list[Parameter]
+    result: TypeName | None
+    public: bool
+    synchronized: bool
+    span: Span
+    body: list[Stmt] = field(default_factory=list)
+    end: Span = field(init=False)
+    broken: bool = False
+
+    def __post_init__(self) -> None:
+        self.end = self.span
+
+
+@dataclass(slots=True, eq=False)
+class Unit:
+    """A class, resource or coordinator; `broken` when members may be missing; `span` is its name."""
+
+    kind: UnitKind
+    usage: Usage
+    name: str
+    span: Span
+    fields: list[Field] = field(default_factory=list)
+    methods: list[Method] = field(default_factory=list)
+    broken: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class Include:
+    """`include "path";` or, with `library`, `include <path>;`."""
+
+    path: str
+    library: bool
+    span: Span
+
+
+@dataclass(slots=True, eq=False)
+class File:
+    """One parsed file; `broken` when units may be missing."""
+
+    source: Source
+    includes: list[Include] = field(default_factory=list)
+    units: list[Unit] = field(default_factory=list)
+    broken: bool = False
