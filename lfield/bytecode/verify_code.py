@@ -65,6 +65,8 @@ def _check_handler(view: MethodView, handler: Handler, starts: set[int]) -> None
         raise view.refused(handler.start, "a handler leads nowhere, or into what it protects")
     if not 0 <= handler.catches < len(view.core.classes):
         raise view.refused(handler.start, "a handler catches a class that does not exist")
+    if view.core.classes[handler.catches].kind != "class":
+        raise view.refused(handler.start, "a handler catches something that is no class")
     # Class 0, Exception, takes any object, so only a slot of any class can hold what it catches.
     caught = TypeRecord(ANY) if handler.catches == 0 else TypeRecord(OBJECT, handler.catches)
     if view.types.record(view.target(handler.slot, handler.target)) not in (caught, TypeRecord(ANY)):

@@ -78,7 +78,7 @@ def _signature(view: MethodView, pc: int, row: Opcode, quad: Quad) -> Signature:
 def _call(view: MethodView, pc: int, quad: Quad) -> Signature:
     callee = view.core.methods[quad.a]
     if callee.kind not in ("method", "constructor"):
-        raise view.refused(pc, f"a {callee.kind} is not called")
+        raise view.refused(pc, "only methods and constructors are called")
     if not view.sees(view.core.classes[callee.owner]):
         raise view.refused(pc, "the method is out of scope here")
     arguments = callee.slots[: callee.parameters + 1]

@@ -1,0 +1,492 @@
+"""Every refusal of the verifier: a sound program, made unsound in one way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+import pytest
+from program_draft import (
+    ARITHMETIC,
+    ARM,
+    ARM_INIT,
+    ARM_LIFT,
+    BOX,
+    BOX_NEW,
+    BOX_SUM,
+    EXCEPTION,
+    GUIDE,
+    GUIDE_INIT,
+    HALF,
+    NOTHING,
+    ONE,
+    T_ARM,
+    T_BOX,
+    T_INTS,
+    T_PROXIES,
+    T_PROXY,
+    T_STRINGS,
+    T_TOOL,
+    TOOL,
+    TOOL_NEW,
+    TOOL_SHOW,
+    TRUE,
+    WORD,
+    Draft,
+)
+
+from lfield.bytecode.opcodes import TABLE
+from lfield.bytecode.program import (
+    ANY,
+    ARRAY,
+    BUILTIN_CLASSES,
+    DEVICE,
+    INT,
+    NULL,
+    OBJECT,
+    PROXY,
+    REAL,
+    STRING,
+    VOID,
+    Core,
+    DeviceField,
+    FieldRecord,
+    Handler,
+    MethodDebug,
+    TypeRecord,
+)
+from lfield.bytecode.verify import verify
+from lfield.errors import ProgramFileError
+
+Change = Callable[[Draft], object]
+
+
+def refused(change: Change, reason: str) -> None:
+    draft = Draft()
+    change(draft)
+    with pytest.raises(ProgramFileError, match=reason):
+        verify(draft.program())
+
+
+def put(method: int, at: int, *quad: str | int) -> Change:
+    return lambda draft: draft.put(method, at, *quad)
+
+
+def test_the_sound_program_is_accepted() -> None:
+    verify(Draft().program())
+
+
+def test_a_program_without_debug_information_is_accepted() -> None:
+    draft = Draft()
+    draft.debug = []
+    verify(draft.program())
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda d: d.types.pop(0), "first eight types"),
+        (lambda d: d.types.append(TypeRecord(ARRAY, STRING)), "twice"),
+        (lambda d: d.types.append(TypeRecord(ARRAY, len(d.types))), "earlier type"),
+        (lambda d: d.types.append(TypeRecord(ARRAY, -1)), "earlier type"),
+        (lambda d: d.types.append(TypeRecord(ARRAY, VOID)), "earlier type"),
+        (lambda d: d.types.append(TypeRecord(ARRAY, NULL)), "earlier type"),
+        (lambda d: d.types.append(TypeRecord(ARRAY, DEVICE)), "earlier type"),
+        (lambda d: d.types.append(TypeRecord(ARRAY, T_ARM)), "earlier type"),
+        (lambda d: d.types.append(TypeRecord(OBJECT, 99)), "of class 99"),
+        (lambda d: d.types.append(TypeRecord(PROXY, -1)), "of class -1"),
+        (lambda d: d.types.append(TypeRecord(PROXY, BOX)), "no resource"),
+        (lambda d: d.types.append(TypeRecord(PROXY, GUIDE)), "no resource"),
+        (lambda d: d.types.append(TypeRecord(17, 0)), "unknown kind 17"),
+        (lambda d: d.types.append(TypeRecord(INT, 1)), "unknown kind"),
+    ],
+)
+def test_types(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda d: d.change_class(0, name="Other"), "built-in exceptions"),
+        (lambda d: d.change_class(3, fields=()), "built-in exceptions"),
+        (lambda d: d.change_class(3, usage="resource"), "built-in exceptions"),
+        (lambda d: d.change_class(TOOL, name="Box"), "one name"),
+        (lambda d: d.change_class(BOX, name="x\x1b[2J"), "no source can give"),
+        (lambda d: d.change_class(BOX, kind="interface"), "unknown kind"),
+        (lambda d: d.change_class(BOX, usage="nobody"), "unknown kind"),
+        (lambda d: d.change_class(TOOL, fields=(FieldRecord("a b", INT),)), "has the name"),
+        (lambda d: d.change_class(TOOL, fields=(FieldRecord("a", 99),)), "no field can have"),
+        (lambda d: d.change_class(TOOL, fields=(FieldRecord("a", VOID),)), "no field can have"),
+        (lambda d: d.change_class(TOOL, fields=(FieldRecord("a", NULL),)), "no field can have"),
+        (lambda d: d.change_class(TOOL, fields=(FieldRecord("a", T_ARM),)), "no field can have"),
+        (lambda d: d.change_class(ARM, devices=()), "device fields"),
+        (lambda d: d.change_class(ARM, devices=(DeviceField("foot", "Gripper"),)), "device fields"),
+        (
+            lambda d: d.change_class(
+                TOOL, fields=(FieldRecord("a", DEVICE),), devices=(DeviceField("a", "Gripper"),)
+            ),
+            "no resource",
+        ),
+        (lambda d: d.change_class(BOX, init=BOX_SUM), "has an init"),
+        (lambda d: d.change_class(GUIDE, init=-1), "init"),
+        (lambda d: d.change_class(GUIDE, init=99), "init"),
+        (lambda d: d.change_class(GUIDE, init=BOX_SUM), "init"),
+        (lambda d: d.change_class(GUIDE, init=ARM_INIT), "init"),
+    ],
+)
+def test_classes(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda d: d.constants.append(1 << 63), "beyond 64 bits"),
+        (lambda d: d.constants.append(-(1 << 63) - 1), "beyond 64 bits"),
+        (lambda d: d.change_device_call(owner=99), "of class 99"),
+        (lambda d: d.change_device_call(owner=-1), "of class -1"),
+        (lambda d: d.change_device_call(owner=BOX), "does not have"),
+        (lambda d: d.change_device_call(field="foot"), "does not have"),
+        (lambda d: d.change_device_call(device="Wheel"), "does not have"),
+        (lambda d: d.change_device_call(effect="explode"), "unknown effect"),
+        (lambda d: d.change_device_call(parameters=(T_BOX,)), "no driver knows"),
+        (lambda d: d.change_device_call(parameters=(VOID,)), "no driver knows"),
+        (lambda d: d.change_device_call(parameters=(99,)), "no driver knows"),
+        (lambda d: d.change_device_call(result=T_STRINGS), "no driver knows"),
+        (lambda d: d.change_device_call(result=-3), "no driver knows"),
+    ],
+)
+def test_constants_and_device_calls(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda d: d.change_method(BOX_NEW, owner=99), "no class of the program"),
+        (lambda d: d.change_method(BOX_NEW, owner=3), "no class of the program"),
+        (lambda d: d.change_method(BOX_NEW, name="f\x07"), "no source can give"),
+        (lambda d: d.change_method(BOX_NEW, kind="portal"), "method of kind 'portal'"),
+        (lambda d: d.change_method(BOX_NEW, kind="init"), "method of kind 'init'"),
+        (lambda d: d.change_method(ARM_LIFT, kind="constructor"), "method of kind 'constructor'"),
+        (lambda d: d.change_method(BOX_NEW, kind="macro"), "method of kind 'macro'"),
+        (lambda d: d.change_method(BOX_NEW, parameters=2), "slots and 2 parameters"),
+        (lambda d: d.change_method(BOX_NEW, parameters=-1), "-1 parameters"),
+        (lambda d: d.change_method(BOX_NEW, slots=()), "0 slots"),
+        (lambda d: d.change_method(BOX_NEW, slots=(T_BOX,) + (INT,) * 4096), "4097 slots"),
+        (lambda d: d.change_method(BOX_NEW, slots=(T_BOX, 99)), "does not exist"),
+        (lambda d: d.change_method(BOX_NEW, slots=(T_BOX, -1)), "does not exist"),
+        (lambda d: d.change_method(BOX_SUM, result=99), "does not exist"),
+        (lambda d: d.change_method(BOX_NEW, slots=(T_TOOL, INT)), "slot 0"),
+        (lambda d: d.change_method(BOX_NEW, slots=(T_BOX, VOID)), "no variable"),
+        (lambda d: d.change_method(BOX_NEW, slots=(T_BOX, NULL)), "no variable"),
+        (lambda d: d.change_method(BOX_NEW, slots=(T_BOX, DEVICE)), "no variable"),
+        (lambda d: d.change_method(BOX_NEW, slots=(T_BOX, T_ARM)), "no variable"),
+        (lambda d: d.change_method(BOX_SUM, result=NULL), "no value can have"),
+        (lambda d: d.change_method(BOX_NEW, result=INT), "constructor and has a result"),
+        (lambda d: d.change_method(GUIDE_INIT, parameters=0), "string"),
+        (lambda d: d.change_method(GUIDE_INIT, slots=(T_ARM, T_STRINGS), owner=ARM), "init that its class"),
+        (lambda d: d.change_method(ARM_INIT, slots=(T_ARM, T_INTS, STRING, T_TOOL)), "string"),
+        (lambda d: d.change_method(ARM_INIT, result=INT), "string"),
+    ],
+)
+def test_methods(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+def _lift_takes(kind: int) -> Change:
+    return lambda d: d.change_method(ARM_LIFT, slots=(T_ARM, kind, REAL, INT, ANY))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        _lift_takes(T_PROXY),
+        _lift_takes(T_PROXIES),
+        _lift_takes(T_TOOL),
+        _lift_takes(ANY),
+        lambda d: d.change_method(ARM_LIFT, result=T_PROXY),
+        lambda d: d.change_class(BOX, fields=(FieldRecord("value", INT), FieldRecord("next", T_PROXIES))),
+        lambda d: d.change_class(BOX, fields=(FieldRecord("value", INT), FieldRecord("next", ANY))),
+        lambda d: d.change_class(BOX, usage="coordinator"),
+    ],
+)
+def test_nothing_of_one_side_crosses_a_portal(change: Change) -> None:
+    refused(change, "cannot cross")
+
+
+def _with_core(**fields: object) -> Change:
+    def change(draft: Draft) -> None:
+        core = draft.core()
+        spoiled = Core(*(fields.get(f, getattr(core, f)) for f in Core.__struct_fields__))
+        draft.core = lambda: spoiled  # type: ignore[method-assign]  # the draft of this one test
+
+    return change
+
+
+def _moved(index: int, **fields: int) -> Change:
+    def change(draft: Draft) -> None:
+        core = draft.core()
+        methods = [*core.methods]
+        methods[index] = msgspec.structs.replace(methods[index], **fields)
+        _with_core(methods=tuple(methods))(draft)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_moved(0, entry=1), "gap or an overlap"),
+        (_moved(0, end=0), "gap or an overlap"),
+        (_moved(0, end=-1), "gap or an overlap"),
+        (_moved(0, end=4), "gap or an overlap"),
+        (_moved(6, end=1 << 40), "longer or shorter"),
+        (_with_core(code=b""), "longer or shorter"),
+        (lambda d: _with_core(code=d.core().code + b"\0" * 16)(d), "longer or shorter"),
+        (lambda d: _with_core(code=d.core().code[:-1])(d), "longer or shorter"),
+    ],
+)
+def test_methods_cover_the_code(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda d: d.debug.pop(), "not that of its methods"),
+        (lambda d: d.sources.pop(), "comes from no source"),
+        (lambda d: d.debug.__setitem__(0, MethodDebug(-1, (), (), "")), "comes from no source"),
+        (lambda d: d.debug.__setitem__(0, MethodDebug(0, ((2, 1), (1, 1)), (), "")), "out of order"),
+        (lambda d: d.debug.__setitem__(0, MethodDebug(0, ((99, 1),), (), "")), "out of order"),
+        (lambda d: d.debug.__setitem__(1, MethodDebug(0, ((-1, 1),), (), "")), "out of order"),
+        (lambda d: d.debug.__setitem__(0, MethodDebug(0, ((0, 0),), (), "")), "out of order"),
+        (lambda d: d.debug.__setitem__(0, MethodDebug(0, (), ((2, "x"),), "")), "slot that it has not"),
+    ],
+)
+def test_debug_information(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (put(BOX_NEW, 1, "addi", 1, 1, -99), "no constant 98"),
+        (put(BOX_NEW, 1, "addi", 1, 7, ONE), "no slot 7"),
+        (put(BOX_NEW, 1, "addi", 1, ONE, 1), "no slot -1"),
+        (put(BOX_NEW, 1, "addi", 9, 1, ONE), "no slot 9"),
+        (put(BOX_NEW, 1, "move", 0, NOTHING), "slot 0 cannot be written"),
+        (put(BOX_NEW, 1, "addi", -1, 1, 1), "no slot -1"),
+        (put(BOX_NEW, 1, "addi", 1, 1, HALF), "wrong type"),
+        (put(BOX_NEW, 1, "addi", 1, 1, TRUE), "wrong type"),
+        (put(BOX_NEW, 1, "addi", 1, 1, NOTHING), "wrong type"),
+        (put(BOX_NEW, 1, "addi", 1, 1, WORD), "string constant"),
+        (put(BOX_NEW, 1, "addi", 1, 0, 1), "wrong type"),
+        (put(BOX_NEW, 1, "slti", 1, 1, 1), "wrong type"),
+        (put(BOX_NEW, 1, "rtn", 0, 0, 1), "operand too many"),
+        (put(BOX_NEW, 1, "pute", 0, 1, 1), "wrong type"),
+        (put(BOX_NEW, 1, "pute", 0, ONE, 1), "wrong type|no slot"),
+        (put(BOX_NEW, 1, "putf", 1, 0, 1), "wrong type"),
+        (put(BOX_SUM, 10, "eqnull", 3, 2), "wrong type"),
+        (put(BOX_SUM, 9, "bnz", 5, 2), "wrong type"),
+        (put(BOX_SUM, 5, "gete", 3, 4, ONE), "element does not fit"),
+        (put(BOX_SUM, 3, "pute", 4, 2, TRUE), "value does not fit the element"),
+        (put(BOX_SUM, 6, "getf", 2, 0, 1), "field does not fit"),
+        (put(BOX_SUM, 6, "getf", 5, 0, 2), "no field 2"),
+        (put(BOX_SUM, 6, "getf", 5, 0, -1), "no field -1"),
+        (put(BOX_SUM, 6, "getf", 5, 6, 1), "wrong type"),
+        (put(ARM_INIT, 2, "putf", 0, 1, 2), "no field 1"),
+        (put(ARM_INIT, 2, "putf", 0, 0, 3), "does not fit the field"),
+        (put(BOX_SUM, 2, "move", 2, TRUE), "does not fit the slot"),
+        (put(BOX_SUM, 2, "move", 5, 6), "does not fit the slot"),
+        (put(BOX_SUM, 2, "move", 6, 4), "does not fit the slot"),
+        (put(BOX_SUM, 1, "newarray", 4, INT, ONE), "no array"),
+        (put(BOX_SUM, 1, "newarray", 4, T_STRINGS, ONE), "no array"),
+        (put(BOX_SUM, 1, "newarray", 4, 99, ONE), "leads nowhere"),
+        (put(BOX_SUM, 1, "newarray", 4, T_INTS, HALF), "wrong type"),
+        (put(ARM_INIT, 1, "lds", 2, 0), "no string"),
+        (put(ARM_INIT, 1, "lds", 2, 5), "leads nowhere"),
+        (put(ARM_INIT, 1, "lds", 3, 4), "wrong type"),
+        (put(ARM_INIT, 5, "new", 3, BOX), "cannot be created"),
+        (put(ARM_INIT, 5, "new", 3, ARM), "cannot be created"),
+        (put(ARM_INIT, 5, "new", 3, -1), "leads nowhere"),
+        (put(ARM_INIT, 5, "new", 3, 15), "leads nowhere"),
+        (put(BOX_SUM, 2, "new", 6, TOOL), "cannot be created"),
+        (put(BOX_SUM, 12, "return", 3), "not the result"),
+        (put(BOX_SUM, 12, "rtn"), "must return"),
+        (put(BOX_NEW, 2, "return", 1), "not the result"),
+        (put(BOX_SUM, 13, "throw", 4), "only objects"),
+        (put(BOX_SUM, 13, "throw", 1), "wrong type"),
+        (put(ARM_INIT, 1, "throw", 0), "only objects"),
+    ],
+)
+def test_operands(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+def _append(method: int, *quad: str | int) -> Change:
+    def change(draft: Draft) -> None:
+        draft.code[method].append(("rtn", 0, 0, 0))
+        draft.put(method, -1, *quad)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (put(BOX_NEW, 0, "rtn"), "begin with its frame"),
+        (put(BOX_NEW, 0, "frame", BOX_SUM), "begin with its frame"),
+        (put(BOX_NEW, 1, "frame", BOX_NEW), "frame is out of place"),
+        (put(BOX_NEW, 1, "pop", 1), "pop is out of place"),
+        (put(BOX_NEW, 2, "putf", 0, 0, 1), "run off its end"),
+        (put(BOX_SUM, 14, "bz", 5, 3), "run off its end"),
+        (_append(BOX_NEW, "yield"), "run off its end"),
+        (put(BOX_SUM, 4, "jmp", 0), "leads nowhere"),
+        (put(BOX_SUM, 4, "jmp", -1), "leads nowhere"),
+        (put(BOX_SUM, 4, "jmp", 15), "leads nowhere"),
+        (put(ARM_INIT, 12, "jmp", 4), "into a group"),
+        (put(ARM_INIT, 12, "jmp", 9), "into a group"),
+        (put(GUIDE_INIT, 18, "jmp", 15), "into a group"),
+    ],
+)
+def test_control_flow(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+def test_unknown_instructions_are_refused() -> None:
+    draft = Draft()
+    core = draft.core()
+    code = core.code[:16] + b"\xff\xff\0\0" + core.code[20:]
+    with pytest.raises(ProgramFileError, match="no instruction 65535"):
+        verify(draft.program(Core(*core_parts(core)[:-1], code)))
+
+
+def core_parts(core: Core) -> list[object]:
+    return [getattr(core, name) for name in Core.__struct_fields__]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (put(ARM_INIT, 4, "yield"), "1 values are pushed where 0"),
+        (put(ARM_INIT, 4, "rtn"), "taken by no instruction"),
+        (put(ARM_INIT, 3, "yield"), "0 values are pushed where 1"),
+        (_append(BOX_NEW, "push", 1), "taken by no instruction"),
+        (put(ARM_INIT, 3, "push", 1), "not what is taken"),
+        (put(ARM_INIT, 3, "push", WORD), "string constant"),
+        (put(ARM_INIT, 3, "push", 99), "no slot 99"),
+        (put(ARM_INIT, 4, "str_len"), "popped exactly"),
+        (put(ARM_LIFT, 3, "yield"), "popped exactly"),
+        (put(ARM_INIT, 5, "pop", 2), "popped exactly"),
+        (put(ARM_LIFT, 3, "pop", 2), "result does not fit"),
+        (put(ARM_LIFT, 3, "pop", 0), "slot 0"),
+        (put(ARM_INIT, 7, "call", ARM_LIFT), "only methods and constructors"),
+        (put(ARM_INIT, 7, "call", GUIDE_INIT), "only methods and constructors"),
+        (put(ARM_INIT, 7, "call", 7), "leads nowhere"),
+        (put(ARM_INIT, 6, "push", 2), "not what is taken"),
+        (put(ARM_INIT, 9, "push", ONE), "not what is taken"),
+        (put(GUIDE_INIT, 10, "call", TOOL_NEW), "out of scope"),
+        (put(GUIDE_INIT, 14, "pcall", BOX_SUM), "needs a portal"),
+        (put(GUIDE_INIT, 11, "push", 0), "not what is taken"),
+        (put(GUIDE_INIT, 13, "push", ONE), "not what is taken"),
+        (put(ARM_INIT, 7, "pcall", ARM_LIFT), "only coordinators call portals"),
+        (put(BOX_SUM, 2, "pcall", ARM_LIFT), "only coordinators call portals"),
+        (put(GUIDE_INIT, 3, "find", BOX), "only resources are found"),
+        (put(GUIDE_INIT, 3, "find", 99), "leads nowhere"),
+        (put(GUIDE_INIT, 2, "push", 4), "not what is taken"),
+        (put(GUIDE_INIT, 4, "pop", 4), "result does not fit"),
+        (put(GUIDE_INIT, 6, "pop", 2), "result does not fit"),
+        (put(GUIDE_INIT, 5, "findall", BOX), "only resources are found"),
+        (put(ARM_INIT, 4, "find", ARM), "only coordinators find"),
+        (put(ARM_INIT, 11, "findall", ARM), "only coordinators find"),
+        (put(BOX_SUM, 2, "findall", ARM), "only coordinators find"),
+        (put(GUIDE_INIT, 3, "write_str"), "only resources write"),
+        (put(BOX_SUM, 2, "write_int"), "only resources write"),
+        (put(ARM_INIT, 11, "hops"), "only coordinators have hops"),
+        (put(GUIDE_INIT, 3, "device"), "its own resource"),
+        (put(TOOL_SHOW, 2, "device"), "its own resource"),
+        (put(ARM_LIFT, 2, "device", 1), "leads nowhere"),
+        (put(ARM_LIFT, 1, "push", ONE), "not what is taken"),
+        (put(ARM_INIT, 4, "exc_message"), "not what is taken"),
+        (put(ARM_INIT, 4, "array_len"), "not what is taken"),
+    ],
+)
+def test_groups(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+def _handler(start: int, end: int, target: int, catches: int, slot: int) -> Change:
+    row = (Handler(start, end, target, catches, slot),)
+    return lambda draft: draft.change_method(ARM_LIFT, handlers=row)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_handler(4, 4, 1, EXCEPTION, 4), "no run of whole instructions"),
+        (_handler(4, 1, 4, EXCEPTION, 4), "no run of whole instructions"),
+        (_handler(0, 4, 4, EXCEPTION, 4), "no run of whole instructions"),
+        (_handler(-9, 4, 4, EXCEPTION, 4), "no run of whole instructions"),
+        (_handler(2, 4, 4, EXCEPTION, 4), "no run of whole instructions"),
+        (_handler(1, 3, 4, EXCEPTION, 4), "no run of whole instructions"),
+        (_handler(1, 99, 4, EXCEPTION, 4), "no run of whole instructions"),
+        (_handler(1, 4, 2, EXCEPTION, 4), "leads nowhere"),
+        (_handler(1, 4, 1, EXCEPTION, 4), "into what it protects"),
+        (_handler(1, 4, 0, EXCEPTION, 4), "leads nowhere"),
+        (_handler(1, 4, 5, EXCEPTION, 4), "leads nowhere"),
+        (_handler(1, 4, 4, 99, 4), "does not exist"),
+        (_handler(1, 4, 4, -1, 4), "does not exist"),
+        (_handler(1, 4, 4, EXCEPTION, 3), "does not fit its slot"),
+        (_handler(1, 4, 4, EXCEPTION, 0), "slot 0"),
+        (_handler(1, 4, 4, EXCEPTION, 99), "no slot 99"),
+    ],
+)
+def test_handlers(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+def test_a_handler_of_a_class_is_accepted() -> None:
+    draft = Draft()
+    _handler(1, 4, 4, BOX, 1)(draft)
+    verify(draft.program())
+
+
+def test_exception_takes_any_object_so_its_slot_must() -> None:
+    handler = (Handler(1, 3, 4, EXCEPTION, 2),)
+    refused(lambda d: d.change_method(TOOL_SHOW, handlers=handler), "does not fit its slot")
+    other = (Handler(1, 3, 4, ARITHMETIC + 1, 2),)
+    refused(lambda d: d.change_method(TOOL_SHOW, handlers=other), "does not fit its slot")
+
+
+def test_an_agent_is_not_caught() -> None:
+    refused(_handler(1, 4, 4, ARM, 4), "catches something that is no class")
+
+
+def test_a_refusal_says_where() -> None:
+    draft = Draft()
+    draft.put(BOX_SUM, 2, "move", 2, TRUE)
+    with pytest.raises(ProgramFileError) as caught:
+        verify(draft.program())
+    assert (caught.value.method, caught.value.pc) == ("sum", 5)
+
+
+def test_null_fits_every_reference_and_an_object_fits_any() -> None:
+    draft = Draft()
+    draft.put(BOX_SUM, 2, "move", 4, NOTHING)
+    draft.put(BOX_SUM, 6, "move", 6, 5)
+    draft.put(BOX_SUM, 10, "eqnull", 3, NOTHING)
+    verify(draft.program())
+
+
+def test_the_table_is_consistent() -> None:
+    """What the rest relies on: at most three operands, known words, one number and name per row."""
+    kinds = {"boolean", "int", "real", "string", "object", "array", "ref", "same", "any", ""}
+    assert len({row.code for row in TABLE}) == len({row.name for row in TABLE}) == len(TABLE)
+    for row in TABLE:
+        assert len(row.operands) <= 3
+        assert {operand.kind for operand in row.operands} <= kinds
+        assert {operand.role for operand in row.operands} <= set("DSVLCTMFKI")
+        assert {*(row.takes or ()), row.gives} <= kinds
+    assert BUILTIN_CLASSES[EXCEPTION] == "Exception"

@@ -1,0 +1,161 @@
+"""Whatever is done to a sound program, the verifier accepts it or raises ProgramFileError, nothing else."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import time
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from program_draft import Draft
+
+from lfield.bytecode import encoding
+from lfield.bytecode.opcodes import TABLE
+from lfield.bytecode.program import Core, Program, Quad, encode_quads
+from lfield.bytecode.verify import verify
+from lfield.errors import ProgramFileError
+
+_SOUND = Draft()
+_CORE = _SOUND.core()
+_QUADS = _SOUND.program().quads
+
+_opcode = st.one_of(st.sampled_from([row.code for row in TABLE]), st.integers(-(1 << 31), (1 << 31) - 1))
+_number = st.one_of(st.integers(-8, 70), st.sampled_from([-(1 << 31), (1 << 31) - 1]))
+_quad = st.builds(Quad, _opcode, _number, _number, _number)
+
+
+def accepts_or_refuses(core: Core) -> None:
+    with contextlib.suppress(ProgramFileError):
+        verify(Program(core, _SOUND.program().debug, b""))
+
+
+def with_code(quads: list[Quad]) -> Core:
+    return Core(*[getattr(_CORE, name) for name in Core.__struct_fields__[:-1]], encode_quads(quads))
+
+
+@given(st.lists(st.tuples(st.integers(0, len(_QUADS) - 1), _quad), min_size=1, max_size=4))
+@settings(deadline=None)
+def test_changed_instructions(changes: list[tuple[int, Quad]]) -> None:
+    quads = [*_QUADS]
+    for at, quad in changes:
+        quads[at] = quad
+    accepts_or_refuses(with_code(quads))
+
+
+@given(st.integers(0, len(_QUADS) - 1), st.integers(0, 3), _number)
+@settings(deadline=None)
+def test_one_changed_number_of_an_instruction(at: int, position: int, number: int) -> None:
+    quads = [*_QUADS]
+    numbers = [*quads[at]]
+    numbers[position] = number
+    quads[at] = Quad(*numbers)
+    accepts_or_refuses(with_code(quads))
+
+
+@given(st.permutations(range(len(_QUADS))))
+@settings(deadline=None, max_examples=50)
+def test_instructions_in_another_order(order: list[int]) -> None:
+    accepts_or_refuses(with_code([_QUADS[i] for i in order]))
+
+
+def _leaves(value: object, path: tuple[int, ...] = ()) -> list[tuple[int, ...]]:
+    """The paths of all numbers and texts in nested lists."""
+    if isinstance(value, list):
+        return [leaf for i, part in enumerate(value) for leaf in _leaves(part, (*path, i))]
+    return [path]
+
+
+#: Where the records of the core have numbers and texts; the code is changed by other tests.
+_RECORDS = _leaves(msgspec.msgpack.decode(msgspec.msgpack.encode(_CORE))[:-1])
+
+
+@given(st.lists(st.sampled_from(_RECORDS), min_size=1, max_size=3), st.data())
+@settings(deadline=None, max_examples=300)
+def test_changed_records(paths: list[tuple[int, ...]], data: st.DataObject) -> None:
+    plain = msgspec.msgpack.decode(msgspec.msgpack.encode(_CORE))
+    for path in paths:
+        holder = plain
+        for step in path[:-1]:
+            holder = holder[step]
+        holder[path[-1]] = data.draw(_like(holder[path[-1]]))
+    try:
+        core = msgspec.msgpack.decode(msgspec.msgpack.encode(plain), type=Core)
+    except msgspec.ValidationError:
+        return  # a value of another kind, which reading a file refuses before the verifier
+    accepts_or_refuses(core)
+
+
+def _like(value: object) -> st.SearchStrategy[object]:
+    if isinstance(value, str):
+        return st.one_of(
+            st.sampled_from(["class", "resource", "coordinator", "global", "Box"]), st.text(max_size=4)
+        )
+    if isinstance(value, bool) or value is None:
+        return st.sampled_from([True, False, None])
+    return st.one_of(st.integers(-3, 20), st.integers(-(1 << 63), (1 << 64) - 1))
+
+
+def _file() -> bytes:
+    return encoding.encode(encoding.assemble(_CORE, _SOUND.program().debug))
+
+
+def test_a_file_comes_back_as_it_was() -> None:
+    program = encoding.decode(_file())
+    assert program.core == _CORE
+    assert program.digest == hashlib.sha256(msgspec.msgpack.encode(_CORE)).digest()
+
+
+def test_debug_information_is_no_part_of_the_identity() -> None:
+    other = Draft()
+    other.debug = []
+    program = other.program()
+    assert encoding.assemble(program.core, program.debug).digest == encoding.decode(_file()).digest
+
+
+@given(st.integers(0, len(_file()) - 1), st.integers(1, 255))
+@settings(deadline=None)
+def test_a_changed_byte_is_noticed(at: int, change: int) -> None:
+    data = bytearray(_file())
+    data[at] ^= change
+    if 6 <= at < 8:
+        return  # two bytes that mean nothing yet
+    with pytest.raises(ProgramFileError):
+        encoding.decode(bytes(data))
+
+
+@given(st.integers(0, len(_file()) - 1))
+@settings(deadline=None)
+def test_a_cut_file_is_noticed(length: int) -> None:
+    with pytest.raises(ProgramFileError):
+        encoding.decode(_file()[:length])
+
+
+@given(st.binary(max_size=200))
+@settings(deadline=None)
+def test_records_of_any_bytes_are_refused(body: bytes) -> None:
+    """With a right checksum, so that decoding is reached."""
+    header = encoding._HEADER.pack(
+        encoding.MAGIC, encoding.VERSION, 0, hashlib.sha256(body).digest(), len(body)
+    )
+    with pytest.raises(ProgramFileError):
+        encoding.decode(header + body)
+
+
+def _seconds(count: int) -> float:
+    """Processor time to verify a method of so many instructions, each the target of a jump."""
+    draft = Draft()
+    draft.put(1, 2, "move", 2, -3)
+    draft.code[1][2:2] = [("jmp", at + 3, 0, 0) for at in range(count)]
+    program = Program(draft.core(), draft.program().debug, b"")
+    started = time.process_time()
+    with pytest.raises(ProgramFileError, match="does not fit the slot"):
+        verify(program)
+    return time.process_time() - started
+
+
+def test_the_time_is_in_proportion_to_the_size() -> None:
+    """Eight times the instructions take far less than the 64 times of a quadratic check."""
+    assert _seconds(40_000) < 30 * _seconds(5_000)
