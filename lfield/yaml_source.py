@@ -153,6 +153,8 @@ class _Parser:
 
     def _span(self, event: yaml.Event) -> Span:
         # PyYAML ends a block collection where the next thing starts: without this the caret runs over lines.
+        assert event.start_mark is not None
+        assert event.end_mark is not None
         start, end = event.start_mark.index, event.end_mark.index
         return Span(self._source, start, max(end, start + 1))
 
@@ -366,7 +368,7 @@ class Fields:
             if entry.key not in self._known:
                 hint = _did_you_mean(entry.key, sorted(self._known))
                 hint = hint or (f"known here: {', '.join(sorted(self._known))}" if self._known else "")
-                self.report("Y111", f"{self.what} has no '{entry.key}'", entry.key_span, hint)
+                self.report("Y111", f"{self.what} takes no '{entry.key}'", entry.key_span, hint)
 
     def _wrong(self, key: str, expected: str, node: Node) -> None:
         self.report("Y112", f"'{key}' must be {expected}, not {describe(node)}", node.span)

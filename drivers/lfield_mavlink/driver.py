@@ -6,7 +6,6 @@ import asyncio
 from typing import Any
 
 from lfield.driver import DeviceBinding, Driver
-from lfield.errors import DeviceError
 from lfield_mavlink.dialect import AUTOPILOT, Reader, Writer, dialect
 from lfield_mavlink.links import Link, make_link
 from lfield_mavlink.vehicle import MavlinkVehicle
@@ -27,9 +26,7 @@ class MavlinkDriver(Driver):
         for device in self.devices.values():
             assert isinstance(device, MavlinkVehicle)
             if device.system in self._vehicles:
-                raise DeviceError(
-                    device.binding.field, f"two devices are system {device.system} on {self.endpoint}"
-                )
+                raise device.error(f"two devices are system {device.system} on {self.endpoint}")
             self._vehicles[device.system] = device
         self._link: Link | None = self._make_link()
         await self._link.open()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from lfield_mavlink.dialect import AUTOPILOT, COMPONENT, SYSTEM, dialect
@@ -16,6 +17,14 @@ from lfield_mavlink.dialect import AUTOPILOT, COMPONENT, SYSTEM, dialect
 PATIENCE, RETRIES = 0.5, 3
 #: Seconds to wait after an IN_PROGRESS, each time; and in all.
 PROGRESS, LONGEST = 5.0, 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The MAV_RESULT of a command, None when nobody answered, and how often it was sent."""
+
+    result: int | None
+    attempts: int
 
 
 class Exchange:
@@ -28,8 +37,8 @@ class Exchange:
         self._acks: dict[int, asyncio.Queue[int]] = {}
         self._parameters: dict[str, asyncio.Future[float]] = {}
 
-    async def command(self, number: int, *values: float) -> int | None:
-        """The MAV_RESULT of a command, or None when nobody answered."""
+    async def command(self, number: int, *values: float) -> Answer:
+        """Send a command until it is answered, RETRIES + 1 times at most."""
         async with self._locks[number]:
             acks = self._acks[number] = asyncio.Queue()
             try:
@@ -37,19 +46,18 @@ class Exchange:
                     self._send(self._command_long(number, confirmation, values))
                     result = await _final(acks)
                     if result is not None:
-                        return result
-                return None
+                        return Answer(result, confirmation + 1)
+                return Answer(None, RETRIES + 1)
             finally:
                 del self._acks[number]
 
     async def parameter(self, name: str) -> float | None:
         """The value of a parameter; None when nobody answered, as for a name that does not exist."""
         future = self._parameters.setdefault(name, asyncio.get_running_loop().create_future())
+        question = dialect.MAVLink_param_request_read_message(self._system, AUTOPILOT, name.encode(), -1)
         try:
             for _ in range(RETRIES + 1):
-                self._send(
-                    dialect.MAVLink_param_request_read_message(self._system, AUTOPILOT, name.encode(), -1)
-                )
+                self._send(question)
                 try:
                     async with asyncio.timeout(PATIENCE):
                         return await asyncio.shield(future)

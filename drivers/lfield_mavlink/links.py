@@ -65,9 +65,8 @@ class UdpLink(asyncio.DatagramProtocol):
         """Bind or connect the socket."""
         local, remote = (self._address, None) if self._listens else (None, self._address)
         try:
-            transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
-                lambda: self, local, remote
-            )
+            loop = asyncio.get_running_loop()
+            transport, _ = await loop.create_datagram_endpoint(lambda: self, local, remote)
         except OSError as error:
             raise _cannot("udp", self._address, error) from None
         self._transport = transport

@@ -105,9 +105,7 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
     if not safe_states:
         top.report("Y110", "a manifest needs at least one safe state", top.value_span("safe_states"))
     options = tuple(_option(name, fields) for name, fields in _named(top, "options"))
-    limits = tuple(
-        Limit(name, fields.text("unit"), fields.text("meaning")) for name, fields in _named(top, "limits")
-    )
+    limits = tuple(_limit(name, fields) for name, fields in _named(top, "limits"))
     instructions = [_instruction(name, fields) for name, fields in _named(top, "instructions")]
     telemetry = tuple(_quantity(name, fields) for name, fields in _named(top, "telemetry"))
     _check_names_differ(top, {instruction.name for instruction in instructions})
@@ -166,6 +164,12 @@ def _option(name: str, fields: Fields) -> Option:
     )
     fields.done()
     return option
+
+
+def _limit(name: str, fields: Fields) -> Limit:
+    limit = Limit(name, fields.text("unit"), fields.text("meaning"))
+    fields.done()
+    return limit
 
 
 def _instruction(name: str, fields: Fields) -> Instruction:

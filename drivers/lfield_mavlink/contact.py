@@ -1,0 +1,176 @@
+"""Contact with one vehicle: its messages, its streams, commands with their refusals, and waiting for news."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from typing import Any
+
+from lfield.clock import Clock
+from lfield.driver import Device, DeviceBinding, Manifest, Reports
+from lfield_mavlink.dialect import dialect, result_words
+from lfield_mavlink.exchange import Exchange
+from lfield_mavlink.modes import KINDS
+from lfield_mavlink.state import STREAMS, VehicleState
+from lfield_mavlink.texts import Texts
+
+#: Seconds without a heartbeat after which the link is lost.
+LINK_LOST = 3.0
+#: Seconds for a state to show after it was accepted (a heartbeat comes every second at least).
+SHOWS = 3.0
+#: Seconds to wait for a text that explains a refusal.
+EXPLAINS = 0.3
+
+
+class Contact(Device):
+    """A vehicle that is heard and can be asked; what it can do is in MavlinkVehicle."""
+
+    def __init__(
+        self,
+        binding: DeviceBinding,
+        manifest: Manifest,
+        clock: Clock,
+        reports: Reports,
+        send: Callable[[Any], None],
+    ) -> None:
+        super().__init__(binding, manifest, clock, reports)
+        self.system: int = binding.option("system")
+        self._kind = KINDS[binding.option("kind")]
+        self._send = send
+        self.state = VehicleState(self._kind)
+        self._exchange = Exchange(self.system, send)
+        self._texts = Texts()
+        self._news = asyncio.Event()
+        self._lost = False
+        self._published: set[str] = set()
+
+    # -- messages -------------------------------------------------------------------------------------
+
+    def on_message(self, message: Any) -> None:
+        """A message of this vehicle's autopilot."""
+        now = self.clock.monotonic()
+        if message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT:
+            self._on_text(message, now)
+        values = self.state.update(message, now)
+        if self.state.heard == now:
+            self.heard()
+        if values:
+            self.publish(**values)
+            self._published.update(values)
+        self._exchange.on_message(message)
+        self._news.set()
+
+    def _on_text(self, message: Any, now: float) -> None:
+        text = self._texts.add(message.text, message.id, message.chunk_seq, now)
+        if text and message.severity <= dialect.MAV_SEVERITY_WARNING:
+            self.note(f"the autopilot says: {text}")
+
+    async def watch(self) -> None:
+        """Tell when the link is lost and found; after it came back the streams are asked for again."""
+        while True:
+            await asyncio.sleep(LINK_LOST / 4)
+            silent = self._silence() > LINK_LOST
+            if silent != self._lost and self.state.heard is not None:
+                self._lost = silent
+                self.note("no heartbeat; the link is lost" if silent else "heard again")
+                if not silent:
+                    await self._ask_for_streams()
+
+    # -- opening --------------------------------------------------------------------------------------
+
+    async def _open(self) -> str:
+        patience: float = self.binding.option("connect")
+        if not await self._seen(lambda: self.state.heard is not None, patience):
+            raise self.error(
+                f"no heartbeat from system {self.system} at {self.binding.endpoint} within {patience:g} s; "
+                "check that the vehicle is on, the endpoint, and the id in the bindings",
+                timeout=True,
+            )
+        if self.state.autopilot != dialect.MAV_AUTOPILOT_ARDUPILOTMEGA:
+            raise self.error(f"system {self.system} has no ArduPilot (autopilot {self.state.autopilot})")
+        if self.state.type not in self._kind.types:
+            raise self.error(f"system {self.system} is no {self._kind.name} (MAV_TYPE {self.state.type})")
+        await asyncio.gather(self._ask_for_streams(), self._check_failsafe())
+        wanted = {quantity.name for quantity in self.manifest.device.telemetry}
+        await self._seen(lambda: wanted <= self._published, SHOWS)
+        if missing := wanted - self._published:
+            self.note(f"it does not report {', '.join(sorted(missing))}")
+        return f"ArduPilot {self._kind.name}, system {self.system}"
+
+    async def _ask_for_streams(self) -> None:
+        await asyncio.gather(*(self._ask_for_stream(kind, rate) for kind, rate in STREAMS.items()))
+        origin = dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
+        await self._exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, origin)
+        if not await self._seen(lambda: self.state.knows_frames, SHOWS):
+            self.note("it does not tell where home is; positions are of the place where it was switched on")
+
+    async def _ask_for_stream(self, kind: int, rate: float) -> None:
+        await self._exchange.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / rate)
+
+    async def _check_failsafe(self) -> None:
+        """Find out whether the autopilot acts by itself when this computer dies."""
+        value = await self._exchange.parameter("FS_GCS_ENABLE")
+        if value is None:
+            self.note("it does not tell FS_GCS_ENABLE: what it does when this computer dies is not known")
+        elif value == 0 and "gcsFailsafe" not in self._published:
+            self.note("FS_GCS_ENABLE is 0: if this computer dies, the autopilot itself does nothing")
+        self.publish(gcsFailsafe=bool(value))
+        self._published.add("gcsFailsafe")
+
+    # -- asking and waiting ---------------------------------------------------------------------------
+
+    async def _command(
+        self, what: str, number: int, *values: float, taken: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Have a command accepted. Raises DeviceError with the result and the autopilot's own reason.
+
+        `taken` is a state that shows that it was: when the first copy was taken and its answer lost, the
+        second copy may be refused, as a takeoff is in the air.
+        """
+        start = self.clock.monotonic()
+        answer = await self._exchange.command(number, *values)
+        if answer.result == dialect.MAV_RESULT_ACCEPTED:
+            return
+        if answer.attempts > 1 and await self._seen(taken, EXPLAINS):
+            return
+        if answer.result is None:
+            raise self.error(f"{what}: the autopilot did not answer", timeout=True)
+        await self._seen(lambda: bool(self._texts.since(start)), EXPLAINS)
+        reasons = "".join(f", {text}" for text in self._texts.since(start))
+        raise self.error(f"{what} refused: {result_words(answer.result)}{reasons}")
+
+    def _silence(self) -> float:
+        """Seconds since the last heartbeat."""
+        return math.inf if self.state.heard is None else self.clock.monotonic() - self.state.heard
+
+    def _check_link(self) -> None:
+        if self._silence() > LINK_LOST:
+            raise self.error(f"no heartbeat for {self._silence():.1f} s; the link is lost", timeout=True)
+
+    async def _until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
+        """Wait until the state shows it. Raises DeviceError when it does not."""
+        start = self.clock.monotonic()
+        if not await self._seen(condition, bound):
+            self._check_link()
+            reasons = "".join(f", {text}" for text in self._texts.since(start))
+            raise self.error(f"{what} was accepted but did not happen within {bound:g} s{reasons}")
+
+    async def _seen(self, condition: Callable[[], bool], bound: float) -> bool:
+        """Whether the condition came true within `bound` seconds; looked at with every message."""
+        end = self.clock.monotonic() + bound
+        while not condition():
+            left = end - self.clock.monotonic()
+            if left <= 0.0:
+                return False
+            await self._next_news(left)
+        return True
+
+    async def _next_news(self, longest: float) -> None:
+        """Sleep until the next message, at most `longest` seconds."""
+        self._news.clear()
+        try:
+            async with asyncio.timeout(longest):
+                await self._news.wait()
+        except TimeoutError:
+            pass

@@ -1,0 +1,143 @@
+"""A bench: the driver and the fake joined in memory, in time that jumps over every wait."""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+
+from lfield.driver import DeviceBinding
+from lfield_mavlink import PLUGIN
+from lfield_mavlink.driver import MavlinkDriver
+from lfield_sim.autopilot import KINDS, Autopilot
+from lfield_sim.mavlink.protocol import STEP, Faults, MavlinkFake
+
+MANIFEST = PLUGIN.manifest()
+
+
+class JumpSelector(selectors.DefaultSelector):
+    """Never waits: time moves on to when the loop would have been woken."""
+
+    now = 1000.0
+
+    def select(self, timeout=None):
+        ready = super().select(0)
+        if not ready and timeout is None:
+            raise RuntimeError("the loop would sleep for ever")
+        if not ready:
+            self.now += timeout
+        return ready
+
+
+def jumping_loop() -> asyncio.SelectorEventLoop:
+    selector = JumpSelector()
+    loop = asyncio.SelectorEventLoop(selector)
+    loop.time = lambda: selector.now
+    return loop
+
+
+class LoopClock:
+    def monotonic(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    time = monotonic
+
+
+class MemoryLink:
+    """Packets handed over in the next turn of the loop."""
+
+    def __init__(self, bench: Bench, on_data: Callable[[bytes], None]) -> None:
+        self.bench, self.on_data = bench, on_data
+
+    async def open(self) -> None:
+        self.bench.link = self
+
+    def send(self, data: bytes) -> None:
+        self.bench.sent.append(data)
+        if not self.bench.cut:
+            asyncio.get_running_loop().call_soon(self._deliver, data)
+
+    def _deliver(self, data: bytes) -> None:
+        for packet in self.bench.fake.receive("driver", data):
+            self.on_data(packet)
+
+    def close(self) -> None:
+        pass
+
+
+class BenchDriver(MavlinkDriver):
+    bench: Bench
+
+    def _make_link(self):
+        return MemoryLink(self.bench, self._received)
+
+
+class Bench:
+    """One fake and one driver for it; what the driver reports is kept."""
+
+    def __init__(self, *, kind="copter", faults=None, limits=None, options=None, **autopilot: Any) -> None:
+        self.autopilot = Autopilot(KINDS[kind], **autopilot)
+        self.fake = MavlinkFake(self.autopilot, faults=faults or Faults())
+        given = {"system": 1, "kind": kind, "connect": 5.0, "tolerance": 0.5, **(options or {})}
+        self.binding = DeviceBinding(
+            agent="alpha", field="fc", driver="mavlink", endpoint="udp:127.0.0.1:1", safe_state="land",
+            limits=limits or {}, options=given,
+        )  # fmt: skip
+        self.sent: list[bytes] = []
+        self.link: MemoryLink | None = None
+        self.cut = False
+        self.values: dict[str, Any] = {}
+        self.notes: list[str] = []
+        self.crashes: list[str] = []
+
+    # the driver's reports
+    def publish(self, device, values):
+        self.values.update(values)
+
+    def heard(self, device):
+        pass
+
+    def note(self, device, text):
+        self.notes.append(text)
+
+    def crashed(self, reason):
+        self.crashes.append(reason)
+
+    def run(self, mission: Callable[[Any], Awaitable[Any]], *, opened: bool = True) -> Any:
+        """Run a mission with the device, opened unless told otherwise."""
+
+        async def main() -> Any:
+            driver = type("Driver", (BenchDriver,), {"bench": self})(
+                [self.binding], MANIFEST, LoopClock(), self
+            )
+            flying = asyncio.get_running_loop().create_task(self._fly())
+            try:
+                await driver.open()
+                device = driver.devices["alpha.fc"]
+                if opened:
+                    await device.open()
+                return await mission(device)
+            finally:
+                flying.cancel()
+                await driver.close()
+
+        with asyncio.Runner(loop_factory=jumping_loop) as runner:
+            result = runner.run(main())
+        assert self.crashes == []
+        return result
+
+    async def _fly(self) -> None:
+        while True:
+            await asyncio.sleep(STEP)
+            packets = self.fake.advance(STEP)
+            if self.link is not None and not self.cut:
+                for packet in packets:
+                    self.link.on_data(packet)
+
+
+@pytest.fixture
+def bench() -> type[Bench]:
+    return Bench
