@@ -350,9 +350,9 @@ class Fields:
             self._known.add(entry.key)
             yield entry, Fields(entry.value, self._found, f"'{entry.key}'")
 
-    def keys(self) -> tuple[str, ...]:
-        """The keys that the text has."""
-        return tuple(self._entries)
+    def __contains__(self, key: str) -> bool:
+        """Whether the text has the key."""
+        return key in self._entries
 
     def key_span(self, key: str) -> Span:
         """Where a key stands; where the mapping stands when it is absent."""

@@ -9,7 +9,6 @@ import argparse
 import importlib
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from typing import Protocol, runtime_checkable
 
@@ -39,13 +38,16 @@ class Sim(Protocol):
         """
 
 
-@dataclass(slots=True)
-class Sims:
-    """The fakes that are installed, by driver name, and a sentence for each that is broken."""
+class Sims(dict[str, Sim]):
+    """The fakes that are installed, by driver name.
 
-    by_name: dict[str, Sim] = field(default_factory=dict)
-    references: dict[str, str] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
+    `references` are how another process imports them; `problems` has a sentence for each broken one.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.references: dict[str, str] = {}
+        self.problems: list[str] = []
 
     def add(self, reference: str) -> None:
         """Take a fake in, or note why it cannot be. Raises PluginError on a duplicate name."""
@@ -54,11 +56,12 @@ class Sims:
         except PluginError as error:
             self.problems.append(str(error))
             return
-        if sim.name in self.by_name:
+        if sim.name in self:
+            rival = self.references[sim.name]
             raise PluginError(
-                f"{self.references[sim.name]} and {reference} are both the fake '{sim.name}'; uninstall one"
+                f"{rival} and {reference} are both the fake '{sim.name}'; uninstall one of them"
             )
-        self.by_name[sim.name], self.references[sim.name] = sim, reference
+        self[sim.name], self.references[sim.name] = sim, reference
 
 
 def discover_sims(entries: Iterable[EntryPoint] | None = None) -> Sims:
