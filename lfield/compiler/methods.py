@@ -19,12 +19,10 @@ def compile_method(method: Method, tables: Tables, entry: int) -> Frame | Diagno
     frame = Frame(method, tables, Slots(tables.object_type(method.unit.name)), Code(entry))
     for parameter in method.parameters:
         frame.slots.parameter(parameter, tables.type_index(parameter.type))
-    try:
-        _compile_body(frame)
-    except RecursionError:
-        return _too_much(method, "is nested too deeply")
+    _compile_body(frame)
     if len(frame.slots.types) > MAX_SLOTS:
-        return _too_much(method, f"needs more than {MAX_SLOTS} variables and intermediate values")
+        message = f"{method.signature} needs more than {MAX_SLOTS} variables and intermediate values"
+        return Diagnostic("L499", message, method.span, "split it into several methods")
     return frame
 
 
@@ -35,10 +33,6 @@ def _compile_body(frame: Frame) -> None:
     Statements(frame).block(method.body)
     code.line = method.end.line
     code.emit("rtn" if method.result == types.VOID else "noreturn")
-
-
-def _too_much(method: Method, what: str) -> Diagnostic:
-    return Diagnostic("L499", f"{method.signature} {what}", method.span, "split it into several methods")
 
 
 def method_record(frame: Frame) -> MethodRecord:
