@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from lfield.vm import layout
 from lfield.vm.layout import HEADER_WORDS, STRING, header
 
@@ -24,11 +27,12 @@ class Full(Exception):
 class Block:
     """A block in memory: its bytes, seen as ints (`w`) and as reals (`r`).
 
-    `top` is the first unused word; `limit` the most words the heap may have. The views belong to the bytes
-    of the moment: whoever collects or grows a block must take them again.
+    `top` is the first unused word, `end` the first one that may not be used, `limit` the most words the heap
+    may have. The views belong to the bytes of the moment: whoever collects or grows a block must take them
+    again.
     """
 
-    __slots__ = ("data", "limit", "r", "top", "w")
+    __slots__ = ("data", "end", "limit", "r", "top", "w")
 
     def __init__(self, data: bytearray, top: int, limit: int) -> None:
         self.limit = limit
@@ -50,11 +54,16 @@ class Block:
         view = memoryview(data)
         self.w = view.cast("q")
         self.r = view.cast("d")
+        self.end = min(len(self.w), self.limit)
 
-    @property
-    def capacity(self) -> int:
-        """Words there are bytes for."""
-        return len(self.w)
+    @contextmanager
+    def reserve(self) -> Iterator[None]:
+        """Allow what is above the limit too, for as long as it takes to say that the limit is reached."""
+        self.end = len(self.w)
+        try:
+            yield
+        finally:
+            self.end = min(len(self.w), self.limit)
 
     def image(self) -> memoryview:
         """The used bytes: what a hop sends, a shadow keeps and a dump holds."""
@@ -65,7 +74,7 @@ class Block:
         """Room for a thing of so many words, all 0 behind its header; raises Full."""
         place = self.top
         end = place + words
-        if end > len(self.w):
+        if end > self.end:
             raise Full(words)
         w = self.w
         w[place] = header(kind, index, words)

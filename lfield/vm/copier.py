@@ -15,7 +15,7 @@ def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) 
     """
     order, words = _closure(source, roots, layouts)
     base = target.top
-    if base + words > target.capacity:
+    if base + words > target.end:
         raise Full(words)
     w, into = source.w, target.w
     moved = {0: 0}

@@ -23,6 +23,7 @@ from lfield.vm.layout import (
     HEADER_WORDS,
     OBJECT,
     THREAD,
+    THREAD_CALL,
     THREAD_FRAME,
     THREAD_ID,
     THREAD_NEXT,
@@ -206,7 +207,7 @@ class Soundness:
         ):
             raise BlockError("its roots are not sound", word=layout.W_SELF)
         thread = w[layout.W_THREADS]
-        if starts.get(thread) != THREAD or w[thread + THREAD_NEXT]:
+        if starts.get(thread) != THREAD or w[thread + THREAD_NEXT] or w[thread + THREAD_CALL]:
             raise BlockError("it has not exactly one thread", word=layout.W_THREADS)
         if w[layout.W_OWNER] not in (0, w[thread + THREAD_ID]) or w[layout.W_HOPS] < 0:
             raise BlockError("its header is not sound", word=layout.W_OWNER)

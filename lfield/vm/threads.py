@@ -52,7 +52,11 @@ def threads(block: Block) -> Iterator[int]:
 
 def place_of(block: Block, identity: int) -> int:
     """Where the thread with that id is; 0 when there is none."""
-    return next((place for place in threads(block) if block.w[place + THREAD_ID] == identity), 0)
+    w = block.w
+    place = w[layout.W_THREADS]
+    while place and w[place + THREAD_ID] != identity:
+        place = w[place + THREAD_NEXT]
+    return place
 
 
 def unlink(block: Block, identity: int) -> None:

@@ -133,9 +133,10 @@ _EXCEPTION_WORDS = 16 + MESSAGE_LENGTH // 8
 
 def new_exception(block: Block, kind: str, message: str, source: str = "") -> int:
     """An object of a built-in exception class; raises Full before anything that matters is written."""
-    text = block.new_string(message[:MESSAGE_LENGTH])
-    about = block.new_string(source)
-    place = block.allocate(OBJECT, BUILTIN_CLASSES.index(kind), 4)
+    with block.reserve():
+        text = block.new_string(message[:MESSAGE_LENGTH])
+        about = block.new_string(source)
+        place = block.allocate(OBJECT, BUILTIN_CLASSES.index(kind), 4)
     block.w[place + 1 + MESSAGE] = text
     block.w[place + 1 + SOURCE] = about
     return place

@@ -1,0 +1,88 @@
+"""`lfield ps`: what runs where."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from lfield.errors import LfieldError
+
+    Answers = dict[str, dict[str, Any] | LfieldError]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    parser.add_argument("--deploy", metavar="M.dL", type=Path, required=True, help="the deployment")
+    parser.add_argument("--json", action="store_true", help="print what the hosts say as JSON")
+    parser.add_argument(
+        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when every host answered, 69 when one or more did not."""
+    from lfield.fleet import whereabouts
+    from lfield.fleet.observe import ask_all
+    from lfield.fleet.team import make_team, parse_maps
+    from lfield.lang.deployment import read_deployment
+    from lfield.net.tcp import TcpTransport
+
+    deployment = read_deployment(args.deploy, None)
+    maps = whereabouts.find(bytes.fromhex(deployment.hash)) | parse_maps(args.map, deployment)
+    team = make_team(deployment, maps)
+    transport = TcpTransport(1 << 20, connect_timeout=2.0)
+    answers = asyncio.run(ask_all(transport, dict(zip(team.hosts, team.addresses, strict=True))))
+    if args.json:
+        print(json.dumps({host: _plain(answer) for host, answer in answers.items()}, indent=2))
+    else:
+        _show(answers)
+    return 69 if any(isinstance(answer, Exception) for answer in answers.values()) else 0
+
+
+def _plain(answer: dict[str, Any] | LfieldError) -> dict[str, Any]:
+    return {"error": str(answer)} if isinstance(answer, Exception) else answer
+
+
+def _show(answers: Answers) -> None:
+    from rich.console import Console
+
+    console = Console()
+    console.print(table(answers))
+    for host, answer in answers.items():
+        if isinstance(answer, Exception):
+            print(f"{host}: {answer}", file=sys.stderr)
+
+
+def table(answers: Answers) -> Table:
+    """The agents of all hosts, and the coordinators that have ended or are in doubt."""
+    from rich.table import Table
+
+    shown = Table(box=None, pad_edge=False)
+    for column in ("HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED", "HEAP"):
+        shown.add_column(column, justify="right" if column in ("HOPS", "SERVED", "HEAP") else "left")
+    for host, answer in answers.items():
+        if isinstance(answer, Exception):
+            shown.add_row(host, "-", "", "no answer", "", "", "")
+            continue
+        for agent in answer["agents"]:
+            hops = str(agent["hops"]) if agent["kind"] == "coordinator" else ""
+            served = str(agent["served"]) if agent["kind"] == "resource" else ""
+            shown.add_row(
+                host, agent["id"], agent["type"], agent["state"], hops, served, _size(agent["heap"])
+            )
+        for record in answer["coordinators"]:
+            if record["state"] == "IN DOUBT" or (record["state"] == "EXITED" and record["where"] == host):
+                state = f"{record['outcome'] or 'in doubt'}: {record['detail']}".splitlines()[0].rstrip(": ")
+                shown.add_row(host, record["id"], "", state, str(record["hops"]), "", "")
+    return shown
+
+
+def _size(count: int) -> str:
+    return f"{count} B" if count < 1024 else f"{count / 1024:.1f} KiB"

@@ -1,0 +1,109 @@
+"""From files to a mission: the only part of the runtime that needs the compiler (and only for L text)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lfield.bytecode.encoding import MAX_SIZE, decode
+from lfield.bytecode.program import Program
+from lfield.driver.plugins import Plugins, discover
+from lfield.errors import InputFileError, ProgramError
+from lfield.fleet.bindings import Bindings, read_bindings
+from lfield.fleet.team import Team, make_team, parse_maps
+from lfield.lang.deployment import Deployment, parse_deployment, read_deployment
+from lfield.source import Diagnostic
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """Everything a host needs to begin."""
+
+    name: str
+    program: Program
+    deployment: Deployment
+    team: Team
+    bindings: Bindings
+    plugins: Plugins
+    warnings: tuple[Diagnostic, ...] = ()
+
+
+def load_mission(
+    deploy: Path,
+    program: Path | None = None,
+    devices: Path | None = None,
+    maps: Sequence[str] = (),
+    simulate: bool = False,
+) -> Mission:
+    """Read, compile and check all files of a mission; raises ProgramError, BindingError and the like.
+
+    The program is `NAME.L` beside `NAME.dL`, the devices `NAME.devices.yaml`, unless they are given.
+    """
+    plugins = discover()
+    loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins)
+    deployment = read_deployment(deploy, loaded.units)
+    team = make_team(deployment, parse_maps(maps, deployment))
+    beside = deploy.with_suffix(".devices.yaml")
+    if devices is None and beside.exists():
+        devices = beside
+    bindings = read_bindings(
+        devices, needed=needed_devices(loaded, deployment), plugins=plugins, simulate=simulate
+    )
+    return Mission(deploy.stem, loaded, deployment, team, bindings, plugins, tuple(warnings))
+
+
+def needed_devices(program: Program, deployment: Deployment) -> dict[str, dict[str, str]]:
+    """For each agent of a resource: its device fields and their device types."""
+    classes = {record.name: record for record in program.core.classes}
+    return {
+        agent.id: {field.name: field.type for field in classes[agent.type].devices}
+        for agent in deployment.agents
+    }
+
+
+def _program(path: Path, plugins: Plugins) -> tuple[Program, list[Diagnostic]]:
+    if path.suffix == ".L":
+        return compile_file(path, plugins)
+    return _read_program(path), []
+
+
+def load_program(path: Path) -> Program:
+    """A program from L text or from a program file, whichever the path names."""
+    return _program(path, discover())[0] if path.suffix == ".L" else _read_program(path)
+
+
+def _read_program(path: Path) -> Program:
+    try:
+        with path.open("rb") as stream:
+            return decode(stream.read(MAX_SIZE + 1))
+    except OSError as error:
+        raise InputFileError(str(path), error.strerror or str(error)) from None
+
+
+def compile_file(path: Path, plugins: Plugins | None = None) -> tuple[Program, list[Diagnostic]]:
+    """Compile L text; returns the program and its warnings, raises ProgramError with its errors."""
+    from lfield.compiler.build import compile_program
+    from lfield.lang.frontend import check_file as check_program
+
+    known = plugins if plugins is not None else discover()
+    checked = check_program(path, devices=known.manifests)
+    if checked.program is None:
+        raise ProgramError(checked.diagnostics)
+    return compile_program(checked.program), checked.diagnostics
+
+
+def check_file(path: Path) -> list[Diagnostic]:
+    """The findings of a program, or of a deployment (against the program beside it, if there is one)."""
+    if path.suffix != ".dL":
+        try:
+            return compile_file(path)[1]
+        except ProgramError as error:
+            return list(error.diagnostics)
+    beside = path.with_suffix(".L")
+    units: Mapping[str, str] | None = compile_file(beside)[0].units if beside.exists() else None
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputFileError(str(path), getattr(error, "strerror", None) or str(error)) from None
+    return parse_deployment(text, str(path), units)[1]

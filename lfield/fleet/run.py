@@ -1,0 +1,92 @@
+"""Runs one host as a process: until it is done, told to stop, or loses its parent."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import sys
+from pathlib import Path
+
+from lfield.errors import UsageError
+from lfield.fleet.deploy import Mission
+from lfield.fleet.host import Host, Options
+from lfield.fleet.logbook import Logbook
+from lfield.fleet.until_done import until_done
+from lfield.net.local import is_loopback
+from lfield.net.tcp import TcpTransport
+
+
+async def run_host(
+    mission: Mission,
+    name: str,
+    *,
+    listen: str = "",
+    dump: Path | None = None,
+    unreachable_after: float | None = None,
+    lost_after: float | None = None,
+    trust_network: bool = False,
+    leash: bool = False,
+) -> int:
+    """Run a host; returns the exit status. `lost_after` None runs until it is stopped.
+
+    Raises AddressError, BindingError and DeviceError when it cannot start.
+    """
+    address = listen or mission.team.addresses[mission.team.number(name)]
+    if not (listen or trust_network or await is_loopback(address)):
+        raise UsageError(
+            f"{address} can be reached from other machines and there are no keys yet: "
+            "use --trust-network on a network of your own, or --map "
+            f"{name}=127.0.0.1:PORT to stay on this machine"
+        )
+    bound = unreachable_after or mission.bindings.unreachable_after
+    host_options = Options(address, dump, bound)
+    logbook = Logbook()
+    largest = max((mission.bindings.limits(m.id).heap for m in mission.team.coordinators), default=1 << 20)
+    host = Host(mission, name, TcpTransport(largest), logbook, host_options)
+    stopping = _stop_signals()
+    if leash:
+        _end_with_parent(stopping)
+    try:
+        await host.start()
+        host.note(f"{name} is up on {host.address}")
+        if lost_after is None:
+            await stopping.wait()
+            return 0
+        return await _run_until_done(host, lost_after, stopping)
+    finally:
+        await host.stop()
+
+
+async def _run_until_done(host: Host, lost_after: float, stopping: asyncio.Event) -> int:
+    done = asyncio.ensure_future(until_done(host, lost_after))
+    stopped = asyncio.ensure_future(stopping.wait())
+    await asyncio.wait([done, stopped], return_when=asyncio.FIRST_COMPLETED)
+    for task in (done, stopped):
+        task.cancel()
+    if not done.done() or done.cancelled():
+        return 130
+    fates = done.result()
+    for fate in fates:
+        if fate.outcome == "lost":
+            host.note(f"{fate.agent} is lost: {fate.detail}")
+    return 0 if all(fate.outcome == "done" for fate in fates) else 1
+
+
+def _stop_signals() -> asyncio.Event:
+    stopping = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, stopping.set)
+    return stopping
+
+
+def _end_with_parent(stopping: asyncio.Event) -> None:
+    """Stop in order when stdin closes: whoever holds its other end has gone."""
+    loop = asyncio.get_running_loop()
+    descriptor = sys.stdin.fileno()
+
+    def gone() -> None:
+        loop.remove_reader(descriptor)
+        stopping.set()
+
+    loop.add_reader(descriptor, gone)

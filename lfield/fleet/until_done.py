@@ -1,0 +1,42 @@
+"""Waits until every coordinator of a deployment has ended anywhere, or is lost with a host that is gone."""
+
+from __future__ import annotations
+
+import asyncio
+
+from lfield.fleet.census import Fate, fates
+from lfield.fleet.host import Host
+
+#: How often the other hosts are asked while one is missing, and how long an ending is passed on before this
+#: host goes (both in seconds).
+ASK_EVERY, LINGER = 0.5, 2.0
+
+
+async def until_done(host: Host, lost_after: float) -> list[Fate]:
+    """The fates of all coordinators. A host that cannot be reached for `lost_after` seconds is given up."""
+    wanted = {member.id for member in host.team.coordinators}
+    while True:
+        host.changed.clear()
+        found = fates(host.team, {host.name: host.status()["coordinators"]}, ())
+        gone = host.peers.gone_for(lost_after)
+        if gone and wanted - found.keys():
+            records = await host.ask_others()
+            found = fates(host.team, records, gone)
+        if not wanted - found.keys():
+            await _pass_on(host)
+            return [found[agent] for agent in sorted(wanted)]
+        try:
+            await asyncio.wait_for(host.changed.wait(), ASK_EVERY)
+        except TimeoutError:
+            continue
+
+
+async def _pass_on(host: Host) -> None:
+    """Stay until every host that can be reached has confirmed the endings."""
+    end = host.clock.monotonic() + LINGER
+    while host.mobility.unconfirmed(host.peers.incarnations) and host.clock.monotonic() < end:
+        host.changed.clear()
+        try:
+            await asyncio.wait_for(host.changed.wait(), ASK_EVERY)
+        except TimeoutError:
+            continue

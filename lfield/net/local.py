@@ -1,0 +1,64 @@
+"""What this machine is called and which addresses are its own."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import socket
+from collections.abc import Sequence
+
+from lfield.errors import AddressError, UsageError
+from lfield.net.transport import join_address, split_address
+
+
+def own_host(hosts: Sequence[str]) -> str:
+    """The host of a deployment that this machine is, by name or address. Raises UsageError."""
+    names = {
+        socket.gethostname().lower(),
+        socket.getfqdn().lower(),
+        socket.gethostname().lower().split(".")[0],
+    }
+    named = [host for host in hosts if host.lower() in names]
+    found = named or [host for host in hosts if _is_own_address(host)]
+    if len(found) == 1:
+        return found[0]
+    which = "several hosts" if found else "no host"
+    raise UsageError(
+        f"{which} of the deployment ({', '.join(hosts)}) is this machine ({socket.gethostname()}); "
+        "name one with --host, or run all of them here with --all"
+    )
+
+
+def _is_own_address(host: str) -> bool:
+    """Whether the name leads to an address that a socket of this machine can be bound to."""
+    try:
+        candidates = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError):
+        return False
+    for family, kind, protocol, _, address in candidates:
+        try:
+            with socket.socket(family, kind, protocol) as probe:
+                probe.bind(address)
+                return True
+        except OSError:
+            continue
+    return False
+
+
+async def is_loopback(address: str) -> bool:
+    """Whether listening there can be reached from this machine only. Raises AddressError."""
+    host, _ = split_address(address)
+    try:
+        found = await asyncio.get_running_loop().getaddrinfo(host, 0, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError):
+        raise AddressError(
+            address, f"the name {host} leads to no address; use --map NAME=ADDR:PORT"
+        ) from None
+    return all(ipaddress.ip_address(str(entry[4][0]).partition("%")[0]).is_loopback for entry in found)
+
+
+def reserve(host: str = "127.0.0.1") -> tuple[socket.socket, str]:
+    """A listening socket on a free port, to be inherited by another process, and its address."""
+    reserved = socket.create_server((host, 0))
+    reserved.set_inheritable(True)
+    return reserved, join_address(*reserved.getsockname()[:2])

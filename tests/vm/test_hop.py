@@ -1,0 +1,167 @@
+"""Two machines and no network: a coordinator leaves one as bytes and goes on in the other."""
+
+from __future__ import annotations
+
+import random
+from functools import cache
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield.bytecode.program import Program
+from lfield.clock import ManualClock
+from lfield.errors import BlockError
+from lfield.testing.golden import Desk, compile_text, settle
+from lfield.vm import layout
+from lfield.vm.agent import Agent, Member
+from lfield.vm.limits import Limits
+from lfield.vm.machine import Machine
+
+WANDERER = """
+resource Post {
+  string name; int stamps;
+  init(string[] arg) { name = arg[0]; }
+  portal stamp(Card card) emit Card { stamps = stamps + 1; card.text = card.text + name + i2s(stamps); return card; }
+  portal refuse() { throw new DeviceException("jammed"); }
+}
+class Card { public string text; public Card self; public Card() { text = ""; self = this; } }
+coordinator Walker {
+  Post here; Post there;
+  init(string[] arg) {
+    here = findPost("here"); there = findPost("there");
+    Card card = new Card();
+    int[] garbage = new int[5000];
+    for (int i = 0; i < 3; i = i + 1) { card = lap(card, i); }
+    print(card.text + " " + b2s(card.self == card));
+    try { there.refuse(); } catch (DeviceException e) { print(e.type() + " " + e.message()); }
+    print("hops " + i2s(hops()));
+  }
+  private Card lap(Card c, int i) { real kept = i * 0.5; c = there.stamp(c); c = here.stamp(c); c.text = c.text + f2s(kept); return c; }
+}
+"""
+
+
+@cache
+def program() -> Program:
+    return compile_text(WANDERER)
+
+
+class TwoHosts:
+    """Two machines; `images` are the bytes of every hop."""
+
+    def __init__(self) -> None:
+        team = [
+            Member(0, "here", "Post", "resource", 0),
+            Member(1, "there", "Post", "resource", 1),
+            Member(2, "walker", "Walker", "coordinator", 0),
+        ]
+        self.clock = ManualClock()
+        self.desks = [Desk(), Desk()]
+        self.machines = [
+            Machine(program(), team, i, self.desks[i], self.clock, random.Random(1)) for i in (0, 1)
+        ]
+        self.images: list[bytes] = []
+        for member in team:
+            self.machines[member.host].start(member, Limits(), generation=9)
+
+    def run(self) -> None:
+        for _ in range(100):
+            for machine in self.machines:
+                settle(machine, self.clock)
+            if not self.step():
+                return
+
+    def step(self) -> bool:
+        for i, desk in enumerate(self.desks):
+            if desk.departures:
+                agent, _ = desk.departures.pop()
+                self.carry(agent, i)
+                return True
+        return False
+
+    def carry(self, agent: Agent, source: int) -> None:
+        image = bytes(self.machines[source].pack(agent))
+        self.images.append(image)
+        self.machines[1 - source].admit(agent.member, image, agent.limits)
+        self.machines[source].release(agent)
+
+    @property
+    def printed(self) -> list[str]:
+        return [line for desk in self.desks for line in desk.output]
+
+
+def test_a_coordinator_keeps_its_state_and_identity_across_hops() -> None:
+    hosts = TwoHosts()
+    hosts.run()
+    assert sorted(hosts.printed) == sorted(
+        ["there1here10.0there2here20.5there3here31.0 true", "DeviceException jammed", "hops 7"]
+    )
+
+
+def test_a_hop_carries_live_data_only() -> None:
+    hosts = TwoHosts()
+    hosts.run()
+    # 5000 ints were garbage before the first hop: a slot still held them, but nothing would read it again.
+    assert max(map(len, hosts.images)) < 2000
+
+
+def test_a_resumed_coordinator_gets_the_exception_at_its_portal_call() -> None:
+    hosts = TwoHosts()
+    settle(hosts.machines[0], hosts.clock)
+    agent, target = hosts.desks[0].departures.pop()
+    assert target.id == "there"
+    hosts.machines[0].resume(agent, "UnreachableResourceException", "nobody there", "there")
+    settle(hosts.machines[0], hosts.clock)
+    assert agent.ended == "died"
+    assert agent.report.splitlines()[0] == "UnreachableResourceException: nobody there"
+    assert "at Walker.lap (golden.L:20)" in agent.report
+
+
+@cache
+def travelling() -> bytes:
+    hosts = TwoHosts()
+    hosts.run()
+    return hosts.images[2]
+
+
+@settings(max_examples=300)
+@given(st.data())
+def test_hostile_bytes_are_refused_or_harmless(data: st.DataObject) -> None:
+    """Whatever a peer changes in a block: BlockError, or a run that ends like any L program."""
+    image = bytearray(travelling())
+    for _ in range(data.draw(st.integers(1, 3))):
+        word = data.draw(st.integers(0, len(image) // 8 - 1))
+        old = int.from_bytes(image[8 * word : 8 * word + 8], "little", signed=True)
+        new = data.draw(
+            st.one_of(
+                st.integers(-(2**63), 2**63 - 1),
+                st.integers(0, len(image) // 8),
+                st.integers(-3, 3).map(lambda d: max(-(2**63), min(2**63 - 1, old + d))),
+            )
+        )
+        image[8 * word : 8 * word + 8] = new.to_bytes(8, "little", signed=True)
+    hosts = TwoHosts()
+    hosts.machines[0].agents.pop("walker")
+    hosts.desks[0].departures.clear()
+    try:
+        hosts.machines[1].admit(Member(2, "walker", "Walker", "coordinator", 0), bytes(image), Limits())
+    except BlockError:
+        return
+    hosts.run()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda image: image[:-8], "its size is not what it says"),
+        (lambda image: image[:-3], "are no whole block"),
+        (lambda image: b"\0" * 8 + image[8:], "wrong magic or version"),
+        (lambda image: image[:8] + b"\0" * 32 + image[40:], "it belongs to another program"),
+        (lambda image: image[: 8 * layout.W_SELF] + b"\x01" + image[8 * layout.W_SELF + 1 :], "roots"),
+    ],
+)
+def test_unsound_blocks_say_why(change, reason) -> None:  # type: ignore[no-untyped-def]
+    hosts = TwoHosts()
+    with pytest.raises(BlockError, match=reason):
+        hosts.machines[1].admit(hosts.machines[1].team[2], change(travelling()), Limits())

@@ -1,0 +1,104 @@
+"""A test per limit: each ends in a LimitException that L code catches, and the agents beside it go on."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.testing.golden import run_text
+from lfield.vm.limits import Limits
+
+GOOD = """
+resource Good { init(string[] arg) { } portal hello() emit string { return "still here"; } }
+"""
+
+CASES = {
+    "heap": ("Node n = null; while (true) n = new Node(n);", Limits(heap=64 << 10), "the heap is over its limit"),
+    "call_depth": ("deeper(1);", Limits(call_depth=50), "calls are nested deeper than 50"),
+    "array_length": ("int[] a = new int[101];", Limits(array_length=100), "an array of 101 is over the limit of 100"),
+    "string_length": (
+        'string s = "0123456789"; while (true) s = s + s;',
+        Limits(string_length=1000),
+        "a string of 1280 is over the limit of 1000",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_limit(name: str) -> None:
+    body, limits, message = CASES[name]
+    desk, _ = run_text(
+        GOOD
+        + """
+class Node { public Node next; public Node(Node n) { next = n; } }
+coordinator Main {
+  init(string[] arg) {
+    try { burst(); } catch (LimitException e) { print(e.message()); }
+    print(findGood("good").hello());
+  }
+  private void burst() { """
+        + body
+        + """ }
+  private int deeper(int n) { return deeper(n + 1) + 1; }
+}""",
+        limits,
+    )
+    assert desk.output[0].startswith(message)
+    assert desk.output[1] == "still here"
+
+
+def test_threads_per_agent() -> None:
+    desk, _ = run_text(
+        """
+resource Slow { init(string[] arg) { } portal wait() { sleep(1.0); } }
+coordinator A { init(string[] arg) { findSlow("slow").wait(); } }
+coordinator B { init(string[] arg) {
+    sleep(0.5);
+    try { findSlow("slow").wait(); } catch (LimitException e) { print(e.message()); } } }
+""",
+        Limits(threads=1),
+    )
+    assert desk.output == ["slow serves its limit of 1 threads"]
+
+
+@pytest.mark.parametrize(
+    ("body", "reason"),
+    [
+        ("while (true) { }", ""),
+        ("Node n = null; while (true) n = new Node(n);", "LimitException"),
+        ("deeper(1);", "LimitException"),
+    ],
+)
+def test_one_bad_agent_starves_nobody(body: str, reason: str) -> None:
+    desk, machine = run_text(
+        GOOD
+        + """
+class Node { public Node next; public Node(Node n) { next = n; } }
+resource Bad { init(string[] arg) { """
+        + body
+        + """ } private int deeper(int n) { return deeper(n + 1) + 1; } }
+coordinator Main { init(string[] arg) { print(findGood("good").hello()); } }
+""",
+        Limits(heap=64 << 10),
+    )
+    assert desk.output == ["still here"]
+    died = [a.report for a in desk.endings if a.ended == "died"]
+    assert [d.partition(":")[0] for d in died] == ([reason] if reason else [])
+
+
+def test_an_exception_about_the_heap_finds_room_even_when_nothing_is_freed() -> None:
+    desk, _ = run_text(
+        """
+resource Hoarder {
+  int[][] kept; int n;
+  init(string[] arg) { kept = new int[1000][]; }
+  portal hoard() emit int {
+    try { while (true) { kept[n] = new int[100]; n = n + 1; } } catch (LimitException e) { }
+    try { kept[n] = new int[100]; } catch (LimitException e) { return n; }
+    return -1;
+  }
+}
+coordinator Main { init(string[] arg) { print(findHoarder("hoarder").hoard() > 10); } }
+""",
+        Limits(heap=64 << 10),
+    )
+    assert desk.output == ["true"]
