@@ -113,7 +113,8 @@ class Contact(Device):
         value = await self._exchange.parameter("FS_GCS_ENABLE")
         if value is None:
             self.note("it does not tell FS_GCS_ENABLE: what it does when this computer dies is not known")
-        elif value == 0 and "gcsFailsafe" not in self._published:
+            return
+        if value == 0 and "gcsFailsafe" not in self._published:
             self.note("FS_GCS_ENABLE is 0: if this computer dies, the autopilot itself does nothing")
         self.publish(gcsFailsafe=bool(value))
         self._published.add("gcsFailsafe")
@@ -137,8 +138,28 @@ class Contact(Device):
         if answer.result is None:
             raise self.error(f"{what}: the autopilot did not answer", timeout=True)
         await self._seen(lambda: bool(self._texts.since(start)), EXPLAINS)
-        reasons = "".join(f", {text}" for text in self._texts.since(start))
-        raise self.error(f"{what} refused: {result_words(answer.result)}{reasons}")
+        raise self.error(f"{what} refused: {result_words(answer.result)}{self._reasons(start)}")
+
+    async def _achieve(self, what: str, state: Callable[[], bool], number: int, *values: float) -> None:
+        """Have a command accepted and wait until the state shows it. Raises DeviceError."""
+        await self._command(what, number, *values, taken=state)
+        start = self.clock.monotonic()
+        if not await self._seen(state, SHOWS):
+            self._check_link()
+            raise self.error(
+                f"{what} was accepted but did not happen within {SHOWS:g} s{self._reasons(start)}"
+            )
+
+    async def _until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
+        """Wait until the state shows it. Raises DeviceError when it does not."""
+        start = self.clock.monotonic()
+        if not await self._seen(condition, bound):
+            self._check_link()
+            raise self.error(f"{what} did not happen within {bound:g} s{self._reasons(start)}")
+
+    def _reasons(self, start: float) -> str:
+        """What the autopilot said from `start` on, to go after a reason."""
+        return "".join(f", {text}" for text in self._texts.since(start))
 
     def _silence(self) -> float:
         """Seconds since the last heartbeat."""
@@ -147,14 +168,6 @@ class Contact(Device):
     def _check_link(self) -> None:
         if self._silence() > LINK_LOST:
             raise self.error(f"no heartbeat for {self._silence():.1f} s; the link is lost", timeout=True)
-
-    async def _until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
-        """Wait until the state shows it. Raises DeviceError when it does not."""
-        start = self.clock.monotonic()
-        if not await self._seen(condition, bound):
-            self._check_link()
-            reasons = "".join(f", {text}" for text in self._texts.since(start))
-            raise self.error(f"{what} was accepted but did not happen within {bound:g} s{reasons}")
 
     async def _seen(self, condition: Callable[[], bool], bound: float) -> bool:
         """Whether the condition came true within `bound` seconds; looked at with every message."""

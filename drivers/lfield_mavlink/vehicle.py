@@ -44,13 +44,11 @@ class MavlinkVehicle(Contact):
         """GUIDED, then armed: ArduPilot refuses to be armed in some modes, and to take off in most."""
         await self._check_failsafe()
         await self._be_guided()
-        await self._command("arm", dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
-        await self._until(lambda: self.state.armed, SHOWS, "arm")
+        await self._achieve("arm", lambda: self.state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
 
     async def do_disarm(self) -> None:
         """Motors off."""
-        await self._command("disarm", dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
-        await self._until(lambda: not self.state.armed, SHOWS, "disarm")
+        await self._achieve("disarm", lambda: not self.state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
 
     async def do_takeoff(self, height: float) -> None:
         """Up to `height` above home."""
@@ -112,8 +110,7 @@ class MavlinkVehicle(Contact):
         """Down to the ground, here."""
         self._check_ours("land")
         self._commanded = "LAND"
-        await self._command("land", dialect.MAV_CMD_NAV_LAND)
-        await self._until(lambda: self.state.mode == "LAND", SHOWS, "land")
+        await self._achieve("land", lambda: self.state.mode == "LAND", dialect.MAV_CMD_NAV_LAND)
 
         def height(place: Vector) -> float:
             down_yet = self.state.landed or not self.state.armed
@@ -140,9 +137,9 @@ class MavlinkVehicle(Contact):
     async def _disarmed(self) -> bool:
         """Try to switch the motors off on the ground; the autopilot refuses if it is not there."""
         answer = await self._exchange.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
-        return answer.result == dialect.MAV_RESULT_ACCEPTED and await self._seen(
-            lambda: not self.state.armed, SHOWS
-        )
+        if answer.result != dialect.MAV_RESULT_ACCEPTED:
+            return False
+        return await self._seen(lambda: not self.state.armed, SHOWS)
 
     # -- parts of instructions ------------------------------------------------------------------------
 
@@ -174,8 +171,8 @@ class MavlinkVehicle(Contact):
         self._commanded = name
         custom = float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
         number = float(self._kind.mode_number(name))
-        await self._command(f"mode {name}", dialect.MAV_CMD_DO_SET_MODE, custom, number)
-        await self._until(lambda: self.state.mode == name, SHOWS, f"mode {name}")
+        set_mode = dialect.MAV_CMD_DO_SET_MODE
+        await self._achieve(f"mode {name}", lambda: self.state.mode == name, set_mode, custom, number)
 
     async def _set_speed(self) -> None:
         """Have the autopilot keep the binding's speed; it forgets it with every change of mode."""
@@ -227,8 +224,7 @@ class MavlinkVehicle(Contact):
         if self.state.armed and self.state.mode == mode:
             return
         why = "the vehicle was disarmed" if not self.state.armed else f"the vehicle went to {self.state.mode}"
-        reasons = "".join(f", {text}" for text in self._texts.since(start))
-        raise self.error(f"{what} ended early: {why}{reasons}")
+        raise self.error(f"{what} ended early: {why}{self._reasons(start)}")
 
     def _send_position(self, goal: Vector) -> None:
         north, east, down = (g + h for g, h in zip(goal, self.state.home_offset, strict=True))

@@ -142,8 +142,9 @@ class Shell(asyncio.Protocol):
             self._clock,
             silence=message.silence,
         )
-        self._tell(Ready(identities))
+        # Telemetry first: a query right after the opening must find it.
         self._telemetry.flush()
+        self._tell(Ready(identities))
         self._run(self._core.opened(message.latched))
 
     def _make_driver(self, message: Open, manifest: Manifest) -> Driver:

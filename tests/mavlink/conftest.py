@@ -78,12 +78,14 @@ class BenchDriver(MavlinkDriver):
 class Bench:
     """One fake and one driver for it; what the driver reports is kept."""
 
-    def __init__(self, *, kind="copter", faults=None, limits=None, options=None, **autopilot: Any) -> None:
+    def __init__(
+        self, *, kind="copter", faults=None, limits=None, options=None, safe_state="land", **autopilot: Any
+    ) -> None:
         self.autopilot = Autopilot(KINDS[kind], **autopilot)
         self.fake = MavlinkFake(self.autopilot, faults=faults or Faults())
         given = {"system": 1, "kind": kind, "connect": 5.0, "tolerance": 0.5, **(options or {})}
         self.binding = DeviceBinding(
-            agent="alpha", field="fc", driver="mavlink", endpoint="udp:127.0.0.1:1", safe_state="land",
+            agent="alpha", field="fc", driver="mavlink", endpoint="udp:127.0.0.1:1", safe_state=safe_state,
             limits=limits or {}, options=given,
         )  # fmt: skip
         self.sent: list[bytes] = []
@@ -110,9 +112,8 @@ class Bench:
         """Run a mission with the device, opened unless told otherwise."""
 
         async def main() -> Any:
-            driver = type("Driver", (BenchDriver,), {"bench": self})(
-                [self.binding], MANIFEST, LoopClock(), self
-            )
+            kind = type("Driver", (BenchDriver,), {"bench": self})
+            driver = kind([self.binding], MANIFEST, LoopClock(), self)
             flying = asyncio.get_running_loop().create_task(self._fly())
             try:
                 await driver.open()

@@ -148,8 +148,9 @@ def test_the_speed_limit_is_set_in_the_autopilot(bench):
     assert 1.8 < fastest <= 2.01
 
 
-def test_lost_packets_cost_time_but_not_the_flight(bench):
-    b = bench(faults=Faults(loss=0.2, seed=7))
+@pytest.mark.parametrize("seed", range(8))
+def test_lost_packets_cost_time_but_not_the_flight(bench, seed):
+    b = bench(faults=Faults(loss=0.1, seed=seed))
 
     async def mission(fc):
         await up(fc)
@@ -242,7 +243,7 @@ def test_a_stuck_vehicle_gives_up(bench, monkeypatch):
     async def mission(fc):
         await up(fc)
         monkeypatch.setattr(Autopilot, "guide_to", lambda self, place: None)
-        with pytest.raises(DeviceError, match="goTo gave up: no progress for 10 s, 30.0 m from its goal"):
+        with pytest.raises(DeviceError, match="goTo gave up: no progress for 10 s, 30"):
             await fc.execute("goTo", [30.0, 0.0, -5.0])
 
     b.run(mission)
@@ -250,10 +251,7 @@ def test_a_stuck_vehicle_gives_up(bench, monkeypatch):
 
 @pytest.mark.parametrize("state", ["land", "hold", "return"])
 def test_safe_states_in_the_air(bench, state):
-    b = bench()
-    b.binding = type(b.binding)(
-        **{f: getattr(b.binding, f) for f in b.binding.__struct_fields__} | {"safe_state": state}
-    )
+    b = bench(safe_state=state)
 
     async def mission(fc):
         await up(fc)

@@ -1,0 +1,268 @@
+"""The host's end of one guard process: starts it, beats, calls, keeps its telemetry, starts it again."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from lfield.clock import Clock
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.manifest_file import AGE
+from lfield.driver.messages import (
+    Beat,
+    Call,
+    Done,
+    Failed,
+    Latched,
+    Message,
+    MessageReader,
+    Note,
+    Open,
+    Ready,
+    Refused,
+    Released,
+    Snapshot,
+    Stop,
+    Stopped,
+    encode,
+)
+from lfield.driver.plugins import Installed
+from lfield.driver.values import conform
+from lfield.errors import DeviceError, WireError
+from lfield.manifest import DeviceValue, Instruction
+
+#: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
+BEAT = 0.05
+#: Seconds for a guard to open its devices, and to end: a little longer than it takes itself.
+OPEN_BOUND, STOP_BOUND = 60.0, 10.0
+#: Seconds before a guard that died is started again: the first time, and at most.
+AGAIN_FIRST, AGAIN_LAST = 0.2, 5.0
+
+#: What a caller gets, once: the value, or why it did not happen.
+Answered = Callable[[DeviceValue | DeviceError], None]
+
+
+class Guard(asyncio.SubprocessProtocol):
+    """One bus. `note` takes a line for the log."""
+
+    def __init__(
+        self,
+        installed: Installed,
+        devices: Sequence[DeviceBinding],
+        clock: Clock,
+        note: Callable[[str], None],
+    ) -> None:
+        self._installed, self._clock, self._note = installed, clock, note
+        self._devices = {device.name: device for device in devices}
+        self._quantities = {quantity.name: quantity for quantity in installed.manifest.device.telemetry}
+        self._reader = MessageReader()
+        self._transport: asyncio.SubprocessTransport | None = None
+        self._pipe: asyncio.WriteTransport | None = None
+        self._beating: asyncio.TimerHandle | None = None
+        self._restarting: asyncio.Task[None] | None = None
+        self._opening: asyncio.Future[dict[str, str]] | None = None
+        self._exited = asyncio.Event()
+        self._ready = self._stopping = False
+        self._tokens = 0
+        self._calls: dict[int, tuple[DeviceBinding, Instruction, Answered]] = {}
+        self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}
+        self._heard: dict[str, float] = {}
+        self._unsafe: list[str] = []
+        #: Why a device is held in its safe state, by name; absent while it answers to calls.
+        self.latched: dict[str, str] = {}
+
+    # -- life -----------------------------------------------------------------------------------------
+
+    async def open(self, latched: str = "") -> None:
+        """Start the process and open the devices. Raises OpenFailed with all that is wrong."""
+        loop = asyncio.get_running_loop()
+        self._opening, self._exited, self._reader = loop.create_future(), asyncio.Event(), MessageReader()
+        command = (sys.executable, "-m", "lfield.driver.guard", self._installed.reference)
+        # A session of its own: a Ctrl-C is for the host, which then stops its guards in order.
+        await loop.subprocess_exec(lambda: self, *command, stderr=None, start_new_session=True)
+        self._send(Open(list(self._devices.values()), latched))
+        self._beat()
+        try:
+            async with asyncio.timeout(OPEN_BOUND):
+                identities = await self._opening
+        except TimeoutError:
+            self._kill()
+            raise OpenFailed([f"the driver did not open its devices within {OPEN_BOUND:g} s"]) from None
+        self._ready = True
+        for name, identity in identities.items():
+            self._note(f"{name}: {identity} at {self._devices[name].endpoint}")
+
+    async def close(self) -> None:
+        """Make the devices safe and end the process, within STOP_BOUND."""
+        self._stopping = True
+        if self._restarting is not None:
+            self._restarting.cancel()
+        if self._transport is None:
+            return
+        self._send(Stop("the host is stopping"))
+        try:
+            async with asyncio.timeout(STOP_BOUND):
+                await self._exited.wait()
+        except TimeoutError:
+            self._unsafe = list(self._devices)
+            self._kill()
+            await self._exited.wait()
+        for name in self._unsafe:
+            self._note(f"{name}: its safe state '{self._devices[name].safe_state}' was NOT confirmed")
+
+    def _kill(self) -> None:
+        if self._transport is not None and self._transport.get_returncode() is None:
+            self._transport.kill()
+
+    def _beat(self) -> None:
+        if self._pipe is None or self._pipe.is_closing():
+            return
+        self._send(Beat(self._clock.monotonic()))
+        self._beating = asyncio.get_running_loop().call_later(BEAT, self._beat)
+
+    async def _restart(self) -> None:
+        """Start the process again until it works; its devices come back safe."""
+        pause = AGAIN_FIRST
+        while True:
+            await asyncio.sleep(pause)
+            try:
+                await self.open("its guard died and was started again")
+                return
+            except OpenFailed as error:
+                pause = min(2 * pause, AGAIN_LAST)
+                self._note(f"the guard cannot be started again yet: {error}")
+
+    # -- calls and queries ----------------------------------------------------------------------------
+
+    def call(
+        self, device: str, instruction: Instruction, arguments: Sequence[Any], answered: Answered
+    ) -> None:
+        """Have an instruction carried out; `answered` is called once, from the loop."""
+        binding = self._devices[device]
+        if not self._ready:
+            raise DeviceError(binding.field, "its guard has died and is being started again")
+        self._tokens += 1
+        self._calls[self._tokens] = (binding, instruction, answered)
+        sent = self._clock.monotonic()
+        self._send(Call(self._tokens, device, instruction.name, list(arguments), sent))
+
+    def query(self, device: str, quantity: str) -> DeviceValue:
+        """The last value of a telemetry quantity. Raises DeviceError when there is none or it is too old."""
+        binding, now = self._devices[device], self._clock.monotonic()
+        if quantity == AGE.name:
+            if device not in self._heard:
+                raise DeviceError(binding.field, "has not been heard yet", kind="DeviceTimeoutException")
+            return now - self._heard[device]
+        found = self._values.get((device, quantity))
+        if found is None:
+            raise DeviceError(binding.field, f"has not reported {quantity}", kind="DeviceTimeoutException")
+        value, at = found
+        age, longest = now - at, self._quantities[quantity].max_age
+        if age > longest:
+            reason = f"the last {quantity} is {age:.1f} s old (at most {longest:g} s)"
+            raise DeviceError(binding.field, reason, kind="DeviceTimeoutException")
+        return value
+
+    # -- the process ----------------------------------------------------------------------------------
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """The process runs."""
+        assert isinstance(transport, asyncio.SubprocessTransport)
+        self._transport = transport
+        pipe = transport.get_pipe_transport(0)
+        assert isinstance(pipe, asyncio.WriteTransport)
+        self._pipe = pipe
+
+    def pipe_data_received(self, fd: int, data: bytes) -> None:
+        """Messages of the guard."""
+        try:
+            for message in self._reader.feed(data):
+                self._receive(message)
+        except WireError as error:
+            self._note(f"the guard sent bytes that make no sense: {error}")
+            self._kill()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The guard has ended and all it said is read; unless it was asked to end, a new one is started."""
+        assert self._transport is not None
+        status = self._transport.get_returncode()
+        self._transport.close()
+        self._transport = self._pipe = None
+        if self._beating is not None:
+            self._beating.cancel()
+        was_ready, self._ready = self._ready, False
+        self._exited.set()
+        if self._opening is not None and not self._opening.done():
+            self._opening.set_exception(OpenFailed([f"the driver's process ended with status {status}"]))
+        for binding, instruction, answered in self._take_calls():
+            reason = f"{instruction.name}() is lost: the guard ended with status {status}"
+            answered(DeviceError(binding.field, reason))
+        if was_ready and not self._stopping:
+            self._note(
+                f"the guard of {', '.join(self._devices)} died with status {status}; starting it again"
+            )
+            self._restarting = asyncio.get_running_loop().create_task(self._restart())
+
+    def _take_calls(self) -> list[tuple[DeviceBinding, Instruction, Answered]]:
+        calls, self._calls = list(self._calls.values()), {}
+        return calls
+
+    def _send(self, message: Message) -> None:
+        if self._pipe is not None and not self._pipe.is_closing():
+            self._pipe.write(encode(message))
+
+    def _receive(self, message: Message) -> None:
+        match message:
+            case Snapshot():
+                self._on_snapshot(message)
+            case Done(token, value):
+                self._on_done(token, value)
+            case Refused(token, kind, reason):
+                binding, _, answered = self._calls.pop(token)
+                answered(DeviceError(binding.field, reason, kind=kind))
+            case Latched(device, reason, confirmed):
+                self.latched[device] = reason
+                state = f"its safe state '{self._devices[device].safe_state}': {reason}"
+                self._note(f"{device}: {'is in' if confirmed else 'goes into'} {state}")
+                    f"{device}: {'is in' if confirmed else 'goes into'} its safe state '{state}': {reason}"
+                )
+            case Released(device):
+                self.latched.pop(device, None)
+                self._note(f"{device}: released")
+            case Note(device, text):
+                self._note(f"{device}: {text}")
+            case Ready(identities) if self._opening is not None and not self._opening.done():
+                self._opening.set_result(identities)
+            case Failed(problems) if self._opening is not None and not self._opening.done():
+                self._opening.set_exception(OpenFailed([self._sentence(*problem) for problem in problems]))
+            case Stopped(unsafe):
+                self._unsafe = unsafe
+
+    def _sentence(self, device: str, _: str, reason: str) -> str:
+        return f"{device or ', '.join(self._devices)}: {reason}"
+
+    def _on_snapshot(self, snapshot: Snapshot) -> None:
+        now = self._clock.monotonic()
+        self._heard[snapshot.device] = now - snapshot.heard
+        for name, value in snapshot.values.items():
+            known = conform(value, self._quantities[name].type)
+            self._values[snapshot.device, name] = (known, now - snapshot.ages[name])
+
+    def _on_done(self, token: int, value: Any) -> None:
+        binding, instruction, answered = self._calls.pop(token)
+        try:
+            answered(conform(value, instruction.result))
+        except ValueError as error:
+            answered(
+                DeviceError(binding.field, f"{instruction.name}() gave no {instruction.result}: {error}")
+            )
+
+
+class OpenFailed(Exception):
+    """A guard could not open its devices; `problems` has a sentence for each."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(problems))

@@ -1,0 +1,112 @@
+"""All devices of one host: a guard process per bus, and fakes where the mission is simulated."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from lfield.clock import Clock
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.plugins import Installed, Plugins
+from lfield.driver.sims import discover_sims
+from lfield.errors import BindingError, DeviceError, PluginError
+from lfield.fleet.bindings import SIMULATED
+from lfield.fleet.guard import Answered, Guard, OpenFailed
+from lfield.fleet.sims import Fake, start_fake
+from lfield.manifest import DeviceValue
+from lfield.vm.world import PENDING, Pending
+
+
+class Guards:
+    """The devices of some agents. `note` takes a line for the log."""
+
+    def __init__(self, plugins: Plugins, clock: Clock, note: Callable[[str], None]) -> None:
+        self._plugins, self._clock, self._note = plugins, clock, note
+        self._guards: list[Guard] = []
+        self._fakes: list[Fake] = []
+        self._by_device: dict[str, tuple[Guard, Installed]] = {}
+
+    async def open(self, devices: Sequence[DeviceBinding]) -> None:
+        """Open all devices at once. Raises BindingError with all problems; then none is left open."""
+        problems: list[str] = []
+        try:
+            await self._open(devices, problems)
+        except BaseException:
+            await self.close()
+            raise
+        if problems:
+            await self.close()
+            raise BindingError(problems)
+
+    async def _open(self, devices: Sequence[DeviceBinding], problems: list[str]) -> None:
+        placed = await self._with_fakes(devices, problems)
+        if problems:
+            return
+        for bus in _by_bus(placed).values():
+            installed = self._plugins.by_driver[bus[0].driver]
+            guard = Guard(installed, bus, self._clock, self._note)
+            self._guards.append(guard)
+            self._by_device.update({device.name: (guard, installed) for device in bus})
+        for answer in await asyncio.gather(*(g.open() for g in self._guards), return_exceptions=True):
+            if isinstance(answer, OpenFailed):
+                problems.extend(answer.problems)
+            elif isinstance(answer, BaseException):
+                raise answer
+
+    async def _with_fakes(self, devices: Sequence[DeviceBinding], problems: list[str]) -> list[DeviceBinding]:
+        """The same devices, the simulated ones at the endpoints of fakes that now run."""
+        simulated = [device for device in devices if device.endpoint == SIMULATED]
+        if not simulated:
+            return list(devices)
+        sims = discover_sims()
+        started = await asyncio.gather(*(start_fake(sims, d) for d in simulated), return_exceptions=True)
+        self._fakes += [fake for fake in started if isinstance(fake, Fake)]
+        endpoints: dict[str, str] = {}
+        for device, fake in zip(simulated, started, strict=True):
+            if isinstance(fake, Fake):
+                endpoints[device.name] = fake.endpoint
+            elif isinstance(fake, PluginError):
+                problems.append(str(fake))
+            else:
+                raise fake
+        return [msgspec.structs.replace(d, endpoint=endpoints.get(d.name, d.endpoint)) for d in devices]
+
+    def call(
+        self, agent: str, field: str, instruction: str, arguments: Sequence[Any], answered: Answered
+    ) -> DeviceValue | Pending:
+        """Carry an instruction out: the value of a query at once, else PENDING and later `answered`.
+
+        Raises DeviceError when it cannot even be tried, or when a query has no fresh value.
+        """
+        found = self._by_device.get(f"{agent}.{field}")
+        if found is None:
+            raise DeviceError(field, "is not open on this host")
+        guard, installed = found
+        declared = installed.manifest.device.instruction(instruction)
+        if declared is None:
+            raise DeviceError(field, f"has no instruction '{instruction}'")
+        if declared.effect == "query" and not declared.blocking:
+            return guard.query(f"{agent}.{field}", instruction)
+        guard.call(f"{agent}.{field}", declared, arguments, answered)
+        return PENDING
+
+    @property
+    def latched(self) -> Mapping[str, str]:
+        """Why devices are held in their safe states, by device name."""
+        return {name: reason for guard in self._guards for name, reason in guard.latched.items()}
+
+    async def close(self) -> None:
+        """Make every device safe, end the guards, then the fakes; bounded."""
+        await asyncio.gather(*(guard.close() for guard in self._guards))
+        await asyncio.gather(*(fake.stop() for fake in self._fakes))
+        self._guards, self._fakes, self._by_device = [], [], {}
+
+
+def _by_bus(devices: Sequence[DeviceBinding]) -> dict[tuple[str, str], list[DeviceBinding]]:
+    buses: dict[tuple[str, str], list[DeviceBinding]] = {}
+    for device in devices:
+        buses.setdefault(device.bus, []).append(device)
+    return buses

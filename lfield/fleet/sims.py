@@ -1,0 +1,68 @@
+"""Fakes that a host starts for `--sim`: processes of their own, which end with the host whatever happens."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from dataclasses import dataclass
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.sims import Sims
+from lfield.errors import PluginError
+
+#: Seconds for a fake to be ready, and to end when it is told.
+READY, END = 20.0, 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Fake:
+    """A running fake and the endpoint where it answers."""
+
+    endpoint: str
+    process: asyncio.subprocess.Process
+
+    async def stop(self) -> None:
+        """End it."""
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+        try:
+            async with asyncio.timeout(END):
+                await self.process.wait()
+        except TimeoutError:
+            self.process.kill()
+            await self.process.wait()
+
+
+async def start_fake(sims: Sims, binding: DeviceBinding) -> Fake:
+    """Start the fake of a binding's driver on a free port. Raises PluginError.
+
+    The fake ends when its stdin closes, so also when this process is killed. It is in a session of its own:
+    a Ctrl-C must not take it away from devices that are still being made safe.
+    """
+    sim = sims.get(binding.driver)
+    if sim is None:
+        known = ", ".join(sorted(sims)) or "none"
+        raise PluginError(
+            f"{binding.name}: there is no fake for driver '{binding.driver}' (fakes installed: {known})"
+        )
+    reference, options = sims.references[sim.name], sim.arguments(binding.options)
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes"),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    try:
+        async with asyncio.timeout(READY):
+            line = (await process.stdout.readline()).decode("utf-8", "replace")
+    except TimeoutError:
+        line = ""
+    words = line.split()
+    if words[:1] != ["ready"] or len(words) < 2:
+        fake = Fake("", process)
+        await fake.stop()
+        raise PluginError(
+            f"{binding.name}: the fake '{sim.name}' did not start; it said: {line.strip() or 'nothing'}"
+        )
+    return Fake(words[1], process)
