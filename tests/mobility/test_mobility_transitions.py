@@ -1,0 +1,457 @@
+"""Every transition of the sender and the receiver, one by one."""
+
+import pytest
+
+from lfield.fleet.mobility import Mobility
+from lfield.fleet.mobility_copies import MAX_STARTS
+from lfield.fleet.mobility_effects import (
+    Departed,
+    Finished,
+    InDoubt,
+    Note,
+    Refusal,
+    Resume,
+    Send,
+    SendTransfer,
+    Supersede,
+)
+from lfield.wire.messages import (
+    MAX_TEXT,
+    NEVER_ARRIVED,
+    SUPERSEDED,
+    Accepted,
+    Ended,
+    EndedAck,
+    Hello,
+    Inquire,
+    Known,
+    Refused,
+    Transfer,
+)
+
+PROGRAM = b"p" * 32
+TOUR = "Tour:one"
+UNREACHABLE = "UnreachableResourceException"
+
+
+class Host:
+    """One machine with a list of what was injected and what the next injections answer."""
+
+    def __init__(self, name: str, incarnation: int = 1, max_block: int = 1000) -> None:
+        self.name, self.incarnation, self.max_block = name, incarnation, max_block
+        self.injected: list[tuple[int, bytes]] = []
+        self.refusal: Refusal | None = None
+        self.mobility = Mobility(
+            self.hello(), peers=["a", "b", "c"], agents=[TOUR], inject=self.inject, unreachable_after=10.0
+        )
+
+    def inject(self, header: Transfer, block: bytes) -> Refusal | None:
+        if self.refusal is None:
+            self.injected.append((header.sequence, bytes(block)))
+        return self.refusal
+
+    def hello(self, *known: Known) -> Hello:
+        return Hello("host", self.name, self.incarnation, PROGRAM, PROGRAM, self.max_block, list(known))
+
+    def greeting(self) -> Hello:
+        return self.hello(*self.mobility.knowledge())
+
+    def known(self, generation: int = 1) -> Known:
+        return next(k for k in self.mobility.knowledge() if k.generation == generation)
+
+
+def seal(sequence: int) -> bytes:
+    return b"block %d" % sequence
+
+
+def transfer(sequence: int, generation: int = 1, receiver: int = 1, **other) -> Transfer:
+    fields = {"agent": TOUR, "hops": 1, "program": PROGRAM, "size": 7} | other
+    return Transfer(generation=generation, sequence=sequence, receiver_incarnation=receiver, **fields)
+
+
+@pytest.fixture
+def a() -> Host:
+    """A host on which the coordinator runs."""
+    host = Host("a")
+    host.mobility.start(TOUR, 1)
+    return host
+
+
+@pytest.fixture
+def b() -> Host:
+    return Host("b")
+
+
+@pytest.fixture
+def away(a, b) -> Host:
+    """Host a, from which the coordinator has been sent to b, at time 0; no answer yet."""
+    a.mobility.linked(b.hello())
+    a.mobility.depart(TOUR, "b", seal, 0.0)
+    return a
+
+
+# The sender
+
+
+def test_a_hop_is_one_message_there_and_one_back(a, b):
+    a.mobility.linked(b.greeting())
+    b.mobility.linked(a.greeting())
+    (sent,) = a.mobility.depart(TOUR, "b", seal, 0.0)
+    assert sent == SendTransfer("b", transfer(1), b"block 1")
+    assert a.known().state == "PREPARED"
+    (answer,) = b.mobility.arrive("a", sent.header, sent.block)
+    assert answer == Send("a", Accepted(TOUR, 1, 1))
+    assert b.injected == [(1, b"block 1")]
+    assert b.known() == Known(TOUR, 1, 1, 1, "RUN")
+    assert a.mobility.receive("b", answer.message, 0.1) == [Departed(TOUR, 1, 1, "b")]
+    assert a.known() == Known(TOUR, 1, 1, 0, "MOVED", "b")
+    assert a.mobility.shadow(TOUR, 1) == b"block 1"
+    assert a.mobility.next_deadline() is None
+
+
+def test_without_a_link_it_waits_frozen_and_is_sent_when_there_is_one(a, b):
+    assert a.mobility.depart(TOUR, "b", seal, 0.0) == []
+    assert a.known().state == "FROZEN"
+    assert a.mobility.next_deadline() == 10.0
+    assert a.mobility.tick(9.9) == []
+    assert a.mobility.linked(Host("c").hello()) == []
+    assert a.mobility.linked(b.hello()) == [SendTransfer("b", transfer(1), b"block 1")]
+
+
+def test_a_host_that_stays_away_is_unreachable(a):
+    a.mobility.depart(TOUR, "b", seal, 0.0)
+    (resume,) = a.mobility.tick(10.0)
+    assert resume == Resume(TOUR, 1, 0, UNREACHABLE, "b could not be reached within 10 s; is it up?")
+    assert a.known().state == "RUN"
+    assert a.mobility.tick(20.0) == []
+
+
+def test_a_refusal_resumes_and_its_number_is_not_used_again(away):
+    (resume,) = away.mobility.receive("b", Refused(TOUR, 1, 1, "LimitException", "full"), 0.1)
+    assert resume == Resume(TOUR, 1, 1, "LimitException", "full")
+    (sent,) = away.mobility.depart(TOUR, "b", seal, 1.0)
+    assert sent.header.sequence == 2
+    assert sent.block == b"block 2"
+
+
+def test_a_block_larger_than_the_peer_takes_is_not_sent(a):
+    a.mobility.linked(Host("b", max_block=3).hello())
+    (resume,) = a.mobility.depart(TOUR, "b", seal, 0.0)
+    assert resume == Resume(TOUR, 1, 1, "LimitException", f"{TOUR} has 7 bytes and b takes at most 3")
+
+
+def test_answers_to_other_numbers_and_from_other_hosts_mean_nothing(away):
+    for host, answer in [
+        ("b", Accepted(TOUR, 1, 2)),
+        ("b", Accepted(TOUR, 2, 1)),
+        ("c", Accepted(TOUR, 1, 1)),
+        ("b", Refused(TOUR, 1, 7, UNREACHABLE, "")),
+        ("b", Refused("Other:x", 1, 1, UNREACHABLE, "")),
+    ]:
+        assert away.mobility.receive(host, answer, 0.0) == []
+    assert away.known().state == "PREPARED"
+
+
+def test_after_a_lost_link_the_sender_asks(away, b):
+    away.mobility.unlinked("b")
+    assert away.mobility.linked(b.hello()) == [Send("b", Inquire(TOUR, 1, 1, 1))]
+
+
+def test_what_never_arrived_is_sent_again_while_there_is_time(away):
+    (sent,) = away.mobility.receive("b", Refused(TOUR, 1, 1, NEVER_ARRIVED, ""), 5.0)
+    assert sent.header.sequence == 2
+    away.mobility.unlinked("b")
+    assert away.mobility.receive("b", Refused(TOUR, 1, 2, NEVER_ARRIVED, ""), 6.0) == []
+    assert away.known().state == "FROZEN"
+
+
+def test_what_never_arrived_is_resumed_when_the_time_is_over(away):
+    (resume,) = away.mobility.receive("b", Refused(TOUR, 1, 1, NEVER_ARRIVED, ""), 10.0)
+    assert (resume.kind, resume.sequence) == (UNREACHABLE, 1)
+
+
+def test_silence_leads_to_doubt_and_never_to_a_second_copy(away):
+    (doubt,) = away.mobility.tick(10.0)
+    assert isinstance(doubt, InDoubt)
+    assert "b has not said within 10 s" in doubt.reason
+    assert away.mobility.tick(1e6) == []
+    assert away.known().state == "IN DOUBT"
+    assert away.known().detail == doubt.reason
+
+
+def test_a_restarted_receiver_leaves_the_sender_in_doubt_for_good(away):
+    away.mobility.unlinked("b")
+    (doubt,) = away.mobility.linked(Host("b", incarnation=2).hello())
+    assert "restarted" in doubt.reason
+    assert away.mobility.linked(Host("b", incarnation=2).hello()) == []
+    assert away.mobility.tick(1e6) == []
+    assert away.mobility.next_deadline() is None
+
+
+def test_a_late_answer_ends_the_doubt(away):
+    away.mobility.tick(10.0)
+    (resume,) = away.mobility.receive("b", Refused(TOUR, 1, 1, "LimitException", "full"), 11.0)
+    assert isinstance(resume, Resume)
+    assert away.known().state == "RUN"
+
+
+@pytest.mark.parametrize(
+    ("state", "sequence", "moved"),
+    [
+        ("RUN", 1, True),
+        ("FROZEN", 1, True),
+        ("MOVED", 1, False),
+        ("MOVED", 2, True),
+        ("RUN", 0, False),
+        ("PREPARED", 2, True),
+    ],
+)
+def test_only_proof_ends_the_doubt(away, state, sequence, moved):
+    away.mobility.tick(10.0)
+    effects = away.mobility.linked(Host("c").hello(Known(TOUR, 1, sequence, 1, state, "b")))
+    assert effects == ([Departed(TOUR, 1, 1, "b")] if moved else [])
+
+
+def test_coming_home_ends_the_doubt_and_replaces_the_shadow(away):
+    (answer,) = away.mobility.arrive("b", transfer(2, hops=2), b"block 2")
+    assert answer == Send("b", Accepted(TOUR, 1, 2))
+    assert away.known() == Known(TOUR, 1, 2, 2, "RUN")
+    assert away.mobility.shadow(TOUR, 1) is None
+
+
+def test_a_return_that_is_refused_still_proves_the_departure(away):
+    away.refusal = Refusal("LimitException", "full")
+    departed, answer = away.mobility.arrive("b", transfer(2), b"block 2")
+    assert departed == Departed(TOUR, 1, 1, "b")
+    assert answer.message.kind == "LimitException"
+    assert away.known().state == "MOVED"
+
+
+def test_an_inquiry_for_a_later_number_proves_the_departure(away):
+    departed, answer = away.mobility.receive("b", Inquire(TOUR, 1, 2, 1), 1.0)
+    assert departed == Departed(TOUR, 1, 1, "b")
+    assert answer.message.kind == NEVER_ARRIVED
+
+
+def test_misuse_is_an_error(a):
+    with pytest.raises(ValueError, match="cannot be started"):
+        a.mobility.start(TOUR, 1)
+    with pytest.raises(ValueError, match="cannot be started"):
+        a.mobility.start("Stranger:x", 1)
+    with pytest.raises(ValueError, match="does not run here"):
+        a.mobility.depart("Stranger:x", "b", seal, 0.0)
+    with pytest.raises(ValueError, match="cannot end here"):
+        a.mobility.ended(TOUR, 1, "lost")
+
+
+# The receiver
+
+
+def test_a_repeated_transfer_is_injected_once(b):
+    assert b.mobility.arrive("a", transfer(1), b"block 1") == b.mobility.arrive("a", transfer(1), b"block 1")
+    assert b.injected == [(1, b"block 1")]
+
+
+def test_a_refused_transfer_stays_refused(b):
+    b.refusal = Refusal("LimitException", "full")
+    (first,) = b.mobility.arrive("a", transfer(1), b"block 1")
+    b.refusal = None
+    (second,) = b.mobility.arrive("a", transfer(1), b"block 1")
+    assert first == second == Send("a", Refused(TOUR, 1, 1, "LimitException", "full"))
+    (third,) = b.mobility.arrive("a", transfer(2), b"block 2")
+    assert third.message == Accepted(TOUR, 1, 2)
+
+
+def test_a_transfer_that_comes_after_the_question_is_refused(b):
+    (answer,) = b.mobility.receive("a", Inquire(TOUR, 1, 1, 1), 0.0)
+    assert answer.message.kind == NEVER_ARRIVED
+    (late,) = b.mobility.arrive("a", transfer(1), b"block 1")
+    assert late == answer
+    assert b.injected == []
+    assert b.mobility.knowledge() == []
+
+
+def test_a_question_about_what_arrived_is_answered(b):
+    b.mobility.arrive("a", transfer(1), b"block 1")
+    assert b.mobility.receive("a", Inquire(TOUR, 1, 1, 1), 0.0) == [Send("a", Accepted(TOUR, 1, 1))]
+
+
+def test_a_number_that_was_overtaken_is_accepted_and_not_injected(b):
+    b.mobility.arrive("a", transfer(5), b"block 5")
+    assert b.mobility.arrive("a", transfer(3), b"block 3") == [Send("a", Accepted(TOUR, 1, 3))]
+    assert b.injected == [(5, b"block 5")]
+
+
+def test_what_was_meant_for_an_earlier_life_is_not_answered(b):
+    (note,) = b.mobility.arrive("a", transfer(1, receiver=99), b"block 1")
+    assert isinstance(note, Note)
+    (note,) = b.mobility.receive("a", Inquire(TOUR, 1, 1, 99), 0.0)
+    assert isinstance(note, Note)
+    (note,) = b.mobility.oversize("a", transfer(1, receiver=99), 5000)
+    assert isinstance(note, Note)
+
+
+@pytest.mark.parametrize(
+    ("header", "kind", "words"),
+    [
+        (transfer(1, program=b"q" * 32), UNREACHABLE, "belongs to program 717171717171"),
+        (transfer(1, agent="Stranger:x"), UNREACHABLE, "knows no coordinator Stranger:x"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_injection(b, header, kind, words):
+    (answer,) = b.mobility.arrive("a", header, b"block 1")
+    assert answer.message.kind == kind
+    assert words in answer.message.reason
+    assert b.injected == []
+
+
+def test_too_large_a_block_is_refused(b):
+    (answer,) = b.mobility.arrive("a", transfer(1), bytes(1001))
+    (unread,) = b.mobility.oversize("a", transfer(1), 1001)
+    assert answer == unread
+    assert answer.message.reason == f"{TOUR} has 1001 bytes and b takes at most 1000"
+
+
+def test_a_second_copy_is_refused_while_the_first_is_here(a):
+    (answer,) = a.mobility.arrive("b", transfer(9), b"block 9")
+    assert answer.message == Refused(TOUR, 1, 9, UNREACHABLE, f"{TOUR} is already on a")
+    assert a.injected == []
+
+
+def test_strangers_do_not_fill_the_memory(b):
+    for generation in range(1, 1000):
+        b.mobility.receive("a", Inquire(TOUR, generation, 1, 1), 0.0)
+        b.mobility.receive("a", Inquire(f"Stranger:{generation}", 1, 1, 1), 0.0)
+        b.mobility.receive("a", Ended(TOUR, generation, "done", "", "a"), 0.0)
+    assert len(b.mobility.knowledge()) == MAX_STARTS
+    (answer,) = b.mobility.arrive("a", transfer(1, generation=5000), b"block 1")
+    assert "starts of it" in answer.message.reason
+
+
+# Endings
+
+
+def test_an_ending_is_told_until_every_host_confirms(a, b):
+    a.mobility.linked(b.hello())
+    (told,) = a.mobility.ended(TOUR, 1, "died", "it fell\n  at line 3")
+    assert told == Send("b", Ended(TOUR, 1, "died", "it fell\n  at line 3", "a"))
+    finished, ack = b.mobility.receive("a", told.message, 0.0)
+    assert finished == Finished(TOUR, 1, "died", "it fell\n  at line 3", "a")
+    assert a.mobility.receive("b", ack.message, 0.0) == []
+    a.mobility.unlinked("b")
+    assert a.mobility.linked(b.greeting()) == []
+    assert a.mobility.linked(Host("c").hello()) == [Send("c", told.message)]
+    assert a.mobility.receive("c", EndedAck(TOUR, 1), 0.0) == []
+    assert b.known() == Known(TOUR, 1, 0, 0, "EXITED", "a", "died", "it fell\n  at line 3")
+
+
+def test_a_host_that_was_away_learns_endings_from_anybody(a, b):
+    a.mobility.ended(TOUR, 1, "done")
+    assert b.mobility.linked(a.greeting()) == [Finished(TOUR, 1, "done", "", "a")]
+    c = Host("c")
+    assert c.mobility.linked(b.greeting()) == [Finished(TOUR, 1, "done", "", "a")]
+    assert c.mobility.linked(a.greeting()) == []
+
+
+def test_an_ending_settles_a_copy_in_doubt(away):
+    away.mobility.tick(10.0)
+    finished, _ = away.mobility.receive("c", Ended(TOUR, 1, "done", "", "c"), 11.0)
+    assert isinstance(finished, Finished)
+    assert away.known().state == "EXITED"
+
+
+def test_an_ending_does_not_stop_a_copy_that_is_here(a):
+    assert a.mobility.receive("c", Ended(TOUR, 1, "lost", "", "c"), 0.0) == [Send("c", EndedAck(TOUR, 1))]
+    assert a.known().state == "RUN"
+
+
+def test_lost_is_a_presumption(away):
+    away.mobility.tick(10.0)
+    away.mobility.ended(TOUR, 1, "lost", "given up")
+    finished, _ = away.mobility.receive("c", Ended(TOUR, 1, "done", "", "c"), 11.0)
+    assert finished == Finished(TOUR, 1, "done", "", "c")
+    assert away.mobility.receive("c", Ended(TOUR, 1, "lost", "", "c"), 12.0) == [Send("c", EndedAck(TOUR, 1))]
+
+
+def test_a_coordinator_given_up_as_lost_may_still_come_back(away):
+    away.mobility.tick(10.0)
+    away.mobility.ended(TOUR, 1, "lost")
+    (answer,) = away.mobility.arrive("c", transfer(2), b"block 2")
+    assert answer.message == Accepted(TOUR, 1, 2)
+    assert away.known().state == "RUN"
+
+
+def test_a_transfer_after_the_end_is_not_injected(b):
+    b.mobility.receive("a", Ended(TOUR, 1, "done", "", "a"), 0.0)
+    assert b.mobility.arrive("a", transfer(3), b"block 3") == [Send("a", Accepted(TOUR, 1, 3))]
+    assert b.injected == []
+
+
+def test_a_long_detail_is_cut_to_what_travels(a):
+    a.mobility.ended(TOUR, 1, "died", "x" * 10000)
+    assert len(a.known().detail) == MAX_TEXT
+
+
+# Two starts of one coordinator
+
+
+def test_a_later_start_ends_when_it_hears_of_the_earlier(b):
+    restarted = Host("a", incarnation=2)
+    restarted.mobility.start(TOUR, 2)
+    b.mobility.arrive("a", transfer(1), b"block 1")
+    (stop, *_) = restarted.mobility.linked(b.greeting())
+    assert stop == Supersede(
+        TOUR, 2, f"an earlier start of {TOUR} is alive on b, so this later one was stopped"
+    )
+    assert restarted.known(2).outcome == "superseded"
+    assert b.known(1).state == "RUN"
+
+
+def test_the_host_of_the_earlier_start_has_the_later_one_ended(b):
+    """Its own greeting may have been too early to show the copy."""
+    b.mobility.arrive("a", transfer(1), b"block 1")
+    c = Host("c")
+    c.mobility.arrive("a", transfer(1, generation=2), b"block 1")
+    (told,) = b.mobility.linked(c.greeting())
+    assert (told.message.outcome, told.message.generation) == ("superseded", 2)
+    stop, _ = c.mobility.receive("b", told.message, 0.0)
+    assert isinstance(stop, Supersede)
+
+
+def test_a_later_start_that_arrives_where_the_earlier_is_alive_is_ended(b):
+    b.mobility.arrive("a", transfer(1), b"block 1")
+    (answer,) = b.mobility.arrive("a", transfer(1, generation=2), b"block 1")
+    assert answer.message.kind == SUPERSEDED
+    restarted = Host("a", incarnation=2)
+    restarted.mobility.start(TOUR, 2)
+    restarted.mobility.linked(b.hello())
+    restarted.mobility.depart(TOUR, "b", seal, 0.0)
+    (stop,) = restarted.mobility.receive("b", answer.message, 0.0)
+    assert isinstance(stop, Supersede)
+    assert b.mobility.receive("a", Inquire(TOUR, 2, 1, 1), 0.0) == [answer]
+
+
+def test_an_earlier_start_that_arrives_ends_the_later(b):
+    b.mobility.arrive("a", transfer(1, generation=2), b"later")
+    stop, answer = b.mobility.arrive("c", transfer(4, generation=1), b"earlier")
+    assert isinstance(stop, Supersede)
+    assert stop.generation == 2
+    assert answer.message == Accepted(TOUR, 1, 4)
+    assert b.injected == [(1, b"later"), (4, b"earlier")]
+
+
+def test_a_copy_in_doubt_gives_way_to_a_later_start(away):
+    """Otherwise it might resume beside the other, on one host."""
+    away.mobility.tick(10.0)
+    stop, told, answer = away.mobility.arrive("b", transfer(1, generation=2), b"later")
+    assert (stop.generation, told.message.outcome) == (1, "lost")
+    assert answer.message == Accepted(TOUR, 2, 1)
+    assert away.mobility.receive("b", Refused(TOUR, 1, 1, NEVER_ARRIVED, ""), 11.0) == []
+
+
+def test_a_copy_in_doubt_does_not_end_a_later_start(away):
+    away.mobility.tick(10.0)
+    restarted = Host("b", incarnation=2)
+    restarted.mobility.start(TOUR, 2)
+    assert restarted.mobility.linked(away.greeting()) == []
+    assert restarted.known(2).state == "RUN"
