@@ -226,8 +226,6 @@ class Guard(asyncio.SubprocessProtocol):
                 self.latched[device] = reason
                 state = f"its safe state '{self._devices[device].safe_state}': {reason}"
                 self._note(f"{device}: {'is in' if confirmed else 'goes into'} {state}")
-                    f"{device}: {'is in' if confirmed else 'goes into'} its safe state '{state}': {reason}"
-                )
             case Released(device):
                 self.latched.pop(device, None)
                 self._note(f"{device}: released")
