@@ -37,7 +37,7 @@ def method(program: Program, name: str) -> MethodRecord:
 def instructions(program: Program, name: str = "R.init") -> list[str]:
     """The instructions of `Owner.name` behind its frame; the first has number 1."""
     record = method(program, name)
-    numbered = re.findall(r"^ *L?(\d+)  (\w.*)$", disassemble(program), re.MULTILINE)
+    numbered = re.findall(r"^(?=.{6}  ) *L?(\d+)  (\w.*)$", disassemble(program), re.MULTILINE)
     own = [text for number, text in numbered if record.entry < int(number) < record.end]
     return [re.sub(r"\bL(\d+)", lambda m: f"L{int(m[1]) - record.entry}", text) for text in own]
 
