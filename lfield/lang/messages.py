@@ -70,7 +70,7 @@ NUMBER_RANGE = _message(
     "the number {text} does not fit into {type}",
     "int goes from -9223372036854775808 to 9223372036854775807, real up to about 1.8e308",
 )
-SINGLE_QUOTES = _message("L107", "text stands in double quotes", 'write "{text}"')
+SINGLE_QUOTES = _message("L107", "text stands in straight double quotes", 'write "{text}"')
 NOT_TEXT = _message(
     "L108",
     "the file holds a character that is not text ({character})",
@@ -133,7 +133,7 @@ INIT_CALLED = _message(
 FOR_EACH = _message(
     "L228", "L has no for-each loop", "write for (int i = 0; i < a.length(); i = i + 1) {{ ... a[i] ... }}"
 )
-MISSPELT_KEYWORD = _message("L229", "'{word}' starts no statement", "did you mean '{close}'?")
+MISSPELT_KEYWORD = _message("L229", "'{word}' is no word of the language", "did you mean '{close}'?")
 VOID_VALUE_TYPE = _message(
     "L230", "void is no type for {what}", "void is only the result of a method without a value"
 )

@@ -82,7 +82,7 @@ _TOKEN = re.compile(
     | (?P<name>          [A-Za-z_]\w*+ )
     | (?P<string>        "(?: [^"\\\n]++ | \\[^\n] )*+" )
     | (?P<open_string>   "[^\n]*+ )
-    | (?P<quoted>        '[^'\n]*+'?+ )
+    | (?P<quoted>        '[^'\n]*+'?+ | [“”„«][^“”»"\n]*+[“”»"] )
     | (?P<symbol>        ===|!==|&&|\|\||==|!=|<=|>=|\+\+|--|[-+*/%&|^]=|->|=>|::|<<|>>
                          |[-+*/%=!<>&|^~?:;,.(){}\[\]] )
     | (?P<illegal>       (?: [^\x00-\x7f] | [\#@`$\\\x00-\x08\x0b\x0e-\x1f\x7f] )++ )
@@ -157,7 +157,7 @@ class _Scanner:
                 self.error(messages.UNCLOSED_STRING, span)
                 self.append(Kind.STRING, span, "")
             case "quoted":
-                self.error(messages.SINGLE_QUOTES, span, text=text.strip("'"))
+                self.error(messages.SINGLE_QUOTES, span, text=text.strip("'“”„«»\""))
                 self.append(Kind.STRING, span, "")
             case _:
                 self.error(

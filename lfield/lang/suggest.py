@@ -43,7 +43,6 @@ FOREIGN_VALUES = {
 FOREIGN_FUNCTIONS = {
     "println": "print",
     "printf": "print",
-    "log": "print",
     "toString": "i2s",
     "str": "i2s",
     "parseInt": "s2i",
@@ -102,7 +101,7 @@ FOREIGN_UNITS = {
 def closest(name: str, known: Iterable[str]) -> str | None:
     """The known name most like this one, or None when none is like it; case does not count."""
     by_lower = {k.lower(): k for k in sorted(known)}
-    found = get_close_matches(name.lower(), list(by_lower), n=1, cutoff=0.7)
+    found = get_close_matches(name.lower(), list(by_lower), n=1, cutoff=0.65)
     return by_lower[found[0]] if found else None
 
 

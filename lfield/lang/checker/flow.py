@@ -20,7 +20,7 @@ from lfield.lang.tree import (
     Throw,
     Try,
 )
-from lfield.lang.types import BOOLEAN, EXCEPTION, INT, REAL, VOID, Type
+from lfield.lang.types import BOOLEAN, EXCEPTION, INT, REAL, UNKNOWN, VOID, Type
 
 _CAUSES: dict[type[Stmt], str] = {
     Return: "return",
@@ -35,7 +35,7 @@ _DEFAULTS: dict[Type, str] = {INT: "0", REAL: "0.0", BOOLEAN: "false"}
 def check_flow(symbols: Symbols, method: Method) -> None:
     """Report the warnings of a method without errors. Falling off the end is legal (appendix D does it)."""
     falls_off = _Flow(symbols).ends(method.body)
-    if falls_off and method.result != VOID:
+    if falls_off and method.result not in (VOID, UNKNOWN):
         default = _DEFAULTS.get(method.result, "null")
         name = f"{method.kind} {method.name}"
         symbols.report(messages.FALLS_OFF, method.end, method=name, default=default)

@@ -9,7 +9,7 @@ from lfield.lang import messages
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.messages import Message
 from lfield.lang.tree import Field, Local, Method, This, Unit
-from lfield.lang.types import ClassType, Type
+from lfield.lang.types import UNKNOWN, ClassType, Type
 from lfield.source import Span
 
 
@@ -80,7 +80,7 @@ class Body:
         """A new local in the innermost scope; a name that is taken by a local is reported."""
         local = Local(name, kind, span)
         earlier = self.scope.find(name)
-        if earlier is not None:
+        if earlier is not None and kind is not UNKNOWN:
             self.report(messages.LOCAL_TWICE, span, name=name, line=earlier.span.line)
         self.scope.locals[name] = local
         return local

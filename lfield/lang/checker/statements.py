@@ -16,6 +16,13 @@ from lfield.lang.types import BOOLEAN, NULL, UNKNOWN, VOID, ClassType
 from lfield.source import Span
 
 
+_NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
+    "portal": "write emit T after its parameters",
+    "init": "write return;",
+    "constructor": "write return;",
+}
+
+
 def check_body(
     symbols: Symbols,
     method: tree.Method,
@@ -144,7 +151,7 @@ def _return(body: Body, raw: syntax.Return) -> list[tree.Stmt]:
         return [tree.Return(raw.span, None)]
     if wanted == VOID:
         evaluated(body, raw.value)
-        hint = "write emit T after its parameters" if method.kind == "portal" else None
+        hint = _NO_RESULT_HINTS.get(method.kind)
         body.report(messages.RETURN_NOTHING, raw.value.span, hint=hint, method=name)
         return [tree.Return(raw.span, None)]
     given = expect(body.symbols, value(body, raw.value), wanted, messages.RETURN_MISMATCH, method=name)

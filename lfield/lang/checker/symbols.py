@@ -54,10 +54,14 @@ class Symbols:
     used_devices: dict[str, DeviceManifest] = field(default_factory=dict)
     broken_units: set[str] = field(default_factory=set)
     incomplete: bool = False
+    _told: set[tuple[str, str, int, str]] = field(default_factory=set)
 
     def report(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
-        """Keep a finding."""
-        self.found.add(message.at(span, hint=hint, **values))
+        """Keep a finding; the same about the same words is told once in a line."""
+        key = (message.code, span.source.name, span.line, span.text)
+        if key not in self._told:
+            self._told.add(key)
+            self.found.add(message.at(span, hint=hint, **values))
 
     def named(self, kind: Type) -> tree.Unit | None:
         """The class or resource a type is about; None for any other type."""
@@ -88,7 +92,7 @@ class Symbols:
             return ResourceType(name) if unit.kind == "resource" else ClassType(name)
         if name in self.devices:
             return DeviceType(name)
-        if name != BAD_TYPE and not self.incomplete:
+        if name in FOREIGN_TYPES or (name != BAD_TYPE and not self.incomplete):
             self.report(messages.UNKNOWN_TYPE, written.span, hint=self._type_hint(name), name=name)
         return UNKNOWN
 

@@ -72,6 +72,7 @@ class _Modifiers:
     def __init__(self) -> None:
         self.given: dict[str, Token] = {}
         self.portal = False
+        self.foreign = False
 
     @property
     def public(self) -> bool:
@@ -80,6 +81,11 @@ class _Modifiers:
     @property
     def synchronized(self) -> bool:
         return "synchronized" in self.given
+
+    @property
+    def missing(self) -> bool:
+        """Whether public or private is missing, and no word of another language stands in its place."""
+        return self.access is None and not self.foreign
 
     @property
     def access(self) -> Token | None:
@@ -97,6 +103,7 @@ def _modifiers(s: TokenStream) -> _Modifiers:
             found.portal = True
         elif s.at_name() and s.at(*FOREIGN_MODIFIERS) and s.ahead(1).text not in ("(", "=", ";"):
             s.report(messages.FOREIGN_WORD, s.advance().span, word=word, instead=FOREIGN_MODIFIERS[word])
+            found.foreign = True
         else:
             break
     return found
@@ -133,7 +140,7 @@ def _member(s: TokenStream, made: Unit) -> None:
     name = s.expect_name("a name")
     if s.at("("):
         method = _method(s, "method", name, modifiers, declared)
-        if modifiers.access is None:
+        if modifiers.missing:
             text = f"{declared} {name.text}(...)"
             s.report(messages.MISSING_MODIFIER, declared.span, what="a method", text=text)
         _body(s, made, method)
@@ -146,7 +153,7 @@ def _field(s: TokenStream, made: Unit, modifiers: _Modifiers, declared: TypeName
         s.report(messages.VOID_VALUE_TYPE, declared.span, what="a field")
         declared.name = BAD_TYPE
     access = modifiers.access
-    if made.kind == "class" and access is None:
+    if made.kind == "class" and modifiers.missing:
         text = f"{declared} {name.text};"
         s.report(messages.MISSING_MODIFIER, declared.span, what="a field of a class", text=text)
     elif made.kind != "class" and access is not None:
@@ -193,7 +200,7 @@ def _without_result(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
         method = _method(s, "method", name, modifiers, TypeName(name.span, BAD_TYPE))
         _body(s, made, method)
         return
-    if modifiers.access is None:
+    if modifiers.missing:
         s.report(messages.MISSING_MODIFIER, name.span, what="a constructor", text=f"{name.text}(...)")
     if modifiers.synchronized:
         _unwanted(s, modifiers.given["synchronized"], "a constructor", ": nobody else has the object yet")

@@ -82,7 +82,9 @@ def parenthesised(s: TokenStream) -> Expr:
     found: list[Expr] = []
 
     def parse() -> None:
-        s.expect("(")
+        if not s.accept("("):
+            hint = "a condition stands in parentheses"
+            raise s.fail(messages.EXPECTED_SYMBOL, hint=hint, what="'('", found=s.current)
         found.append(expression(s))
         s.close(")", opening)
 
@@ -221,7 +223,8 @@ def _new(s: TokenStream) -> Expr:
         height = 1 + max((a.height for a in given), default=0)
         return s.bounded(New(start.to(s.previous.span), height, made, given))
     if not s.at("["):
-        raise s.fail(messages.NEW_NEEDS, type=made)
+        hint = f"write new {made}[10]; only classes have constructors" if made.name in PRIMITIVES else None
+        raise s.fail(messages.NEW_NEEDS, hint=hint, type=made)
     return _new_array(s, start, made)
 
 

@@ -14,6 +14,8 @@ from lfield.source import Diagnostics, Source
 _KINDS: dict[str, UnitKind] = {"resource": "resource", "coordinator": "coordinator", "class": "class"}
 #: Members that come after the last unit: a `}` too many closed it.
 _STRAY_MEMBERS = ("portal", "private", "public", "init")
+#: Words after which nothing is lost that L would have had.
+_IMPORTS = ("import", "package", "using")
 
 
 def parse(source: Source, found: Diagnostics) -> File:
@@ -39,7 +41,7 @@ def _top_level(s: TokenStream, file: File) -> None:
     elif s.at("}"):
         s.report(messages.EXTRA_BRACE, s.current.span)
         s.advance()
-    elif s.at(*_STRAY_MEMBERS) and file.units and s.previous.text == "}":
+    elif s.at(*_STRAY_MEMBERS) and s.ahead(1).text not in UNIT_KEYWORDS and file.units:
         s.report(messages.EXTRA_BRACE, s.previous.span)
         members(s, file.units[-1], s.previous.span)
     else:
@@ -59,6 +61,9 @@ def _neither(s: TokenStream, file: File) -> None:
         s.report(messages.FOREIGN_WORD, word.span, word=word.text, instead=FOREIGN_UNITS[word.text])
         if s.ahead(1).text in UNIT_KEYWORDS:
             s.advance()
+            return
+        if word.text in _IMPORTS:
+            s.skip_unit()
             return
         raise Recover
     hint = f"did you mean '{close}'?" if close else None

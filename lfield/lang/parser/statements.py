@@ -61,7 +61,7 @@ def statement(s: TokenStream) -> Stmt:
 
 def _at_member(s: TokenStream) -> bool:
     """Whether a member or a unit begins here, which cannot be inside a body."""
-    if not s.at(*MEMBER_KEYWORDS):
+    if not s.at(*MEMBER_KEYWORDS) or (s.at("init") and s.ahead(2).text not in ("string", "String")):
         return False
     return s.first_on_line() or s.previous.text in "{};"
 

@@ -1,0 +1,45 @@
+"""Golden files: the expectation stands on the line itself, as `// error L405: part of the message`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from lfield.manifest import DeviceManifest, Instruction, Parameter
+from lfield.source import Diagnostic
+
+GOLDEN = Path(__file__).parent / "golden"
+THESIS = Path(__file__).parents[2].parent / "shared" / "thesis-programs"
+
+_EXPECTED = re.compile(r"(?P<severity>error|warning) (?P<code>L\d{3}): (?P<part>.*)$")
+
+#: A device type as a driver would bring it.
+ROVER = DeviceManifest(
+    type="Rover",
+    driver="rover",
+    instructions=(
+        Instruction("drive", (Parameter("speed", "real", "m/s"),)),
+        Instruction("distance", (), result="real", unit="m", effect="query"),
+        Instruction("scan", (Parameter("angles", "real[]", "rad"),), result="int[]", effect="query"),
+    ),
+)
+
+
+def expected(path: Path) -> list[tuple[int, str, str, str]]:
+    """Line, severity, code and part of the message, for every expectation in a file."""
+    lines = path.read_bytes().decode("utf-8", "replace").split("\n")
+    found = []
+    for number, line in enumerate(lines, 1):
+        match = _EXPECTED.search(line)
+        if match:
+            found.append((number, match["severity"], match["code"], match["part"].strip()))
+    return found
+
+
+def assert_exactly(path: Path, diagnostics: list[Diagnostic]) -> None:
+    """The diagnostics are those the file expects, no more and no fewer."""
+    wanted = expected(path)
+    drawn = "\n".join(d.render() for d in diagnostics)
+    assert [(d.span.line, d.severity, d.code) for d in diagnostics] == [w[:3] for w in wanted], drawn
+    for diagnostic, (_, _, _, part) in zip(diagnostics, wanted, strict=True):
+        assert part in diagnostic.message, diagnostic.render()

@@ -1,0 +1,222 @@
+"""What the compiler is handed: sugar spelled out, names resolved, conversions as nodes."""
+
+from typing import TypeVar
+
+from lang_expectations import ROVER
+
+from lfield.lang import tree
+from lfield.lang.frontend import check_text
+from lfield.lang.types import (
+    EXCEPTION,
+    INT,
+    NULL,
+    REAL,
+    STRING,
+    ClassType,
+    DeviceType,
+    ResourceType,
+    Type,
+    array_of,
+)
+
+Node = TypeVar("Node")
+
+
+def program(text: str) -> dict[str, tree.Unit]:
+    return {unit.name: unit for unit in check_text(text, devices={"Rover": ROVER}).or_raise().units}
+
+
+def body(statements: str, members: str = "", after: str = "") -> list[tree.Stmt]:
+    text = f"resource Arm {{ init(string[] arg) {{ {statements} }} {members} }} {after}"
+    return program(text)["Arm"].methods[0].body
+
+
+def call(statements: str, kind: type[Node], members: str = "", after: str = "") -> Node:
+    """The expression of the last statement."""
+    last = body(statements, members, after)[-1]
+    assert isinstance(last, tree.Evaluate)
+    assert isinstance(last.value, kind)
+    return last.value
+
+
+def test_field_initialisers_run_first_in_init_and_in_every_constructor() -> None:
+    units = program(
+        "resource Arm { int a = 1; init(string[] arg) { a = 2; } }"
+        "class Box { public real size = 3; public Box() { } public Box(int n) { } }"
+        "class Plain { public int x = 1; }"
+    )
+    first, second = units["Arm"].methods[0].body
+    assert isinstance(first, tree.Evaluate)
+    assert isinstance(first.value, tree.Assign)
+    assert isinstance(first.value.target, tree.FieldGet)
+    assert isinstance(first.value.target.object, tree.This)
+    assert isinstance(second, tree.Evaluate)
+    values = []
+    for constructor in units["Box"].methods:
+        (statement,) = constructor.body
+        assert isinstance(statement, tree.Evaluate)
+        assert isinstance(statement.value, tree.Assign)
+        assert isinstance(statement.value.value, tree.ToReal)
+        values.append(statement.value.value)
+    assert values[0] is not values[1]
+    (default,) = units["Plain"].methods
+    assert (default.kind, default.parameters, default.public, len(default.body)) == (
+        "constructor",
+        [],
+        True,
+        1,
+    )
+
+
+def test_for_is_a_block_with_a_loop_and_its_step() -> None:
+    (block,) = body("for (int i = 0; i < 3; i = i + 1) { if (i == 1) continue; }")
+    assert isinstance(block, tree.Block)
+    declare, loop = block.body
+    assert isinstance(declare, tree.Declare)
+    assert isinstance(loop, tree.Loop)
+    assert len(loop.step) == 1
+    (endless,) = body("for (;;) yield();")
+    assert isinstance(endless, tree.Block)
+    (loop,) = endless.body
+    assert isinstance(loop, tree.Loop)
+    assert isinstance(loop.condition, tree.Literal_)
+    assert loop.condition.value is True
+
+
+def test_int_widens_in_assignment_argument_return_arithmetic_and_comparison() -> None:
+    (declare,) = body("real x = 1;")
+    assert isinstance(declare, tree.Declare)
+    assert isinstance(declare.value, tree.ToReal)
+    assert isinstance(call("sleep(1);", tree.Library).arguments[0], tree.ToReal)
+    result = (
+        program("resource A { init(string[] a) { } private real f() { return 1; } }")["A"].methods[1].body[0]
+    )
+    assert isinstance(result, tree.Return)
+    assert isinstance(result.value, tree.ToReal)
+    (plus,) = call("print(1 + 2.0);", tree.Library).arguments
+    assert isinstance(plus, tree.Binary)
+    assert isinstance(plus.left, tree.ToReal)
+    assert plus.type == REAL
+    (less,) = call("print(1.0 < 2);", tree.Library).arguments
+    assert isinstance(less, tree.Binary)
+    assert isinstance(less.right, tree.ToReal)
+
+
+def test_overloads_choose_the_exact_match_then_the_fewest_widenings() -> None:
+    members = "private void f(int a, real b) { } private void f(real a, real b) { }"
+    members += "private void f(string s, int[] a) { }"
+    assert call("f(1, 2);", tree.Call, members).method.signature == "f(int, real)"
+    assert call("f(1.0, 2);", tree.Call, members).method.signature == "f(real, real)"
+    assert call("f(null, null);", tree.Call, members).method.signature == "f(string, int[])"
+    assert call("print(min(1, 2.0));", tree.Library).operation == "print_float"
+
+
+def test_null_stands_right_in_comparisons_and_keeps_its_type() -> None:
+    (same,) = call("print(null == arg);", tree.Library).arguments
+    assert isinstance(same, tree.Binary)
+    assert (same.left.type, same.right.type) == (array_of(STRING), NULL)
+
+
+def test_smallest_int_is_one_literal() -> None:
+    (least,) = call("print(-9223372036854775808);", tree.Library).arguments
+    assert isinstance(least, tree.Literal_)
+    assert (least.value, least.type) == (-(2**63), INT)
+
+
+def test_operators_group_like_in_c() -> None:
+    def shape(expression: tree.Expr) -> str:
+        if isinstance(expression, tree.Binary | tree.Logical):
+            return f"({shape(expression.left)}{expression.op}{shape(expression.right)})"
+        if isinstance(expression, tree.Not | tree.Negate):
+            return f"{'!' if isinstance(expression, tree.Not) else '-'}{shape(expression.operand)}"
+        return expression.span.text
+
+    def grouped(text: str) -> str:
+        return shape(
+            call(f"int a = 1; int b = 2; boolean p; boolean q; print({text});", tree.Library).arguments[0]
+        )
+
+    assert grouped("a - b - 3 * -a % 2") == "((a-b)-((3*-a)%2))"
+    assert grouped("p || q && !p == q") == "(p||(q&&(!p==q)))"
+    assert grouped("a + 1 < b == p") == "(((a+1)<b)==p)"
+    assert grouped("(a + b) * 2") == "((a+b)*2)"
+
+
+def test_dangling_else_belongs_to_the_nearest_if() -> None:
+    (outer,) = body("if (true) if (false) print(1); else print(2);")
+    assert isinstance(outer, tree.If)
+    (inner,) = outer.then
+    assert isinstance(inner, tree.If)
+    assert (len(inner.otherwise), outer.otherwise) == (1, [])
+
+
+def test_portals_find_and_proxies() -> None:
+    units = program(
+        "resource Arm { init(string[] a) { } portal go(real x) emit int { return 1; } }"
+        'coordinator Boss { init(string[] a) { Arm x = findArm("a"); Arm[] all = findArm(); all[0].go(1); } }'
+    )
+    one, all_, last = units["Boss"].methods[0].body
+    assert isinstance(one, tree.Declare)
+    assert isinstance(one.value, tree.Find)
+    assert (one.value.resource, one.value.type) == (units["Arm"], ResourceType("Arm"))
+    assert isinstance(all_, tree.Declare)
+    assert isinstance(all_.value, tree.Find)
+    assert (all_.value.id, all_.value.type) == (None, array_of(ResourceType("Arm")))
+    assert isinstance(last, tree.Evaluate)
+    assert isinstance(last.value, tree.PortalCall)
+    assert last.value.portal is units["Arm"].methods[1]
+    assert isinstance(last.value.arguments[0], tree.ToReal)
+
+
+def test_device_calls_and_only_the_devices_used() -> None:
+    init = "init(string[] x) { fc.drive(1); print(this.fc.scan(null)[0]); }"
+    text = f"resource Arm {{ int a; Rover fc; real b; {init} }}"
+    checked = check_text(text, devices={"Rover": ROVER, "Other": ROVER}).or_raise()
+    assert checked.devices == {"Rover": ROVER}
+    (arm,) = checked.units
+    assert [(f.name, f.index) for f in arm.fields] == [("a", 0), ("fc", 1), ("b", 2)]
+    assert arm.fields[1].type == DeviceType("Rover")
+    first = arm.methods[0].body[0]
+    assert isinstance(first, tree.Evaluate)
+    assert isinstance(first.value, tree.DeviceCall)
+    assert (first.value.device, first.value.instruction.name) == (arm.fields[1], "drive")
+    assert isinstance(first.value.arguments[0], tree.ToReal)
+
+
+def test_exceptions() -> None:
+    statements = body(
+        'try throw new NullException("x"); catch (Box b) print(1); catch (Exception e) throw e;',
+        "",
+        "class Box { }",
+    )
+    (attempt,) = statements
+    assert isinstance(attempt, tree.Try)
+    (thrown,) = attempt.body
+    assert isinstance(thrown, tree.Throw)
+    assert isinstance(thrown.value, tree.New)
+    assert (thrown.value.constructor, thrown.value.type) == (None, ClassType("NullException"))
+    assert [clause.local.type for clause in attempt.catches] == [ClassType("Box"), EXCEPTION]
+    message = call('Exception e = new Exception("a"); e.message();', tree.Library)
+    assert (message.operation, message.type) == ("exc_message", STRING)
+
+
+def test_lengths_of_arrays_and_strings() -> None:
+    assert call("arg.length();", tree.Library).operation == "array_len"
+    text = call("arg[0].substring(1, 2);", tree.Library)
+    assert (text.operation, len(text.arguments)) == ("substring", 3)
+
+
+def test_new_arrays_carry_their_whole_type() -> None:
+    made = call("int[][] a; a = new int[2][];", tree.Assign).value
+    assert isinstance(made, tree.NewArray)
+    assert (made.type, len(made.lengths)) == (array_of(array_of(INT)), 1)
+
+
+def test_this_of_a_resource_has_a_plain_type() -> None:
+    assert call("this.f();", tree.Call, "private void f() { }").object.type == Type("Arm")
+
+
+def test_string_escapes() -> None:
+    (text,) = call(r'print("\n\t\r\0\"\\\u{e9}\u{1F916}");', tree.Library).arguments
+    assert isinstance(text, tree.Literal_)
+    assert text.value == '\n\t\r\0"\\é\N{ROBOT FACE}'

@@ -1,0 +1,77 @@
+"""Deployment files: what they say, and what identifies them."""
+
+from pathlib import Path
+
+import pytest
+from lang_expectations import GOLDEN
+
+from lfield.errors import InputFileError, UsageError
+from lfield.lang.deployment import Deployment, lookup_host, parse_deployment, read_deployment
+from lfield.lang.tree import UnitKind
+
+UNITS: dict[str, UnitKind] = {"Arm": "resource", "Boss": "coordinator"}
+
+
+def deployment(text: str) -> Deployment:
+    found, diagnostics = parse_deployment(text, "mission.dL", UNITS)
+    assert found is not None, [d.render() for d in diagnostics]
+    return found
+
+
+def test_every_form_of_a_line() -> None:
+    mission = read_deployment(GOLDEN / "deployments" / "ok" / "forms.dL", UNITS)
+    assert [(a.type, a.id, a.kind, a.host, a.port, a.arguments) for a in mission.agents] == [
+        ("Arm", "arm1", "resource", "olive.example.org", 8200, ("a&b", "#", "café noir")),
+        ("Arm", "arm-2", "resource", "10.0.0.7", None, ()),
+        ("Boss", "boss_1", "coordinator", "olive.example.org", None, ("arm1", "", "x=#y")),
+        ("Boss", "boss.2", "coordinator", "10.0.0.7", None, ()),
+    ]
+    assert mission.hosts == ("olive.example.org", "10.0.0.7")
+    assert [a.id for a in mission.on("10.0.0.7")] == ["arm-2", "boss.2"]
+    assert (mission.index("boss_1"), mission.agent("boss_1").type) == (2, "Boss")
+    assert (mission.port("olive.example.org"), mission.port("10.0.0.7")) == (8200, None)
+    assert mission.agents[2].span.line == 5
+
+
+def test_hash_is_of_what_is_deployed_and_not_of_how_it_is_written() -> None:
+    plain = deployment("//Arm:a@x?1&2\n//Boss:b@y\n").hash
+    assert len(plain) == 64
+    assert deployment("# team\n\n  pitp://Arm:a@x:9000?%31&2   # first\nBoss:b@y").hash == plain
+    for other in ("//Boss:b@y\n//Arm:a@x?1&2", "//Arm:a@x?1\n//Boss:b@y", "//Arm:a@y?1&2\n//Boss:b@y"):
+        assert deployment(other).hash != plain
+    assert deployment("//Arm:a@x?12").hash != deployment("//Arm:a@x?1&2").hash
+
+
+def test_without_the_program_types_are_not_checked() -> None:
+    found, diagnostics = parse_deployment("//Anything:a@x", "mission.dL", None)
+    assert diagnostics == []
+    assert found is not None
+    assert found.agents[0].kind == "unknown"
+
+
+def test_all_mistakes_of_a_file_and_of_a_line_are_told() -> None:
+    _, found = parse_deployment("//Amr:a!@x?%\n//Arm:a@x\n//Arm:a@x:0", "mission.dL", UNITS)
+    assert [(d.code, d.span.line) for d in found] == [("L704", 1), ("L710", 1), ("L707", 3)]
+    _, found = parse_deployment("//Amr:a@x\n//Arm:a@x", "mission.dL", UNITS)
+    assert (found[0].code, found[0].hint) == ("L702", "did you mean 'Arm'?")
+
+
+def test_a_caret_under_the_part_that_is_wrong() -> None:
+    _, (found,) = parse_deployment("//Arm:a@x:99999?1", "mission.dL", UNITS)
+    assert found.render().split("\n")[:3] == [
+        "mission.dL:1:11: error[L707]: the port '99999' is not good",
+        "    //Arm:a@x:99999?1",
+        "              ^~~~~",
+    ]
+
+
+def test_lookup_of_a_host() -> None:
+    mission = deployment("//Arm:a@olive\n//Arm:b@ficus")
+    assert lookup_host(mission, "ficus") == "ficus"
+    with pytest.raises(UsageError, match=r"no host 'oliv': it has olive and ficus; did you mean 'olive'"):
+        lookup_host(mission, "oliv")
+
+
+def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(InputFileError):
+        read_deployment(tmp_path / "nobody.dL", UNITS)
