@@ -15,7 +15,6 @@ from lfield.lang.checker.visibility import visible_type
 from lfield.lang.types import BOOLEAN, NULL, UNKNOWN, VOID, ClassType
 from lfield.source import Span
 
-
 _NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
     "portal": "write emit T after its parameters",
     "init": "write return;",
