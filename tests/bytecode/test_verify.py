@@ -61,6 +61,11 @@ from lfield.errors import ProgramFileError
 Change = Callable[[Draft], object]
 
 
+def _without_init(draft: Draft, named: int) -> None:
+    draft.change_method(GUIDE_INIT, kind="method")
+    draft.change_class(GUIDE, init=named)
+
+
 def refused(change: Change, reason: str) -> None:
     draft = Draft()
     change(draft)
@@ -129,10 +134,12 @@ def test_types(change: Change, reason: str) -> None:
             "no resource",
         ),
         (lambda d: d.change_class(BOX, init=BOX_SUM), "has an init"),
-        (lambda d: d.change_class(GUIDE, init=-1), "init"),
-        (lambda d: d.change_class(GUIDE, init=99), "init"),
-        (lambda d: d.change_class(GUIDE, init=BOX_SUM), "init"),
-        (lambda d: d.change_class(GUIDE, init=ARM_INIT), "init"),
+        (lambda d: d.change_class(GUIDE, init=-1), "not the init that its class names"),
+        (lambda d: d.change_class(GUIDE, init=99), "not the init that its class names"),
+        (lambda d: d.change_class(GUIDE, init=ARM_INIT), "not the init that its class names"),
+        (lambda d: _without_init(d, -1), "Guide has no init"),
+        (lambda d: _without_init(d, 99), "Guide has no init"),
+        (lambda d: _without_init(d, BOX_SUM), "Guide has no init"),
     ],
 )
 def test_classes(change: Change, reason: str) -> None:

@@ -23,6 +23,11 @@ def constants(program: Program) -> list[object]:
         ("int i = 1; int j = i * i - i;", ["move, ^2, 1", "muli, ^4, ^2, ^2", "subi, ^3, ^4, ^2"]),
         ("real r = 1;", ["move, ^2, 1.0"]),
         ("int i = -5;", ["move, ^2, -5"]),
+        ("real r = -2.5;", ["move, ^2, -2.5"]),
+        (
+            'string s = "a" + arg[0];',
+            ['lds, ^3, "a"', "gete, ^4, ^1, 0", "push, ^3", "push, ^4", "str_concat", "pop, ^2"],
+        ),
         ("int i = -9223372036854775808;", ["move, ^2, -9223372036854775808"]),
         ("int i = 60 * 60 - 1;", ["move, ^2, 3599"]),
         ("boolean b = !true;", ["move, ^2, false"]),
