@@ -95,7 +95,8 @@ class _Modifiers:
 def _modifiers(s: TokenStream) -> _Modifiers:
     found = _Modifiers()
     while not found.portal:
-        word = _respelt(s) or s.current.text
+        # Behind public or private the word may be any type: `private Report observe()` is no portal.
+        word = (_respelt(s) if found.access is None else None) or s.current.text
         if word in _MODIFIERS:
             found.given[word] = s.advance()
         elif word == "portal":
@@ -116,7 +117,8 @@ def _respelt(s: TokenStream) -> str | None:
         s.at_name() and s.ahead(1).text.isidentifier() and (following.isidentifier() or following == "(")
     ):
         return None
-    close = closest(s.current.text, (*_MODIFIERS, "portal"))
+    # A capital begins the name of a type: `Report observe()` is no misspelt portal.
+    close = closest(s.current.text, (*_MODIFIERS, "portal")) if s.current.text[0].islower() else None
     if close is not None:
         s.report(messages.MISSPELT_KEYWORD, s.current.span, word=s.current.text, close=close)
     return close
