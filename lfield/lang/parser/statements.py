@@ -222,7 +222,7 @@ def _simple(s: TokenStream) -> Stmt:
 def _is_foreign(s: TokenStream) -> bool:
     """Whether the word here is used as in its own language, and not as a name of this program."""
     following = s.ahead(1).text
-    return s.at("switch", "foreach") if following == "(" else following not in ("=", ".", "[", ";", ",")
+    return _before_block(s) if following == "(" else following not in ("=", ".", "[", ";", ",")
 
 
 def _before_block(s: TokenStream) -> bool:
