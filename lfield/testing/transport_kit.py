@@ -1,0 +1,248 @@
+"""What every transport must do, as tests.
+
+A test module makes a class of its own from `TransportKit` and gives it a `bench` fixture:
+
+    class TestMyTransport(TransportKit):
+        @pytest.fixture
+        def bench(self):
+            yield MyBench()
+
+The kit needs pytest (the `test` extra). `tests/net` runs it on both of lfield's transports.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+import pytest
+
+from lfield.errors import AddressError, GreetingError, LfieldError, WireError
+from lfield.wire.codec import CONTROL, TRANSFER, encode, encode_transfer
+from lfield.wire.messages import Ended, Message, Ping, Pong, Refuse, Transfer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Coroutine
+
+    from lfield.net.transport import Link, LinkHandler, Transport
+
+T = TypeVar("T")
+
+#: The block limit that a bench sets on its transports, in bytes.
+MAX_BLOCK = 1 << 20
+
+
+class TransportBench(Protocol):
+    """A transport under test and a way to let it work."""
+
+    #: Made with a `max_block` of MAX_BLOCK.
+    transport: Transport
+    #: An address to listen at, with port 0.
+    address: str
+
+    def wait(self, work: Coroutine[object, object, T]) -> T:
+        """Run a coroutine of the transport to its end."""
+
+    def until(self, done: Callable[[], bool]) -> None:
+        """Let the network work until `done()`; fail if it never is."""
+
+    def write(self, link: Link, data: bytes) -> None:
+        """Send bytes that are no message."""
+
+
+class Recorder:
+    """A handler that remembers what it was told."""
+
+    def __init__(self, refuse: str = "") -> None:
+        self.link: Link | None = None
+        self.heard: list[Message | tuple[Transfer, bytes]] = []
+        self.oversize: list[tuple[Transfer, int]] = []
+        self.ends: list[LfieldError | None] = []
+        self._refuse = refuse
+
+    def on_message(self, link: Link, message: Message) -> None:
+        """Keep it; refuse the peer if so made."""
+        self.heard.append(message)
+        if self._refuse:
+            link.send(Refuse(self._refuse))
+            raise GreetingError(self._refuse)
+
+    def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
+        """Keep header and block."""
+        self.heard.append((header, bytes(block)))
+
+    def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
+        """Keep header and size."""
+        self.oversize.append((header, size))
+
+    def on_closed(self, link: Link, error: LfieldError | None) -> None:
+        """Keep the reason."""
+        self.ends.append(error)
+
+
+class Pair:
+    """A listener and links to it; `near` and `far` are the two ends of the first."""
+
+    def __init__(self, bench: TransportBench, refuse: str = "") -> None:
+        self.bench = bench
+        self.accepted: list[Recorder] = []
+        self._refuse = refuse
+        self.listener = bench.wait(bench.transport.listen(bench.address, self._on_link))
+        self.link, self.near = self.connect()
+        self.far = self.accepted[0]
+
+    def connect(self) -> tuple[Link, Recorder]:
+        """Another link to the listener, once both ends exist."""
+        near, number = Recorder(), len(self.accepted)
+        link = self.bench.wait(self.bench.transport.connect(self.listener.address, near))
+        self.bench.until(lambda: len(self.accepted) > number)
+        return link, near
+
+    def _on_link(self, link: Link) -> LinkHandler:
+        handler = Recorder(self._refuse)
+        handler.link = link
+        self.accepted.append(handler)
+        return handler
+
+
+def transfer(size: int, sequence: int = 1) -> Transfer:
+    """A header for a block of that size."""
+    return Transfer("Tour:one", 1, sequence, 1, b"p" * 32, 7, size)
+
+
+class TransportKit:
+    """The tests. A subclass gives the `bench` fixture."""
+
+    @pytest.fixture
+    def pair(self, bench: TransportBench) -> Pair:
+        """A fresh link."""
+        return Pair(bench)
+
+    def test_messages_keep_their_order_both_ways(self, bench: TransportBench, pair: Pair) -> None:
+        assert pair.far.link is not None
+        for token in range(1000):
+            pair.link.send(Ping(token))
+            pair.far.link.send(Pong(token))
+        bench.until(lambda: len(pair.far.heard) == 1000 == len(pair.near.heard))
+        assert pair.far.heard == [Ping(token) for token in range(1000)]
+        assert pair.near.heard == [Pong(token) for token in range(1000)]
+
+    def test_blocks_and_messages_keep_their_order(self, bench: TransportBench, pair: Pair) -> None:
+        blocks = [
+            bytes([i]) * size for i, size in enumerate((0, 1, 1000, 64 * 1024, 64 * 1024 + 1, MAX_BLOCK))
+        ]
+        for number, block in enumerate(blocks):
+            pair.link.send_transfer(transfer(len(block), number), block)
+            pair.link.send(Ping(number))
+        bench.until(lambda: len(pair.far.heard) == 2 * len(blocks))
+        expected: list[Message | tuple[Transfer, bytes]] = []
+        for number, block in enumerate(blocks):
+            expected += [(transfer(len(block), number), block), Ping(number)]
+        assert pair.far.heard == expected
+
+    def test_many_small_blocks(self, bench: TransportBench, pair: Pair) -> None:
+        for number in range(2000):
+            pair.link.send_transfer(transfer(64, number), memoryview(bytearray(64)))
+        bench.until(lambda: len(pair.far.heard) == 2000)
+        assert pair.far.heard[-1] == (transfer(64, 1999), bytes(64))
+
+    def test_a_close_is_seen_on_both_sides_after_what_was_sent(
+        self, bench: TransportBench, pair: Pair
+    ) -> None:
+        pair.link.send(Ping(1))
+        pair.link.close()
+        pair.link.close()
+        assert pair.near.ends == [], "no callback inside close"
+        bench.until(lambda: bool(pair.near.ends and pair.far.ends))
+        assert (pair.far.heard, pair.near.ends, pair.far.ends) == ([Ping(1)], [None], [None])
+
+    def test_the_side_that_was_called_may_close_too(self, bench: TransportBench, pair: Pair) -> None:
+        assert pair.far.link is not None
+        pair.far.link.close()
+        bench.until(lambda: bool(pair.near.ends and pair.far.ends))
+        assert (pair.near.ends, pair.far.ends) == ([None], [None])
+
+    def test_sending_on_a_closed_link_is_an_error(self, bench: TransportBench, pair: Pair) -> None:
+        pair.link.close()
+        with pytest.raises(AddressError, match="the link to it is closed"):
+            pair.link.send(Ping(1))
+        with pytest.raises(AddressError, match="the link to it is closed"):
+            pair.link.send_transfer(transfer(1), b"x")
+        bench.until(lambda: bool(pair.far.ends))
+        assert pair.far.link is not None
+        with pytest.raises(AddressError, match="the link to it is closed"):
+            pair.far.link.send(Ping(1))
+
+    def test_connecting_where_nobody_listens_is_an_error(self, bench: TransportBench, pair: Pair) -> None:
+        address = pair.listener.address
+        pair.listener.close()
+        with pytest.raises(AddressError, match="nobody listens there"):
+            bench.wait(bench.transport.connect(address, Recorder()))
+        pair.link.send(Ping(1))
+        bench.until(lambda: pair.far.heard == [Ping(1)])
+
+    def test_a_port_in_use_is_an_error(self, bench: TransportBench, pair: Pair) -> None:
+        with pytest.raises(AddressError, match="the port is in use") as caught:
+            bench.wait(bench.transport.listen(pair.listener.address, lambda link: Recorder()))
+        assert caught.value.address == pair.listener.address
+
+    @pytest.mark.parametrize("address", ["", ":1", "host:", "host:http", "host:65536", "[::1", "[::1]8181"])
+    def test_what_is_no_address_is_an_error(self, bench: TransportBench, address: str) -> None:
+        with pytest.raises(AddressError, match="cannot use"):
+            bench.wait(bench.transport.connect(address, Recorder()))
+        with pytest.raises(AddressError, match="cannot use"):
+            bench.wait(bench.transport.listen(address, lambda link: Recorder()))
+
+    def test_an_oversize_block_is_skipped_and_reported(self, bench: TransportBench, pair: Pair) -> None:
+        size = MAX_BLOCK + 2000
+        pair.link.send_transfer(transfer(size), bytes(size))
+        pair.link.send(Ping(1))
+        bench.until(lambda: pair.far.heard == [Ping(1)])
+        assert pair.far.oversize == [(transfer(size), size)]
+        assert pair.far.ends == []
+
+    @pytest.mark.parametrize(
+        "data",
+        [
+            b"GET / HTTP/1.1\r\n\r\n",
+            bytes(64),
+            b"\xff" * 64,
+            (1 << 30).to_bytes(4, "big") + bytes([CONTROL]),
+            b"\x00\x00\x00\x03" + bytes([CONTROL]) + b"\x92\x63",
+            b"\x00\x00\x00\x03" + bytes([TRANSFER]) + b"\x00\x00",
+            encode_transfer(transfer(5), 4) + b"four",
+            encode(Ended("", 1, "done", "", "a")),
+        ],
+    )
+    def test_bad_bytes_close_that_link_and_no_other(
+        self, bench: TransportBench, pair: Pair, data: bytes
+    ) -> None:
+        other, _ = pair.connect()
+        bench.write(pair.link, encode(Ping(1)) + data)
+        bench.until(lambda: bool(pair.far.ends and pair.near.ends))
+        assert pair.far.heard == [Ping(1)]
+        assert isinstance(pair.far.ends[0], WireError)
+        other.send(Ping(2))
+        bench.until(lambda: pair.accepted[1].heard == [Ping(2)])
+
+    def test_a_message_cut_short_by_a_close_is_reported(self, bench: TransportBench, pair: Pair) -> None:
+        bench.write(pair.link, encode_transfer(transfer(1000), 1000) + bytes(10))
+        pair.link.close()
+        bench.until(lambda: bool(pair.far.ends))
+        assert pair.far.heard == []
+        assert isinstance(pair.far.ends[0], WireError)
+        assert "in the middle of a message" in str(pair.far.ends[0])
+
+    def test_a_message_may_come_a_byte_at_a_time(self, bench: TransportBench, pair: Pair) -> None:
+        for byte in encode(Ping(1)) + encode_transfer(transfer(9), 9) + bytes(9) + encode(Ping(2)):
+            bench.write(pair.link, bytes([byte]))
+        bench.until(lambda: len(pair.far.heard) == 3)
+        assert pair.far.heard == [Ping(1), (transfer(9), bytes(9)), Ping(2)]
+
+    def test_a_handler_that_refuses_closes_after_its_last_word(self, bench: TransportBench) -> None:
+        pair = Pair(bench, refuse="wrong program")
+        pair.link.send(Ping(1))
+        pair.link.send(Ping(2))
+        bench.until(lambda: bool(pair.near.ends and pair.far.ends))
+        assert pair.near.heard == [Refuse("wrong program")]
+        assert pair.far.heard == [Ping(1)]
+        assert isinstance(pair.far.ends[0], GreetingError)

@@ -1,0 +1,107 @@
+"""Who is let in, who is not, and what both are told."""
+
+import pytest
+
+from lfield.errors import GreetingError, WireError
+from lfield.net.greeting import Greeting
+from lfield.wire.messages import (
+    Accepted,
+    ForeignHello,
+    Hello,
+    Ping,
+    Refuse,
+    StatusRequest,
+)
+
+PROGRAM, DEPLOYMENT = b"p" * 32, b"d" * 32
+HOSTS = ("a", "b", "c")
+
+
+def hello(host: str = "b", **other) -> Hello:
+    fields = {"role": "host", "incarnation": 7, "program": PROGRAM, "deployment": DEPLOYMENT} | other
+    return Hello(host=host, **fields)
+
+
+def greeting(dialled: str | None = None, linked: dict[str, int] | None = None) -> Greeting:
+    return Greeting(hello("a", incarnation=1), hosts=HOSTS, dialled=dialled, linked=linked)
+
+
+def test_a_host_of_the_deployment_is_let_in():
+    for dialled in (None, "b"):
+        machine = greeting(dialled)
+        assert machine.receive(hello()) == hello()
+        assert machine.peer == hello()
+        machine.admit(Accepted("Tour:one", 1, 1))
+
+
+def test_the_same_life_may_have_a_second_link():
+    assert greeting(linked={"b": 7}).receive(hello()) == hello()
+
+
+@pytest.mark.parametrize(
+    ("message", "sentence"),
+    [
+        (ForeignHello(2), "a speaks protocol 1 and its peer protocol 2; install the same version"),
+        (hello(program=b"q" * 32), "a has program 707070707070 and b has program 717171717171"),
+        (hello(deployment=b"q" * 32), "a has deployment 646464646464 and b has deployment 7171"),
+        (hello(program=b""), r"b has program \(none\)"),
+        (hello("a"), "two hosts call themselves a"),
+        (hello("a", incarnation=1), "a reached itself"),
+        (hello("d"), "the deployment of a has no host d"),
+        (hello("c"), "c answered at the address of b"),
+    ],
+)
+def test_who_does_not_fit_is_told_why(message, sentence):
+    machine = greeting(dialled="b")
+    with pytest.raises(GreetingError, match=sentence) as caught:
+        machine.receive(message)
+    assert machine.refusal is not None
+    assert machine.refusal.reason in str(caught.value)
+    assert machine.peer is None
+    theirs = Greeting(hello("b"), hosts=HOSTS, dialled="a")
+    with pytest.raises(GreetingError, match=sentence) as told:
+        theirs.receive(machine.refusal)
+    assert str(told.value).startswith("a refused this host: ")
+    assert theirs.refusal is None
+
+
+def test_a_second_host_of_a_name_is_refused_while_the_first_is_linked():
+    linked = {"b": 6}
+    machine = greeting(linked=linked)
+    with pytest.raises(GreetingError, match="a already has a link to another b"):
+        machine.receive(hello())
+    del linked["b"]
+    assert greeting(linked=linked).receive(hello()) == hello()
+
+
+def test_nothing_comes_before_the_greeting_nor_a_second_one_after():
+    machine = greeting()
+    with pytest.raises(WireError, match="a Ping came before the greeting"):
+        machine.receive(Ping(1))
+    with pytest.raises(WireError, match="a Ping came before the greeting"):
+        machine.admit(Ping(1))
+    machine.receive(hello())
+    with pytest.raises(WireError, match="a second greeting"):
+        machine.admit(hello())
+
+
+def test_an_observer_may_look_and_no_more():
+    observer = hello("ps", role="observer", program=b"", deployment=b"")
+    machine = greeting()
+    assert machine.receive(observer) == observer
+    machine.admit(StatusRequest())
+    machine.admit(Ping(1))
+    with pytest.raises(WireError, match="an observer sent a Accepted"):
+        machine.admit(Accepted("Tour:one", 1, 1))
+
+
+def test_an_observer_takes_any_host_and_names_the_deployment_it_wants():
+    Greeting(hello("ps", role="observer", program=b"", deployment=b"")).receive(hello())
+    picky = Greeting(hello("ps", role="observer", program=b"", deployment=b"x" * 32))
+    with pytest.raises(GreetingError, match="ps has deployment 7878"):
+        picky.receive(hello())
+
+
+def test_a_refusal_is_shown_without_knowing_who_sent_it():
+    with pytest.raises(GreetingError, match="the peer refused this host: no"):
+        greeting().receive(Refuse("no"))

@@ -1,0 +1,240 @@
+"""Both transports against the kit, and what is particular to each."""
+
+import asyncio
+import errno
+import socket
+
+import pytest
+
+from lfield.clock import ManualClock
+from lfield.errors import AddressError, WireError
+from lfield.net.memory import MemoryNetwork
+from lfield.net.tcp import TcpTransport, _reason
+from lfield.net.transport import join_address, split_address
+from lfield.testing.transport_kit import MAX_BLOCK, Pair, Recorder, TransportKit, transfer
+from lfield.wire.messages import Ping
+
+PATIENCE = 10.0
+
+
+class TcpBench:
+    """TCP on loopback in an event loop of its own; it closes what the tests leave open."""
+
+    address = "127.0.0.1:0"
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, **options) -> None:
+        self.loop = loop
+        self.tcp = TcpTransport(MAX_BLOCK, **options)
+        self.transport = self
+        self.links, self.listeners = [], []
+
+    async def listen(self, address: str, on_link):
+        def tracked(link):
+            self.links.append(link)
+            return on_link(link)
+
+        self.listeners.append(await self.tcp.listen(address, tracked))
+        return self.listeners[-1]
+
+    async def connect(self, address: str, handler):
+        self.links.append(await self.tcp.connect(address, handler))
+        return self.links[-1]
+
+    def wait(self, work):
+        return self.loop.run_until_complete(work)
+
+    def until(self, done) -> None:
+        async def poll() -> None:
+            async with asyncio.timeout(PATIENCE):
+                while not done():
+                    await asyncio.sleep(0)
+
+        self.wait(poll())
+
+    def write(self, link, data: bytes) -> None:
+        link.write(data)
+
+    def close(self) -> None:
+        for opened in self.listeners + self.links:
+            opened.close()
+        self.until(lambda: all(len(link.handler.ends) == 1 for link in self.links))
+        self.loop.close()
+
+
+class MemoryBench:
+    """The in-memory network; it works when told to."""
+
+    address = "a:0"
+
+    def __init__(self) -> None:
+        self.network = MemoryNetwork(ManualClock(), max_block=MAX_BLOCK)
+        self.transport = self.network.transport("a")
+
+    def wait(self, work):
+        try:
+            work.send(None)
+        except StopIteration as done:
+            return done.value
+        raise AssertionError("a coroutine of the in-memory transport suspended")
+
+    def until(self, done) -> None:
+        self.network.run()
+        assert done()
+
+    def write(self, link, data: bytes) -> None:
+        link.write(data)
+
+
+class TestMemory(TransportKit):
+    @pytest.fixture
+    def bench(self):
+        return MemoryBench()
+
+
+def new_loop(kind: str) -> asyncio.AbstractEventLoop:
+    if kind == "asyncio":
+        return asyncio.new_event_loop()
+    return pytest.importorskip(kind, reason="uvloop is not installed").new_event_loop()
+
+
+@pytest.fixture(params=["asyncio", "uvloop"])
+def tcp(request):
+    bench = TcpBench(new_loop(request.param))
+    yield bench
+    bench.close()
+
+
+class TestTcp(TransportKit):
+    @pytest.fixture
+    def bench(self, tcp):
+        return tcp
+
+
+# TCP alone
+
+
+def test_a_port_shows_where_it_listens_and_links_show_their_peers(tcp):
+    pair = Pair(tcp)
+    assert pair.listener.address.startswith("127.0.0.1:")
+    assert pair.link.peer == pair.listener.address
+    assert pair.far.link.peer.startswith("127.0.0.1:")
+
+
+def test_a_peer_that_does_not_read_is_given_up():
+    bench = TcpBench(new_loop("asyncio"), max_pending=1000)
+    deaf = socket.create_server(("127.0.0.1", 0))
+    near = Recorder()
+    link = bench.wait(bench.connect(join_address(*deaf.getsockname()), near))
+    while not link.closed:
+        link.send_transfer(transfer(MAX_BLOCK), bytes(MAX_BLOCK))
+    assert near.ends == [], "no callback inside send"
+    bench.until(lambda: bool(near.ends))
+    deaf.close()
+    bench.close()
+    assert isinstance(near.ends[0], WireError)
+    assert "does not read" in str(near.ends[0])
+
+
+def test_a_connection_that_is_reset_says_so(tcp):
+    pair = Pair(tcp)
+    raw = pair.far.link._transport.get_extra_info("socket")
+    raw.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")
+    pair.far.link._transport.abort()
+    tcp.until(lambda: bool(pair.near.ends))
+    assert isinstance(pair.near.ends[0], AddressError)
+    assert "the connection was lost" in str(pair.near.ends[0])
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("192.0.2.1:0", "not one of this machine"),
+        ("x" * 70 + ".invalid:8181", "the name is not known"),
+    ],
+)
+def test_an_address_that_is_not_ours(tcp, address, words):
+    with pytest.raises(AddressError, match=words):
+        tcp.wait(tcp.listen(address, lambda link: Recorder()))
+
+
+def test_socket_errors_are_told_in_words():
+    assert "name is not known" in _reason(socket.gaierror(-2, "Name or service not known"))
+    assert "above 1023" in _reason(PermissionError(errno.EACCES, "Permission denied"))
+    assert _reason(OSError(errno.EIO, "")) == "Input/output error"
+    assert _reason(OSError("Multiple exceptions")) == "Multiple exceptions"
+
+
+def test_a_hop_is_not_delayed_to_be_joined_by_more(tcp):
+    pair = Pair(tcp)
+    for link in (pair.link, pair.far.link):
+        sock = link._transport.get_extra_info("socket")
+        assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
+
+
+# The in-memory network alone
+
+
+@pytest.fixture
+def memory():
+    return MemoryBench()
+
+
+def test_nothing_arrives_before_its_time(memory):
+    clock = memory.network._clock
+    pair = Pair(memory)
+    memory.network.latency = 0.5
+    pair.link.send(Ping(1))
+    memory.network.latency = 0.1
+    pair.link.send(Ping(2))
+    assert memory.network.next_due() == clock.monotonic() + 0.5
+    clock.advance(0.4)
+    assert memory.network.run() == 0
+    clock.advance(0.1)
+    memory.until(lambda: pair.far.heard == [Ping(1), Ping(2)])
+    assert memory.network.next_due() is None
+
+
+def test_messages_are_counted_by_type(memory):
+    pair = Pair(memory)
+    pair.link.send(Ping(1))
+    pair.link.send_transfer(transfer(1), b"x")
+    pair.link.send_transfer(transfer(1), b"x")
+    assert memory.network.sent == {"Ping": 1, "Transfer": 2}
+
+
+def test_a_partition_loses_what_is_under_way_and_keeps_links_out(memory):
+    pair = Pair(memory)
+    other = memory.network.transport("b")
+    near = Recorder()
+    link = memory.wait(other.connect(pair.listener.address, near))
+    link.send(Ping(1))
+    memory.network.partition("a", "b")
+    memory.until(lambda: len(near.ends) == len(pair.accepted[1].ends) == 1)
+    assert "the connection was lost" in str(near.ends[0])
+    assert pair.accepted[1].heard == []
+    assert pair.near.ends == []
+    with pytest.raises(AddressError, match="nobody listens"):
+        memory.wait(other.connect(pair.listener.address, Recorder()))
+    memory.network.heal("a", "b")
+    memory.wait(other.connect(pair.listener.address, Recorder()))
+
+
+def test_an_event_loop_can_be_woken():
+    woken = []
+    memory = MemoryBench()
+    memory.network = MemoryNetwork(ManualClock(), on_pending=lambda: woken.append(1))
+    memory.transport = memory.network.transport("a")
+    Pair(memory).link.send(Ping(1))
+    assert woken
+
+
+# Addresses
+
+
+@pytest.mark.parametrize(
+    ("text", "host", "port"),
+    [("robot", "robot", 8181), ("robot:9", "robot", 9), ("[::1]", "::1", 8181), ("[::1]:70", "::1", 70)],
+)
+def test_addresses(text, host, port):
+    assert split_address(text) == (host, port)
+    assert split_address(join_address(host, port)) == (host, port)

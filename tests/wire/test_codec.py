@@ -1,0 +1,193 @@
+"""Messages as bytes: there and back, bounds, and garbage."""
+
+from contextlib import suppress
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield.errors import WireError
+from lfield.framing import HEADER_SIZE
+from lfield.wire.codec import (
+    CONTROL,
+    HELLO,
+    MAX_TRANSFER_HEADER,
+    REFUSE,
+    TRANSFER,
+    decode,
+    decode_transfer,
+    encode,
+    encode_transfer,
+    frame_decoder,
+)
+from lfield.wire.messages import (
+    MAX_NAME,
+    MAX_TEXT,
+    Accepted,
+    Ended,
+    EndedAck,
+    ForeignHello,
+    Hello,
+    Inquire,
+    Known,
+    Ping,
+    Pong,
+    Refuse,
+    Refused,
+    Status,
+    StatusRequest,
+    Transfer,
+    clip,
+)
+
+HASH = b"h" * 32
+REPEATABLE = settings(derandomize=True, deadline=None)
+HELLO_MESSAGE = Hello(
+    "host", "a", 2**63 - 1, HASH, HASH, 1 << 20, [Known("Tour:one", 1, 2, 3, "EXITED", "b", "died", "…")]
+)
+MESSAGES = [
+    HELLO_MESSAGE,
+    Hello("observer", "ps", 1),
+    Refuse("wrong program"),
+    Accepted("Tour:one", 1, 2),
+    Refused("Tour:one", 1, 2, "LimitException", "full"),
+    Inquire("Tour:one", 1, 2, 3),
+    Ended("Tour:one", 1, "done", "", "a"),
+    EndedAck("Tour:one", 1),
+    StatusRequest(),
+    Status({"agents": [{"id": "Tour:one", "heap": 12, "load": 0.5, "on": None, "up": True}]}),
+    Ping(1),
+    Pong(1),
+]
+TRANSFER_HEADER = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5)
+
+
+def parts(frame: bytes) -> tuple[int, bytes]:
+    return frame[HEADER_SIZE - 1], frame[HEADER_SIZE:]
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda message: type(message).__name__)
+def test_there_and_back(message):
+    assert decode(*parts(encode(message))) == message
+    assert decode(parts(encode(message))[0], memoryview(parts(encode(message))[1])) == message
+
+
+def test_a_transfer_is_its_header_and_the_very_bytes():
+    kind, payload = parts(encode_transfer(TRANSFER_HEADER, 5) + b"block")
+    assert kind == TRANSFER
+    header, block = decode_transfer(payload)
+    assert header == TRANSFER_HEADER
+    assert bytes(block) == b"block"
+    assert block.obj is payload
+
+
+def test_the_largest_transfer_header_fits():
+    widest = Transfer("\U0010ffff" * MAX_NAME, *[2**63 - 1] * 3, HASH, 2**63 - 1, 0)
+    assert len(encode_transfer(widest, 0)) - HEADER_SIZE <= MAX_TRANSFER_HEADER
+    assert decode_transfer(parts(encode_transfer(widest, 0))[1])[0] == widest
+
+
+def test_the_start_of_a_greeting_never_changes():
+    kind, payload = parts(encode(HELLO_MESSAGE))
+    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x01")
+    assert parts(encode(Refuse("no"))) == (REFUSE, b"no")
+
+
+def test_a_greeting_of_the_future_shows_its_version():
+    assert decode(HELLO, b"lfld\x00\x09 nobody knows what") == ForeignHello(9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload", "words"),
+    [
+        (HELLO, b"", "too short"),
+        (HELLO, b"lfl", "too short"),
+        (HELLO, b"http/1", "does not begin with 'lfld'"),
+        (HELLO, b"lfld\x00\x01", "cannot be read"),
+        (CONTROL, b"", "cannot be read"),
+        (CONTROL, b"\xc1", "cannot be read"),
+        (CONTROL, b"\x92\x63\x01", "cannot be read"),
+        (CONTROL, b"\x92\x08\xa1x", "cannot be read"),
+        (CONTROL, b"\x92\x08\xff", "cannot be read"),
+        (CONTROL, b"\x93\x08\x01\x01", "cannot be read"),
+        (CONTROL, b"\x92\x08\x01\x01", "cannot be read"),
+        (CONTROL, b"\x93\x05\xa1\xff\x01", "cannot be read"),
+        (CONTROL, b"\x92\x07" + b"\x81\xa1a" * 5000 + b"\xc0", "cannot be read"),
+        (CONTROL, b"\x92\x07\x81\x90\x01", "cannot be read"),
+        (TRANSFER, b"", "not a message"),
+        (99, b"", "not a message"),
+    ],
+)
+def test_garbage_is_a_wire_error(kind, payload, words):
+    with pytest.raises(WireError, match=words):
+        decode(kind, payload)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Accepted("", 1, 1),
+        Accepted("x" * (MAX_NAME + 1), 1, 1),
+        Accepted("Tour:one", -1, 1),
+        Accepted("Tour:one", 1, 2**63),
+        Refused("Tour:one", 1, 1, "LimitException", "x" * (MAX_TEXT + 1)),
+        Ended("Tour:one", 1, "asleep", "", "a"),
+        Hello("host", "a", 1, b"h" * 33),
+        Hello("king", "a", 1),
+        Hello("host", "a", 1, coordinators=[Known("Tour:one", 1, 1, 1, "RUN")] * 4097),
+    ],
+)
+def test_what_is_over_its_bounds_is_a_wire_error(message):
+    with pytest.raises(WireError):
+        decode(*parts(encode(message)))
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"\x00", b"\xff\xff" + bytes(2000), b"\x00\x05abc", b"\x00\x01\xc1"]
+)
+def test_a_bad_transfer_is_a_wire_error(payload):
+    with pytest.raises(WireError):
+        decode_transfer(payload)
+
+
+def test_a_transfer_must_have_the_size_it_says():
+    with pytest.raises(WireError, match="promised 5 bytes and has 4"):
+        decode_transfer(parts(encode_transfer(TRANSFER_HEADER, 4) + b"four")[1])
+
+
+@REPEATABLE
+@given(st.sampled_from([HELLO, REFUSE, TRANSFER, CONTROL]), st.binary(max_size=200))
+def test_any_bytes_are_a_message_or_a_wire_error(kind, payload):
+    with suppress(WireError):
+        decode_transfer(payload) if kind == TRANSFER else decode(kind, payload)
+
+
+@REPEATABLE
+@given(st.sampled_from(MESSAGES), st.data())
+def test_a_damaged_message_is_a_message_or_a_wire_error(message, data):
+    kind, payload = parts(encode(message))
+    damaged = bytearray(payload)
+    for _ in range(data.draw(st.integers(1, 3))):
+        damaged[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
+    with suppress(WireError):
+        decode(kind, bytes(damaged))
+
+
+def test_an_oversize_transfer_is_told_by_its_header():
+    told = []
+    decoder = frame_decoder(1000, lambda *what: told.append(what))
+    big = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5000)
+    assert list(decoder.feed(encode_transfer(big, 5000) + bytes(5000))) == []
+    assert told == [(big, 5000)]
+
+
+def test_an_oversize_transfer_with_a_bad_header_is_a_wire_error():
+    decoder = frame_decoder(1000, lambda *what: None)
+    with pytest.raises(WireError):
+        list(decoder.feed(b"\x00\x00\x20\x00\x03" + bytes(8191)))
+
+
+def test_long_text_is_clipped_to_what_travels():
+    assert clip("short") == "short"
+    assert len(clip("x" * 5000)) == MAX_TEXT
+    assert len(decode(*parts(encode(Refuse("x" * 5000)))).reason) == MAX_TEXT

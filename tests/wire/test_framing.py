@@ -1,0 +1,104 @@
+"""Frames cut from any stream."""
+
+import tracemalloc
+from contextlib import suppress
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield.errors import WireError
+from lfield.framing import HEADER_SIZE, FrameDecoder, frame, frame_header
+
+REPEATABLE = settings(derandomize=True, deadline=None)
+LIMITS = {1: 100, 2: 1 << 20}
+
+
+def cut(decoder: FrameDecoder, *pieces: bytes) -> list[tuple[int, bytes]]:
+    return [(kind, bytes(payload)) for piece in pieces for kind, payload in decoder.feed(piece)]
+
+
+def test_the_layout_of_a_frame():
+    assert frame(7, b"ab") == b"\x00\x00\x00\x03\x07ab"
+    assert frame_header(7, 2) == b"\x00\x00\x00\x03\x07"
+    assert len(frame_header(7, 2)) == HEADER_SIZE
+
+
+@REPEATABLE
+@given(st.lists(st.tuples(st.sampled_from([1, 2]), st.binary(max_size=100))), st.data())
+def test_frames_come_out_as_they_went_in_wherever_the_stream_is_cut(frames, data):
+    stream = b"".join(frame(kind, payload) for kind, payload in frames)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=20)))
+    pieces = [stream[i:j] for i, j in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
+    decoder = FrameDecoder(LIMITS)
+    assert cut(decoder, *pieces) == frames
+    assert not decoder.unfinished
+
+
+@REPEATABLE
+@given(st.binary(max_size=300), st.integers(1, 300))
+def test_any_bytes_give_frames_or_a_wire_error(stream, size):
+    decoder = FrameDecoder(LIMITS, skippable={1: 4})
+    with suppress(WireError):
+        cut(decoder, *(stream[start : start + size] for start in range(0, len(stream), size)))
+
+
+def test_a_whole_frame_is_not_copied():
+    stream = frame(1, b"abc")
+    (found,) = FrameDecoder(LIMITS).feed(stream)
+    assert found[1].obj is stream
+
+
+def test_a_cut_frame_shows_as_unfinished():
+    decoder = FrameDecoder(LIMITS)
+    for stream in (b"\x00", b"\x00\x00\x00\x05\x01ab"):
+        decoder = FrameDecoder(LIMITS)
+        assert cut(decoder, stream) == []
+        assert decoder.unfinished
+
+
+@pytest.mark.parametrize(
+    ("stream", "words"),
+    [
+        (frame(1, bytes(101)), "a frame of kind 1 has 101 bytes; at most 100 are allowed"),
+        (frame(1, bytes(101))[:5], "a frame of kind 1 has 101 bytes"),
+        (frame(3, b""), "does not speak lfield"),
+        (b"\x00\x00\x00\x00\x01", "does not speak lfield"),
+        (b"GET / HTTP/1.1", "does not speak lfield"),
+    ],
+)
+def test_what_breaks_the_limits_is_an_error_after_what_came_before(stream, words):
+    for pieces in ([frame(1, b"x") + stream], [frame(1, b"x"), *(bytes([byte]) for byte in stream)]):
+        found = stream_of(FrameDecoder(LIMITS), pieces)
+        assert next(found) == (1, b"x")
+        with pytest.raises(WireError, match=words):
+            next(found)
+
+
+def stream_of(decoder, pieces):
+    for piece in pieces:
+        for kind, payload in decoder.feed(piece):
+            yield kind, bytes(payload)
+
+
+@pytest.mark.parametrize("size", [1, 7, 1 << 16])
+def test_an_oversize_frame_is_skipped_where_the_caller_allows(size):
+    skipped = []
+    decoder = FrameDecoder(LIMITS, skippable={1: 8}, on_skipped=lambda *what: skipped.append(what))
+    stream = frame(1, b"a") + frame(1, b"0123456789" * 20) + frame(1, b"b")
+    found = cut(decoder, *(stream[start : start + size] for start in range(0, len(stream), size)))
+    assert found == [(1, b"a"), (1, b"b")]
+    assert skipped == [(1, 200, b"01234567")]
+
+
+def test_a_skipped_frame_takes_no_memory():
+    decoder = FrameDecoder(LIMITS, skippable={2: 16})
+    piece = bytes(1 << 16)
+    tracemalloc.start()
+    cut(decoder, frame_header(2, 1 << 30))
+    for _ in range(1 << 14):
+        cut(decoder, piece)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1 << 16
+    assert cut(decoder, frame(1, b"x")) == [(1, b"x")]
