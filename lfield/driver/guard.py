@@ -37,6 +37,8 @@ from lfield.errors import DeviceError, LfieldError, PluginError, WireError
 
 #: More than this many unread bytes, and telemetry is dropped: the host has stopped reading.
 BACKLOG = 1 << 18
+#: Seconds between two answers to the host's beats.
+ANSWER = 0.5
 
 
 class Shell(asyncio.Protocol):
@@ -52,6 +54,7 @@ class Shell(asyncio.Protocol):
         self._calls: dict[int, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[Any]] = set()
         self._timer: asyncio.TimerHandle | None = None
+        self._answered = 0.0
         self.exit: asyncio.Future[int] = self._loop.create_future()
 
     # -- the pipe -------------------------------------------------------------------------------------
@@ -83,12 +86,20 @@ class Shell(asyncio.Protocol):
                 self._finish(0)
         elif isinstance(message, Beat):
             self._run(self._core.beat(message.sent))
+            self._answer_beat()
         elif isinstance(message, Call):
             self._run(self._core.call(message))
         elif isinstance(message, Safe):
             self._run(self._core.safe(message.device, message.reason))
         elif isinstance(message, Stop):
             self._run(self._core.stop(message.reason))
+
+    def _answer_beat(self) -> None:
+        """Now and then, so that the host can tell a guard that hangs from one with nothing to say."""
+        now = self._clock.monotonic()
+        if now - self._answered >= ANSWER:
+            self._answered = now
+            self._tell(Beat(now))
 
     def _tell(self, message: Message) -> None:
         if not self._output.is_closing():

@@ -2,7 +2,8 @@
 
 A device is free or latched. It is latched, and its safe state commanded until it is confirmed, when
 
-  - the host has been silent for longer than `silence`, or is gone, or asks for it;
+  - the host has been silent for longer than `silence` (this only if the host has moved the device since it
+    was opened or released: what nobody commanded is left as it is), or is gone, or asks for it;
   - the time-to-live of a setpoint is over and nothing has replaced it;
   - its driver raised anything but a DeviceError, or the guard was restarted.
 
@@ -89,6 +90,7 @@ class _Device:
     ttl: float
     latched: str = ""
     confirmed: bool = False
+    moved: bool = False
     retry_at: float | None = None
     setpoint_until: float | None = None
     acting: Call | None = None
@@ -150,7 +152,7 @@ class GuardCore:
         if refusal:
             return [*effects, _refuse(call, refusal)]
         effects += self._abandon(device, f"replaced by {call.instruction}()")
-        device.acting = call
+        device.acting, device.moved = call, True
         return [*effects, Execute(call)]
 
     def finished(self, token: int, value: DeviceValue) -> list[Effect]:
@@ -214,9 +216,10 @@ class GuardCore:
         """Time has passed: whatever is due."""
         now = self._clock.monotonic()
         effects: list[Effect] = []
-        if now - self._last_beat > self._silence:
-            effects += self._latch_all(f"the host has been silent for {self._silence * 1000:.0f} ms")
+        silent = now >= self._last_beat + self._silence
         for device in self._devices.values():
+            if silent and device.moved:
+                effects += self._latch(device, f"the host was silent for over {self._silence * 1000:.0f} ms")
             until = self._expiry(device)
             if until is not None and now >= until:
                 effects += self._latch(device, f"the setpoint's time-to-live of {device.ttl:g} s is over")
@@ -234,7 +237,7 @@ class GuardCore:
         times = [self._expiry(device) for device in self._devices.values()]
         times += [device.retry_at for device in self._devices.values()]
         times.append(self._stop_by)
-        if not all(device.latched for device in self._devices.values()):
+        if any(device.moved and not device.latched for device in self._devices.values()):
             times.append(self._last_beat + self._silence)
         return min((time for time in times if time is not None), default=None)
 
@@ -259,7 +262,7 @@ class GuardCore:
                 ]
             if device.latched:
                 effects.append(Tell(Released(device.name)))
-            device.latched, device.confirmed = "", False
+                device.latched, device.confirmed, device.moved = "", False, False
         device.asking[call.token] = call
         return [*effects, Execute(call)]
 

@@ -45,7 +45,7 @@ class Call(Message, frozen=True):
 
 
 class Beat(Message, frozen=True):
-    """Host: I am alive, as of `sent`."""
+    """Either side: I am alive, as of `sent`."""
 
     sent: float
 

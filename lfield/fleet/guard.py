@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
@@ -35,6 +35,9 @@ from lfield.manifest import DeviceValue, Instruction
 
 #: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
 BEAT = 0.05
+#: So many beats without a word from the guard, and it hangs. Beats are counted, not seconds: a host that
+#: was stopped itself must not blame its guards.
+UNANSWERED = 60
 #: Seconds for a guard to open its devices, and to end: a little longer than it takes itself.
 OPEN_BOUND, STOP_BOUND = 60.0, 10.0
 #: Seconds before a guard that died is started again: the first time, and at most.
@@ -65,7 +68,7 @@ class Guard(asyncio.SubprocessProtocol):
         self._opening: asyncio.Future[dict[str, str]] | None = None
         self._exited = asyncio.Event()
         self._ready = self._stopping = False
-        self._tokens = 0
+        self._tokens = self._unanswered = 0
         self._calls: dict[int, tuple[DeviceBinding, Instruction, Answered]] = {}
         self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}
         self._heard: dict[str, float] = {}
@@ -87,10 +90,12 @@ class Guard(asyncio.SubprocessProtocol):
         try:
             async with asyncio.timeout(OPEN_BOUND):
                 identities = await self._opening
-        except TimeoutError:
+        except (TimeoutError, OpenFailed) as error:
             self._kill()
+            await self._exited.wait()
+            if isinstance(error, OpenFailed):
+                raise
             raise OpenFailed([f"the driver did not open its devices within {OPEN_BOUND:g} s"]) from None
-        self._ready = True
         for name, identity in identities.items():
             self._note(f"{name}: {identity} at {self._devices[name].endpoint}")
 
@@ -119,6 +124,10 @@ class Guard(asyncio.SubprocessProtocol):
     def _beat(self) -> None:
         if self._pipe is None or self._pipe.is_closing():
             return
+        self._unanswered += 1
+        if self._ready and self._unanswered > UNANSWERED:
+            self._note(f"the guard of {', '.join(self._devices)} hangs")
+            self._kill()
         self._send(Beat(self._clock.monotonic()))
         self._beating = asyncio.get_running_loop().call_later(BEAT, self._beat)
 
@@ -169,14 +178,13 @@ class Guard(asyncio.SubprocessProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """The process runs."""
-        assert isinstance(transport, asyncio.SubprocessTransport)
-        self._transport = transport
-        pipe = transport.get_pipe_transport(0)
-        assert isinstance(pipe, asyncio.WriteTransport)
-        self._pipe = pipe
+        # Casts, since uvloop's transports have these methods but not these base classes.
+        self._transport = cast("asyncio.SubprocessTransport", transport)
+        self._pipe = cast("asyncio.WriteTransport", self._transport.get_pipe_transport(0))
 
     def pipe_data_received(self, fd: int, data: bytes) -> None:
         """Messages of the guard."""
+        self._unanswered = 0
         try:
             for message in self._reader.feed(data):
                 self._receive(message)
@@ -233,6 +241,7 @@ class Guard(asyncio.SubprocessProtocol):
                 self._note(f"{device}: {text}")
             case Ready(identities) if self._opening is not None and not self._opening.done():
                 self._opening.set_result(identities)
+                self._ready = True
             case Failed(problems) if self._opening is not None and not self._opening.done():
                 self._opening.set_exception(OpenFailed([self._sentence(*problem) for problem in problems]))
             case Stopped(unsafe):

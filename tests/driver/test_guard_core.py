@@ -1,0 +1,319 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from lfield.clock import ManualClock
+from lfield.driver.guard_core import Cancel, Execute, Exit, GuardCore, MakeSafe, Tell
+from lfield.driver.messages import Call, Done, Latched, Refused, Released, Stopped
+from lfield.manifest import DeviceManifest, Instruction, Parameter
+
+TTL, SILENCE = 0.5, 0.2
+
+MANIFEST = DeviceManifest(
+    "Thing",
+    "thing",
+    (
+        Instruction("go", (Parameter("x", "real"),), blocking=True),
+        Instruction("steer", (Parameter("x", "real"),)),
+        Instruction("ask", (), "int", effect="query", blocking=True),
+        Instruction("release", effect="idempotent", blocking=True),
+    ),
+)
+
+
+class Rig:
+    """A core with its clock; every step beats first unless told otherwise."""
+
+    def __init__(self, *devices: str) -> None:
+        self.clock = ManualClock()
+        self.core = GuardCore([(d, MANIFEST, TTL) for d in devices or ("a",)], self.clock, silence=SILENCE)
+        self.core.opened("")
+        self.token = 0
+
+    def beat(self):
+        return self.core.beat(self.clock.monotonic())
+
+    def wait(self, seconds: float, *, beating: bool = True):
+        effects = []
+        for _ in range(round(seconds / 0.05)):
+            self.clock.advance(0.05)
+            effects += self.beat() if beating else self.core.tick()
+        return effects
+
+    def call(self, instruction: str, *arguments: float, device: str = "a", age: float = 0.0):
+        self.token += 1
+        sent = self.clock.monotonic() - age
+        return self.core.call(Call(self.token, device, instruction, list(arguments), sent))
+
+
+def told(effects, kind):
+    return [e.message for e in effects if isinstance(e, Tell) and isinstance(e.message, kind)]
+
+
+def made_safe(effects):
+    return [e.device for e in effects if isinstance(e, MakeSafe)]
+
+
+def test_a_call_is_carried_out_and_answered():
+    rig = Rig()
+    effects = rig.call("go", 1.0)
+    assert [e.call.instruction for e in effects if isinstance(e, Execute)] == ["go"]
+    assert told(rig.core.finished(1, None), Done) == [Done(1, None)]
+    assert told(rig.core.finished(1, None), Done) == []
+
+
+@pytest.mark.parametrize(
+    ("instruction", "arguments", "words"),
+    [("fly", (), "there is no a.fly()"), ("go", (), "go() takes 1 arguments"), ("go", (1.0, 2.0), "takes 1")],
+)
+def test_what_does_not_exist_is_refused(instruction, arguments, words):
+    (refused,) = told(Rig().call(instruction, *arguments), Refused)
+    assert words in refused.reason
+
+
+def test_a_setpoint_that_is_not_renewed_ends_in_the_safe_state():
+    rig = Rig()
+    rig.call("steer", 1.0)
+    rig.core.finished(1, None)
+    assert made_safe(rig.wait(0.45)) == []
+    effects = rig.wait(0.1)
+    assert made_safe(effects) == ["a"]
+    assert "time-to-live of 0.5 s is over" in told(effects, Latched)[0].reason
+
+
+def test_a_setpoint_that_is_renewed_goes_on():
+    rig = Rig()
+    for _ in range(10):
+        effects = rig.call("steer", 1.0)
+        assert [e for e in effects if isinstance(e, Execute)]
+        rig.core.finished(rig.token, None)
+        assert made_safe(rig.wait(0.4)) == []
+
+
+def test_a_blocking_call_replaces_a_setpoint():
+    rig = Rig()
+    rig.call("steer", 1.0)
+    rig.core.finished(1, None)
+    rig.call("go", 1.0)
+    assert made_safe(rig.wait(5.0)) == []
+    rig.core.finished(2, None)
+    assert made_safe(rig.wait(5.0)) == []
+
+
+def test_a_blocking_call_that_is_refused_does_not_renew_the_setpoint():
+    rig = Rig()
+    rig.call("steer", 1.0)
+    rig.core.finished(1, None)
+    rig.call("go", 1.0)
+    rig.wait(1.0)
+    rig.core.refused(2, "DeviceException", "no")
+    assert made_safe(rig.beat()) == ["a"]
+
+
+def test_a_setpoint_that_lay_in_the_pipe_too_long_is_not_sent():
+    rig = Rig()
+    effects = rig.call("steer", 1.0, age=TTL)
+    assert [e for e in effects if isinstance(e, Execute)] == []
+    assert "came after its time-to-live" in told(effects, Refused)[0].reason
+
+
+def test_silence_latches_what_was_moved_and_only_release_frees_it():
+    rig = Rig("a", "b")
+    rig.call("go", 1.0)
+    effects = rig.wait(0.25, beating=False)
+    assert made_safe(effects) == ["a"]
+    assert [e.token for e in effects if isinstance(e, Cancel)] == [1]
+    assert "the host was silent" in told(effects, Refused)[0].reason
+    rig.wait(5.0)
+    (refused,) = told(rig.call("go", 1.0), Refused)
+    assert "held in its safe state because the host was silent" in refused.reason
+    (refused,) = told(rig.call("release"), Refused)
+    assert "not confirmed yet" in refused.reason
+    assert told(rig.core.made_safe("a"), Latched)[0].confirmed
+    assert told(rig.call("release"), Released) == [Released("a")]
+    assert [e for e in rig.call("go", 1.0) if isinstance(e, Execute)]
+
+
+def test_a_beat_that_lay_in_the_pipe_does_not_excuse_silence():
+    rig = Rig()
+    rig.call("go", 1.0)
+    sent = rig.clock.monotonic()
+    rig.clock.advance(10.0)
+    assert made_safe(rig.core.beat(sent + 9.99)) == ["a"]
+
+
+def test_an_old_beat_does_not_count_as_new():
+    rig = Rig()
+    rig.call("go", 1.0)
+    rig.clock.advance(0.15)
+    rig.core.beat(rig.clock.monotonic() - 0.14)
+    rig.clock.advance(0.1)
+    assert made_safe(rig.core.tick()) == ["a"]
+
+
+def test_the_newest_actuation_wins():
+    rig = Rig()
+    rig.call("go", 1.0)
+    effects = rig.call("go", 2.0)
+    assert [e.token for e in effects if isinstance(e, Cancel)] == [1]
+    assert told(effects, Refused) == [Refused(1, "DeviceException", "go() was replaced by go()")]
+
+
+def test_asking_disturbs_nothing_and_works_while_latched():
+    rig = Rig()
+    rig.call("go", 1.0)
+    effects = rig.call("ask")
+    assert [type(e) for e in effects] == [Execute]
+    rig.core.safe("a", "asked to")
+    assert [type(e) for e in rig.call("ask")] == [Execute]
+
+
+def test_a_driver_exception_makes_safe():
+    rig = Rig()
+    rig.call("go", 1.0)
+    effects = rig.core.crashed(1, "the driver failed")
+    assert made_safe(effects) == ["a"]
+    assert told(effects, Refused)[0].reason == "the driver failed"
+
+
+def test_a_safe_state_that_fails_is_tried_again():
+    rig = Rig()
+    rig.core.safe("", "asked to")
+    rig.core.not_safe("a", "no answer")
+    assert made_safe(rig.wait(0.95)) == []
+    assert made_safe(rig.wait(0.1)) == ["a"]
+
+
+def test_stop_ends_when_all_is_safe_or_its_time_is_over():
+    rig = Rig("a", "b")
+    assert made_safe(rig.core.stop("bye")) == ["a", "b"]
+    assert [e for e in rig.core.made_safe("a") if isinstance(e, Exit)] == []
+    effects = rig.core.made_safe("b")
+    assert told(effects, Stopped) == [Stopped([])]
+    assert effects[-1] == Exit(0)
+
+    rig = Rig("a", "b")
+    rig.core.stop("bye")
+    rig.core.made_safe("a")
+    effects = rig.wait(9.0)
+    assert told(effects, Stopped) == [Stopped(["b"])]
+    assert Exit(1) in effects
+
+
+def test_a_restarted_guard_brings_its_devices_back_safe():
+    clock = ManualClock()
+    core = GuardCore([("a", MANIFEST, TTL)], clock)
+    effects = core.opened("its guard died")
+    assert made_safe(effects) == ["a"]
+    assert told(effects, Latched) == [Latched("a", "its guard died", False)]
+
+
+class GuardMachine(RuleBasedStateMachine):
+    """Any order of events: the promises of the guard, checked by a model that only watches the effects."""
+
+    @initialize()
+    def start(self):
+        self.rig = Rig()
+        self.latched = self.confirmed = self.moved = False
+        self.making = 0
+        self.running: dict[int, Call] = {}
+        self.last_word = self.now
+        self.setpoint: Call | None = None
+
+    @property
+    def now(self):
+        return self.rig.clock.monotonic()
+
+    def see(self, effects):
+        for effect in effects:
+            if isinstance(effect, MakeSafe):
+                self.making += 1
+            elif isinstance(effect, Cancel):
+                self.running.pop(effect.token)
+            elif isinstance(effect, Execute):
+                call = effect.call
+                acts = call.instruction in ("go", "steer")
+                assert not (acts and self.latched), "a latched device was moved"
+                if call.instruction == "steer":
+                    assert self.now - call.sent < TTL, "a setpoint went out after its time-to-live"
+                self.running[call.token] = call
+                self.moved = self.moved or acts
+            elif isinstance(effect, Tell) and isinstance(effect.message, Latched):
+                if not effect.message.confirmed:
+                    assert not self.latched
+                    self.latched, self.confirmed, self.setpoint = True, False, None
+            elif isinstance(effect, Tell) and isinstance(effect.message, Released):
+                assert self.confirmed, "released before its safe state was confirmed"
+                self.latched = self.confirmed = self.moved = False
+
+    @rule(seconds=st.floats(0.0, 0.7))
+    def wait(self, seconds):
+        self.rig.clock.advance(seconds)
+        self.see(self.rig.core.tick())
+
+    @rule(age=st.floats(0.0, 1.0))
+    def beat(self, age):
+        sent = self.now - age
+        self.see(self.rig.core.beat(sent))
+        self.last_word = max(self.last_word, sent)
+
+    @rule(instruction=st.sampled_from(["go", "steer", "ask", "release"]), age=st.floats(0.0, 0.7))
+    def call(self, instruction, age):
+        arguments = [1.0] if instruction in ("go", "steer") else []
+        self.see(self.rig.call(instruction, *arguments, age=age))
+        self.last_word = max(self.last_word, self.now - age)
+
+    @precondition(lambda self: self.running)
+    @rule(data=st.data(), how=st.sampled_from(["finished", "refused", "crashed"]))
+    def end(self, data, how):
+        token = data.draw(st.sampled_from(sorted(self.running)))
+        call = self.running[token]
+        arguments = {"finished": (None,), "refused": ("DeviceException", "no"), "crashed": ("boom",)}[how]
+        effects = getattr(self.rig.core, how)(token, *arguments)
+        if any(
+            isinstance(e, Tell) and isinstance(e.message, Done) and e.message.token == token for e in effects
+        ):
+            if call.instruction == "steer":
+                self.setpoint = call
+            elif call.instruction == "go":
+                self.setpoint = None
+        self.running.pop(token, None)
+        self.see(effects)
+        if how == "crashed":
+            assert self.latched
+
+    @precondition(lambda self: self.making)
+    @rule(good=st.booleans())
+    def safety_answer(self, good):
+        self.making -= 1
+        if good:
+            self.see(self.rig.core.made_safe("a"))
+            self.confirmed = True
+        else:
+            self.see(self.rig.core.not_safe("a", "no answer"))
+
+    @rule()
+    def asked_to_be_safe(self):
+        self.see(self.rig.core.safe("", "asked"))
+        assert self.latched
+
+    @invariant()
+    def promises(self):
+        if not hasattr(self, "rig"):
+            return
+        self.see(self.rig.core.tick())
+        if self.moved and self.now >= self.last_word + SILENCE:
+            assert self.latched, "the host was silent and the device is free"
+        acting = [c for c in self.running.values() if c.instruction in ("go", "steer")]
+        assert len(acting) <= 1
+        if self.setpoint and not acting and self.now >= self.setpoint.sent + TTL:
+            assert self.latched, "a setpoint is over and the device is free"
+        due = self.rig.core.due()
+        assert due is None or due > self.now, "something is due and has not been done"
+
+
+GuardMachine.TestCase.settings = settings(max_examples=200, stateful_step_count=30, deadline=None)
+TestGuardMachine = GuardMachine.TestCase

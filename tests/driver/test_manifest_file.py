@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import pytest
+
+from lfield.driver.manifest_file import load_manifest
+from lfield.errors import PluginError
+from lfield_mavlink import PLUGIN
+
+SERVO = b"""\
+driver: servo
+type: Servo
+meaning: one servo
+safe_states: [hold, off]
+options:
+  id: {type: int, default: 1, minimum: 1, maximum: 252, meaning: its number}
+limits:
+  speed: {unit: rad/s}
+instructions:
+  turn: {parameters: {angle: {type: real, unit: rad}}, blocking: true, meaning: turns}
+  push: {parameters: {torque: {type: real, unit: N m}}}
+  ask: {parameters: {address: {type: int}}, result: int, effect: query, blocking: true}
+telemetry:
+  angle: {type: real, unit: rad, max_age: 0.5, meaning: where it is}
+"""
+
+
+def test_a_manifest_is_what_the_file_says():
+    manifest = load_manifest("m.yaml", SERVO)
+    device = manifest.device
+    assert (device.type, device.driver, device.safe_states) == ("Servo", "servo", ("hold", "off"))
+    assert manifest.default_safe_state == "hold"
+    assert [i.name for i in device.instructions] == ["turn", "push", "ask", "angle", "release", "age"]
+    turn, angle = device.instruction("turn"), device.instruction("angle")
+    assert turn is not None
+    assert [(p.name, p.type, p.unit) for p in turn.parameters] == [("angle", "real", "rad")]
+    assert (turn.blocking, turn.effect, turn.result) == (True, "actuate", "void")
+    assert angle is not None
+    assert (angle.effect, angle.result, angle.unit, angle.blocking) == ("query", "real", "rad", False)
+    assert device.telemetry[0].max_age == 0.5
+    assert (manifest.options[0].name, manifest.options[0].default) == ("id", 1)
+    assert manifest.limits[0].unit == "rad/s"
+    assert device.bindings == {"id": "its number"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "drawn"),
+    [
+        (b"driver: servo\n", b"", "error[Y110]: a manifest needs 'driver'"),
+        (b"type: Servo", b"type: servo", "m.yaml:2:7: error[Y113]: 'servo' cannot be a name in L here"),
+        (b"[hold, off]", b"[]", "error[Y110]: a manifest needs at least one safe state"),
+        (b"  turn:", b"  Turn:", "m.yaml:10:3: error[Y113]: 'Turn' cannot be a name in L here"),
+        (b"type: real, unit: rad}}", b"type: float}}", "error[Y113]: 'type' is one of boolean, int, real"),
+        (
+            b"blocking: true, meaning: turns",
+            b"blockin: true",
+            "m.yaml:10:56: error[Y111]: 'turn' takes no 'blockin'",
+        ),
+        (
+            b"  angle: {type: real, unit: rad, max",
+            b"  turn: {type: real, max",
+            "'turn' is already an instruction",
+        ),
+        (b"  push:", b"  release:", "'release' is already an instruction of this device type"),
+        (b"effect: query, blocking: true", b"effect: query", "'ask' is a query that asks nobody"),
+        (b"max_age: 0.5", b"max_age: 0", "'max_age' must be at least 0.001, not 0"),
+        (b"unit: rad/s}", b"unit: rad/s, min: 1}", "'speed' takes no 'min'"),
+    ],
+)
+def test_mistakes_are_drawn_at_their_place(old, new, drawn):
+    assert old in SERVO
+    with pytest.raises(PluginError) as error:
+        load_manifest("m.yaml", SERVO.replace(old, new))
+    assert drawn in str(error.value)
+
+
+def test_all_mistakes_are_told_at_once():
+    with pytest.raises(PluginError) as error:
+        load_manifest("m.yaml", SERVO.replace(b"driver: servo\n", b"").replace(b"  turn:", b"  Turn:"))
+    assert str(error.value).count("error[") == 2
+
+
+def test_the_mavlink_manifest_has_what_the_language_needs():
+    device = PLUGIN.manifest().device
+    assert device.type == "Mavlink"
+    names = {i.name for i in device.instructions}
+    actions = {"arm", "disarm", "takeoff", "goTo", "yaw", "setVelocity", "hold", "land", "release"}
+    queries = {
+        "position",
+        "velocity",
+        "attitude",
+        "altitude",
+        "battery",
+        "batteryVoltage",
+        "mode",
+        "armed",
+        "age",
+    }
+    assert actions | queries <= names
+    assert all(i.meaning for i in device.instructions)

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield.errors import InputFileError
+from lfield.source import Diagnostics, Source
+from lfield.yaml_source import MAX_BYTES, Fields, Listing, Mapping, decode, parse, read
+
+
+def value(text: str):
+    """The values of a text as plain Python."""
+    found = Diagnostics()
+    node = parse(Source("t.yaml", text), found)
+    assert found.errors == []
+    return plain(node)
+
+
+def plain(node):
+    if isinstance(node, Mapping):
+        return {key: plain(entry.value) for key, entry in node.entries.items()}
+    if isinstance(node, Listing):
+        return [plain(item) for item in node.items]
+    return node.value
+
+
+def errors(text: str) -> str:
+    found = Diagnostics()
+    assert parse(Source("t.yaml", text), found) is None
+    return "\n".join(d.render() for d in found.errors)
+
+
+def test_values():
+    text = "a: 1\nb: [1.5, -2, 1e3, 0x1F]\nc: {d: true, e: null, f: ~, g:}\nh: 'it'\ni: |\n  two\n  lines\n"
+    assert value(text) == {
+        "a": 1,
+        "b": [1.5, -2, 1000.0, 31],
+        "c": {"d": True, "e": None, "f": None, "g": None},
+        "h": "it",
+        "i": "two\nlines\n",
+    }
+
+
+def test_words_of_yaml_1_1_are_text():
+    assert value("[no, yes, on, 1:30, 010, 0o7, 2001-01-01, 'true']") == [
+        "no", "yes", "on", "1:30", 10, "0o7", "2001-01-01", "true",
+    ]  # fmt: skip
+
+
+def test_an_empty_document_is_null():
+    assert value("") is None
+    assert value("# only a comment\n") is None
+
+
+def test_places():
+    found = Diagnostics()
+    node = parse(Source("t.yaml", "# c\na:\n  b: 12\n"), found)
+    assert isinstance(node, Mapping)
+    inner = node.entries["a"].value
+    assert isinstance(inner, Mapping)
+    entry = inner.entries["b"]
+    assert (entry.key_span.line, entry.key_span.column, entry.key_span.text) == (3, 3, "b")
+    assert (entry.value.span.line, entry.value.span.column, entry.value.span.text) == (3, 6, "12")
+
+
+@pytest.mark.parametrize(
+    ("text", "drawn"),
+    [
+        (
+            "a: [1\nb: 2",
+            "t.yaml:2:2: error[Y101]: not YAML: expected ',' or ']', but got ':'\n    b: 2\n     ^",
+        ),
+        (
+            "a: &x 1\n",
+            "t.yaml:1:4: error[Y103]: anchors and aliases are not allowed\n    a: &x 1\n       ^~~~",
+        ),
+        ("a: *x\n", "t.yaml:1:4: error[Y103]: anchors and aliases are not allowed\n    a: *x\n       ^~"),
+        ("a: !!python/name:os.system 1\n", "t.yaml:1:4: error[Y104]: tags are not allowed"),
+        (
+            "a: 1\nb: 2\na: 3\n",
+            "t.yaml:3:1: error[Y105]: 'a' is here twice; first in line 1\n    a: 3\n    ^",
+        ),
+        ("[a]: 1\n", "t.yaml:1:1: error[Y106]: a key must be plain text"),
+        ("a: .nan\n", "t.yaml:1:4: error[Y107]: '.nan' is not a finite number\n    a: .nan\n       ^~~~"),
+        ("a: -.inf\n", "t.yaml:1:4: error[Y107]"),
+        ("a: 1e999\n", "t.yaml:1:4: error[Y107]: 1e999 is larger than any real number"),
+        (
+            "a: 9223372036854775808\n",
+            "t.yaml:1:4: error[Y107]: 9223372036854775808 does not fit into 64 bits",
+        ),
+        ("a: 1\n---\nb: 2\n", "error[Y108]: one file holds one document"),
+        ('a: "\\ud800"\n', "t.yaml:1:4: error[Y109]"),
+        ('a: "\\UFFFFFFFF"\n', "error[Y101]: not YAML"),
+        ("a: \x07\n", "t.yaml:1:4: error[Y101]: not YAML: special characters are not allowed"),
+        ("[" * 40, "error[Y102]: more than 32 levels deep"),
+    ],
+)
+def test_what_is_refused(text, drawn):
+    assert drawn in errors(text)
+
+
+def test_too_large_and_not_utf8():
+    found = Diagnostics()
+    assert decode("t.yaml", b"#" * (MAX_BYTES + 1), found) is None
+    assert found.errors[0].code == "Y102"
+    found = Diagnostics()
+    assert decode("t.yaml", b"a: 1\nb: \xff\n", found) is None
+    assert (found.errors[0].code, found.errors[0].span.line, found.errors[0].span.column) == ("Y109", 2, 4)
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(InputFileError, match="No such file"):
+        read(str(tmp_path / "none.yaml"), Diagnostics())
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.one_of(
+        st.text(),
+        st.text(alphabet="ab:-[]{}&*!|>'\"\\#,. \n0x~%@"),
+        st.binary().map(lambda b: b.decode("latin-1")),
+    )
+)
+def test_any_text_gives_a_value_or_a_diagnostic(text):
+    found = Diagnostics()
+    node = parse(Source("t.yaml", text), found)
+    assert (node is None) == bool(found.errors)
+    for diagnostic in found.errors:
+        assert diagnostic.render().startswith("t.yaml:")
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=200))
+def test_any_bytes_give_a_value_or_a_diagnostic(data):
+    found = Diagnostics()
+    assert (decode("t.yaml", data, found) is None) == bool(found.errors)
+
+
+def fields(text: str) -> tuple[Fields, Diagnostics]:
+    found = Diagnostics()
+    node = parse(Source("t.yaml", text), found)
+    assert node is not None
+    return Fields(node, found, "a thing"), found
+
+
+def test_fields_report_everything_at_once():
+    top, found = fields("name: 5\nspeed: -1\nkind: coptr\nflag: maybe\ncount: 1.5\nmore: x\nlist: 3\n")
+    top.text("name")
+    top.number("speed", minimum=0.0)
+    top.text("kind", choices=("copter", "rover"))
+    top.flag("flag")
+    top.integer("count")
+    top.items("list")
+    top.text("needed", required=True)
+    top.done()
+    assert [f"{d.code} {d.message}" for d in found.errors] == [
+        "Y110 a thing needs 'needed'",
+        "Y112 'name' must be text, not the number 5",
+        "Y113 'speed' must be at least 0, not -1",
+        "Y113 'kind' is one of copter, rover",
+        "Y112 'flag' must be true or false, not the text 'maybe'",
+        "Y112 'count' must be a whole number, not the number 1.5",
+        "Y111 a thing takes no 'more'",
+        "Y112 'list' must be a list, not the number 3",
+    ]
+    assert found.errors[3].hint == "did you mean 'copter'?"
+
+
+def test_a_section_that_is_no_mapping():
+    top, found = fields("a: [1]\nb:\n")
+    assert list(top.section("a").entries()) == []
+    assert list(top.section("b").entries()) == []
+    assert [d.message for d in found.errors] == ["'a' must be a mapping, not a list"]
