@@ -18,9 +18,9 @@ from typing import Any
 
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock, SystemClock
-from lfield.errors import BlockError
+from lfield.errors import BlockError, DeviceError
 from lfield.fleet.deploy import Mission
-from lfield.fleet.devices import Devices
+from lfield.fleet.guards import Guards
 from lfield.fleet.logbook import Logbook
 from lfield.fleet.mobility import Mobility
 from lfield.fleet.mobility_effects import (
@@ -36,7 +36,7 @@ from lfield.fleet.mobility_effects import (
     Supersede,
 )
 from lfield.fleet.peers import Peers
-from lfield.fleet.status import status_of
+from lfield.fleet.status import coordinators_of, status_of
 from lfield.framing import Buffer
 from lfield.manifest import DeviceValue
 from lfield.net.transport import Link, Transport
@@ -44,7 +44,7 @@ from lfield.vm import dump, layout
 from lfield.vm.agent import Agent, Member
 from lfield.vm.machine import Machine
 from lfield.vm.world import Pending
-from lfield.wire.messages import Control, Hello, Known, Status, StatusRequest, Transfer
+from lfield.wire.messages import Control, Ended, EndedAck, Hello, Known, Status, StatusRequest, Transfer
 
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice.
@@ -86,7 +86,7 @@ class Host:
             unreachable_after=options.unreachable_after,
         )
         self.peers = Peers(self, transport, self.clock, self.team.hosts, self.team.addresses, self.here)
-        self.devices = Devices(mission, [m.id for m in self.team.on(self.here)], self.note, self._device_done)
+        self.guards = Guards(mission.plugins, self.clock, self.note)
         self.changed = asyncio.Event()
         self.address = ""
         self.failed: list[Agent] = []
@@ -105,7 +105,7 @@ class Host:
         Raises AddressError, BindingError and DeviceError: then nothing has moved.
         """
         self.address = await self.peers.open(self.options.listen)
-        await self.devices.open()
+        await self.guards.open(self.mission.bindings.of([m.id for m in self.team.on(self.here)]))
         if self.team.on(self.here) and any(m.kind == "coordinator" for m in self.team.on(self.here)):
             await self.peers.first_round(CENSUS)
         generation = int(self.clock.time() * 1e9)
@@ -138,7 +138,7 @@ class Host:
         for handle in (self._timer, self._deadline):
             if handle:
                 handle.cancel()
-        await self.devices.close()
+        await self.guards.close()
         self.peers.close()
         self.logbook.flush()
 
@@ -164,12 +164,14 @@ class Host:
         self._mind_deadline()
 
     def _mind_deadline(self) -> None:
-        """Be called back when mobility next has something to give up."""
-        if self._deadline:
-            self._deadline.cancel()
-            self._deadline = None
+        """Be called back when mobility next has something to give up, or earlier.
+
+        Every new deadline is later than those before, so a timer that is set is left as it is.
+        """
+        if self._deadline or self._stopped:
+            return
         due = self.mobility.next_deadline()
-        if due is not None and not self._stopped:
+        if due is not None:
             wait = max(0.0, due - self.clock.monotonic())
             self._deadline = self._loop.call_later(wait, self._tick)
 
@@ -248,7 +250,7 @@ class Host:
         """A host can be talked to."""
         self.note(f"linked with {hello.host}")
         self._hellos[hello.host] = hello
-        self._carry_out(self.mobility.linked(hello, self.clock.monotonic()))
+        self._carry_out(self.mobility.linked(hello))
         self.changed.set()
         self._pump()
 
@@ -278,7 +280,8 @@ class Host:
             self.changed.set()
         elif host:
             self._carry_out(self.mobility.receive(host, message, self.clock.monotonic()))
-            self.changed.set()
+            if isinstance(message, Ended | EndedAck):
+                self.changed.set()
             self._pump()
 
     def note(self, text: str) -> None:
@@ -301,7 +304,7 @@ class Host:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self.changed.wait(), bound)
         answers = {host: data["coordinators"] for host, data in self._statuses.items()}
-        return answers | {self.name: self.status()["coordinators"]}
+        return answers | {self.name: coordinators_of(self)}
 
     # --- World of the machine -------------------------------------------------------------------------
 
@@ -328,13 +331,15 @@ class Host:
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
     ) -> DeviceValue | Pending:
         """A device instruction."""
-        return self.devices.call(agent, thread, call, values)
 
-    def _device_done(
-        self, agent: Agent, thread: int, call: DeviceCall, value: DeviceValue | Exception
-    ) -> None:
-        self.devices.settle(self.machine, agent, thread, call, value)
-        self._pump()
+        def answered(value: DeviceValue | DeviceError) -> None:
+            if isinstance(value, DeviceError):
+                self.machine.refuse(agent, thread, value.kind, str(value), value.device)
+            else:
+                self.machine.answer(agent, thread, value, call.result, call.field)
+            self._pump()
+
+        return self.guards.call(agent.id, call.field, call.instruction, values, answered)
 
     def ended(self, agent: Agent) -> None:
         """A coordinator is done, or an agent has died."""

@@ -23,11 +23,16 @@ def status_of(host: Host) -> dict[str, Any]:
         "program": host.mission.program.digest.hex()[:16],
         "deployment": host.team.deployment.hex()[:16],
         "agents": [_agent(agent) for agent in host.machine.agents.values()],
-        "coordinators": [_coordinator(known) for known in host.mobility.knowledge()],
+        "coordinators": coordinators_of(host),
         "linked": sorted(host.peers.incarnations),
         "away": {name: round(now - since, 3) for name, since in host.peers.away.items()},
-        "devices": host.devices.status(),
+        "latched": dict(host.guards.latched),
     }
+
+
+def coordinators_of(host: Host) -> list[dict[str, Any]]:
+    """What a host knows of every coordinator it has seen."""
+    return [_coordinator(known) for known in host.mobility.knowledge()]
 
 
 def _agent(agent: Agent) -> dict[str, Any]:

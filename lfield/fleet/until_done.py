@@ -6,6 +6,7 @@ import asyncio
 
 from lfield.fleet.census import Fate, fates
 from lfield.fleet.host import Host
+from lfield.fleet.status import coordinators_of
 
 #: How often the other hosts are asked while one is missing, and how long an ending is passed on before this
 #: host goes (both in seconds).
@@ -17,7 +18,7 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
     wanted = {member.id for member in host.team.coordinators}
     while True:
         host.changed.clear()
-        found = fates(host.team, {host.name: host.status()["coordinators"]}, ())
+        found = fates(host.team, {host.name: coordinators_of(host)}, ())
         gone = host.peers.gone_for(lost_after)
         if gone and wanted - found.keys():
             records = await host.ask_others()

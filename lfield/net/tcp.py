@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from lfield.framing import Buffer
     from lfield.net.transport import Link, LinkHandler
+    from lfield.wire.messages import Transfer
 
 _REASONS = {
     errno.EADDRINUSE: "the port is in use; stop the program that has it, or choose another port",
@@ -44,11 +45,18 @@ class TcpTransport:
         self._connect_timeout = connect_timeout
 
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> TcpListener:
-        """Listen at exactly that address; port 0 takes a free one. Raises AddressError."""
-        host, port = split_address(address)
+        """Listen at exactly that address; port 0 takes a free one. Raises AddressError.
+
+        "fd:N" is the listening socket with that file descriptor, inherited from another process.
+        """
         loop = asyncio.get_running_loop()
         try:
-            server = await loop.create_server(lambda: self._new_link(on_link), host, port)
+            if address.startswith("fd:"):
+                inherited = socket.socket(fileno=int(address[3:]))
+                server = await loop.create_server(lambda: self._new_link(on_link), sock=inherited)
+            else:
+                host, port = split_address(address)
+                server = await loop.create_server(lambda: self._new_link(on_link), host, port)
         except (OSError, UnicodeError) as error:
             raise AddressError(address, _reason(error)) from None
         return TcpListener(server)
@@ -91,11 +99,27 @@ class _TcpLink(FramedLink, asyncio.Protocol):
         super().__init__("a peer", max_block)
         self._max_pending = max_pending
         self._on_link = on_link
+        self._loop = asyncio.get_running_loop()
+        self._waiting: list[Buffer] = []
 
     def write(self, data: Buffer) -> None:
-        self._transport.write(data)
+        """Messages of one turn leave together: a system call costs more than all the rest of a hop."""
+        if not self._waiting:
+            self._loop.call_soon(self._flush)
+        self._waiting.append(data)
+
+    def send_transfer(self, header: Transfer, block: Buffer) -> None:
+        """A coordinator leaves at once, with what waits."""
+        super().send_transfer(header, block)
+        self._flush()
+
+    def _flush(self) -> None:
+        waiting, self._waiting = self._waiting, []
+        if waiting and not self._transport.is_closing():
+            self._transport.write(waiting[0] if len(waiting) == 1 else b"".join(waiting))
 
     def close(self) -> None:
+        self._flush()
         self.closed = True
         self._transport.close()
 

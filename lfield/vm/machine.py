@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from lfield.bytecode.program import Program
 from lfield.clock import Clock
+from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import layout, portals, traceback
 from lfield.vm.agent import Agent, Member
@@ -46,7 +47,7 @@ from lfield.vm.world import World
 #: Instructions a thread may run before the next one's turn.
 SLICE = 2000
 #: Slices one call of `run` gives before it lets the host look at the world.
-ROUND = 200
+ROUND = 20
 
 T = TypeVar("T")
 
@@ -153,8 +154,10 @@ class Machine:
         """The value (of a type, by index) of the device instruction a thread waits for."""
         if agent.ended:
             return
-        block = agent.block
-        self.complete(agent, thread, lambda: word_for(block, self.program, kind, value, device))
+        try:
+            self.complete(agent, thread, lambda: word_for(agent.block, self.program, kind, value, device))
+        except DeviceError as error:
+            self.refuse(agent, thread, error.kind, str(error), error.device)
 
     def refuse(self, agent: Agent, thread: int, kind: str, message: str, source: str = "") -> None:
         """Throw a built-in exception where a waiting thread stands."""
