@@ -58,8 +58,8 @@ def _check_step(view: MethodView, quads: tuple[Quad, ...], pc: int) -> int:
 
 
 def _check_handler(view: MethodView, handler: Handler, starts: set[int]) -> None:
-    end = view.method.end
-    if not (handler.start < handler.end and {handler.start, handler.end} <= starts | {end}):
+    whole = handler.start in starts and (handler.end in starts or handler.end == view.method.end)
+    if not whole or handler.start >= handler.end:
         raise view.refused(handler.start, "a handler protects no run of whole instructions")
     if handler.target not in starts or handler.start <= handler.target < handler.end:
         raise view.refused(handler.start, "a handler leads nowhere, or into what it protects")

@@ -98,15 +98,15 @@ def check_constants(core: Core) -> None:
 
 def check_device_calls(core: Core) -> None:
     """Each names a device of a resource, and only values that may cross to a driver."""
-    crossing = {i for i, record in enumerate(core.types) if _crosses(record)}
+    values = {i for i, record in enumerate(core.types) if _crosses(record)}
+    results = {VOID, *values}
+    devices = {(i, device) for i, record in enumerate(core.classes) for device in record.devices}
     for number, call in enumerate(core.device_calls):
-        if not 0 <= call.owner < len(core.classes):
-            raise ProgramFileError(f"device call {number} is of class {call.owner}, which does not exist")
-        if DeviceField(call.field, call.device) not in core.classes[call.owner].devices:
+        if (call.owner, DeviceField(call.field, call.device)) not in devices:
             raise ProgramFileError(f"device call {number} names a device its resource does not have")
         if call.effect not in _EFFECTS:
             raise ProgramFileError(f"device call {number} has the unknown effect {call.effect!r}")
-        if not crossing.issuperset(call.parameters) or call.result not in crossing | {VOID}:
+        if not values.issuperset(call.parameters) or call.result not in results:
             raise ProgramFileError(f"device call {number} takes or gives a type no driver knows")
 
 
