@@ -74,12 +74,14 @@ class Diagnostic:
         """`file:line:col: error[LNNN]: sentence`, the source line, a caret, and the hint."""
         line, column = self.span.source.line_column(self.span.start)
         text = self.span.source.line_text(line)
+        # A file may hold anything: what a terminal would obey is shown as a dot, one for one.
+        shown = "".join(ch if ch.isprintable() or ch == "\t" else "·" for ch in text)
         # Tabs are kept in the margin so that the caret stands under the character it means.
         margin = "".join("\t" if ch == "\t" else " " for ch in text[: column - 1])
         width = max(1, min(self.span.end, self.span.start + len(text) - column + 1) - self.span.start)
         lines = [
             f"{self.span.source.name}:{line}:{column}: {self.severity}[{self.code}]: {self.message}",
-            f"    {text}",
+            f"    {shown}",
             f"    {margin}^{'~' * (width - 1)}",
         ]
         if self.hint:
@@ -92,11 +94,13 @@ class Diagnostics:
     """Collects findings, so that one run reports all of them."""
 
     found: list[Diagnostic] = field(default_factory=list)
+    _places: set[tuple[str, int, Source]] = field(default_factory=set)
 
     def add(self, diagnostic: Diagnostic) -> None:
         """Keep a finding; the same code at the same place is kept once."""
-        same = (diagnostic.code, diagnostic.span.start, diagnostic.span.source)
-        if all((d.code, d.span.start, d.span.source) != same for d in self.found):
+        place = (diagnostic.code, diagnostic.span.start, diagnostic.span.source)
+        if place not in self._places:
+            self._places.add(place)
             self.found.append(diagnostic)
 
     @property

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from functools import cached_property
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import msgspec
 
@@ -36,6 +36,8 @@ BUILTIN_CLASSES = (
     "DeviceTimeoutException",
 )
 MESSAGE, SOURCE, TRACE = 0, 1, 2
+
+UnitKind = Literal["class", "resource", "coordinator"]
 
 _QUAD = struct.Struct("<4i")
 
@@ -74,8 +76,8 @@ class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
     """A class, resource or coordinator. `init` is a method index, -1 for classes."""
 
     name: str
-    kind: str  # "class", "resource", "coordinator"
-    usage: str  # "global", "resource", "coordinator"
+    kind: UnitKind
+    usage: Literal["global", "resource", "coordinator"]
     fields: tuple[FieldRecord, ...] = ()
     init: int = -1
     devices: tuple[DeviceField, ...] = ()
@@ -181,7 +183,7 @@ class Program:
         return {record.entry: i for i, record in enumerate(self.core.methods)}
 
     @property
-    def units(self) -> dict[str, str]:
+    def units(self) -> dict[str, UnitKind]:
         """Deployable types: name to "resource" or "coordinator" (and "class" for the others)."""
         return {c.name: c.kind for c in self.core.classes[len(BUILTIN_CLASSES) :]}
 

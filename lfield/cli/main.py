@@ -100,7 +100,7 @@ def _dispatch(words: list[str]) -> int:
 
 
 def _command(name: str) -> Command:
-    return import_module(_MODULES[name])  # type: ignore[return-value]  # modules have the two functions
+    return import_module(_MODULES[name])
 
 
 _STATUSES = "exit statuses:" + (__doc__ or "").partition("(after sysexits):")[2]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import asyncio
 import sys
+from collections.abc import Coroutine
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lfield.fleet.deploy import Mission
@@ -43,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trust-network",
         action="store_true",
-        help="listen beyond this machine although there are no keys: whoever reaches the port controls the robots",
+        help="listen beyond this machine without keys: whoever reaches the port controls the robots",
     )
     # For processes that `--all` starts: the listening socket they inherit, and to end with their parent.
     parser.add_argument("--listen-fd", type=int, help=argparse.SUPPRESS)
@@ -72,17 +73,23 @@ def run(args: argparse.Namespace) -> int:
     return _run_one(mission, args)
 
 
+def _run_loop(work: Coroutine[Any, Any, int]) -> int:
+    """On uvloop where it is installed, else on asyncio's own loop."""
+    try:
+        import uvloop
+    except ImportError:
+        return asyncio.run(work)
+    status: int = uvloop.run(work)
+    return status
+
+
 def _run_one(mission: Mission, args: argparse.Namespace) -> int:
     from lfield.fleet.run import run_host
     from lfield.lang.deployment import lookup_host
     from lfield.net.local import own_host
 
     name = lookup_host(mission.deployment, args.host) if args.host else own_host(mission.deployment.hosts)
-    try:
-        from uvloop import run as run_loop
-    except ImportError:
-        run_loop = asyncio.run
-    return run_loop(
+    return _run_loop(
         run_host(
             mission,
             name,

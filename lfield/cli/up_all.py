@@ -85,7 +85,8 @@ class _Team:
         )
         listening.close()
         self.children[host] = child
-        assert child.stdout and child.stderr
+        assert child.stdout
+        assert child.stderr
         return [
             asyncio.create_task(self.pass_on(host, child.stdout, sys.stdout)),
             asyncio.create_task(self.pass_on(host, child.stderr, sys.stderr)),

@@ -20,7 +20,7 @@ from lfield.bytecode.program import (
     FieldRecord,
     TypeRecord,
 )
-from lfield.bytecode.verify_records import BUILTIN_RECORDS, FIXED_TYPES
+from lfield.bytecode.verify.records import BUILTIN_RECORDS, FIXED_TYPES
 from lfield.compiler.constants import Pool
 from lfield.lang import tree, types
 from lfield.lang.types import ArrayType, ClassType, DeviceType, ResourceType, Type

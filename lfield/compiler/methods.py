@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lfield.bytecode.program import MethodRecord
-from lfield.bytecode.verify_methods import MAX_SLOTS
+from lfield.bytecode.verify.methods import MAX_SLOTS
 from lfield.compiler.code import Code
 from lfield.compiler.collect import Tables
 from lfield.compiler.frame import Frame

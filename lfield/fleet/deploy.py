@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lfield.bytecode.encoding import MAX_SIZE, decode
-from lfield.bytecode.program import Program
+from lfield.bytecode.program import Program, UnitKind
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import InputFileError, ProgramError
 from lfield.fleet.bindings import Bindings, read_bindings
@@ -101,7 +101,7 @@ def check_file(path: Path) -> list[Diagnostic]:
         except ProgramError as error:
             return list(error.diagnostics)
     beside = path.with_suffix(".L")
-    units: Mapping[str, str] | None = compile_file(beside)[0].units if beside.exists() else None
+    units: Mapping[str, UnitKind] | None = compile_file(beside)[0].units if beside.exists() else None
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -22,7 +22,7 @@ from lfield.errors import BlockError, DeviceError
 from lfield.fleet.deploy import Mission
 from lfield.fleet.guards import Guards
 from lfield.fleet.logbook import Logbook
-from lfield.fleet.mobility import Mobility
+from lfield.fleet.mobility import Mobility, MobilityMessage
 from lfield.fleet.mobility_effects import (
     Departed,
     Effect,
@@ -44,7 +44,17 @@ from lfield.vm import dump, layout
 from lfield.vm.agent import Agent, Member
 from lfield.vm.machine import Machine
 from lfield.vm.world import Pending
-from lfield.wire.messages import Control, Ended, EndedAck, Hello, Known, Status, StatusRequest, Transfer
+from lfield.wire.messages import (
+    Control,
+    Ended,
+    EndedAck,
+    Hello,
+    Known,
+    Outcome,
+    Status,
+    StatusRequest,
+    Transfer,
+)
 
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice.
@@ -278,7 +288,7 @@ class Host:
         elif isinstance(message, Status):
             self._statuses[host] = message.data
             self.changed.set()
-        elif host:
+        elif host and isinstance(message, MobilityMessage):
             self._carry_out(self.mobility.receive(host, message, self.clock.monotonic()))
             if isinstance(message, Ended | EndedAck):
                 self.changed.set()
@@ -346,7 +356,7 @@ class Host:
         if agent.ended == "died":
             self._report_death(agent)
         if agent.member.kind == "coordinator":
-            outcome = "done" if agent.ended == "done" else "died"
+            outcome: Outcome = "done" if agent.ended == "done" else "died"
             self._carry_out(self.mobility.ended(agent.id, agent.generation, outcome, agent.report))
         self.changed.set()
 

@@ -235,6 +235,13 @@ class Machine:
             case Thrown():
                 self._uncaught(agent, thread, leave.place)
 
+    def give_back(self, agent: Agent, thread: int) -> None:
+        """Free the monitor that a thread held when it ended by an exception."""
+        w = agent.block.w
+        if w[layout.W_OWNER] == thread:
+            w[layout.W_OWNER] = w[layout.W_ENTRIES] = 0
+            self._unblock(agent)
+
     def _unblock(self, agent: Agent) -> None:
         waiting, agent.blocked = agent.blocked, []
         for thread in waiting:

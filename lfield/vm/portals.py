@@ -108,6 +108,7 @@ def fail(machine: Machine, resource: Agent, thread: int, number: int, thrown: in
     else:
         machine.throw(caller, waiter, copied)
     unlink(resource.block, thread)
+    machine.give_back(resource, thread)
 
 
 def abandoned(machine: Machine, resource: Agent) -> Iterator[tuple[Agent, int]]:

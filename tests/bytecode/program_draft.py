@@ -34,7 +34,7 @@ from lfield.bytecode.program import (
     TypeRecord,
     encode_quads,
 )
-from lfield.bytecode.verify_records import BUILTIN_RECORDS, FIXED_TYPES
+from lfield.bytecode.verify.records import BUILTIN_RECORDS, FIXED_TYPES
 
 # Classes behind the built-in ones.
 BOX, ARM, GUIDE, TOOL = 11, 12, 13, 14

@@ -35,7 +35,9 @@ def _type_of(field: int) -> int:
 
 # A graph: for each node its value, and the nodes its references lead to (None: null).
 _edges = st.one_of(st.none(), st.integers(0, 11))
-_node = st.tuples(st.integers(-(2**63), 2**63 - 1), _edges, _edges, st.text(max_size=9), st.lists(_edges, max_size=4))
+_node = st.tuples(
+    st.integers(-(2**63), 2**63 - 1), _edges, _edges, st.text(max_size=9), st.lists(_edges, max_size=4)
+)
 graphs = st.lists(_node, min_size=1, max_size=12)
 
 
@@ -73,7 +75,13 @@ def shape(block: Block, root: int, layouts: Layouts) -> list[tuple]:
         found.append((place, head, references))
     numbers = {place: i for i, (place, _, _) in enumerate(found, 1)} | {0: 0}
     return [
-        (head, [numbers[w] if i in refs else w for i, w in enumerate(block.w[place + 1 : place + (head >> 32)], 1)])
+        (
+            head,
+            [
+                numbers[w] if i in refs else w
+                for i, w in enumerate(block.w[place + 1 : place + (head >> 32)], 1)
+            ],
+        )
         for place, head, refs in found
     ]
 
@@ -101,7 +109,9 @@ def test_collection_keeps_exactly_what_is_reachable(nodes: list[tuple], root: in
 
 
 @given(graphs, st.lists(st.integers(0, 11), min_size=1, max_size=3))
-def test_deep_copy_keeps_aliases_and_cycles_and_leaves_the_source_alone(nodes: list[tuple], roots: list[int]) -> None:
+def test_deep_copy_keeps_aliases_and_cycles_and_leaves_the_source_alone(
+    nodes: list[tuple], roots: list[int]
+) -> None:
     layouts = Layouts(program())
     source, target = new_block(), new_block()
     places = build(source, nodes)

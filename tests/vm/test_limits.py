@@ -12,9 +12,17 @@ resource Good { init(string[] arg) { } portal hello() emit string { return "stil
 """
 
 CASES = {
-    "heap": ("Node n = null; while (true) n = new Node(n);", Limits(heap=64 << 10), "the heap is over its limit"),
+    "heap": (
+        "Node n = null; while (true) n = new Node(n);",
+        Limits(heap=64 << 10),
+        "the heap is over its limit",
+    ),
     "call_depth": ("deeper(1);", Limits(call_depth=50), "calls are nested deeper than 50"),
-    "array_length": ("int[] a = new int[101];", Limits(array_length=100), "an array of 101 is over the limit of 100"),
+    "array_length": (
+        "int[] a = new int[101];",
+        Limits(array_length=100),
+        "an array of 101 is over the limit of 100",
+    ),
     "string_length": (
         'string s = "0123456789"; while (true) s = s + s;',
         Limits(string_length=1000),

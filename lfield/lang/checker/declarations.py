@@ -90,6 +90,7 @@ class _Methods:
 
     def __init__(self, symbols: Symbols, raw: syntax.Unit, declared: Declared) -> None:
         self.symbols, self.raw, self.declared, self.unit = symbols, raw, declared, declared.unit
+        self.signatures: dict[str, Method] = {}
 
     def declare(self) -> None:
         """Every method that has its place here, and a constructor for a class without one."""
@@ -157,14 +158,12 @@ class _Methods:
             return
         if method.kind == "method":
             self.check_name(method)
-        for earlier in self.unit.methods:
-            same = earlier.signature == method.signature and earlier.kind != "init"
-            if same and all(p.type is not UNKNOWN for p in method.parameters):
-                line = earlier.span.line
-                self.symbols.report(
-                    messages.SAME_SIGNATURE, method.span, signature=method.signature, line=line
-                )
-                return
+        signature = method.signature
+        earlier = self.signatures.setdefault(signature, method) if method.kind != "init" else method
+        if earlier is not method and all(p.type is not UNKNOWN for p in method.parameters):
+            line = earlier.span.line
+            self.symbols.report(messages.SAME_SIGNATURE, method.span, signature=signature, line=line)
+            return
         self.unit.methods.append(method)
         self.declared.bodies.append((method, written))
 

@@ -70,7 +70,8 @@ def _element(w: memoryview[int], place: int, index: int) -> int:
     """The word of an element; traps on null and on an index outside."""
     if not place:
         raise null_use("element")
-    if not 0 <= index < (length := (w[place] >> 32) - 1):
+    length = (w[place] >> 32) - 1
+    if not 0 <= index < length:
         raise Trap("IndexException", f"index {index} of an array of length {length}")
     return place + 1 + index
 
@@ -124,7 +125,7 @@ def new_array(a: int, record: int, c: int | None, constant: int, after: int) -> 
     def step(m: Registers) -> int:
         length = constant if c is None else m.w[m.slots + c]
         if length < 0:
-            raise Trap("IndexException", f"an array cannot have length {length}")
+            raise Trap("LimitException", f"an array cannot have length {length}")
         if length > m.limits.array_length:
             raise Trap("LimitException", f"an array of {length} is over the limit of {m.limits.array_length}")
         m.w[m.slots + a] = m.block.allocate(ARRAY, record, 1 + length)

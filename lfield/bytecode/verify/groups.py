@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import ANY, ARRAY, BOOLEAN, INT, PROXY, REAL, STRING, VOID, Quad, TypeRecord
-from lfield.bytecode.verify_operands import MethodView
+from lfield.bytecode.verify.operands import MethodView
 
 _PUSH, _POP = BY_NAME["push"], BY_NAME["pop"]
 _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}

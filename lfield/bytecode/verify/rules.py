@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from lfield.bytecode.program import ANY, ARRAY, OBJECT, VOID, Quad, TypeRecord
-from lfield.bytecode.verify_operands import MethodView
+from lfield.bytecode.verify.operands import MethodView
 
 Rule = Callable[[MethodView, int, Quad], bool]
 

@@ -15,7 +15,7 @@ from lfield.bytecode.program import (
     MethodRecord,
     TypeRecord,
 )
-from lfield.bytecode.verify_types import TypeTable
+from lfield.bytecode.verify.types import TypeTable
 from lfield.errors import ProgramFileError
 
 #: The most slots an activation record may have: parameters, locals and temporaries together.

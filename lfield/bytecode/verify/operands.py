@@ -17,7 +17,7 @@ from lfield.bytecode.program import (
     MethodRecord,
     Quad,
 )
-from lfield.bytecode.verify_types import TypeTable, scope_of
+from lfield.bytecode.verify.types import TypeTable, scope_of
 from lfield.errors import ProgramFileError
 
 _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}

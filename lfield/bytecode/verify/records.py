@@ -18,7 +18,7 @@ from lfield.bytecode.program import (
     FieldRecord,
     TypeRecord,
 )
-from lfield.bytecode.verify_types import TypeTable
+from lfield.bytecode.verify.types import TypeTable
 from lfield.errors import ProgramFileError
 
 #: The eight types without parts that every program begins with.

@@ -8,10 +8,10 @@ at each record and each instruction once: the time is linear in the size of the 
 from __future__ import annotations
 
 from lfield.bytecode.program import Program
-from lfield.bytecode.verify_code import check_code
-from lfield.bytecode.verify_debug import check_debug
-from lfield.bytecode.verify_methods import check_methods
-from lfield.bytecode.verify_records import check_classes, check_constants, check_device_calls, check_types
+from lfield.bytecode.verify.code import check_code
+from lfield.bytecode.verify.debug import check_debug
+from lfield.bytecode.verify.methods import check_methods
+from lfield.bytecode.verify.records import check_classes, check_constants, check_device_calls, check_types
 
 
 def verify(program: Program) -> None:

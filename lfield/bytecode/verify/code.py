@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME
 from lfield.bytecode.program import ANY, OBJECT, Handler, Program, Quad, TypeRecord
-from lfield.bytecode.verify_groups import check_group
-from lfield.bytecode.verify_operands import MethodView
-from lfield.bytecode.verify_rules import RULES
-from lfield.bytecode.verify_types import TypeTable
+from lfield.bytecode.verify.groups import check_group
+from lfield.bytecode.verify.operands import MethodView
+from lfield.bytecode.verify.rules import RULES
+from lfield.bytecode.verify.types import TypeTable
 
 _FRAME, _PUSH, _POP = (BY_NAME[name].code for name in ("frame", "push", "pop"))
 _JUMPS = frozenset(row.code for row in BY_CODE.values() if row.operands and row.operands[0].role == "L")
