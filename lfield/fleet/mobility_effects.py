@@ -1,7 +1,7 @@
 """What mobility asks of its host: the effects that `Mobility` returns, to be carried out in order.
 
-They are msgspec structs rather than dataclasses because one is made on every hop, and a struct costs a
-quarter. Every effect on a copy names its start (agent, generation): a host that holds another start of
+They are msgspec structs rather than dataclasses because several are made on every hop, and a frozen
+dataclass takes several times as long to make. Every effect on a copy names its start (agent, generation): a host that holds another start of
 that agent by now leaves it alone.
 """
 

@@ -76,13 +76,16 @@ class Transport(Protocol):
     """A way to reach other hosts."""
 
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> Listener:
-        """Listen there; `on_link` names the handler of each new link. Raises AddressError.
+        """Listen there; `on_link` names the handler of each new link, and may send on it at once.
 
-        Exactly the address is bound: it is for the caller to insist on loopback.
+        Raises AddressError. Exactly the address is bound: it is for the caller to insist on loopback.
         """
 
     async def connect(self, address: str, handler: LinkHandler) -> Link:
-        """A link to whoever listens there. Raises AddressError."""
+        """A link to whoever listens there; `handler` may hear from it before this returns.
+
+        Raises AddressError.
+        """
 
 
 def split_address(address: str) -> tuple[str, int]:

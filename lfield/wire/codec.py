@@ -36,7 +36,7 @@ MAX_TRANSFER_HEADER = 1024
 
 _HELLO_START = struct.Struct(">4sH")
 _HEADER_LENGTH = struct.Struct(">H")
-_LIMITS = {HELLO: 1 << 20, REFUSE: 4 * MAX_TEXT, CONTROL: 1 << 20}
+_LIMITS = {HELLO: 2 << 20, REFUSE: 4 * MAX_TEXT, CONTROL: 1 << 20}
 
 _encode = msgspec.msgpack.Encoder().encode
 _hello: msgspec.msgpack.Decoder[Hello] = msgspec.msgpack.Decoder(Hello)

@@ -20,7 +20,7 @@ PROTOCOL = 1
 MAX_NAME = 128
 
 #: Longest sentence or traceback that travels, in characters; `clip` cuts to it.
-MAX_TEXT = 4096
+MAX_TEXT = 2048
 
 #: Bytes of a program or deployment hash.
 HASH_SIZE = 32
@@ -52,7 +52,7 @@ def clip(text: str) -> str:
 class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """What one host knows of one start of a coordinator, for greetings and `lfield ps`.
 
-    `sequence` is the last transfer number this host's copy used. `where` is the host the copy went or
+    `sequence` is the highest transfer number of this start that was used or seen here. `where` is the host the copy went or
     wants to go to (FROZEN, PREPARED, IN DOUBT, MOVED), or the host it ended on (EXITED). `outcome` and
     `detail` are set for EXITED only.
     """
