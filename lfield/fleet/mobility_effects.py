@@ -1,8 +1,8 @@
 """What mobility asks of its host: the effects that `Mobility` returns, to be carried out in order.
 
 They are msgspec structs rather than dataclasses because several are made on every hop, and a frozen
-dataclass takes several times as long to make. Every effect on a copy names its start (agent, generation): a host that holds another start of
-that agent by now leaves it alone.
+dataclass takes several times as long to make. Every effect on a copy names its start (agent, generation):
+a host that holds another start of that agent by now leaves it alone.
 """
 
 from __future__ import annotations

@@ -52,9 +52,9 @@ def clip(text: str) -> str:
 class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """What one host knows of one start of a coordinator, for greetings and `lfield ps`.
 
-    `sequence` is the highest transfer number of this start that was used or seen here. `where` is the host the copy went or
-    wants to go to (FROZEN, PREPARED, IN DOUBT, MOVED), or the host it ended on (EXITED). `outcome` and
-    `detail` are set for EXITED only.
+    `sequence` is the highest transfer number of this start that was used or seen here. `where` is the host
+    the copy went or wants to go to (FROZEN, PREPARED, IN DOUBT, MOVED), or the host it ended on (EXITED).
+    `outcome` is set for EXITED, `detail` for EXITED and IN DOUBT.
     """
 
     agent: Name
