@@ -57,8 +57,8 @@ from lfield.wire.messages import (
 )
 
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
-#: is alive elsewhere must not be started twice.
-CENSUS = 1.0
+#: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
+CENSUS = 1.5
 
 
 @dataclass(slots=True)
@@ -100,6 +100,8 @@ class Host:
         self.changed = asyncio.Event()
         self.address = ""
         self.failed: list[Agent] = []
+        #: Coordinators that came before the resources here were started; None once they are.
+        self._early: list[tuple[str, Transfer, memoryview]] | None = []
         self._hellos: dict[str, Hello] = {}
         self._statuses: dict[str, dict[str, Any]] = {}
         self._loop = asyncio.get_running_loop()
@@ -110,18 +112,31 @@ class Host:
     # --- life -----------------------------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Listen, open the devices, ask the others what they know, then start the agents of this host.
+        """Listen, open the devices, start the resources, ask what the others know, start the coordinators.
 
         Raises AddressError, BindingError and DeviceError: then nothing has moved.
         """
         self.address = await self.peers.open(self.options.listen)
-        await self.guards.open(self.mission.bindings.of([m.id for m in self.team.on(self.here)]))
-        if self.team.on(self.here) and any(m.kind == "coordinator" for m in self.team.on(self.here)):
-            await self.peers.first_round(CENSUS)
+        members = self.team.on(self.here)
+        await self.guards.open(self.mission.bindings.of([m.id for m in members]))
         generation = int(self.clock.time() * 1e9)
-        for member in self.team.on(self.here):
-            if member.kind == "resource" or self._may_start(member, generation):
+        for member in members:
+            if member.kind == "resource":
                 self.machine.start(member, self.mission.bindings.limits(member.id), generation)
+        self._let_in()
+        coordinators = [m for m in members if m.kind == "coordinator"]
+        if coordinators:
+            await self.peers.first_round(CENSUS)
+        for member in coordinators:
+            if self._may_start(member, generation):
+                self.machine.start(member, self.mission.bindings.limits(member.id), generation)
+        self._pump()
+
+    def _let_in(self) -> None:
+        """Take the coordinators that came while the devices were opened: what they call is here now."""
+        early, self._early = self._early or [], None
+        for host, header, block in early:
+            self._carry_out(self.mobility.arrive(host, header, block))
         self._pump()
 
     def _may_start(self, member: Member, generation: int) -> bool:
@@ -274,6 +289,9 @@ class Host:
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before anything else does."""
+        if self._early is not None:
+            self._early.append((host, header, block))
+            return
         self._carry_out(self.mobility.arrive(host, header, block))
         self._pump()
 

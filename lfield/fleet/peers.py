@@ -22,6 +22,8 @@ from lfield.wire.messages import Control, Hello, Message, Ping, Pong, Transfer
 FIRST_RETRY, LAST_RETRY = 0.05, 1.0
 #: A link is asked for a sign of life every so many seconds, and given up after so many without one.
 PING_EVERY, SILENT_FOR = 1.0, 3.0
+#: Whoever has not greeted after so many seconds is no host.
+GREETED_WITHIN = 10.0
 
 
 class Owner(Protocol):
@@ -66,8 +68,10 @@ class Peers:
         self._links: dict[str, Session] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._listener: Listener | None = None
-        self._tried = 0
-        self._all_tried = asyncio.Event()
+        #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.
+        self._unheard = {host for i, host in enumerate(hosts) if i != here}
+        self._all_heard = asyncio.Event()
+        self._met: set[str] = set()
         #: Since when each host without a link has had none, on the monotonic clock.
         self.away: dict[str, float] = {}
 
@@ -76,10 +80,14 @@ class Peers:
         """The hosts that are linked now, with their incarnations."""
         return {host: s.hello.incarnation for host, s in self._links.items() if s.hello}
 
-    def gone_for(self, seconds: float) -> set[str]:
-        """The hosts that have not been linked for so long."""
+    def gone_for(self, seconds: float, unmet: float) -> set[str]:
+        """The hosts that have not been linked for so long; one that was never met has `unmet` seconds."""
         now = self._clock.monotonic()
-        return {host for host, since in self.away.items() if now - since >= seconds}
+        return {
+            host
+            for host, since in self.away.items()
+            if now - since >= (seconds if host in self._met else unmet)
+        }
 
     async def open(self, address: str) -> str:
         """Listen, begin to call the others; returns the address with its real port. Raises AddressError."""
@@ -88,15 +96,18 @@ class Peers:
         self.away = {host: now for i, host in enumerate(self._hosts) if i != self._here}
         for number in range(self._here + 1, len(self._hosts)):
             self._tasks.append(asyncio.create_task(self._keep_calling(number)))
-        if not self._tasks:
-            self._all_tried.set()
+        if not self._unheard:
+            self._all_heard.set()
         self._tasks.append(asyncio.create_task(self._keep_alive()))
         return self._listener.address
 
     async def first_round(self, bound: float) -> None:
-        """Return when every host has been called once, or after `bound` seconds."""
+        """Return when every host has greeted or did not answer when called, or after `bound` seconds.
+
+        A host that calls this one cannot be told from one that is down: it is waited for.
+        """
         try:
-            await asyncio.wait_for(self._all_tried.wait(), bound)
+            await asyncio.wait_for(self._all_heard.wait(), bound)
         except TimeoutError:
             return
 
@@ -143,7 +154,7 @@ class Peers:
                 wait = FIRST_RETRY if session.hello else wait
             except AddressError as error:
                 reason = str(error)
-            self._count_try()
+            self._heard_of(name)
             if reason and reason != told:
                 # A host that is not up yet is no news; one that is there and refuses is.
                 if session.hello is None and session.connected:
@@ -152,10 +163,10 @@ class Peers:
             await asyncio.sleep(wait)
             wait = min(LAST_RETRY, wait * 1.5)
 
-    def _count_try(self) -> None:
-        self._tried += 1
-        if self._tried >= len(self._hosts) - 1 - self._here:
-            self._all_tried.set()
+    def _heard_of(self, host: str) -> None:
+        self._unheard.discard(host)
+        if not self._unheard:
+            self._all_heard.set()
 
     async def _keep_alive(self) -> None:
         token = 0
@@ -187,9 +198,9 @@ class Peers:
         if old and old is not session:
             old.link.close()
         self.away.pop(hello.host, None)
-        if session.dialled:
-            self._count_try()
+        self._met.add(hello.host)
         self._owner.linked(hello)
+        self._heard_of(hello.host)
 
     def gone(self, session: Session) -> None:
         """A link is closed."""
@@ -238,10 +249,12 @@ class Session:
         self.heard = 0.0
         self.reason = ""
         self.over = asyncio.Event()
+        self._patience: asyncio.TimerHandle | None = None
 
     def greet(self, link: Link) -> None:
-        """Say who we are."""
+        """Say who we are, and wait for the other's greeting, though not for ever."""
         self.link, self.connected = link, True
+        self._patience = asyncio.get_running_loop().call_later(GREETED_WITHIN, self._give_up)
         with suppress(AddressError):
             link.send(self._greeting.own)
 
@@ -255,6 +268,7 @@ class Session:
                 if self._greeting.refusal:
                     link.send(self._greeting.refusal)
                 raise
+            self._relax()
             self._peers.greeted(self, self.hello)
             return
         self._greeting.admit(message)
@@ -274,8 +288,19 @@ class Session:
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """The end of the link."""
-        self.reason = str(error or "")
+        self._relax()
+        self.reason = self.reason or str(error or "")
         if error and not self.dialled:
             self._peers.note(f"closed a link from {link.peer}: {error}")
         self._peers.gone(self)
         self.over.set()
+
+    def _relax(self) -> None:
+        if self._patience:
+            self._patience.cancel()
+
+    def _give_up(self) -> None:
+        self.reason = f"it has not greeted within {GREETED_WITHIN:g} s"
+        if not self.dialled:
+            self._peers.note(f"closed a link from {self.link.peer}: {self.reason}")
+        self.link.close()

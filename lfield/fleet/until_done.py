@@ -14,12 +14,16 @@ ASK_EVERY, LINGER = 0.5, 2.0
 
 
 async def until_done(host: Host, lost_after: float) -> list[Fate]:
-    """The fates of all coordinators. A host that cannot be reached for `lost_after` seconds is given up."""
+    """The fates of all coordinators. A host that cannot be reached for `lost_after` seconds is given up.
+
+    One that has not come up yet is not given up before portal calls to it are.
+    """
+    unmet = max(lost_after, host.options.unreachable_after)
     wanted = {member.id for member in host.team.coordinators}
     while True:
         host.changed.clear()
         found = fates(host.team, {host.name: coordinators_of(host)}, ())
-        gone = host.peers.gone_for(lost_after)
+        gone = host.peers.gone_for(lost_after, unmet)
         if gone and wanted - found.keys():
             records = await host.ask_others()
             found = fates(host.team, records, gone)
