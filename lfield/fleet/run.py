@@ -6,6 +6,7 @@ import asyncio
 import signal
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 from lfield.errors import UsageError
 from lfield.fleet.deploy import Mission
@@ -46,30 +47,37 @@ async def run_host(
     stopping = _stop_signals()
     if leash:
         _end_with_parent(stopping)
+    life = asyncio.ensure_future(_live(host, lost_after))
+    stopped = asyncio.ensure_future(stopping.wait())
     try:
-        await host.start()
-        host.note(f"{name} is up on {host.address}")
-        if lost_after is None:
-            await stopping.wait()
-            return 0
-        return await _run_until_done(host, lost_after, stopping)
+        await asyncio.wait([life, stopped], return_when=asyncio.FIRST_COMPLETED)
+        if life.done():
+            return life.result()
+        # Without --until-done there is no other end than to be told to stop.
+        return 0 if lost_after is None else 130
     finally:
+        for task in (life, stopped):
+            task.cancel()
+        await asyncio.gather(life, stopped, return_exceptions=True)
         await host.stop()
 
 
-async def _run_until_done(host: Host, lost_after: float, stopping: asyncio.Event) -> int:
-    done = asyncio.ensure_future(until_done(host, lost_after))
-    stopped = asyncio.ensure_future(stopping.wait())
-    await asyncio.wait([done, stopped], return_when=asyncio.FIRST_COMPLETED)
-    for task in (done, stopped):
-        task.cancel()
-    if not done.done() or done.cancelled():
-        return 130
-    fates = done.result()
+async def _live(host: Host, lost_after: float | None) -> int:
+    """Start the host, and wait until all is done; for ever if `lost_after` is None."""
+    await host.start()
+    host.note(f"{host.name} is up on {host.address}")
+    if lost_after is None:
+        await _for_ever()
+    fates = await until_done(host, lost_after)
     for fate in fates:
         if fate.outcome == "lost":
             host.note(f"{fate.agent} is lost: {fate.detail}")
     return 0 if all(fate.outcome == "done" for fate in fates) else 1
+
+
+async def _for_ever() -> NoReturn:
+    while True:
+        await asyncio.get_running_loop().create_future()
 
 
 def _stop_signals() -> asyncio.Event:
