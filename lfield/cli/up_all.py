@@ -49,6 +49,8 @@ class _Team:
         self.children: dict[str, Process] = {}
         self.width = max(len(host) for host in addresses)
         self.stopping = asyncio.Event()
+        #: The exit status of the first host that could not start.
+        self.refused = 0
         self.view: LiveView | None = None
 
     async def run(self) -> int:
@@ -68,7 +70,7 @@ class _Team:
         await asyncio.gather(*readers)
         if self.view:
             await self.view.stop()
-        return 130 if self.stopping.is_set() else max(statuses)
+        return 130 if self.stopping.is_set() else self.refused or max(statuses)
 
     async def start(self, host: str) -> list[asyncio.Task[None]]:
         """Start the process of a host; returns the tasks that pass its lines on."""
@@ -139,6 +141,7 @@ class _Team:
             print(f"{host:<{self.width}} | ended by {name}", file=sys.stderr)
             return 1
         if status not in (0, 1) and not self.stopping.is_set():
+            self.refused = self.refused or status
             self.release()
         return status
 
