@@ -15,48 +15,52 @@ def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
 
     Every reference that lies outside the block (a thread's place, say) is wrong afterwards.
     """
+    data, top = _compact(block, layouts)
+    wanted = max(INITIAL_WORDS, 2 * top + room)
+    most = block.limit if top + room <= block.limit else block.limit + RESERVE_WORDS
+    words = max(top, min(wanted, most))
+    data.extend(bytes(max(0, 8 * words - len(data))))
+    del data[8 * words :]
+    block.replace(data, top)
+
+
+def compact(block: Block, layouts: Layouts) -> None:
+    """Compact the block and leave no room at all: it is about to travel."""
+    data, top = _compact(block, layouts)
+    del data[8 * top :]
+    block.replace(data, top)
+
+
+def _compact(block: Block, layouts: Layouts) -> tuple[bytearray, int]:
+    """A copy of the block with only what is alive, and its top. Spoils the block's own bytes."""
     old = block.w
     data = bytearray(8 * block.top)
     new = memoryview(data).cast("q")
     new[:HEADER_WORDS] = old[:HEADER_WORDS]
     top = HEADER_WORDS
-    for root in ROOTS:
-        top = _forward(old, new, root, top)
-    scan = HEADER_WORDS
-    references = layouts.references
-    while scan < top:
+    scan = 0
+    references: tuple[int, ...] | range = ROOTS
+    # The header is scanned like the first thing on the heap, with the roots as its references.
+    words = HEADER_WORDS
+    while True:
+        for offset in references:
+            place = new[scan + offset]
+            if not place:
+                continue
+            head = old[place]
+            if head < 0:
+                new[scan + offset] = -head
+                continue
+            size = head >> 32
+            new[top : top + size] = old[place : place + size]
+            old[place] = -top
+            new[scan + offset] = top
+            top += size
+        scan += words
+        if scan >= top:
+            break
         head = new[scan]
-        for offset in references(head):
-            if new[scan + offset]:
-                top = _forward(old, new, scan + offset, top)
-        scan += head >> 32
+        words = head >> 32
+        references = layouts.references(head)
     new.release()
-    _fit(block, data, top, room)
-
-
-def _forward(old: memoryview[int], new: memoryview[int], word: int, top: int) -> int:
-    """Let the reference at `word` lead to the new place of its target; returns the new top."""
-    target = new[word]
-    if not target:
-        return top
-    head = old[target]
-    if head < 0:
-        new[word] = -head
-        return top
-    words = head >> 32
-    new[top : top + words] = old[target : target + words]
-    old[target] = -top
-    new[word] = top
-    return top + words
-
-
-def _fit(block: Block, data: bytearray, top: int, room: int) -> None:
-    """Give the block bytes for twice what lives, within its limit."""
-    wanted = max(INITIAL_WORDS, 2 * top + room)
-    most = block.limit if top + room <= block.limit else block.limit + RESERVE_WORDS
-    words = max(top, min(wanted, most))
-    if 8 * words > len(data):
-        data.extend(bytes(8 * words - len(data)))
-    else:
-        del data[8 * words :]
-    block.replace(data, top)
+    return data, top

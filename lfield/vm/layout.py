@@ -16,7 +16,7 @@ collector works, a negative header is the negated new place of what moved.
 from __future__ import annotations
 
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
-from lfield.bytecode.program import REFERENCES, Program
+from lfield.bytecode.program import REFERENCES, Program, TypeRecord
 
 MAGIC = int.from_bytes(b"LBLK", "little")
 VERSION = 1
@@ -83,15 +83,22 @@ class Layouts:
             for m in core.methods
         ]
 
+        #: Offsets of the references by the low half of a header; arrays that hold references are not in it.
+        self.offsets = self._by_half(core.types)
+
+    def _by_half(self, types: tuple[TypeRecord, ...]) -> dict[int, tuple[int, ...]]:
+        offsets: dict[int, tuple[int, ...]] = {STRING: (), THREAD: THREAD_REFERENCES}
+        for i, found in enumerate(self.class_references):
+            offsets[OBJECT | i << 8] = found
+            offsets[PROXY | i << 8] = ()
+        for i, found in enumerate(self.frame_references):
+            offsets[FRAME | i << 8] = found
+        for i, record in enumerate(types):
+            if record.kind == ARRAY_TYPE and not self.array_references[i]:
+                offsets[ARRAY | i << 8] = ()
+        return offsets
+
     def references(self, head: int) -> tuple[int, ...] | range:
         """Offsets of the references in the thing with that header word."""
-        kind, index = head & 0xFF, head >> 8 & 0xFFFFFF
-        if kind == OBJECT:
-            return self.class_references[index]
-        if kind == ARRAY:
-            return range(1, head >> 32) if self.array_references[index] else ()
-        if kind == FRAME:
-            return self.frame_references[index]
-        if kind == THREAD:
-            return THREAD_REFERENCES
-        return ()
+        found = self.offsets.get(head & 0xFFFFFFFF)
+        return range(1, head >> 32) if found is None else found

@@ -12,14 +12,14 @@ from collections.abc import Callable, Sequence
 from heapq import heappop, heappush
 from typing import TypeVar
 
-from lfield.bytecode.program import Program
+from lfield.bytecode.program import REFERENCES, Program
 from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import layout, portals, traceback
 from lfield.vm.agent import Agent, Member
 from lfield.vm.block import Block, Full
-from lfield.vm.collector import collect
+from lfield.vm.collector import collect, compact
 from lfield.vm.engine import Engine
 from lfield.vm.engine.registers import Trap
 from lfield.vm.engine.run import new_exception
@@ -48,6 +48,8 @@ from lfield.vm.world import World
 SLICE = 2000
 #: Slices one call of `run` gives before it lets the host look at the world.
 ROUND = 20
+#: Turns that may follow one another without the end of the queue being looked at.
+STREAK = 50
 
 T = TypeVar("T")
 
@@ -82,6 +84,8 @@ class Machine:
         self._ready: deque[tuple[Agent, int]] = deque()
         self._timers: list[tuple[float, int, Agent, int]] = []
         self._order = 0
+        self._streak = 0
+        self._reference_arguments: dict[int, tuple[int, ...]] = {}
         self._outsiders = Outsiders(self)
         self._liveness = Liveness(program, self.layouts)
         self._soundness = Soundness(self.engine.prepared, len(team))
@@ -127,15 +131,13 @@ class Machine:
         block.visit(self.here)
         agent = Agent(member, block, limits, open=True)
         self.agents[member.id] = agent
-        place = block.w[layout.W_THREADS]
-        block.w[place + THREAD_STATE] = READY
-        self._ready.appendleft((agent, block.w[place + THREAD_ID]))
+        self.next_turn(agent, block.w[block.w[layout.W_THREADS] + THREAD_ID])
         return agent
 
     def pack(self, agent: Agent) -> memoryview:
         """The bytes of a frozen coordinator, live data only."""
         self._liveness.clear_dead(agent.block)
-        collect(agent.block, self.layouts)
+        compact(agent.block, self.layouts)
         return agent.block.image()
 
     def release(self, agent: Agent) -> None:
@@ -270,12 +272,33 @@ class Machine:
         entry = record.entry if record.synchronized else record.entry + 1
         return new_thread(agent.block, method, frame, entry, words, call)
 
-    def make_ready(self, agent: Agent, thread: int, first: bool = False) -> None:
-        """Put a thread in the queue, at its end unless it is to be `first`."""
+    def reference_arguments(self, method: int) -> tuple[int, ...]:
+        """Which arguments of a portal are references (1: the first after the resource itself)."""
+        found = self._reference_arguments.get(method)
+        if found is None:
+            record, types = self.program.core.methods[method], self.program.core.types
+            found = tuple(
+                i for i in range(1, record.parameters + 1) if types[record.slots[i]].kind in REFERENCES
+            )
+            self._reference_arguments[method] = found
+        return found
+
+    def make_ready(self, agent: Agent, thread: int) -> None:
+        """Put a thread at the end of the queue."""
         self.set_state(agent, thread, READY)
-        if first:
+        self._ready.append((agent, thread))
+
+    def next_turn(self, agent: Agent, thread: int) -> None:
+        """The next turn is this thread's: it has only asked for a moment, or somebody waits for it.
+
+        After STREAK such turns in a row everybody else comes first, so that nobody starves.
+        """
+        agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = READY
+        self._streak += 1
+        if self._streak < STREAK:
             self._ready.appendleft((agent, thread))
         else:
+            self._streak = 0
             self._ready.append((agent, thread))
 
     def set_state(self, agent: Agent, thread: int, state: int) -> None:
@@ -339,7 +362,7 @@ class Machine:
         if self.engine.throw(agent.block, place_of(agent.block, thread), thrown):
             if agent.blocked and not agent.block.w[layout.W_OWNER]:
                 self._unblock(agent)
-            self.make_ready(agent, thread, first=True)
+            self.next_turn(agent, thread)
         else:
             self._uncaught(agent, thread, thrown)
 

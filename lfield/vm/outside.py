@@ -62,7 +62,7 @@ class Outsiders:
         """Complete a group that took no time: the thread keeps its turn."""
         machine = self.machine
         machine.engine.complete(agent.block, machine.place(agent, thread), word)
-        machine.make_ready(agent, thread, first=True)
+        machine.next_turn(agent, thread)
 
     # --- output ---------------------------------------------------------------------------------------
 

@@ -9,8 +9,8 @@ from lfield.bytecode.program import BUILTIN_CLASSES, REFERENCES, TRACE
 from lfield.vm import traceback
 from lfield.vm.copier import deep_copy
 from lfield.vm.engine.registers import Trap
-from lfield.vm.layout import CALLING, THREAD_CALL, W_SELF, W_THREADS
-from lfield.vm.threads import place_of, threads, unlink
+from lfield.vm.layout import CALLING, THREAD_CALL, THREAD_PC, W_SELF, W_THREADS
+from lfield.vm.threads import count, place_of, threads, unlink
 
 if TYPE_CHECKING:
     from lfield.vm.agent import Agent
@@ -40,7 +40,7 @@ def call(machine: Machine, caller: Agent, thread: int, method: int, words: list[
     except Trap as trap:
         machine.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
-    machine.make_ready(resource, served, first=True)
+    machine.next_turn(resource, served)
 
 
 def begin(
@@ -48,13 +48,11 @@ def begin(
 ) -> int:
     """Copy the arguments and make the portal's thread; returns its id. Raises Trap at a limit."""
     limit = resource.limits.threads
-    if sum(1 for _ in threads(resource.block)) >= limit:
+    if count(resource.block) >= limit:
         raise Trap("LimitException", f"{resource.id} serves its limit of {limit} threads")
     machine.last_call += 1
     number = machine.last_call
-    record = machine.program.core.methods[method]
-    types = machine.program.core.types
-    references = [i for i in range(1, len(words)) if types[record.slots[i]].kind in REFERENCES]
+    references = machine.reference_arguments(method)
 
     def work() -> int:
         block = resource.block
@@ -76,13 +74,15 @@ def finish(machine: Machine, resource: Agent, thread: int, number: int, word: in
     """A portal returned: its caller goes on with a copy of the result."""
     caller, waiter = machine.calls.pop(number)
     resource.served += 1
-    group = machine.engine.group(machine.standing(caller, waiter))
+    place = machine.place(caller, waiter)
+    group = machine.engine.group(caller.block.w[place + THREAD_PC])
     if group.kind in REFERENCES and word:
         machine.complete(
             caller, waiter, lambda: deep_copy(resource.block, [word], caller.block, machine.layouts)[0]
         )
     else:
-        machine.complete(caller, waiter, lambda: word)
+        machine.engine.complete(caller.block, place, word)
+        machine.next_turn(caller, waiter)
     unlink(resource.block, thread)
 
 

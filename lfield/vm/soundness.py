@@ -12,7 +12,7 @@ from lfield.bytecode.program import ARRAY as ARRAY_TYPE
 from lfield.bytecode.program import OBJECT as OBJECT_TYPE
 from lfield.errors import BlockError
 from lfield.vm import layout
-from lfield.vm.block import Block
+from lfield.vm.block import INITIAL_WORDS, Block
 from lfield.vm.engine.prepare import Prepared
 from lfield.vm.layout import (
     FRAME,
@@ -49,10 +49,19 @@ class Soundness:
         self.members = members
         core = self.program.core
         self._type_expects = [self._expected(i) for i in range(len(core.types))]
-        self._class_expects = [
-            self._references([f.type for f in record.fields], 1) for record in core.classes
-        ]
-        self._frame_expects = [self._references(record.slots, FRAME_SLOTS) for record in core.methods]
+        #: By the low half of a header: the size a thing must have (0: any), and what its references lead to.
+        self._sizes: dict[int, int] = {layout.STRING: 0, THREAD: THREAD_WORDS}
+        self._expects: dict[int, Expected] = {}
+        for i, record in enumerate(core.classes):
+            self._sizes[OBJECT | i << 8] = prepared.layouts.class_words[i]
+            self._sizes[layout.PROXY | i << 8] = 2
+            self._expects[OBJECT | i << 8] = self._references([f.type for f in record.fields], 1)
+        for i, method in enumerate(core.methods):
+            self._sizes[FRAME | i << 8] = prepared.layouts.frame_words[i]
+            self._expects[FRAME | i << 8] = self._references(method.slots, FRAME_SLOTS)
+        for i, kind in enumerate(core.types):
+            if kind.kind == ARRAY_TYPE:
+                self._sizes[layout.ARRAY | i << 8] = 0
 
     def _expected(self, kind: int) -> int | None:
         """The expected header half for references of a type, None for types that hold none."""
@@ -121,7 +130,11 @@ class Soundness:
             raise BlockError(f"{size} bytes are no whole block")
         if size > 8 * limit:
             raise BlockError(f"{size} bytes are over the limit of {8 * limit}")
-        block = Block(bytearray(image), size // 8, limit)
+        # Room for what it will soon need: what a portal gives it, say.
+        words = min(limit, max(INITIAL_WORDS, size // 8 * 3 // 2))
+        data = bytearray(max(size, 8 * words))
+        data[:size] = image
+        block = Block(data, size // 8, limit)
         w = block.w
         if w[layout.W_MAGIC] != layout.MAGIC | layout.VERSION << 32:
             raise BlockError("wrong magic or version", word=0)
@@ -133,42 +146,23 @@ class Soundness:
 
     def _walk(self, block: Block) -> dict[int, int]:
         """The places of all things, each with the low half of its header."""
-        w, top = block.w, block.top
+        w, top, sizes = block.w, block.top, self._sizes
         starts: dict[int, int] = {}
         place = HEADER_WORDS
         while place < top:
             head = w[place]
-            words = head >> 32
-            if (
-                head < 0
-                or words <= 0
-                or place + words > top
-                or not self._size_fits(block, place, head, words)
-            ):
+            half, words = head & 0xFFFFFFFF, head >> 32
+            size = sizes.get(half)
+            if size is None or words <= 0 or place + words > top or (size and size != words):
                 raise BlockError("a thing on the heap has no sound header", word=place)
-            starts[place] = head & 0xFFFFFFFF
+            if half == layout.STRING and not self._is_text(block, place, words):
+                raise BlockError("a string is no text", word=place)
+            starts[place] = half
             place += words
         return starts
 
-    def _size_fits(self, block: Block, place: int, head: int, words: int) -> bool:
-        kind, index = head & 0xFF, head >> 8 & 0xFFFFFF
-        layouts = self.prepared.layouts
-        if kind == OBJECT:
-            return index < len(layouts.class_words) and words == layouts.class_words[index]
-        if kind == FRAME:
-            return index < len(layouts.frame_words) and words == layouts.frame_words[index]
-        if kind == layout.STRING:
-            return index == 0 and words >= 2 and self._is_text(block, place, words)
-        if kind == layout.ARRAY:
-            types = self.program.core.types
-            return index < len(types) and types[index].kind == ARRAY_TYPE
-        if kind == layout.PROXY:
-            return words == 2 and 0 <= block.w[place + 1] < self.members
-        return kind == THREAD and index == 0 and words == THREAD_WORDS
-
     def _is_text(self, block: Block, place: int, words: int) -> bool:
-        length = block.w[place + 1]
-        if not 0 <= length <= 8 * (words - 2):
+        if words < 2 or not 0 <= block.w[place + 1] <= 8 * (words - 2):
             return False
         try:
             block.string(place)
@@ -177,22 +171,21 @@ class Soundness:
         return True
 
     def _check_references(self, block: Block, starts: dict[int, int]) -> None:
-        w = block.w
+        w, expects = block.w, self._expects
         for place, half in starts.items():
-            kind, index = half & 0xFF, half >> 8
-            if kind == OBJECT:
-                expects = self._class_expects[index]
-            elif kind == FRAME:
-                expects = self._frame_expects[index]
-            elif kind == layout.ARRAY:
-                expected = self._type_expects[self.program.core.types[index].of]
-                expects = () if expected is None else tuple((i, expected) for i in range(1, w[place] >> 32))
-            else:
-                continue
-            for offset, expected in expects:
+            for offset, expected in expects.get(half) or self._of_array(half, w[place] >> 32):
                 target = w[place + offset]
                 if target and not _leads_to(starts.get(target, 0), expected):
                     raise BlockError("a reference leads to no thing of its type", word=place + offset)
+            if half & 0xFF == layout.PROXY and not 0 <= w[place + 1] < self.members:
+                raise BlockError("a proxy of nobody", word=place)
+
+    def _of_array(self, half: int, words: int) -> Expected:
+        """What the elements of an array must lead to; nothing for everything else."""
+        if half & 0xFF != layout.ARRAY:
+            return ()
+        expected = self._type_expects[self.program.core.types[half >> 8].of]
+        return () if expected is None else tuple((i, expected) for i in range(1, words))
 
     def _check_coordinator(self, block: Block, starts: dict[int, int]) -> None:
         """One thread, its frames one chain, standing at the portal call it travels for."""

@@ -50,6 +50,17 @@ def threads(block: Block) -> Iterator[int]:
         place = block.w[place + THREAD_NEXT]
 
 
+def count(block: Block) -> int:
+    """How many threads there are."""
+    w = block.w
+    found = 0
+    place = w[layout.W_THREADS]
+    while place:
+        found += 1
+        place = w[place + THREAD_NEXT]
+    return found
+
+
 def place_of(block: Block, identity: int) -> int:
     """Where the thread with that id is; 0 when there is none."""
     w = block.w

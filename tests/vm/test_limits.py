@@ -72,6 +72,8 @@ coordinator B { init(string[] arg) {
     ("body", "reason"),
     [
         ("while (true) { }", ""),
+        ("while (true) now();", ""),
+        ('while (true) write("x");', ""),
         ("Node n = null; while (true) n = new Node(n);", "LimitException"),
         ("deeper(1);", "LimitException"),
     ],
@@ -91,6 +93,17 @@ coordinator Main { init(string[] arg) { print(findGood("good").hello()); } }
     assert desk.output == ["still here"]
     died = [a.report for a in desk.endings if a.ended == "died"]
     assert [d.partition(":")[0] for d in died] == ([reason] if reason else [])
+
+
+def test_a_coordinator_that_only_calls_portals_starves_nobody() -> None:
+    desk, _ = run_text(
+        GOOD
+        + """
+coordinator Greedy { init(string[] arg) { Good g = findGood("good"); while (true) g.hello(); } }
+coordinator Main { init(string[] arg) { for (int i = 0; i < 100; i = i + 1) yield(); print("done"); } }
+"""
+    )
+    assert desk.output == ["done"]
 
 
 def test_an_exception_about_the_heap_finds_room_even_when_nothing_is_freed() -> None:
