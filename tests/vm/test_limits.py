@@ -100,7 +100,7 @@ def test_a_coordinator_that_only_calls_portals_starves_nobody() -> None:
         GOOD
         + """
 coordinator Greedy { init(string[] arg) { Good g = findGood("good"); while (true) g.hello(); } }
-coordinator Main { init(string[] arg) { for (int i = 0; i < 100; i = i + 1) yield(); print("done"); } }
+coordinator Main { init(string[] arg) { for (int i = 0; i < 10; i = i + 1) yield(); print("done"); } }
 """
     )
     assert desk.output == ["done"]
