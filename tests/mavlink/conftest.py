@@ -142,3 +142,14 @@ class Bench:
 @pytest.fixture
 def bench() -> type[Bench]:
     return Bench
+
+
+@pytest.fixture
+def jumping() -> Callable[[Any], Any]:
+    """Run a coroutine in jumping time."""
+
+    def run(work: Any) -> Any:
+        with asyncio.Runner(loop_factory=jumping_loop) as runner:
+            return runner.run(work)
+
+    return run

@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lfield.driver.plugins import Plugins
+from lfield.errors import BindingError, InputFileError
+from lfield.fleet.bindings import SIMULATED, read_bindings
+
+NEEDED = {"alpha": {"fc": "Mavlink"}, "beta": {"fc": "Mavlink"}, "tour": {}}
+
+GOOD = """\
+agents:
+  alpha:
+    heap: 2 MiB
+    call_depth: 50
+    devices:
+      fc: {driver: mavlink, endpoint: "udp:127.0.0.1:14550", system: 3, ttl: 0.3, safe_state: hold,
+           limits: {speed: 5}}
+  beta:
+    devices:
+      fc:
+        driver: mavlink
+        endpoint: "tcp:127.0.0.1:5760"
+        kind: rover
+  tour: {threads: 4}
+defaults: {heap: 512 KiB, string_length: 1000}
+unreachable_after: 4
+"""
+
+
+@pytest.fixture(scope="module")
+def plugins() -> Plugins:
+    plugins = Plugins()
+    plugins.add("lfield_mavlink:PLUGIN")
+    return plugins
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text: str) -> Path:
+        path = tmp_path / "m.devices.yaml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def problems(path, plugins, needed=NEEDED, **options) -> str:
+    with pytest.raises(BindingError) as error:
+        read_bindings(path, needed, plugins, **options)
+    return "\n".join(error.value.problems)
+
+
+def test_what_is_written_is_read(written, plugins):
+    bindings = read_bindings(written(GOOD), NEEDED, plugins)
+    alpha, beta = bindings.devices["alpha"]["fc"], bindings.devices["beta"]["fc"]
+    assert (alpha.name, alpha.endpoint, alpha.ttl, alpha.safe_state) == (
+        "alpha.fc", "udp:127.0.0.1:14550", 0.3, "hold",
+    )  # fmt: skip
+    assert alpha.limits == {"speed": 5.0}
+    assert (alpha.option("system"), alpha.option("kind")) == (3, "copter")
+    assert (beta.option("system"), beta.option("kind"), beta.safe_state) == (1, "rover", "land")
+    assert bindings.unreachable_after == 4.0
+    assert [d.name for d in bindings.of(["beta", "tour"])] == ["beta.fc"]
+
+
+def test_limits_of_agents_go_over_the_defaults(written, plugins):
+    bindings = read_bindings(written(GOOD), NEEDED, plugins)
+    alpha, tour = bindings.limits("alpha"), bindings.limits("tour")
+    assert (alpha.heap, alpha.call_depth, alpha.string_length) == (2 << 20, 50, 1000)
+    assert (tour.heap, tour.threads, tour.string_length) == (512 << 10, 4, 1000)
+    assert read_bindings(None, {"x": {}}, plugins).limits("x").heap == 1 << 20
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "drawn"),
+    [
+        ("  alpha:\n", "  alfa:\n", ":2:3: error[Y113]: the deployment has no agent 'alfa'"),
+        ("      fc: {driver", "      fx: {driver", ":6:7: error[Y113]: alpha has no device 'fx'"),
+        ("{driver: mavlink", "{driver: mavlnk", ":6:20: error[Y113]: there is no driver 'mavlnk'"),
+        ("{driver: mavlink, ", "{", ":6:11: error[Y110]: 'fc' needs 'driver'"),
+        ('endpoint: "udp:127.0.0.1:14550", ', "", "error[Y110]: 'fc' needs 'endpoint'"),
+        ("system: 3", "system: 300", "error[Y113]: 'system' must be from 1 to 254, not 300"),
+        ("system: 3", "system: three", "error[Y112]: 'system' must be a whole number, not the text 'three'"),
+        ("system: 3", "sistem: 3", "hint: did you mean 'system'?"),
+        ("ttl: 0.3", "ttl: 0", "error[Y113]: 'ttl' must be from 0.02 to 60, not 0"),
+        ("safe_state: hold", "safe_state: hover", "error[Y113]: 'safe_state' is one of land, hold, return"),
+        ("{speed: 5}", "{speed: fast}", "error[Y112]: 'speed' must be a number"),
+        ("{speed: 5}", "{sped: 5}", "error[Y111]: 'limits' takes no 'sped'"),
+        ("kind: rover", "kind: boat", ":13:15: error[Y113]: 'kind' is one of copter, rover"),
+        ("heap: 2 MiB", "heap: 2 MB", ":3:11: error[Y112]: 'heap' must be a size from 4 KiB to 2 GiB"),
+        ("heap: 2 MiB", "heap: 1 B", "error[Y112]: 'heap' must be a size"),
+        ("heap: 2 MiB", "heep: 2 MiB", ":3:5: error[Y111]: 'alpha' takes no 'heep'"),
+        (
+            "unreachable_after: 4",
+            "unreachable: 4",
+            ":16:1: error[Y111]: a devices file takes no 'unreachable'",
+        ),
+        ("threads: 4", "threads: 0", "error[Y113]: 'threads' must be from 1 to 65536, not 0"),
+    ],
+)
+def test_mistakes_are_drawn_at_their_place(written, plugins, old, new, drawn):
+    assert old in GOOD
+    assert drawn in problems(written(GOOD.replace(old, new, 1)), plugins)
+
+
+def test_all_mistakes_are_told_at_once(written, plugins):
+    text = (
+        GOOD.replace("system: 3", "system: 300")
+        .replace("kind: rover", "kind: boat")
+        .replace("threads", "thread")
+    )
+    assert problems(written(text), plugins).count("error[") == 3
+
+
+def test_a_needed_device_that_is_not_bound(written, plugins):
+    told = problems(written("agents: {alpha: {}}\n"), plugins)
+    assert "alpha.fc (Mavlink) is not bound in" in told
+    assert "beta.fc (Mavlink) is not bound in" in told
+    assert "alpha.fc (Mavlink) is not bound and there is no devices file" in problems(None, plugins)
+
+
+def test_a_device_type_without_a_driver(plugins):
+    told = problems(None, plugins, {"alpha": {"arm": "Robot"}}, simulate=True)
+    assert told == "alpha.arm: no installed driver makes a Robot (device types installed: Mavlink)"
+
+
+def test_a_driver_of_another_type(written, plugins):
+    told = problems(written(GOOD), plugins, {**NEEDED, "alpha": {"fc": "Servo"}})
+    assert "driver 'mavlink' makes a Mavlink, and fc is a Servo" in told
+
+
+def test_simulation_needs_no_file(plugins):
+    fc = read_bindings(None, NEEDED, plugins, simulate=True).devices["beta"]["fc"]
+    assert (fc.driver, fc.endpoint, fc.safe_state, fc.option("system")) == ("mavlink", SIMULATED, "land", 1)
+
+
+def test_simulation_keeps_what_the_file_says_but_the_endpoint(written, plugins):
+    fc = read_bindings(written(GOOD), NEEDED, plugins, simulate=True).devices["alpha"]["fc"]
+    assert (fc.endpoint, fc.option("system"), fc.limits, fc.safe_state) == (
+        SIMULATED,
+        3,
+        {"speed": 5.0},
+        "hold",
+    )
+
+
+def test_no_such_file(plugins, tmp_path):
+    with pytest.raises(InputFileError):
+        read_bindings(tmp_path / "none.yaml", NEEDED, plugins)

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.messages import MESSAGES, Call, Done, MessageReader, Open, Snapshot, encode
+from lfield.driver.values import conform
+from lfield.errors import WireError
+
+BINDING = DeviceBinding(
+    agent="a", field="f", driver="d", endpoint="e", safe_state="off", limits={"speed": 1.5}, options={"id": 3}
+)
+SAMPLES = [
+    Open([BINDING], "again", 0.2),
+    Call(7, "a.f", "go", [1.5, True, "text", [1, 2], [0.5], None, -3], 12.25),
+    Done(7, [1.0, 2.0]),
+    Snapshot("a.f", {"mode": "GUIDED", "armed": True}, {"mode": 0.1, "armed": 0.2}, 0.05),
+]
+
+
+@pytest.mark.parametrize("size", [1, 3, 1000])
+def test_messages_survive_the_pipe_in_pieces_of_any_size(size):
+    data = b"".join(map(encode, SAMPLES))
+    reader = MessageReader()
+    got = [m for i in range(0, len(data), size) for m in reader.feed(data[i : i + size])]
+    assert got == SAMPLES
+
+
+@given(st.integers(0, 30), st.binary(max_size=60))
+def test_bytes_that_make_no_sense_are_a_wire_error(kind, payload):
+    data = (len(payload) + 1).to_bytes(4, "big") + bytes([kind]) + payload
+    try:
+        messages = list(MessageReader().feed(data))
+    except WireError:
+        return
+    assert all(isinstance(m, MESSAGES) for m in messages)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind", "result"),
+    [
+        (3, "real", 3.0),
+        (3, "int", 3),
+        (True, "boolean", True),
+        ([1, 2.5], "real[]", [1.0, 2.5]),
+        ("x", "string", "x"),
+    ],
+)
+def test_values_get_their_type(value, kind, result):
+    got = conform(value, kind)
+    assert got == result
+    assert type(got) is type(result)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [
+        (True, "int"),
+        (1, "boolean"),
+        (1.5, "int"),
+        ("1", "real"),
+        (None, "real"),
+        (1 << 63, "int"),
+        ("ab", "int[]"),
+    ],
+)
+def test_values_of_another_type_are_refused(value, kind):
+    with pytest.raises(ValueError, match="is not a"):
+        conform(value, kind)

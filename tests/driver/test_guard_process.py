@@ -1,0 +1,305 @@
+"""The guard as a process, with the MAVLink driver and its fake: flight, death on either side, silence."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from contextlib import asynccontextmanager
+
+import msgspec
+import pytest
+
+from lfield.clock import SystemClock
+from lfield.driver.plugins import Plugins
+from lfield.driver.sims import Sims
+from lfield.errors import BindingError, DeviceError
+from lfield.fleet.bindings import read_bindings
+from lfield.fleet.guards import Guards
+from lfield.fleet.sims import Fake, start_fake
+from lfield.vm.world import PENDING
+
+pytestmark = pytest.mark.process
+
+#: A fake that flies fast, so that a flight takes seconds.
+BRISK = ["--climb", "8", "--cruise", "15", "--descend", "8", "--land", "6", "--acceleration", "15"]
+
+
+def plugins() -> Plugins:
+    found = Plugins()
+    found.add("lfield_mavlink:PLUGIN")
+    return found
+
+
+class Brisk(dict):
+    """The fakes, with brisk ones for `mavlink`."""
+
+    references = {"mavlink": "lfield_sim.mavlink:SIM"}
+
+    def __init__(self, *options: str) -> None:
+        sims = Sims()
+        sims.add("lfield_sim.mavlink:SIM")
+        sim = sims["mavlink"]
+        self.options = options
+
+        class Faster(type(sim)):
+            def arguments(self, values):
+                return [*sim.arguments(values), *BRISK, *options]
+
+        super().__init__(mavlink=Faster())
+
+
+def binding(endpoint="sim", **changes):
+    bound = read_bindings(None, {"alpha": {"fc": "Mavlink"}}, plugins(), simulate=True).devices["alpha"]["fc"]
+    options = bound.options | changes.pop("options", {})
+    return msgspec.structs.replace(bound, endpoint=endpoint, options=options, **changes)
+
+
+@asynccontextmanager
+async def fake(*options: str):
+    running = await start_fake(Brisk(*options), binding())
+    try:
+        yield running
+    finally:
+        await running.stop()
+
+
+class Flight:
+    """Guards with one device, and calls that can be awaited."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+        self.noted = asyncio.Event()
+        self.guards = Guards(plugins(), SystemClock(), self._note)
+
+    def _note(self, text: str) -> None:
+        self.notes.append(text)
+        self.noted.set()
+
+    async def told(self, words: str) -> str:
+        """Wait for a note with these words."""
+        async with asyncio.timeout(20):
+            while True:
+                self.noted.clear()
+                for note in self.notes:
+                    if words in note:
+                        return note
+                await self.noted.wait()
+
+    async def call(self, instruction: str, *arguments: float):
+        answer = asyncio.get_running_loop().create_future()
+        value = self.guards.call("alpha", "fc", instruction, arguments, answer.set_result)
+        if value is not PENDING:
+            return value
+        async with asyncio.timeout(20):
+            value = await answer
+        if isinstance(value, DeviceError):
+            raise value
+        return value
+
+    def guard_pid(self) -> int:
+        (guard,) = self.guards._guards
+        assert guard._transport is not None
+        return guard._transport.get_pid()
+
+
+@asynccontextmanager
+async def flying(running: Fake, **changes):
+    flight = Flight()
+    await flight.guards.open([binding(running.endpoint, **changes)])
+    try:
+        yield flight
+    finally:
+        await flight.guards.close()
+
+
+async def wait_for(flight: Flight, quantity: str, value: object) -> None:
+    async with asyncio.timeout(20):
+        while await flight.call(quantity) != value:
+            await asyncio.sleep(0.02)
+
+
+def test_a_flight_through_guard_and_fake():
+    async def mission():
+        async with fake() as f, flying(f) as flight:
+            assert await flight.call("armed") is False
+            with pytest.raises(DeviceError, match="takeoff refused: FAILED"):
+                await flight.call("takeoff", 4.0)
+            await flight.call("arm")
+            await flight.call("takeoff", 4.0)
+            await flight.call("goTo", 6.0, -3.0, -4.0)
+            north, east, _ = await flight.call("position")
+            assert abs(north - 6.0) < 0.6
+            assert abs(east + 3.0) < 0.6
+            await flight.call("land")
+            await wait_for(flight, "landed", True)
+            assert await flight.call("age") < 2.0
+            assert 0.5 < await flight.call("battery") <= 1.0
+
+    asyncio.run(mission())
+
+
+def test_a_setpoint_that_is_over_latches_the_safe_state():
+    async def mission():
+        async with fake() as f, flying(f, ttl=0.2, safe_state="hold") as flight:
+            await flight.call("arm")
+            await flight.call("takeoff", 3.0)
+            await flight.call("setVelocity", 2.0, 0.0, 0.0)
+            await flight.told("is in its safe state 'hold': the setpoint's time-to-live of 0.2 s is over")
+            with pytest.raises(DeviceError, match=r"call release\(\) first"):
+                await flight.call("goTo", 0.0, 0.0, -3.0)
+            assert "alpha.fc" in flight.guards.latched
+            await flight.call("release")
+            await flight.call("goTo", 0.0, 0.0, -3.0)
+
+    asyncio.run(mission())
+
+
+def test_closing_lands_what_flies():
+    async def mission():
+        async with fake() as f:
+            async with flying(f) as flight:
+                await flight.call("arm")
+                await flight.call("takeoff", 3.0)
+            assert "alpha.fc: is in its safe state 'land': the host is stopping" in flight.notes
+            async with flying(f) as again:
+                await wait_for(again, "armed", False)
+
+    asyncio.run(mission())
+
+
+def test_a_guard_that_dies_is_started_again_and_comes_back_safe():
+    async def mission():
+        async with fake() as f, flying(f, safe_state="hold") as flight:
+            await flight.call("arm")
+            await flight.call("takeoff", 3.0)
+            lost = asyncio.create_task(flight.call("goTo", 500.0, 0.0, -3.0))
+            await asyncio.sleep(0)
+            os.kill(flight.guard_pid(), signal.SIGKILL)
+            with pytest.raises(DeviceError, match=r"goTo\(\) is lost: the guard ended with status -9"):
+                await lost
+            await flight.told("is in its safe state 'hold': its guard died and was started again")
+            await flight.call("release")
+            await flight.call("land")
+
+    asyncio.run(mission())
+
+
+def test_a_guard_that_hangs_is_noticed_and_replaced():
+    async def mission():
+        async with fake() as f, flying(f) as flight:
+            os.kill(flight.guard_pid(), signal.SIGSTOP)
+            await flight.told("the guard of alpha.fc hangs")
+            await flight.told("is in its safe state 'land': its guard died and was started again")
+
+    asyncio.run(mission())
+
+
+def test_a_stopped_host_is_silence(tmp_path):
+    """SIGSTOP of the host: the guard lands the vehicle although its pipe is still open."""
+
+    async def mission():
+        async with fake() as f:
+            host = start_host(f.endpoint)
+            try:
+                await asyncio.to_thread(host.stdout.readline)
+                host.send_signal(signal.SIGSTOP)
+                async with flying(f) as watcher:
+                    await wait_for(watcher, "mode", "LAND")
+            finally:
+                host.kill()
+                host.communicate()
+
+    asyncio.run(mission())
+
+
+def test_a_killed_host_leaves_the_vehicle_landed():
+    async def mission():
+        async with fake() as f:
+            host = start_host(f.endpoint)
+            await asyncio.to_thread(host.stdout.readline)
+            host.kill()
+            await asyncio.to_thread(host.communicate)
+            async with flying(f) as watcher:
+                await wait_for(watcher, "mode", "LAND")
+                await wait_for(watcher, "armed", False)
+
+    asyncio.run(mission())
+
+
+def start_host(endpoint: str) -> subprocess.Popen[bytes]:
+    """A host of its own that takes off, says so, and then only lives."""
+    code = f"""
+        import asyncio, sys
+        sys.path.insert(0, {os.path.dirname(__file__)!r})
+        from test_guard_process import Flight, binding
+
+        async def main():
+            flight = Flight()
+            await flight.guards.open([binding({endpoint!r})])
+            await flight.call("arm")
+            await flight.call("takeoff", 5.0)
+            print("up", flush=True)
+            await asyncio.sleep(3600)
+
+        asyncio.run(main())
+    """
+    return subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
+    )
+
+
+def opening(*devices) -> str:
+    async def attempt():
+        await Flight().guards.open(list(devices))
+
+    with pytest.raises(BindingError) as error:
+        asyncio.run(attempt())
+    return "\n".join(error.value.problems)
+
+
+def test_all_that_cannot_be_opened_is_told_at_once():
+    absent = binding("udp:127.0.0.1:9", options={"connect": 0.3})
+    other = msgspec.structs.replace(binding("upd:127.0.0.1:1"), agent="beta")
+    told = opening(absent, other)
+    assert "alpha.fc: no heartbeat from system 1 at udp:127.0.0.1:9 within 0.3 s" in told
+    assert "beta.fc: 'upd:127.0.0.1:1' is not an endpoint; write udp:HOST:PORT, udpin:HOST:PORT" in told
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "words"),
+    [
+        ("tcp:127.0.0.1:9", "cannot open tcp:127.0.0.1:9"),
+        ("serial:/dev/does-not-exist:57600", "cannot open serial:/dev/does-not-exist:57600: No such file"),
+        ("serial:/dev/null:12345", "no serial port has 12345 baud"),
+        ("udp:127.0.0.1:99999", "has no port from 1 to 65535"),
+        ("nonsense", "is not an endpoint"),
+    ],
+)
+def test_endpoints_that_cannot_be_opened_are_a_sentence(endpoint, words):
+    assert words in opening(binding(endpoint))
+
+
+def test_two_vehicles_on_one_link_with_one_id():
+    both = [binding("udp:127.0.0.1:9"), msgspec.structs.replace(binding("udp:127.0.0.1:9"), agent="beta")]
+    assert "two devices are system 1 on udp:127.0.0.1:9" in opening(*both)
+
+
+def test_a_missing_vendor_library_names_the_extra_on_the_host(tmp_path, monkeypatch):
+    """pymavlink hidden from the guard's process."""
+    (tmp_path / "pymavlink.py").write_text("raise ImportError('hidden')")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.pathsep.join(p for p in sys.path if p)}")
+    assert "needs pymavlink: pip install 'lfield[mavlink]'" in opening(binding("udp:127.0.0.1:9"))
+
+
+def test_no_fake_for_a_driver():
+    async def attempt():
+        await start_fake(Sims(), binding())
+
+    with pytest.raises(
+        Exception, match=r"alpha.fc: there is no fake for driver 'mavlink' \(fakes installed: none\)"
+    ):
+        asyncio.run(attempt())
