@@ -7,9 +7,7 @@ Time is read from the clock it was given. `run` returns when nothing can run, an
 from __future__ import annotations
 
 import random
-from collections import deque
 from collections.abc import Callable, Sequence
-from heapq import heappop, heappush
 from typing import TypeVar
 
 from lfield.bytecode.program import REFERENCES, Program
@@ -29,8 +27,6 @@ from lfield.vm.layout import (
     CALLING,
     DEAD,
     OBJECT,
-    READY,
-    SLEEPING,
     THREAD_CALL,
     THREAD_ID,
     THREAD_PC,
@@ -41,6 +37,7 @@ from lfield.vm.liveness import Liveness
 from lfield.vm.outside import Outsiders
 from lfield.vm.soundness import Soundness
 from lfield.vm.threads import new_thread, place_of, unlink
+from lfield.vm.turns import Turns
 from lfield.vm.values import word_for
 from lfield.vm.world import World
 
@@ -48,8 +45,6 @@ from lfield.vm.world import World
 SLICE = 2000
 #: Slices one call of `run` gives before it lets the host look at the world.
 ROUND = 20
-#: Turns that may follow one another without the end of the queue being looked at.
-STREAK = 50
 
 T = TypeVar("T")
 
@@ -81,10 +76,7 @@ class Machine:
         #: The portal calls under way: for each number, who waits for it.
         self.calls: dict[int, tuple[Agent, int]] = {}
         self.last_call = 0
-        self._ready: deque[tuple[Agent, int]] = deque()
-        self._timers: list[tuple[float, int, Agent, int]] = []
-        self._order = 0
-        self._streak = 0
+        self.turns = Turns(clock)
         self._reference_arguments: dict[int, tuple[int, ...]] = {}
         self._outsiders = Outsiders(self)
         self._liveness = Liveness(program, self.layouts)
@@ -119,7 +111,7 @@ class Machine:
         for i, text in enumerate(texts, array + 1):
             w[i] = block.new_string(text)
         identity = self.spawn(agent, self.program.core.classes[record].init, [w[layout.W_SELF], array], 0)
-        self._ready.append((agent, identity))
+        self.turns.last(agent, identity)
 
     def admit(self, member: Member, image: bytes | memoryview, limits: Limits) -> Agent:
         """Inject a coordinator that came from another host; raises BlockError when its bytes are not sound.
@@ -131,7 +123,7 @@ class Machine:
         block.visit(self.here)
         agent = Agent(member, block, limits, open=True)
         self.agents[member.id] = agent
-        self.next_turn(agent, block.w[block.w[layout.W_THREADS] + THREAD_ID])
+        self.turns.next(agent, block.w[block.w[layout.W_THREADS] + THREAD_ID])
         return agent
 
     def pack(self, agent: Agent) -> memoryview:
@@ -180,7 +172,7 @@ class Machine:
             self.refuse(agent, thread, trap.kind, trap.message)
             return
         self.engine.complete(agent.block, place_of(agent.block, thread), result)
-        self.make_ready(agent, thread)
+        self.turns.last(agent, thread)
 
     # --- the loop -------------------------------------------------------------------------------------
 
@@ -190,25 +182,13 @@ class Machine:
         Returns the seconds until a thread can run again (0: at once), or None when only the world can
         change that.
         """
-        self._wake()
-        ready = self._ready
+        turns = self.turns
+        turns.wake()
         for _ in range(ROUND):
-            if not ready:
+            if not turns:
                 break
-            agent, thread = ready.popleft()
-            self._turn(agent, thread)
-        if ready:
-            return 0.0
-        return max(0.0, self._timers[0][0] - self.clock.monotonic()) if self._timers else None
-
-    def _wake(self) -> None:
-        if not self._timers:
-            return
-        now = self.clock.monotonic()
-        while self._timers and self._timers[0][0] <= now:
-            _, _, agent, thread = heappop(self._timers)
-            if not agent.ended and self.agents.get(agent.id) is agent:
-                self.make_ready(agent, thread)
+            self._turn(*turns.take())
+        return turns.pause()
 
     def _turn(self, agent: Agent, thread: int) -> None:
         """One slice of one thread, and whatever its exit asks for."""
@@ -226,7 +206,7 @@ class Machine:
             case Outside():
                 self._outsiders.carry_out(agent, thread, leave)
             case Spent():
-                self._ready.append((agent, thread))
+                self.turns.last(agent, thread)
             case Done():
                 self._done(agent, thread, leave.word)
             case NoRoom():
@@ -247,13 +227,13 @@ class Machine:
     def _unblock(self, agent: Agent) -> None:
         waiting, agent.blocked = agent.blocked, []
         for thread in waiting:
-            self.make_ready(agent, thread)
+            self.turns.last(agent, thread)
 
     def _make_room(self, agent: Agent, thread: int, words: int) -> None:
         block = agent.block
         collect(block, self.layouts, words)
         if block.top + words <= block.limit:
-            self._ready.appendleft((agent, thread))
+            self.turns.next(agent, thread)
             return
         message = f"the heap is over its limit of {agent.limits.heap} bytes"
         try:
@@ -283,33 +263,9 @@ class Machine:
             self._reference_arguments[method] = found
         return found
 
-    def make_ready(self, agent: Agent, thread: int) -> None:
-        """Put a thread at the end of the queue."""
-        self.set_state(agent, thread, READY)
-        self._ready.append((agent, thread))
-
-    def next_turn(self, agent: Agent, thread: int) -> None:
-        """The next turn is this thread's: it has only asked for a moment, or somebody waits for it.
-
-        After STREAK such turns in a row everybody else comes first, so that nobody starves.
-        """
-        agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = READY
-        self._streak += 1
-        if self._streak < STREAK:
-            self._ready.appendleft((agent, thread))
-        else:
-            self._streak = 0
-            self._ready.append((agent, thread))
-
     def set_state(self, agent: Agent, thread: int, state: int) -> None:
         """Note in the block what the thread waits for."""
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = state
-
-    def sleep(self, agent: Agent, thread: int, seconds: float) -> None:
-        """Wake the thread after so many seconds."""
-        self.set_state(agent, thread, SLEEPING)
-        self._order += 1
-        heappush(self._timers, (self.clock.monotonic() + seconds, self._order, agent, thread))
 
     def freeze(self, agent: Agent, thread: int) -> None:
         """Hold a coordinator at its portal call."""
@@ -362,7 +318,7 @@ class Machine:
         if self.engine.throw(agent.block, place_of(agent.block, thread), thrown):
             if agent.blocked and not agent.block.w[layout.W_OWNER]:
                 self._unblock(agent)
-            self.next_turn(agent, thread)
+            self.turns.next(agent, thread)
         else:
             self._uncaught(agent, thread, thrown)
 
@@ -392,7 +348,7 @@ class Machine:
         agent.open = True
         waiting, agent.waiting = agent.waiting, []
         for caller, thread in waiting:
-            self.make_ready(caller, thread)
+            self.turns.last(caller, thread)
 
     def flush(self, agent: Agent, thread: int) -> None:
         """Write what a thread has left of a line."""

@@ -62,7 +62,7 @@ class Outsiders:
         """Complete a group that took no time: the thread keeps its turn."""
         machine = self.machine
         machine.engine.complete(agent.block, machine.place(agent, thread), word)
-        machine.next_turn(agent, thread)
+        machine.turns.next(agent, thread)
 
     # --- output ---------------------------------------------------------------------------------------
 
@@ -101,9 +101,9 @@ class Outsiders:
             return
         agent.polls[thread] = polls = agent.polls.get(thread, 0) + 1
         if polls > POLLS:
-            machine.sleep(agent, thread, POLL_INTERVAL)
+            machine.turns.sleep(agent, thread, POLL_INTERVAL)
         else:
-            machine.make_ready(agent, thread)
+            machine.turns.last(agent, thread)
 
     def _sleep(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         machine = self.machine
@@ -111,7 +111,7 @@ class Outsiders:
         machine.open(agent)
         seconds = real_of(words[0])
         # Not a number sleeps not at all; a wait beyond any mission is as good as for ever.
-        machine.sleep(agent, thread, min(seconds, 1e9) if seconds > 0 else 0.0)
+        machine.turns.sleep(agent, thread, min(seconds, 1e9) if seconds > 0 else 0.0)
 
     def _now(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         self._go_on(agent, thread, word_of(self.machine.clock.time()))

@@ -40,7 +40,7 @@ def call(machine: Machine, caller: Agent, thread: int, method: int, words: list[
     except Trap as trap:
         machine.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
-    machine.next_turn(resource, served)
+    machine.turns.next(resource, served)
 
 
 def begin(
@@ -82,7 +82,7 @@ def finish(machine: Machine, resource: Agent, thread: int, number: int, word: in
         )
     else:
         machine.engine.complete(caller.block, place, word)
-        machine.next_turn(caller, waiter)
+        machine.turns.next(caller, waiter)
     unlink(resource.block, thread)
 
 
