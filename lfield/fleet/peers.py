@@ -1,7 +1,8 @@
 """The links of one host: whom it calls, who calls it, and when a silent link is given up.
 
 Of two hosts the one that stands first in the deployment calls the other, again and again until it answers;
-so there is one link between two hosts, and they may come up in any order.
+so there is one link between two hosts, and they may come up in any order. A link counts when both have
+taken the other's greeting: each then sends a Ping, and whoever is not taken gets a Refuse instead.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from lfield.errors import AddressError, GreetingError, LfieldError
 from lfield.framing import Buffer
 from lfield.net.greeting import Greeting
 from lfield.net.transport import Link, Listener, Transport
-from lfield.wire.messages import Control, Hello, Message, Ping, Pong, Transfer
+from lfield.wire.messages import Control, Hello, Message, Ping, Pong, Refuse, Transfer
 
 #: Seconds between two attempts to reach a host: the first wait, and the longest.
 FIRST_RETRY, LAST_RETRY = 0.05, 1.0
@@ -151,13 +152,13 @@ class Peers:
                 session.greet(await self._transport.connect(address, session))
                 await session.over.wait()
                 reason = session.reason
-                wait = FIRST_RETRY if session.hello else wait
+                wait = FIRST_RETRY if session.linked else wait
             except AddressError as error:
                 reason = str(error)
             self._heard_of(name)
             if reason and reason != told:
                 # A host that is not up yet is no news; one that is there and refuses is.
-                if session.hello is None and session.connected:
+                if session.connected and not session.linked:
                     self._owner.note(f"cannot talk to {name}: {reason}")
                 told = reason
             await asyncio.sleep(wait)
@@ -188,11 +189,8 @@ class Peers:
         """The greeting for a new link."""
         return Greeting(self._owner.hello(), hosts=self._hosts, linked=self.incarnations, dialled=dialled)
 
-    def greeted(self, session: Session, hello: Hello) -> None:
-        """A link has passed its greeting."""
-        session.heard = self._clock.monotonic()
-        if hello.role == "observer":
-            return
+    def linked(self, session: Session, hello: Hello) -> None:
+        """Both sides of a link have taken the other's greeting."""
         old = self._links.get(hello.host)
         self._links[hello.host] = session
         if old and old is not session:
@@ -212,7 +210,6 @@ class Peers:
 
     def heard(self, session: Session, message: Control) -> None:
         """A message came in on a greeted link."""
-        session.heard = self._clock.monotonic()
         if isinstance(message, Ping):
             session.link.send(Pong(message.token))
         elif not isinstance(message, Pong):
@@ -230,6 +227,10 @@ class Peers:
         """Where the headers of coordinators go that are too large."""
         return self._owner.too_large
 
+    def now(self) -> float:
+        """The clock's monotonic time."""
+        return self._clock.monotonic()
+
     def note(self, text: str) -> None:
         """A line for the log."""
         self._owner.note(text)
@@ -243,7 +244,7 @@ class Session:
     def __init__(self, peers: Peers, dialled: str | None) -> None:
         self._peers = peers
         self.dialled = dialled
-        self.connected = False
+        self.connected = self.linked = False
         self._greeting = peers.new_greeting(dialled)
         self.hello: Hello | None = None
         self.heard = 0.0
@@ -261,30 +262,52 @@ class Session:
     def on_message(self, link: Link, message: Message) -> None:
         """The greeting first, then whatever its sender may send."""
         if self.hello is None:
-            self.link = link
-            try:
-                self.hello = self._greeting.receive(message)
-            except GreetingError:
-                if self._greeting.refusal:
-                    link.send(self._greeting.refusal)
-                raise
-            self._relax()
-            self._peers.greeted(self, self.hello)
+            self._greeted(link, message)
             return
+        if isinstance(message, Refuse):
+            raise GreetingError(f"{self.hello.host} refused this host: {message.reason}")
         self._greeting.admit(message)
+        self._taken(self.hello)
         self._peers.heard(self, message)  # type: ignore[arg-type]  # admit lets only Control pass
 
     def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
         """A coordinator: only from a greeted host."""
-        if self.hello is None or self.hello.role != "host":
-            raise GreetingError("a coordinator came from nobody that has greeted as a host")
-        self._peers.on_arrival(self.hello.host, header, block)
+        self._peers.on_arrival(self._sender(), header, block)
 
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
         """A coordinator over the limit."""
+        self._peers.on_oversize(self._sender(), header, size)
+
+    def _greeted(self, link: Link, message: Message) -> None:
+        """The other's greeting: tell it that it is taken, or why it is not."""
+        try:
+            hello = self._greeting.receive(message)
+        except GreetingError:
+            if self._greeting.refusal:
+                link.send(self._greeting.refusal)
+            raise
+        self.hello = hello
+        if hello.role == "host":
+            link.send(Ping(0))
+        else:
+            self._taken(hello)
+
+    def _taken(self, hello: Hello) -> None:
+        """Something came after the greeting: the other has taken ours."""
+        self.heard = self._peers.now()
+        if self.linked:
+            return
+        self._relax()
+        self.linked = True
+        if hello.role == "host":
+            self._peers.linked(self, hello)
+
+    def _sender(self) -> str:
+        """Who sends a coordinator. Raises GreetingError for anybody who is not a host."""
         if self.hello is None or self.hello.role != "host":
             raise GreetingError("a coordinator came from nobody that has greeted as a host")
-        self._peers.on_oversize(self.hello.host, header, size)
+        self._taken(self.hello)
+        return self.hello.host
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
         """The end of the link."""
