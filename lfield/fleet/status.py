@@ -5,12 +5,25 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from lfield.vm.agent import Agent
-from lfield.vm.layout import STATE_NAMES, THREAD_STATE
+from lfield.vm.layout import (
+    BLOCKED,
+    CALLING,
+    DEAD,
+    PARKED,
+    READY,
+    SLEEPING,
+    STATE_NAMES,
+    THREAD_STATE,
+    WAITING,
+)
 from lfield.vm.threads import threads
 from lfield.wire.messages import Known
 
 if TYPE_CHECKING:
     from lfield.fleet.host import Host
+
+#: The states of threads, the liveliest first.
+_LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
 
 
 def status_of(host: Host) -> dict[str, Any]:
@@ -37,7 +50,7 @@ def coordinators_of(host: Host) -> list[dict[str, Any]]:
 
 def _agent(agent: Agent) -> dict[str, Any]:
     block = agent.block
-    states = [STATE_NAMES[block.w[place + THREAD_STATE]] for place in threads(block)]
+    states = [block.w[place + THREAD_STATE] for place in threads(block)]
     return {
         "id": agent.id,
         "type": agent.member.type,
@@ -51,9 +64,9 @@ def _agent(agent: Agent) -> dict[str, Any]:
     }
 
 
-def _busiest(states: list[str]) -> str:
+def _busiest(states: list[int]) -> str:
     """One word for all threads of an agent: what the liveliest does."""
-    return min(states, key=STATE_NAMES.index, default="idle")
+    return STATE_NAMES[min(states, key=_LIVELIEST.index)] if states else "idle"
 
 
 def _coordinator(known: Known) -> dict[str, Any]:
