@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.live import Live
 
-from lfield.cli.ps import table
+from lfield.cli.ps import picture
 from lfield.fleet.observe import ask_all
 from lfield.net.tcp import TcpTransport
 
@@ -24,7 +24,7 @@ class LiveView:
         self._task: asyncio.Task[None] | None = None
 
     def start(self) -> None:
-        """Begin to draw; what others print appears above the picture."""
+        """Begin to draw. From now on, lines for this terminal go through `print`."""
         self._live.start()
         self._task = asyncio.create_task(self._draw())
 
@@ -32,8 +32,12 @@ class LiveView:
         transport = TcpTransport(1 << 20, connect_timeout=INTERVAL)
         while True:
             answers = await ask_all(transport, self._addresses)
-            self._live.update(table(answers), refresh=True)
+            self._live.update(picture(answers), refresh=True)
             await asyncio.sleep(INTERVAL)
+
+    def print(self, line: str) -> None:
+        """A line above the picture."""
+        self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     async def stop(self) -> None:
         """Take the picture away."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rich.console import Group
     from rich.table import Table
 
     from lfield.errors import LfieldError
@@ -53,15 +54,45 @@ def _plain(answer: dict[str, Any] | LfieldError) -> dict[str, Any]:
 def _show(answers: Answers) -> None:
     from rich.console import Console
 
-    console = Console()
-    console.print(table(answers))
+    Console().print(picture(answers))
     for host, answer in answers.items():
         if isinstance(answer, Exception):
             print(f"{host}: {answer}", file=sys.stderr)
 
 
-def table(answers: Answers) -> Table:
-    """The agents of all hosts, and the coordinators that have ended or are in doubt."""
+def picture(answers: Answers) -> Group:
+    """The agents of all hosts with the coordinators that have ended or are in doubt, then the devices."""
+    from rich.console import Group
+
+    devices = _devices(answers)
+    return Group(_agents(answers), "", devices) if devices.row_count else Group(_agents(answers))
+
+
+def _devices(answers: Answers) -> Table:
+    from rich.table import Table
+
+    shown = Table(box=None, pad_edge=False)
+    for column in ("HOST", "DEVICE", "STATE", "TELEMETRY"):
+        shown.add_column(column)
+    for host, answer in answers.items():
+        if isinstance(answer, Exception):
+            continue
+        for name, values in answer["devices"].items():
+            state = "safe" if name in answer["latched"] else "in use"
+            words = (f"{quantity} {_value(value)}" for quantity, value in values.items())
+            shown.add_row(host, name, state, ", ".join(words))
+    return shown
+
+
+def _value(value: object) -> str:
+    if isinstance(value, list):
+        return f"({' '.join(_value(part) for part in value)})"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+def _agents(answers: Answers) -> Table:
     from rich.table import Table
 
     shown = Table(box=None, pad_edge=False)

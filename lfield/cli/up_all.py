@@ -122,9 +122,17 @@ class _Team:
     async def pass_on(self, host: str, source: asyncio.StreamReader, target: TextIO) -> None:
         """Lines of a host, each with its name before it."""
         while line := await self.line(source):
-            with suppress(OSError, ValueError):
-                target.write(f"{host:<{self.width}} | {line.decode(errors='replace').rstrip(chr(10))}\n")
-                target.flush()
+            self.show(host, line.decode(errors="replace").removesuffix("\n"), target)
+
+    def show(self, host: str, text: str, target: TextIO) -> None:
+        """One line with its host's name before it, above the picture where there is one."""
+        line = f"{host:<{self.width}} | {text}"
+        if self.view and target.isatty():
+            self.view.print(line)
+            return
+        with suppress(OSError, ValueError):
+            target.write(line + "\n")
+            target.flush()
 
     async def line(self, source: asyncio.StreamReader) -> bytes:
         try:
@@ -138,7 +146,7 @@ class _Team:
         status = await self.children[host].wait()
         if status < 0:
             name = signal.Signals(-status).name
-            print(f"{host:<{self.width}} | ended by {name}", file=sys.stderr)
+            self.show(host, f"ended by {name}", sys.stderr)
             return 1
         if status not in (0, 1) and not self.stopping.is_set():
             self.refused = self.refused or status

@@ -174,6 +174,14 @@ class Guard(asyncio.SubprocessProtocol):
             raise DeviceError(binding.field, reason, kind="DeviceTimeoutException")
         return value
 
+    @property
+    def telemetry(self) -> dict[str, dict[str, DeviceValue]]:
+        """The last values known, by device and quantity, however old."""
+        shown: dict[str, dict[str, DeviceValue]] = {name: {} for name in self._devices}
+        for (device, quantity), (value, _) in self._values.items():
+            shown[device][quantity] = value
+        return shown
+
     # -- the process ----------------------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:

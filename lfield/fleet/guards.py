@@ -98,6 +98,11 @@ class Guards:
         """Why devices are held in their safe states, by device name."""
         return {name: reason for guard in self._guards for name, reason in guard.latched.items()}
 
+    @property
+    def telemetry(self) -> Mapping[str, Mapping[str, DeviceValue]]:
+        """The last values known, by device and quantity."""
+        return {name: values for guard in self._guards for name, values in guard.telemetry.items()}
+
     async def close(self) -> None:
         """Make every device safe, end the guards, then the fakes; bounded."""
         await asyncio.gather(*(guard.close() for guard in self._guards))

@@ -39,6 +39,7 @@ def status_of(host: Host) -> dict[str, Any]:
         "coordinators": coordinators_of(host),
         "linked": sorted(host.peers.incarnations),
         "away": {name: round(now - since, 3) for name, since in host.peers.away.items()},
+        "devices": {name: dict(values) for name, values in host.guards.telemetry.items()},
         "latched": dict(host.guards.latched),
     }
 
