@@ -100,7 +100,7 @@ def _idle_rows(folder: Path) -> list[Row]:
         spent = time.perf_counter() - start
         idle = {n: 100 * (_processor_seconds(host) - before[n]) / spent for n, host in hosts.items()}
         memory = {name: _resident_megabytes(host) for name, host in hosts.items()}
-    rows = []
+    rows: list[Row] = []
     for name, own in memory.items():
         case = "" if rows else "resident memory"
         ratio, target = times(own / TARGET_MEMORY), f"{TARGET_MEMORY:g} MB"
@@ -133,7 +133,7 @@ def _start_rows(folder: Path) -> list[Row]:
         _BARE: lambda: (sys.executable, "-c", "print('called')"),
     }
     samples = in_turns({name: partial(_first_line, command) for name, command in commands.items()}, STARTS)
-    rows = []
+    rows: list[Row] = []
     for name, own in samples.items():
         case = "" if rows else "start to first portal call"
         judged = () if name == _BARE else (times(median(own) / TARGET_START), f"{TARGET_START:g} s")
