@@ -1,0 +1,218 @@
+"""Real `python -m lfield` processes: started, listened to, and none left behind."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+#: Seconds for anything that is only a matter of time on a busy machine.
+PATIENCE = 60.0
+#: In the environment of a test's processes, to find them and all that they start.
+MARK = "LFIELD_TEST_RUN"
+
+
+class Process:
+    """A running command; its lines are kept as they come, by stream."""
+
+    def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
+        environment = {**os.environ, MARK: mark, "PYTHONUNBUFFERED": "1", **options.pop("env", {})}
+        self.mark = mark
+        self._changed = threading.Condition()
+        self.out: list[str] = []
+        self.err: list[str] = []
+        options.setdefault("stdout", subprocess.PIPE)
+        self.popen = subprocess.Popen(
+            [sys.executable, "-m", "lfield", *map(str, words)],
+            env=environment,
+            stdin=subprocess.PIPE if stdin else subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            **options,
+        )
+        streams = [(self.popen.stdout, self.out), (self.popen.stderr, self.err)]
+        self._readers = [
+            threading.Thread(target=self._read, args=pair, daemon=True) for pair in streams if pair[0]
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _read(self, stream, lines: list[str]) -> None:
+        with stream:
+            for line in stream:
+                with self._changed:
+                    lines.append(line.decode(errors="replace").rstrip("\n"))
+                    self._changed.notify_all()
+        with self._changed:
+            self._changed.notify_all()
+
+    @property
+    def pid(self) -> int:
+        return self.popen.pid
+
+    @property
+    def said(self) -> str:
+        return "\n".join(["stdout:", *self.out, "stderr:", *self.err])
+
+    def wait_for(self, pattern: str) -> re.Match[str]:
+        """The first line of either stream with this in it."""
+        found: list[re.Match[str]] = []
+
+        def seen() -> bool:
+            found[:] = [m for line in (*self.out, *self.err) if (m := re.search(pattern, line))]
+            return bool(found) or not any(reader.is_alive() for reader in self._readers)
+
+        with self._changed:
+            self._changed.wait_for(seen, PATIENCE)
+        assert found, f"nothing like {pattern!r} in\n{self.said}"
+        return found[0]
+
+    def wait(self) -> int:
+        """The exit status; all lines are here then."""
+        try:
+            status = self.popen.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"it does not end; it said\n{self.said}")
+        for reader in self._readers:
+            reader.join(PATIENCE)
+        assert "Traceback" not in self.said, self.said
+        return status
+
+    def signal(self, number: signal.Signals) -> None:
+        self.popen.send_signal(number)
+
+
+def run_of(pid: int, mark: str) -> bool:
+    """Whether a live process was started by a run of a test."""
+    try:
+        environment = Path(f"/proc/{pid}/environ").read_bytes()
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z" and f"{MARK}={mark}".encode() in environment.split(b"\0")
+
+
+def processes_of(mark: str) -> list[int]:
+    """The pids of all live processes of a run."""
+    return [
+        int(path.name)
+        for path in Path("/proc").iterdir()
+        if path.name.isdigit() and run_of(int(path.name), mark)
+    ]
+
+
+def all_ended(mark: str) -> bool:
+    """Whether all processes of a run have ended, before too long."""
+    end = time.monotonic() + PATIENCE
+    while processes_of(mark):
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def free_ports(count: int) -> list[int]:
+    """Ports nobody has, below the range from which the system picks."""
+    found: list[int] = []
+    port = 20000 + os.getpid() * 7 % 8000
+    while len(found) < count:
+        port += 1
+        with socket.socket() as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            found.append(port)
+    return found
+
+
+class Lfield:
+    """Starts commands in a folder, and ends what a test left running."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.mark = uuid.uuid4().hex
+        self.started: list[Process] = []
+
+    def start(self, *words: object, **options) -> Process:
+        """A command that goes on."""
+        process = Process(*map(str, words), mark=self.mark, cwd=self.folder, **options)
+        self.started.append(process)
+        return process
+
+    def __call__(self, *words: object, **options) -> Process:
+        """A command that ends; its status is in `popen.returncode`."""
+        process = self.start(*words, **options)
+        process.wait()
+        return process
+
+    def status(self, process: Process) -> int:
+        return process.popen.returncode
+
+    def write(self, name: str, text: str | bytes) -> Path:
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
+        return path
+
+    def mission(self, program: str, deployment: str, devices: str = "", name: str = "mission") -> Path:
+        """Write a mission's files; returns the deployment's."""
+        self.write(f"{name}.L", program)
+        if devices:
+            self.write(f"{name}.devices.yaml", devices)
+        return self.write(f"{name}.dL", deployment)
+
+    def hosts(self, deployment: Path, names: list[str], *options: object, **more) -> dict[str, Process]:
+        """One process for each host, on ports of their own, as by hand."""
+        maps = self.maps(names)
+        return {
+            name: self.start("up", "--deploy", deployment, "--host", name, *maps, *options, **more)
+            for name in names
+        }
+
+    def maps(self, names: list[str]) -> list[str]:
+        """`--map` options that put the hosts on free ports of this machine."""
+        pairs = zip(names, free_ports(len(names)), strict=True)
+        return [word for name, port in pairs for word in ("--map", f"{name}=127.0.0.1:{port}")]
+
+    def left(self) -> list[int]:
+        return processes_of(self.mark)
+
+    def end(self) -> None:
+        for pid in processes_of(self.mark):
+            try:
+                os.kill(pid, signal.SIGKILL)
+            except ProcessLookupError:
+                continue
+        for process in self.started:
+            process.popen.wait(PATIENCE)
+            if process.popen.stdin:
+                process.popen.stdin.close()
+            for reader in process._readers:
+                reader.join(PATIENCE)
+
+
+@pytest.fixture
+def lfield(tmp_path: Path) -> Iterator[Lfield]:
+    made = Lfield(tmp_path)
+    yield made
+    made.end()
+
+
+@pytest.fixture(scope="module")
+def shared_lfield(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lfield]:
+    """One for all tests of a file, for teams that several look at."""
+    made = Lfield(tmp_path_factory.mktemp("shared"))
+    yield made
+    made.end()

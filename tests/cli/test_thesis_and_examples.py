@@ -1,0 +1,152 @@
+"""The programs of the thesis and of the examples, each host a process: what they print is exact."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+ROOT = Path(__file__).parents[2]
+THESIS = ROOT.parent / "shared" / "thesis-programs"
+EXAMPLES = ROOT / "examples"
+
+
+def fly(lfield, deployment: Path, *options) -> dict[str, list[str]]:
+    """Run a mission to its end; the lines of each host."""
+    done = lfield("up", "--deploy", deployment, "--all", "--until-done", *options)
+    assert lfield.status(done) == 0, done.said
+    by_host: dict[str, list[str]] = defaultdict(list)
+    for line in done.out:
+        host, bar, text = line.partition(" | ")
+        assert bar, line
+        by_host[host.rstrip()].append(text)
+    return by_host
+
+
+def _speaker(line: str) -> str:
+    """Who wrote a line of a thesis program."""
+    return "cache" if line.startswith("Cache: ") else line.split()[0]
+
+
+def _caller(line: str) -> str | None:
+    """For whom a server wrote a line, if a server wrote it."""
+    match = re.match(r"\w+ for (\w+) :", line)
+    return match[1] if match else None
+
+
+def thesis_lines(lines: list[str]) -> dict[str, object]:
+    """The lines in the form of the expectations: by agent, a server's also by caller."""
+    own: dict[str, list[str]] = defaultdict(list)
+    served: dict[str, dict[str, list[str]]] = defaultdict(lambda: defaultdict(list))
+    for line in lines:
+        caller = _caller(line)
+        if caller is None:
+            own[_speaker(line)].append(line)
+        else:
+            served[_speaker(line)][caller].append(line)
+    agents: dict[str, object] = {}
+    for agent in {*own, *served}:
+        if agent in own and agent in served:
+            agents[agent] = {"requests": own[agent], "served": served[agent]}
+        else:
+            agents[agent] = own.get(agent) or served[agent]
+    return agents
+
+
+@pytest.mark.parametrize("name", ["cs", "mt", "peer"])
+def test_the_programs_of_the_thesis_print_what_it_prints(lfield, name):
+    if not THESIS.is_dir():
+        pytest.skip(f"the programs of the thesis are not here ({THESIS})")
+    by_host = fly(lfield, THESIS / f"{name}.dL")
+    lines = [line for lines in by_host.values() for line in lines]
+    assert thesis_lines(lines) == json.loads((THESIS / f"{name}.expected.json").read_text())
+    assert len(by_host) == 3
+
+
+def test_client_server_example(lfield):
+    by_host = fly(lfield, EXAMPLES / "10-client-server" / "mission.dL")
+    assert set(by_host) == {"yard", "north", "south"}
+    assert by_host["north"] == [f"red has delivered {n}" for n in _sums(by_host["yard"], "red")]
+    assert by_host["south"] == [f"blue has delivered {n}" for n in _sums(by_host["yard"], "blue")]
+    taken = [re.fullmatch(r"(red|blue) takes (\d+) from shelf ([012])", line) for line in by_host["yard"]]
+    assert all(taken)
+    assert [m[1] for m in taken].count("red") == 3
+    assert [m[1] for m in taken].count("blue") == 2
+    stock = [7, 12, 5]
+    for match in taken:
+        assert stock[int(match[3])] == max(stock), "the fullest shelf gives"
+        stock[int(match[3])] -= int(match[2])
+    assert min(stock) >= 0
+
+
+def _sums(yard: list[str], rover: str) -> list[int]:
+    amounts = [int(line.split()[2]) for line in yard if line.startswith(rover)]
+    return [sum(amounts[: n + 1]) for n in range(len(amounts))]
+
+
+def test_multiple_tiers_example(lfield):
+    assert fly(lfield, EXAMPLES / "11-multiple-tiers" / "mission.dL") == {
+        "sky": [
+            "flight 1: cell 1 blocked: true",
+            "flight 2: cell 2 blocked: false",
+            "flight 3: cell 3 blocked: false",
+            "flight 4: cell 4 blocked: true",
+        ],
+        "road": [
+            "truck: cell 1 is blocked, going round",
+            "truck: cell 2 is free",
+            "truck: cell 3 is free",
+            "truck: cell 2 is free",
+            "truck: cell 1 is blocked, going round",
+            "truck: cell 4 is blocked, going round",
+        ],
+    }
+
+
+def test_peer_to_peer_example(lfield):
+    by_host = fly(lfield, EXAMPLES / "12-peer-to-peer" / "mission.dL")
+    lines = [line for lines in by_host.values() for line in lines]
+    asked = re.findall(r"^(\w+) asks (\w+) about target (\d)$", "\n".join(lines), re.M)
+    assert sorted(asked) == [
+        ("ann", "bob", "0"), ("ann", "cyd", "1"),
+        ("bob", "ann", "1"), ("bob", "cyd", "0"), ("bob", "cyd", "2"),
+        ("cyd", "ann", "0"), ("cyd", "bob", "1"),
+    ]  # fmt: skip
+    for who, whom, target in asked:
+        confirmed = (int(target) + 3) % 2 == 0
+        verdict = "keeps" if confirmed else "drops"
+        assert f"{whom} judges target {target} of {who}: {str(confirmed).lower()}" in lines
+        assert f"{who} {verdict} target {target}" in lines
+    assert len(lines) == 3 * len(asked)
+
+
+@pytest.mark.timeout(240)
+def test_first_flight(lfield):
+    """The product's main job: two copters on fakes, one policy that travels between them."""
+    flight = lfield.start(
+        "up", "--deploy", EXAMPLES / "01-first-flight" / "mission.dL", "--all", "--sim", "--until-done"
+    )
+    flight.wait_for("wing: landed")
+    assert flight.wait() == 0, flight.said
+    lines = [line.partition(" | ")[2] for line in flight.out]
+    assert [line for line in lines if "taking off" in line] == [
+        "lead: taking off to 3.0 m", "wing: taking off to 5.0 m",
+    ]  # fmt: skip
+    places = re.findall(r"^(\w+): at \((-?[\d.]+), (-?[\d.]+)\) at ([\d.]+) m$", "\n".join(lines), re.M)
+    assert [place[0] for place in places] == ["lead", "wing"] * 3
+    for lead, wing in zip(places[::2], places[1::2], strict=True):
+        assert abs(float(lead[1]) + float(wing[1])) < 1.5, "the wingman mirrors the leader"
+        assert abs(float(lead[2]) + float(wing[2])) < 1.5
+        assert abs(float(wing[3]) - float(lead[3]) - 2.0) < 1.0
+    assert lines[-2:] == ["lead: landed", "wing: landed"]
+    assert re.search(r"pilot: never closer than [\d.]+ m; batteries lead \d+ %, wing \d+ %", flight.said)
+    hops = re.search(r"pilot: the coordinator migrated (\d+) times", flight.said)
+    # takeoff, 2 reports, 3 legs, landing, summary: once out and once back for each but the last.
+    assert hops
+    assert int(hops[1]) >= 11
+    assert lfield.left() == []
