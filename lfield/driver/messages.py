@@ -30,8 +30,8 @@ class Open(Message, frozen=True):
     """
 
     devices: list[DeviceBinding]
-    latched: str = ""
-    silence: float = 0.2
+    latched: str
+    silence: float
 
 
 class Call(Message, frozen=True):

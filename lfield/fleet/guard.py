@@ -48,7 +48,7 @@ Answered = Callable[[DeviceValue | DeviceError], None]
 
 
 class Guard(asyncio.SubprocessProtocol):
-    """One bus. `note` takes a line for the log."""
+    """One bus. `note` takes a line for the log; after `silence` seconds without a beat it goes safe."""
 
     def __init__(
         self,
@@ -56,8 +56,9 @@ class Guard(asyncio.SubprocessProtocol):
         devices: Sequence[DeviceBinding],
         clock: Clock,
         note: Callable[[str], None],
+        silence: float,
     ) -> None:
-        self._installed, self._clock, self._note = installed, clock, note
+        self._installed, self._clock, self._note, self._silence = installed, clock, note, silence
         self._devices = {device.name: device for device in devices}
         self._quantities = {quantity.name: quantity for quantity in installed.manifest.device.telemetry}
         self._reader = MessageReader()
@@ -85,7 +86,7 @@ class Guard(asyncio.SubprocessProtocol):
         command = (sys.executable, "-m", "lfield.driver.guard", self._installed.reference)
         # A session of its own: a Ctrl-C is for the host, which then stops its guards in order.
         await loop.subprocess_exec(lambda: self, *command, stderr=None, start_new_session=True)
-        self._send(Open(list(self._devices.values()), latched))
+        self._send(Open(list(self._devices.values()), latched, self._silence))
         self._beat()
         try:
             async with asyncio.timeout(OPEN_BOUND):

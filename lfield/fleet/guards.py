@@ -10,6 +10,7 @@ import msgspec
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.guard_core import SILENCE
 from lfield.driver.plugins import Installed, Plugins
 from lfield.driver.sims import discover_sims
 from lfield.errors import BindingError, DeviceError, PluginError
@@ -21,10 +22,15 @@ from lfield.vm.world import PENDING, Pending
 
 
 class Guards:
-    """The devices of some agents. `note` takes a line for the log."""
+    """The devices of some agents. `note` takes a line for the log.
 
-    def __init__(self, plugins: Plugins, clock: Clock, note: Callable[[str], None]) -> None:
-        self._plugins, self._clock, self._note = plugins, clock, note
+    `silence` is how long this host may be silent, in seconds, before its devices go safe.
+    """
+
+    def __init__(
+        self, plugins: Plugins, clock: Clock, note: Callable[[str], None], *, silence: float = SILENCE
+    ) -> None:
+        self._plugins, self._clock, self._note, self._silence = plugins, clock, note, silence
         self._guards: list[Guard] = []
         self._fakes: list[Fake] = []
         self._by_device: dict[str, tuple[Guard, Installed]] = {}
@@ -47,7 +53,7 @@ class Guards:
             return
         for bus in _by_bus(placed).values():
             installed = self._plugins.by_driver[bus[0].driver]
-            guard = Guard(installed, bus, self._clock, self._note)
+            guard = Guard(installed, bus, self._clock, self._note, self._silence)
             self._guards.append(guard)
             self._by_device.update({device.name: (guard, installed) for device in bus})
         for answer in await asyncio.gather(*(g.open() for g in self._guards), return_exceptions=True):
