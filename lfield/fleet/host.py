@@ -292,8 +292,12 @@ class Host:
         if self._early is not None:
             self._early.append((host, header, block))
             return
-        self._carry_out(self.mobility.arrive(host, header, block))
+        effects = self.mobility.arrive(host, header, block)
+        answers = [effect for effect in effects if isinstance(effect, Send)]
+        self._carry_out(effect for effect in effects if not isinstance(effect, Send))
         self._pump()
+        # An answer is for the sender's books only: the coordinator does not wait for it.
+        self._carry_out(answers)
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""
@@ -330,7 +334,8 @@ class Host:
         while asked - self._statuses.keys() and self.clock.monotonic() < end:
             self.changed.clear()
             with suppress(TimeoutError):
-                await asyncio.wait_for(self.changed.wait(), bound)
+                async with asyncio.timeout(bound):
+                    await self.changed.wait()
         answers = {host: data["coordinators"] for host, data in self._statuses.items()}
         return answers | {self.name: coordinators_of(self)}
 

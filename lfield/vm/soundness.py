@@ -51,10 +51,11 @@ class Soundness:
         self._type_expects = [self._expected(i) for i in range(len(core.types))]
         #: By the low half of a header: the size a thing must have (0: any), and what its references lead to.
         self._sizes: dict[int, int] = {layout.STRING: 0, THREAD: THREAD_WORDS}
-        self._expects: dict[int, Expected] = {}
+        self._expects: dict[int, Expected] = {layout.STRING: (), THREAD: ()}
         for i, record in enumerate(core.classes):
             self._sizes[OBJECT | i << 8] = prepared.layouts.class_words[i]
             self._sizes[layout.PROXY | i << 8] = 2
+            self._expects[layout.PROXY | i << 8] = ()
             self._expects[OBJECT | i << 8] = self._references([f.type for f in record.fields], 1)
         for i, method in enumerate(core.methods):
             self._sizes[FRAME | i << 8] = prepared.layouts.frame_words[i]
@@ -62,6 +63,8 @@ class Soundness:
         for i, kind in enumerate(core.types):
             if kind.kind == ARRAY_TYPE:
                 self._sizes[layout.ARRAY | i << 8] = 0
+                if self._type_expects[kind.of] is None:
+                    self._expects[layout.ARRAY | i << 8] = ()
 
     def _expected(self, kind: int) -> int | None:
         """The expected header half for references of a type, None for types that hold none."""
@@ -157,6 +160,8 @@ class Soundness:
                 raise BlockError("a thing on the heap has no sound header", word=place)
             if half == layout.STRING and not self._is_text(block, place, words):
                 raise BlockError("a string is no text", word=place)
+            if half & 0xFF == layout.PROXY and not 0 <= w[place + 1] < self.members:
+                raise BlockError("a proxy of nobody", word=place)
             starts[place] = half
             place += words
         return starts
@@ -171,21 +176,24 @@ class Soundness:
         return True
 
     def _check_references(self, block: Block, starts: dict[int, int]) -> None:
-        w, expects = block.w, self._expects
+        w, known = block.w, self._expects
         for place, half in starts.items():
-            for offset, expected in expects.get(half) or self._of_array(half, w[place] >> 32):
+            expects = known.get(half)
+            if expects is None:
+                expects = self._of_array(half, w[place] >> 32)
+            for offset, expected in expects:
                 target = w[place + offset]
-                if target and not _leads_to(starts.get(target, 0), expected):
+                if not target:
+                    continue
+                found = starts.get(target, 0)
+                if found != expected and (expected != ANY_OBJECT or found & 0xFF != OBJECT):
                     raise BlockError("a reference leads to no thing of its type", word=place + offset)
-            if half & 0xFF == layout.PROXY and not 0 <= w[place + 1] < self.members:
-                raise BlockError("a proxy of nobody", word=place)
 
     def _of_array(self, half: int, words: int) -> Expected:
-        """What the elements of an array must lead to; nothing for everything else."""
-        if half & 0xFF != layout.ARRAY:
-            return ()
+        """What the elements of an array of references must lead to."""
         expected = self._type_expects[self.program.core.types[half >> 8].of]
-        return () if expected is None else tuple((i, expected) for i in range(1, words))
+        assert expected is not None, "arrays without references are in the table"
+        return tuple((i, expected) for i in range(1, words))
 
     def _check_coordinator(self, block: Block, starts: dict[int, int]) -> None:
         """One thread, its frames one chain, standing at the portal call it travels for."""
@@ -228,7 +236,3 @@ class Soundness:
                 return
             if depth < 1:
                 raise BlockError("its frames are no chain", word=frame)
-
-
-def _leads_to(half: int, expected: int) -> bool:
-    return half & 0xFF == OBJECT if expected == ANY_OBJECT else half == expected
