@@ -3,11 +3,13 @@
 Real `lfield up --host` processes, with their defaults. Processor time is what the scheduler charged to the
 process (/proc/PID/task/*/schedstat) over some idle seconds; the parked and the polling host idle at the
 same time. Start-up is from just before the process is created to the line that the portal writes; the
-start of a bare Python, which is part of it, is measured in turns with it.
+start of a bare Python, which is part of it, is measured in turns with it. Python keeps compiled modules on
+disk, as it does after the first start of an installed program, whatever this environment says.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 import time
@@ -49,22 +51,28 @@ coordinator First {
 def figure() -> Figure:
     """Memory, idle processor time, start-up."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+        folder, environment = Path(name), _compiled_modules_in(Path(name) / "modules")
         for loop, statement in _LOOPS.items():
-            _write_mission(folder / loop, statement)
-        idle = _idle_rows(folder)
-        starts = _start_rows(folder)
+            _write_mission(folder / loop, statement, environment)
+        idle = _idle_rows(folder, environment)
+        starts = _start_rows(folder, environment)
     note = f"idle for {IDLE_SECONDS:g} s; {STARTS} rounds of starts"
     return Figure("A host with no drivers; ratio to its target", [*idle, *starts], (note,))
 
 
-def _write_mission(stem: Path, loop: str) -> None:
+def _compiled_modules_in(folder: Path) -> dict[str, str]:
+    """An environment in which Python keeps compiled modules there."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return kept | {"PYTHONPYCACHEPREFIX": str(folder)}
+
+
+def _write_mission(stem: Path, loop: str, environment: dict[str, str]) -> None:
     """A mission of one host and one resource that idles in its own way, as text and as a program file."""
     stem.with_suffix(".L").write_text(_PROGRAM % loop, encoding="utf-8")
     stem.with_suffix(".dL").write_text("//Part:part@here\n//First:first@here\n", encoding="utf-8")
     with Children() as children:
         source, output = str(stem.with_suffix(".L")), str(stem.with_suffix(".lb"))
-        built = children.start(*_lfield("build"), source, "-o", output)
+        built = children.start(*_lfield("build"), source, "-o", output, environment=environment)
         built.wait()
 
 
@@ -83,13 +91,14 @@ def _up(stem: Path, suffix: str) -> tuple[str, ...]:
 # --- memory and idling --------------------------------------------------------------------------------
 
 
-def _idle_rows(folder: Path) -> list[Row]:
+def _idle_rows(folder: Path, environment: dict[str, str]) -> list[Row]:
     with Children() as children:
-        hosts = {
-            "L text, parked": children.start(*_up(folder / "parked", ".L")),
-            "program file, parked": children.start(*_up(folder / "parked", ".lb")),
-            "program file, polling": children.start(*_up(folder / "polling", ".lb")),
+        commands = {
+            "L text, parked": _up(folder / "parked", ".L"),
+            "program file, parked": _up(folder / "parked", ".lb"),
+            "program file, polling": _up(folder / "polling", ".lb"),
         }
+        hosts = {name: children.start(*words, environment=environment) for name, words in commands.items()}
         for host in hosts.values():
             host.line()
         # What is left of starting up must not count as idling.
@@ -126,13 +135,14 @@ def _processor_seconds(host: Child) -> float:
 # --- start-up -----------------------------------------------------------------------------------------
 
 
-def _start_rows(folder: Path) -> list[Row]:
+def _start_rows(folder: Path, environment: dict[str, str]) -> list[Row]:
     commands: dict[str, Callable[[], tuple[str, ...]]] = {
         "L text": partial(_up, folder / "parked", ".L"),
         "program file": partial(_up, folder / "parked", ".lb"),
         _BARE: lambda: (sys.executable, "-c", "print('called')"),
     }
-    samples = in_turns({name: partial(_first_line, command) for name, command in commands.items()}, STARTS)
+    starts = {name: partial(_first_line, command, environment) for name, command in commands.items()}
+    samples = in_turns(starts, STARTS)
     rows: list[Row] = []
     for name, own in samples.items():
         case = "" if rows else "start to first portal call"
@@ -141,9 +151,9 @@ def _start_rows(folder: Path) -> list[Row]:
     return rows
 
 
-def _first_line(command: Callable[[], tuple[str, ...]]) -> list[float]:
+def _first_line(command: Callable[[], tuple[str, ...]], environment: dict[str, str]) -> list[float]:
     """Seconds from the start of a command to its first line."""
     with Children() as children:
-        child = children.start(*command())
+        child = children.start(*command(), environment=environment)
         child.line()
         return [time.perf_counter() - child.started]

@@ -125,7 +125,7 @@ def size(count: int) -> str:
 class Child:
     """A process that is read line by line. The kernel kills it when this process ends, however it ends."""
 
-    def __init__(self, words: Sequence[str]) -> None:
+    def __init__(self, words: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
         self.started = time.perf_counter()
         self._process = subprocess.Popen(
             words,
@@ -133,6 +133,7 @@ class Child:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             cwd=ROOT,
+            env=environment,
             preexec_fn=_die_with_parent,
         )
         self._words = words
@@ -196,9 +197,9 @@ class Children:
         for child in self._children:
             child.end()
 
-    def start(self, *words: str) -> Child:
-        """Start a command."""
-        child = Child(words)
+    def start(self, *words: str, environment: Mapping[str, str] | None = None) -> Child:
+        """Start a command, in this process' environment unless another is given."""
+        child = Child(words, environment)
         self._children.append(child)
         return child
 
