@@ -17,6 +17,7 @@ from typing import NoReturn, Protocol
 
 from lfield import __version__
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
+from lfield.fleet.logbook import silence
 
 #: Subcommands, each a module of this package, and what they are for.
 COMMANDS = {
@@ -50,7 +51,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
     try:
-        return _dispatch(words)
+        status = _dispatch(words)
+        sys.stdout.flush()
+        return status
     except ProgramError as error:
         _tell("\n".join(d.render() for d in error.diagnostics))
         _tell(f"lfield: {error}")
@@ -66,10 +69,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # Whoever read our output has left; a second failure at shutdown would print a traceback.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # Whoever read our output has left.
+        silence(sys.stdout)
         return 74
     except OSError as error:
+        silence(sys.stdout)
         _tell(f"lfield: {error.strerror or error}" + (f": {error.filename}" if error.filename else ""))
         return 74
     except Exception as error:

@@ -12,10 +12,10 @@ import signal
 import socket
 import sys
 from asyncio.subprocess import PIPE, Process
-from contextlib import suppress
 from typing import TYPE_CHECKING, TextIO
 
 from lfield.fleet import whereabouts
+from lfield.fleet.logbook import lost, silence
 from lfield.net.local import reserve
 
 if TYPE_CHECKING:
@@ -130,9 +130,13 @@ class _Team:
         if self.view and target.isatty():
             self.view.print(line)
             return
-        with suppress(OSError, ValueError):
+        try:
             target.write(line + "\n")
             target.flush()
+        except (OSError, ValueError) as error:
+            silence(target)
+            if target is sys.stdout:
+                print(f"lfield: {lost(error)}", file=sys.stderr)
 
     async def line(self, source: asyncio.StreamReader) -> bytes:
         try:

@@ -392,12 +392,11 @@ class Host:
             self._dump(agent, self.options.dump)
 
     def _dump(self, agent: Agent, folder: Path) -> None:
-        members = tuple(m.id for m in self.team.members)
         data = dump.encode(
             self.name,
             agent.report,
             agent.limits.heap,
-            members,
+            self.team.members,
             self.team.hosts,
             self.mission.program,
             agent.block,

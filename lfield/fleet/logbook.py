@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+from contextlib import suppress
 from typing import TextIO
 
 
@@ -30,8 +32,9 @@ class Logbook:
             self._out.write(text)
             self._out.flush()
         except (OSError, ValueError) as error:
+            silence(self._out)
             self._out = None
-            self.note(f"program output is lost from here on: {_reason(error)}")
+            self.note(lost(error))
 
     def note(self, text: str) -> None:
         """A line of the log."""
@@ -42,8 +45,19 @@ class Logbook:
             self._log.write(text + "\n")
             self._log.flush()
         except (OSError, ValueError):
+            silence(self._log)
             self._log = None
 
 
-def _reason(error: Exception) -> str:
-    return error.strerror or str(error) if isinstance(error, OSError) else str(error)
+def lost(error: Exception) -> str:
+    """The sentence on output that cannot be written."""
+    reason = error.strerror if isinstance(error, OSError) else None
+    return f"program output is lost from here on: {reason or error}"
+
+
+def silence(stream: TextIO) -> None:
+    """Let what is still to come out of a stream go nowhere; at exit Python would stumble over it again."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)

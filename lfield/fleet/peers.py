@@ -107,10 +107,9 @@ class Peers:
 
         A host that calls this one cannot be told from one that is down: it is waited for.
         """
-        try:
-            await asyncio.wait_for(self._all_heard.wait(), bound)
-        except TimeoutError:
-            return
+        with suppress(TimeoutError):
+            async with asyncio.timeout(bound):
+                await self._all_heard.wait()
 
     def close(self) -> None:
         """Close the port and every link."""

@@ -66,6 +66,9 @@ async def run_host(
 async def _live(host: Host, lost_after: float | None) -> int:
     """Start the host, and wait until all is done; for ever if `lost_after` is None."""
     await host.start()
+    # What is loaded now stays: Python's collector need not look at it again in the middle of a hop.
+    gc.collect()
+    gc.freeze()
     host.note(f"{host.name} is up on {host.address}")
     if lost_after is None:
         await _for_ever()

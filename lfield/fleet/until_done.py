@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 
 from lfield.fleet.census import Fate, fates
 from lfield.fleet.host import Host
@@ -30,10 +31,7 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
         if not wanted - found.keys():
             await _pass_on(host)
             return [found[agent] for agent in sorted(wanted)]
-        try:
-            await asyncio.wait_for(host.changed.wait(), ASK_EVERY)
-        except TimeoutError:
-            continue
+        await _news(host)
 
 
 async def _pass_on(host: Host) -> None:
@@ -41,7 +39,12 @@ async def _pass_on(host: Host) -> None:
     end = host.clock.monotonic() + LINGER
     while host.mobility.unconfirmed(host.peers.incarnations) and host.clock.monotonic() < end:
         host.changed.clear()
-        try:
-            await asyncio.wait_for(host.changed.wait(), ASK_EVERY)
-        except TimeoutError:
-            continue
+        await _news(host)
+
+
+async def _news(host: Host) -> None:
+    """Wait until something has changed, for a while."""
+    # Not asyncio.wait_for: before Python 3.12 it may swallow a cancellation that comes with the news.
+    with suppress(TimeoutError):
+        async with asyncio.timeout(ASK_EVERY):
+            await host.changed.wait()

@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from lfield.bytecode.encoding import decode as decode_program
 from lfield.bytecode.encoding import encode as encode_program
 from lfield.bytecode.program import Program
 from lfield.errors import BlockError
+from lfield.vm.agent import Member
 from lfield.vm.block import Block
 from lfield.vm.engine.prepare import prepare
 from lfield.vm.soundness import Soundness
@@ -20,12 +23,13 @@ MAX_SIZE = 512 << 20
 
 
 class Dump(msgspec.Struct, frozen=True, array_like=True):
-    """An agent at one moment: its block, program, the team's ids and hosts, and why it was dumped."""
+    """An agent at one moment: its block, program, the team's ids, types and hosts, and why it was dumped."""
 
     host: str
     reason: str
     limit: int
     members: tuple[str, ...]
+    types: tuple[str, ...]
     hosts: tuple[str, ...]
     program: bytes
     block: bytes
@@ -38,13 +42,14 @@ def encode(
     host: str,
     reason: str,
     limit: int,
-    members: tuple[str, ...],
+    team: Sequence[Member],
     hosts: tuple[str, ...],
     program: Program,
     block: Block,
 ) -> bytes:
     """The bytes of a dump file; `limit` is the agent's heap limit in bytes."""
-    record = Dump(host, reason, limit, members, hosts, encode_program(program), bytes(block.image()))
+    members, types = tuple(m.id for m in team), tuple(m.type for m in team)
+    record = Dump(host, reason, limit, members, types, hosts, encode_program(program), bytes(block.image()))
     return MAGIC + msgspec.msgpack.encode(record)
 
 
@@ -57,5 +62,5 @@ def decode(data: bytes) -> tuple[Dump, Program, Block]:
     except (msgspec.DecodeError, RecursionError) as error:
         raise BlockError(f"its record is malformed ({error})") from None
     program = decode_program(dump.program)
-    checker = Soundness(prepare(program), len(dump.members))
+    checker = Soundness(prepare(program), dump.types)
     return dump, program, checker.check_heap(dump.block, len(dump.block) // 8 + 1)

@@ -80,7 +80,7 @@ class Machine:
         self._reference_arguments: dict[int, tuple[int, ...]] = {}
         self._outsiders = Outsiders(self)
         self._liveness = Liveness(program, self.layouts)
-        self._soundness = Soundness(self.engine.prepared, len(team))
+        self._soundness = Soundness(self.engine.prepared, [member.type for member in team])
 
     # --- agents come and go ---------------------------------------------------------------------------
 

@@ -6,6 +6,8 @@ a thing of the type its slot or field has, frames must form one chain that stand
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import ANY, PROXY, REFERENCES, STRING, Program
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
@@ -41,12 +43,13 @@ _PCALL = BY_NAME["pcall"].code
 
 
 class Soundness:
-    """The checks for blocks of one program."""
+    """The checks for blocks of one program; `members` are the types of the team's agents by number."""
 
-    def __init__(self, prepared: Prepared, members: int) -> None:
+    def __init__(self, prepared: Prepared, members: Sequence[str]) -> None:
         self.prepared = prepared
         self.program: Program = prepared.program
-        self.members = members
+        #: The class index of every member of the team, by its number.
+        self.members = [self.program.class_index.get(name, -1) for name in members]
         core = self.program.core
         self._type_expects = [self._expected(i) for i in range(len(core.types))]
         #: By the low half of a header: the size a thing must have (0: any), and what its references lead to.
@@ -160,11 +163,14 @@ class Soundness:
                 raise BlockError("a thing on the heap has no sound header", word=place)
             if half == layout.STRING and not self._is_text(block, place, words):
                 raise BlockError("a string is no text", word=place)
-            if half & 0xFF == layout.PROXY and not 0 <= w[place + 1] < self.members:
-                raise BlockError("a proxy of nobody", word=place)
+            if half & 0xFF == layout.PROXY and not self._is_member(w[place + 1], half >> 8):
+                raise BlockError("a proxy leads to no resource of its type", word=place)
             starts[place] = half
             place += words
         return starts
+
+    def _is_member(self, number: int, record: int) -> bool:
+        return 0 <= number < len(self.members) and self.members[number] == record
 
     def _is_text(self, block: Block, place: int, words: int) -> bool:
         if words < 2 or not 0 <= block.w[place + 1] <= 8 * (words - 2):
