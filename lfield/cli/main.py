@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         silence(sys.stdout)
         return 74
     except OSError as error:
-        silence(sys.stdout)
+        _let_out()
         _tell(f"lfield: {error.strerror or error}" + (f": {error.filename}" if error.filename else ""))
         return 74
     except Exception as error:
@@ -82,6 +82,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         _tell(f"lfield: a bug in lfield itself: {type(error).__name__}: {error}")
         _tell("lfield: run again with LFIELD_TRACEBACK=1 and report what it prints")
         return 70
+
+
+def _let_out() -> None:
+    try:
+        sys.stdout.flush()
+    except OSError:
+        # It is the output that cannot be written.
+        silence(sys.stdout)
 
 
 def _tell(text: str) -> None:
