@@ -27,7 +27,7 @@ class Process:
     """A running command; its lines are kept as they come, by stream."""
 
     def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
-        environment = {**os.environ, MARK: mark, "PYTHONUNBUFFERED": "1", **options.pop("env", {})}
+        environment = {**os.environ, MARK: mark, **options.pop("env", {})}
         self.mark = mark
         self._changed = threading.Condition()
         self.out: list[str] = []
@@ -112,16 +112,6 @@ def processes_of(mark: str) -> list[int]:
     ]
 
 
-def all_ended(mark: str) -> bool:
-    """Whether all processes of a run have ended, before too long."""
-    end = time.monotonic() + PATIENCE
-    while processes_of(mark):
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.05)
-    return True
-
-
 def free_ports(count: int) -> list[int]:
     """Ports nobody has, below the range from which the system picks."""
     found: list[int] = []
@@ -188,6 +178,13 @@ class Lfield:
 
     def left(self) -> list[int]:
         return processes_of(self.mark)
+
+    def all_ended(self) -> bool:
+        """Whether all processes have ended, before too long."""
+        end = time.monotonic() + PATIENCE
+        while self.left() and time.monotonic() < end:
+            time.sleep(0.05)
+        return not self.left()
 
     def end(self) -> None:
         for pid in processes_of(self.mark):

@@ -1,0 +1,245 @@
+"""Processes that are stopped, killed, orphaned or too many: what the others do, and with which status they end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import time
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+POSTS = """
+resource Post {
+    string id;
+    init(string[] arg) { id = arg[0]; }
+    portal stay(real seconds) {
+        write(id + " receives\\n");
+        sleep(seconds);
+        write(id + " lets go\\n");
+    }
+}
+"""
+TRAVELLER = (
+    POSTS
+    + """
+coordinator Traveller {
+    init(string[] arg) {
+        findPost(arg[1]).stay(0.01);
+        findPost(arg[2]).stay(s2f(arg[3]));
+        findPost(arg[1]).stay(0.01);
+    }
+}
+"""
+)
+TWO_HOSTS = "//Post:near@alpha\n//Post:far@bravo\n//Traveller:tom@alpha?near&far&{stay}\n"
+
+
+@pytest.mark.parametrize("order", [["alpha", "bravo"], ["bravo", "alpha"]])
+def test_hosts_started_by_hand_in_any_order(lfield, order):
+    deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
+    maps = lfield.maps(["alpha", "bravo"])
+    words = ("up", "--deploy", deployment, *maps, "--until-done")
+    first = lfield.start(*words, "--host", order[0])
+    first.wait_for(f"{order[0]} is up on 127.0.0.1:")
+    second = lfield.start(*words, "--host", order[1])
+    assert (first.wait(), second.wait()) == (0, 0)
+    by_name = dict(zip(order, (first, second), strict=True))
+    assert by_name["alpha"].out == ["near receives", "near lets go"] * 2
+    assert by_name["bravo"].out == ["far receives", "far lets go"]
+
+
+def test_a_coordinator_lost_with_a_killed_host_is_named(lfield):
+    deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
+    hosts = lfield.hosts(deployment, ["alpha", "bravo"], "--until-done", "--lost-after", "1")
+    hosts["bravo"].wait_for("far receives")
+    hosts["bravo"].signal(signal.SIGKILL)
+    assert hosts["alpha"].wait() == 1
+    assert "tom is lost: it went to bravo (transfer 1), which is gone" in hosts["alpha"].err
+
+
+def test_a_coordinator_lost_with_a_killed_child_of_all(lfield):
+    deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
+    team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
+    team.wait_for(r"bravo \| far receives")
+    os.kill(_child(lfield, "bravo"), signal.SIGKILL)
+    assert team.wait() == 1
+    assert "bravo | ended by SIGKILL" in team.err
+    assert "alpha | tom is lost: it went to bravo (transfer 1), which is gone" in team.err
+
+
+def _child(lfield, host: str) -> int:
+    """The process of a host that `--all` has started."""
+    for pid in lfield.left():
+        with open(f"/proc/{pid}/cmdline", "rb") as stream:
+            words = stream.read().split(b"\0")
+        if b"--host" in words and words[words.index(b"--host") + 1] == host.encode():
+            return pid
+    raise AssertionError(f"no process of {host}")
+
+
+PREPARED = (
+    POSTS
+    + """
+coordinator Prepared {
+    init(string[] arg) {
+        Post near = findPost(arg[1]);
+        near.stay(0.01);
+        findPost(arg[2]).stay(0.01);
+        near.stay(0.01);
+        sleep(1.0);
+        while (true) {
+            try {
+                findPost(arg[2]).stay(0.01);
+                near.stay(0.01);
+                sleep(0.1);
+            } catch (UnreachableResourceException e) {
+                print("without the other: " + e.message());
+                return;
+            }
+        }
+    }
+}
+"""
+)
+
+
+def test_a_program_that_expects_a_host_to_die_goes_on(lfield):
+    deployment = lfield.mission(
+        PREPARED, "//Post:near@alpha\n//Post:far@bravo\n//Prepared:tom@alpha?near&far\n"
+    )
+    hosts = lfield.hosts(
+        deployment, ["alpha", "bravo"], "--until-done", "--lost-after", "5", "--unreachable-after", "1"
+    )
+    # It is back at alpha and sleeps, so the kill takes only the other host's resource away.
+    hosts["bravo"].wait_for("far lets go")
+    for _ in range(2):
+        hosts["alpha"].wait_for("near lets go")
+    while hosts["alpha"].out.count("near lets go") < 2:
+        time.sleep(0.01)
+    hosts["bravo"].signal(signal.SIGKILL)
+    hosts["alpha"].wait_for("tom: without the other: bravo could not be reached within 1 s; is it up?")
+    assert hosts["alpha"].wait() == 0, hosts["alpha"].said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_ends_all_hosts_in_order(lfield, number):
+    deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
+    team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
+    team.wait_for(r"bravo \| far receives")
+    team.signal(number)
+    assert team.wait() == 130
+    assert "killed" not in team.said
+    assert lfield.left() == []
+
+
+def test_ctrl_c_to_one_host(lfield):
+    deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
+    hosts = lfield.hosts(deployment, ["alpha"], "--until-done")
+    hosts["alpha"].wait_for("near lets go")
+    hosts["alpha"].signal(signal.SIGINT)
+    assert hosts["alpha"].wait() == 130
+
+
+def test_a_host_without_an_end_of_its_own_is_stopped_with_status_0(lfield):
+    deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
+    (host,) = lfield.hosts(deployment, ["alpha"]).values()
+    host.wait_for("alpha is up on")
+    host.signal(signal.SIGTERM)
+    assert host.wait() == 0
+
+
+def test_the_hosts_end_with_a_killed_parent(lfield):
+    deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
+    team = lfield.start("up", "--deploy", deployment, "--all")
+    team.wait_for(r"bravo \| far receives")
+    assert len(lfield.left()) == 3
+    team.signal(signal.SIGKILL)
+    team.popen.wait()
+    assert lfield.all_ended()
+
+
+def test_a_mission_that_dies_ends_with_1(lfield):
+    program = "coordinator Careless { init(string[] arg) { print(i2s(1 / (arg.length() - 1))); } }\n"
+    done = lfield(
+        "up", "--deploy", lfield.mission(program, "//Careless:tom@alpha\n"), "--all", "--until-done"
+    )
+    assert lfield.status(done) == 1
+    assert "alpha | tom died of an uncaught ArithmeticException: division by zero" in done.err
+    assert "alpha |     at Careless.init (mission.L:1)" in done.err
+    assert "alpha |     hosts visited: alpha" in done.err
+
+
+def test_a_port_in_use(lfield):
+    deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        host = lfield("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
+    assert lfield.status(host) == 69
+    assert host.err == [
+        f"lfield: cannot use {address}: the port is in use; stop the program that has it, or choose another port"
+    ]
+
+
+CROWD = """
+resource Worker {
+    init(string[] arg) { }
+    portal work(int n) emit int { return n + 1; }
+}
+coordinator Steady {
+    init(string[] arg) {
+        Worker worker = findWorker(arg[1]);
+        int n = 0;
+        for (int i = 0; i < 50; i = i + 1) n = worker.work(n);
+        print("worked " + i2s(n) + " times");
+    }
+}
+coordinator Busy { init(string[] arg) { int i = 0; while (true) i = i + 1; } }
+class Link {
+    public Link next;
+    public Link(Link rest) { next = rest; }
+}
+coordinator Greedy {
+    init(string[] arg) {
+        Link all = null;
+        while (true) all = new Link(all);
+    }
+}
+coordinator Deep {
+    init(string[] arg) { print(i2s(down(1))); }
+    private int down(int n) { return 1 + down(n + 1); }
+}
+"""
+
+
+def test_agents_that_loop_allocate_or_recurse_for_ever_do_not_keep_others_from_ending(lfield):
+    agents = ["Busy:busy", "Greedy:greedy", "Deep:deep", "Worker:worker"]
+    deployment = "".join(f"//{agent}@alpha\n" for agent in agents) + "//Steady:steady@alpha?worker\n"
+    deployment += "//Steady:visitor@bravo?worker\n"
+    team = lfield.start("up", "--deploy", lfield.mission(CROWD, deployment), "--all")
+    team.wait_for("steady: worked 50 times")
+    team.wait_for("visitor: worked 50 times")
+    team.wait_for("greedy died of an uncaught LimitException: the heap")
+    team.wait_for("deep died of an uncaught LimitException: .*deep")
+    team.signal(signal.SIGINT)
+    assert team.wait() == 130
+
+
+def test_program_output_to_a_full_disk_is_told_once_and_the_mission_goes_on(lfield):
+    deployment = lfield.mission(TRAVELLER, "//Post:near@alpha\n//Traveller:tom@alpha?near&near&0.01\n")
+    with open("/dev/full", "wb") as full:
+        (host,) = lfield.hosts(deployment, ["alpha"], "--until-done", stdout=full).values()
+        assert host.wait() == 0
+    told = [line for line in host.err if "program output is lost" in line]
+    assert told == ["program output is lost from here on: No space left on device"]
+
+
+def test_all_to_a_full_disk_goes_on(lfield):
+    deployment = lfield.mission(TRAVELLER, "//Post:near@alpha\n//Traveller:tom@alpha?near&near&0.01\n")
+    with open("/dev/full", "wb") as full:
+        done = lfield("up", "--deploy", deployment, "--all", "--until-done", stdout=full)
+    assert lfield.status(done) == 0
+    told = [line for line in done.err if "output is lost" in line]
+    assert told == ["lfield: program output is lost from here on: No space left on device"]
