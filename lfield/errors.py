@@ -4,6 +4,7 @@
     ├── UsageError                the command line was wrong                                  64
     ├── ProgramError              an L program or a deployment has errors (diagnostics)       65
     ├── BindingError              a devices file is wrong, or a device is missing             65
+    │   └── DevicesError          devices that cannot be opened: no library, port or answer   69
     ├── ProgramFileError          not a program file, or one the verifier refused             65
     ├── BlockError                bytes that are not a sound block of this program            65
     ├── InputFileError            a file cannot be read                                       66
@@ -59,6 +60,12 @@ class BindingError(LfieldError):
     def __init__(self, problems: Sequence[str]) -> None:
         self.problems = tuple(problems)
         super().__init__("; ".join(self.problems))
+
+
+class DevicesError(BindingError):
+    """Devices that are bound well and cannot be opened now; `problems` lists all of them."""
+
+    exit_status = 69
 
 
 class ProgramFileError(LfieldError):

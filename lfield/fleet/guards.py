@@ -13,7 +13,7 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.guard_core import SILENCE
 from lfield.driver.plugins import Installed, Plugins
 from lfield.driver.sims import discover_sims
-from lfield.errors import BindingError, DeviceError, PluginError
+from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.fleet.bindings import SIMULATED
 from lfield.fleet.guard import Answered, Guard, OpenFailed
 from lfield.fleet.sims import Fake, start_fake
@@ -36,7 +36,7 @@ class Guards:
         self._by_device: dict[str, tuple[Guard, Installed]] = {}
 
     async def open(self, devices: Sequence[DeviceBinding]) -> None:
-        """Open all devices at once. Raises BindingError with all problems; then none is left open."""
+        """Open all devices at once. Raises DevicesError with all problems; then none is left open."""
         problems: list[str] = []
         try:
             await self._open(devices, problems)
@@ -45,7 +45,7 @@ class Guards:
             raise
         if problems:
             await self.close()
-            raise BindingError(problems)
+            raise DevicesError(problems)
 
     async def _open(self, devices: Sequence[DeviceBinding], problems: list[str]) -> None:
         placed = await self._with_fakes(devices, problems)
