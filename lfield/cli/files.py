@@ -22,8 +22,14 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a whole file or leave what was there; raises OutputFileError."""
+    """Write a whole file or leave what was there; raises OutputFileError.
+
+    What is no plain file (a device, a pipe) is written to, never replaced.
+    """
     try:
+        if path.exists() and not path.is_file():
+            path.write_bytes(data)
+            return
         with tempfile.NamedTemporaryFile(dir=path.parent or Path(), delete=False) as stream:
             temporary = Path(stream.name)
             stream.write(data)

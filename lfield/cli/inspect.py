@@ -18,10 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print what the dump says."""
     from lfield.cli.files import read_bytes
+    from lfield.errors import BlockError
     from lfield.vm import dump
     from lfield.vm.decode import view
 
-    record, program, block = dump.decode(read_bytes(args.file, dump.MAX_SIZE))
+    try:
+        record, program, block = dump.decode(read_bytes(args.file, dump.MAX_SIZE))
+    except BlockError as error:
+        raise BlockError(f"{args.file}: {error.reason}", word=error.word) from None
     shown = view(block, program, record.members)
     trail = " → ".join(record.hosts[n] if n < len(record.hosts) else str(n) for n in shown.trail)
     print(f"agent     {shown.id} ({shown.kind} {shown.type})")

@@ -107,7 +107,11 @@ def _dispatch(words: list[str]) -> int:
         # Only the chosen command is imported: a small command starts fast, whatever the others need.
         if name == chosen:
             _command(name).add_arguments(subparser)
-    args = parser.parse_args(words)
+    try:
+        args = parser.parse_args(words)
+    except SystemExit:
+        # --help or --version has been answered: whether the answer got out is for `main` to see.
+        return 0
     return _command(args.command).run(args)
 
 

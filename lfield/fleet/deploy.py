@@ -9,7 +9,7 @@ from pathlib import Path
 from lfield.bytecode.encoding import MAX_SIZE, decode
 from lfield.bytecode.program import Program, UnitKind
 from lfield.driver.plugins import Plugins, discover
-from lfield.errors import InputFileError, ProgramError
+from lfield.errors import InputFileError, ProgramError, ProgramFileError
 from lfield.fleet.bindings import Bindings, read_bindings
 from lfield.fleet.team import Team, make_team, parse_maps
 from lfield.lang.deployment import Deployment, parse_deployment, read_deployment
@@ -79,6 +79,8 @@ def _read_program(path: Path) -> Program:
             return decode(stream.read(MAX_SIZE + 1))
     except OSError as error:
         raise InputFileError(str(path), error.strerror or str(error)) from None
+    except ProgramFileError as error:
+        raise ProgramFileError(f"{path}: {error.reason}", method=error.method, pc=error.pc) from None
 
 
 def compile_file(path: Path, plugins: Plugins | None = None) -> tuple[Program, list[Diagnostic]]:
