@@ -2,7 +2,8 @@
 
 Every host keeps, for each coordinator it has seen, the number of the last transfer it knows of. Numbers only
 grow along a coordinator's way, so the record with the highest one says where it went last. When that is a
-host that is gone, nobody can go on from there: the coordinator is lost.
+host that is gone, or one that was restarted and knows nothing of it, nobody can go on from there: the
+coordinator is lost.
 """
 
 from __future__ import annotations
@@ -32,25 +33,35 @@ def fates(team: Team, records: Mapping[str, Records], gone: Collection[str]) -> 
     """The coordinators that have ended or are lost.
 
     `records` has, for each host that answered, its coordinators as `lfield.fleet.status` gives them; `gone`
-    are the hosts given up.
+    are the hosts given up. Hosts do not answer at the same moment: only a loss that two censuses in a row
+    find is one.
     """
     found = {}
     for member in team.coordinators:
-        own = [r for rows in records.values() for r in rows if r["id"] == member.id]
-        fate = _fate(member.id, team.hosts[member.host], own, gone)
+        by_host = {
+            host: [r for r in rows if r["id"] == member.id and r["outcome"] != "superseded"]
+            for host, rows in records.items()
+        }
+        fate = _fate(member.id, team.hosts[member.host], by_host, gone)
         if fate:
             found[member.id] = fate
     return found
 
 
-def _fate(agent: str, home: str, records: Records, gone: Collection[str]) -> Fate | None:
-    counted = [r for r in records if r["outcome"] != "superseded"]
+def _fate(agent: str, home: str, records: Mapping[str, Records], gone: Collection[str]) -> Fate | None:
+    counted = [r for rows in records.values() for r in rows]
     ended = next((r for r in counted if r["state"] == "EXITED"), None)
     if ended:
         return Fate(agent, ended["outcome"], ended["detail"])
     if not counted:
         return Fate(agent, "lost", f"its host {home} is gone") if home in gone else None
     last = max(counted, key=lambda r: (r["generation"], r["sequence"], r["state"] in _ALIVE))
-    if last["state"] in _ALIVE or last["where"] not in gone:
+    if last["state"] in _ALIVE:
         return None
-    return Fate(agent, "lost", f"it went to {last['where']} (transfer {last['sequence']}), which is gone")
+    where, number = last["where"], (last["generation"], last["sequence"])
+    if where in gone:
+        return Fate(agent, "lost", f"it went to {where} (transfer {last['sequence']}), which is gone")
+    there = records.get(where)
+    if there is None or any((r["generation"], r["sequence"]) >= number for r in there):
+        return None
+    return Fate(agent, "lost", f"it went to {where} (transfer {last['sequence']}), which was restarted")

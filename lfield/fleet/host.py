@@ -45,6 +45,7 @@ from lfield.vm.agent import Agent, Member
 from lfield.vm.machine import Machine
 from lfield.vm.world import Pending
 from lfield.wire.messages import (
+    Accepted,
     Control,
     Ended,
     EndedAck,
@@ -104,6 +105,11 @@ class Host:
         self._early: list[tuple[str, Transfer, memoryview]] | None = []
         self._hellos: dict[str, Hello] = {}
         self._statuses: dict[str, dict[str, Any]] = {}
+        #: Where each coordinator was last sent.
+        self._sent_to: dict[str, str] = {}
+        #: Every other host's incarnation as last seen, and the hosts that were restarted meanwhile.
+        self._seen: dict[str, int] = {}
+        self.restarted: set[str] = set()
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
         self._deadline: asyncio.TimerHandle | None = None
@@ -114,7 +120,7 @@ class Host:
     async def start(self) -> None:
         """Listen, open the devices, start the resources, ask what the others know, start the coordinators.
 
-        Raises AddressError, BindingError and DeviceError: then nothing has moved.
+        Raises AddressError and DevicesError: then nothing has moved.
         """
         self.address = await self.peers.open(self.options.listen)
         members = self.team.on(self.here)
@@ -210,6 +216,7 @@ class Host:
     def _effect(self, effect: Effect) -> None:
         match effect:
             case SendTransfer():
+                self._sent_to[effect.header.agent] = effect.host
                 self.peers.send_transfer(effect.host, effect.header, effect.block)
             case Send():
                 self.peers.send(effect.host, effect.message)
@@ -273,7 +280,12 @@ class Host:
 
     def linked(self, hello: Hello) -> None:
         """A host can be talked to."""
-        self.note(f"linked with {hello.host}")
+        if self._seen.get(hello.host, hello.incarnation) != hello.incarnation:
+            self.note(f"linked with {hello.host}, which was restarted")
+            self.restarted.add(hello.host)
+        else:
+            self.note(f"linked with {hello.host}")
+        self._seen[hello.host] = hello.incarnation
         self._hellos[hello.host] = hello
         self._carry_out(self.mobility.linked(hello))
         self.changed.set()
@@ -294,10 +306,13 @@ class Host:
             return
         effects = self.mobility.arrive(host, header, block)
         answers = [effect for effect in effects if isinstance(effect, Send)]
-        self._carry_out(effect for effect in effects if not isinstance(effect, Send))
+        if len(answers) < len(effects):
+            self._carry_out(effect for effect in effects if not isinstance(effect, Send))
+        self._sent_to.pop(header.agent, None)
         self._pump()
-        # An answer is for the sender's books only: the coordinator does not wait for it.
-        self._carry_out(answers)
+        # An answer is for the sender's books only, and a coordinator that is back there has brought it.
+        if self._sent_to.get(header.agent) != host:
+            self._carry_out(answers)
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""
@@ -314,7 +329,8 @@ class Host:
             self._carry_out(self.mobility.receive(host, message, self.clock.monotonic()))
             if isinstance(message, Ended | EndedAck):
                 self.changed.set()
-            self._pump()
+            if not isinstance(message, Accepted):
+                self._pump()
 
     def note(self, text: str) -> None:
         """A line for the log."""

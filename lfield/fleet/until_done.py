@@ -21,13 +21,15 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
     """
     unmet = max(lost_after, host.options.unreachable_after)
     wanted = {member.id for member in host.team.coordinators}
+    before: dict[str, Fate] = {}
     while True:
         host.changed.clear()
         found = fates(host.team, {host.name: coordinators_of(host)}, ())
         gone = host.peers.gone_for(lost_after, unmet)
-        if gone and wanted - found.keys():
-            records = await host.ask_others()
-            found = fates(host.team, records, gone)
+        if wanted - found.keys() and (gone or host.restarted):
+            now = fates(host.team, await host.ask_others(), gone)
+            found = {agent: fate for agent, fate in now.items() if fate.outcome != "lost" or agent in before}
+            before = now
         if not wanted - found.keys():
             await _pass_on(host)
             return [found[agent] for agent in sorted(wanted)]

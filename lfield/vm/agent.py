@@ -26,7 +26,9 @@ class Agent:
     """An agent that is here. None of its execution state is outside `block`.
 
     `open` is false until a resource's init has come to its first pause: calls wait in `waiting` till then.
-    `lines` holds what threads have written since their last newline.
+    `lines` holds what threads have written since their last newline. `polls` counts how often a thread has
+    yielded in a row; `seen` is the block as such a thread last saw it; `pollers` are those that wait for
+    another thread to change it.
     """
 
     member: Member
@@ -41,6 +43,8 @@ class Agent:
     blocked: list[int] = field(default_factory=list)
     lines: dict[int, str] = field(default_factory=dict)
     polls: dict[int, int] = field(default_factory=dict)
+    seen: dict[int, bytes] = field(default_factory=dict)
+    pollers: set[int] = field(default_factory=set)
 
     @property
     def id(self) -> str:

@@ -200,6 +200,15 @@ class Machine:
         if agent.blocked and not block.w[layout.W_OWNER]:
             self._unblock(agent)
         self._handle(agent, thread, leave)
+        if agent.pollers and thread not in agent.pollers:
+            self._wake_pollers(agent)
+
+    def _wake_pollers(self, agent: Agent) -> None:
+        """Another thread has run: what pollers wait for may be so now."""
+        waiting, agent.pollers = agent.pollers, set()
+        agent.seen.clear()
+        for thread in sorted(waiting):
+            self.turns.last(agent, thread)
 
     def _handle(self, agent: Agent, thread: int, leave: Exit) -> None:
         match leave:

@@ -55,7 +55,10 @@ class Outsiders:
 
     def _note_poll(self, agent: Agent, thread: int, name: str) -> None:
         """Anything but asking and yielding shows that a thread does more than poll."""
-        if name not in ("yield", "now", "device"):
+        if name == "yield":
+            return
+        agent.seen.pop(thread, None)
+        if name not in ("now", "device"):
             agent.polls.pop(thread, None)
 
     def _go_on(self, agent: Agent, thread: int, word: int = 0) -> None:
@@ -100,10 +103,25 @@ class Outsiders:
             machine.set_state(agent, thread, PARKED)
             return
         agent.polls[thread] = polls = agent.polls.get(thread, 0) + 1
-        if polls > POLLS:
-            machine.turns.sleep(agent, thread, POLL_INTERVAL)
-        else:
+        if polls <= POLLS:
             machine.turns.last(agent, thread)
+        else:
+            self._poll(agent, thread)
+
+    def _poll(self, agent: Agent, thread: int) -> None:
+        """A thread that only yields: `while (!done) yield();`.
+
+        If it finds its block as it left it, it will do so again until another thread of the agent has run:
+        it is parked till then. If it asks the clock or a device in between, it gets its turn by and by.
+        """
+        machine = self.machine
+        image = bytes(agent.block.image())
+        if agent.seen.get(thread) == image:
+            machine.set_state(agent, thread, PARKED)
+            agent.pollers.add(thread)
+        else:
+            agent.seen[thread] = image
+            machine.turns.sleep(agent, thread, POLL_INTERVAL)
 
     def _sleep(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         machine = self.machine

@@ -1,0 +1,97 @@
+"""Waiting costs nothing: threads that only yield are parked, and wake when what they wait for may be so."""
+
+from __future__ import annotations
+
+import random
+
+from lfield.clock import ManualClock
+from lfield.testing.golden import Desk, compile_text, settle, team_for
+from lfield.vm.limits import Limits
+from lfield.vm.machine import Machine
+
+
+def started(text: str) -> tuple[Machine, Desk, ManualClock]:
+    program = compile_text(text)
+    desk, clock = Desk(), ManualClock()
+    machine = Machine(program, team_for(program, []), 0, desk, clock, random.Random(1))
+    for member in machine.team:
+        machine.start(member, Limits(), 1)
+    return machine, desk, clock
+
+
+def turns_until_quiet(machine: Machine, clock: ManualClock) -> int:
+    """How often the machine had to be run until nothing could happen of itself."""
+    for turn in range(1000):
+        pause = machine.run()
+        if pause is None:
+            return turn
+        clock.advance(pause)
+    raise AssertionError("it never came to rest")
+
+
+def test_a_resource_that_waits_for_ever_is_parked_at_once() -> None:
+    machine, _, clock = started("resource R { init(string[] a) { while (true) yield(); } }")
+    assert turns_until_quiet(machine, clock) == 0
+
+
+WAITS = """
+resource R {
+  boolean done;
+  init(string[] a) { while (!done) yield(); print("done"); }
+  portal finish() { done = true; }
+}
+coordinator C { init(string[] a) { sleep(5.0); findR("r").finish(); } }
+"""
+
+
+def test_a_thread_that_waits_for_a_field_is_parked_until_another_thread_has_run() -> None:
+    machine, desk, clock = started(WAITS)
+    settle(machine, clock)
+    assert desk.output == ["done"]
+    assert turns_until_quiet(machine, clock) == 0
+
+
+def test_waiting_for_a_field_takes_no_turns() -> None:
+    machine, _, clock = started(WAITS.replace("sleep(5.0)", "sleep(0.5); sleep(500.0)"))
+    start = clock.now
+    runs = 0
+    while clock.now < start + 400.0:
+        pause = machine.run()
+        assert pause is not None
+        clock.advance(min(pause, start + 400.0 - clock.now))
+        runs += 1
+    assert runs < 60
+
+
+def test_two_threads_that_wait_do_not_keep_each_other_awake() -> None:
+    machine, _, clock = started(
+        """
+resource R {
+  boolean done;
+  init(string[] a) { while (!done) yield(); }
+  portal wait() { while (!done) yield(); }
+}
+coordinator C { init(string[] a) { findR("r").wait(); } }
+"""
+    )
+    assert turns_until_quiet(machine, clock) < 60
+
+
+def test_a_loop_that_changes_something_between_yields_goes_on() -> None:
+    machine, desk, clock = started(
+        """
+resource R { int n; init(string[] a) { while (n < 200) { n = n + 1; yield(); } print(n); } }
+"""
+    )
+    settle(machine, clock)
+    assert desk.output == ["200"]
+
+
+def test_a_loop_that_asks_the_clock_goes_on() -> None:
+    machine, desk, clock = started(
+        """
+coordinator C { init(string[] a) { real start = now(); while (now() < start + 2.0) yield(); print("later"); } }
+"""
+    )
+    settle(machine, clock)
+    assert desk.output == ["later"]
