@@ -27,8 +27,8 @@ class Agent:
 
     `open` is false until a resource's init has come to its first pause: calls wait in `waiting` till then.
     `lines` holds what threads have written since their last newline. `polls` counts how often a thread has
-    yielded in a row; `seen` is the block as such a thread last saw it; `pollers` are those that wait for
-    another thread to change it.
+    yielded in a row; such threads poll. `seen` is the block as the last of them left it, empty when another
+    thread has run since; `asked` are those that looked beyond the block; `pollers` are parked.
     """
 
     member: Member
@@ -43,7 +43,9 @@ class Agent:
     blocked: list[int] = field(default_factory=list)
     lines: dict[int, str] = field(default_factory=dict)
     polls: dict[int, int] = field(default_factory=dict)
-    seen: dict[int, bytes] = field(default_factory=dict)
+    seen: bytes = b""
+    polled: bool = False
+    asked: set[int] = field(default_factory=set)
     pollers: set[int] = field(default_factory=set)
 
     @property

@@ -199,14 +199,15 @@ class Machine:
         leave = self.engine.run(block, place, SLICE, agent.limits)
         if agent.blocked and not block.w[layout.W_OWNER]:
             self._unblock(agent)
+        agent.polled = False
         self._handle(agent, thread, leave)
-        if agent.pollers and thread not in agent.pollers:
-            self._wake_pollers(agent)
+        if not agent.polled and (agent.seen or agent.pollers):
+            self.stir(agent)
 
-    def _wake_pollers(self, agent: Agent) -> None:
-        """Another thread has run: what pollers wait for may be so now."""
+    def stir(self, agent: Agent) -> None:
+        """The block may have changed: what its parked pollers wait for may be so now."""
+        agent.seen = b""
         waiting, agent.pollers = agent.pollers, set()
-        agent.seen.clear()
         for thread in sorted(waiting):
             self.turns.last(agent, thread)
 

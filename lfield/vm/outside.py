@@ -12,6 +12,7 @@ from lfield.vm import layout, portals
 from lfield.vm.engine.library import real_text
 from lfield.vm.exits import Outside
 from lfield.vm.layout import PARKED, WAITING
+from lfield.vm.threads import still_image
 from lfield.vm.values import plain, real_of, word_for, word_of
 from lfield.vm.world import Pending
 
@@ -55,10 +56,9 @@ class Outsiders:
 
     def _note_poll(self, agent: Agent, thread: int, name: str) -> None:
         """Anything but asking and yielding shows that a thread does more than poll."""
-        if name == "yield":
-            return
-        agent.seen.pop(thread, None)
-        if name not in ("now", "device"):
+        if name in ("now", "device"):
+            agent.asked.add(thread)
+        elif name != "yield":
             agent.polls.pop(thread, None)
 
     def _go_on(self, agent: Agent, thread: int, word: int = 0) -> None:
@@ -111,17 +111,22 @@ class Outsiders:
     def _poll(self, agent: Agent, thread: int) -> None:
         """A thread that only yields: `while (!done) yield();`.
 
-        If it finds its block as it left it, it will do so again until another thread of the agent has run:
-        it is parked till then. If it asks the clock or a device in between, it gets its turn by and by.
+        If its turn has changed nothing in its block, the next one will not either, until another thread of
+        the agent has run: it is parked till then. If it asked the clock or a device, which may answer
+        differently each time, it gets its turn by and by.
         """
         machine = self.machine
-        image = bytes(agent.block.image())
-        if agent.seen.get(thread) == image:
+        agent.polled = True
+        image = still_image(agent.block)
+        if image == agent.seen and thread not in agent.asked:
             machine.set_state(agent, thread, PARKED)
             agent.pollers.add(thread)
-        else:
-            agent.seen[thread] = image
-            machine.turns.sleep(agent, thread, POLL_INTERVAL)
+            return
+        agent.asked.discard(thread)
+        if image != agent.seen:
+            machine.stir(agent)
+            agent.seen = image
+        machine.turns.sleep(agent, thread, POLL_INTERVAL)
 
     def _sleep(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         machine = self.machine

@@ -16,6 +16,7 @@ from lfield.vm.layout import (
     THREAD_ID,
     THREAD_NEXT,
     THREAD_PC,
+    THREAD_STATE,
     THREAD_WORDS,
 )
 
@@ -80,3 +81,15 @@ def unlink(block: Block, identity: int) -> None:
         place = w[before]
     if place:
         w[before] = w[place + THREAD_NEXT]
+
+
+def still_image(block: Block) -> bytes:
+    """The block but for the states of its threads: equal when nothing that a program sees differs."""
+    w = block.w
+    states = [(place + THREAD_STATE, w[place + THREAD_STATE]) for place in threads(block)]
+    for word, _ in states:
+        w[word] = 0
+    image = bytes(block.image())
+    for word, state in states:
+        w[word] = state
+    return image

@@ -22,7 +22,11 @@ WANDERER = """
 resource Post {
   string name; int stamps;
   init(string[] arg) { name = arg[0]; }
-  portal stamp(Card card) emit Card { stamps = stamps + 1; card.text = card.text + name + i2s(stamps); return card; }
+  portal stamp(Card card) emit Card {
+    stamps = stamps + 1;
+    card.text = card.text + name + i2s(stamps);
+    return card;
+  }
   portal refuse() { throw new DeviceException("jammed"); }
 }
 class Card { public string text; public Card self; public Card() { text = ""; self = this; } }
@@ -37,7 +41,13 @@ coordinator Walker {
     try { there.refuse(); } catch (DeviceException e) { print(e.type() + " " + e.message()); }
     print("hops " + i2s(hops()));
   }
-  private Card lap(Card c, int i) { real kept = i * 0.5; c = there.stamp(c); c = here.stamp(c); c.text = c.text + f2s(kept); return c; }
+  private Card lap(Card c, int i) {
+    real kept = i * 0.5;
+    c = there.stamp(c);
+    c = here.stamp(c);
+    c.text = c.text + f2s(kept);
+    return c;
+  }
 }
 """
 
@@ -115,7 +125,7 @@ def test_a_resumed_coordinator_gets_the_exception_at_its_portal_call() -> None:
     settle(hosts.machines[0], hosts.clock)
     assert agent.ended == "died"
     assert agent.report.splitlines()[0] == "UnreachableResourceException: nobody there"
-    assert "at Walker.lap (golden.L:20)" in agent.report
+    assert "at Walker.lap (golden.L:26)" in agent.report
 
 
 @cache
@@ -137,7 +147,7 @@ def test_hostile_bytes_are_refused_or_harmless(data: st.DataObject) -> None:
             st.one_of(
                 st.integers(-(2**63), 2**63 - 1),
                 st.integers(0, len(image) // 8),
-                st.integers(-3, 3).map(lambda d: max(-(2**63), min(2**63 - 1, old + d))),
+                st.integers(max(-(2**63), old - 3), min(2**63 - 1, old + 3)),
             )
         )
         image[8 * word : 8 * word + 8] = new.to_bytes(8, "little", signed=True)

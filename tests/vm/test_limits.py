@@ -79,7 +79,7 @@ coordinator B { init(string[] arg) {
     ],
 )
 def test_one_bad_agent_starves_nobody(body: str, reason: str) -> None:
-    desk, machine = run_text(
+    desk, _ = run_text(
         GOOD
         + """
 class Node { public Node next; public Node(Node n) { next = n; } }

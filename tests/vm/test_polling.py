@@ -90,7 +90,9 @@ resource R { int n; init(string[] a) { while (n < 200) { n = n + 1; yield(); } p
 def test_a_loop_that_asks_the_clock_goes_on() -> None:
     machine, desk, clock = started(
         """
-coordinator C { init(string[] a) { real start = now(); while (now() < start + 2.0) yield(); print("later"); } }
+coordinator C {
+  init(string[] a) { real start = now(); while (now() < start + 2.0) yield(); print("later"); }
+}
 """
     )
     settle(machine, clock)

@@ -23,7 +23,12 @@ class Tree { public int key; public Tree left; public Tree right;
     if (k < key) { if (left == null) left = new Tree(k); else left.insert(k); }
     else if (right == null) right = new Tree(k); else right.insert(k);
   }
-  public int sum() { int s = key; if (left != null) s = s + left.sum(); if (right != null) s = s + right.sum(); return s; }
+  public int sum() {
+    int s = key;
+    if (left != null) s = s + left.sum();
+    if (right != null) s = s + right.sum();
+    return s;
+  }
 }
 resource Store {
   Tree root; string text;
