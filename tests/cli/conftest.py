@@ -28,6 +28,8 @@ class Process:
 
     def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
         environment = {**os.environ, MARK: mark, **options.pop("env", {})}
+        # Where a test run is unbuffered, the commands are not: Python then loses what a pipe does not take.
+        environment.pop("PYTHONUNBUFFERED", None)
         self.mark = mark
         self._changed = threading.Condition()
         self.out: list[str] = []

@@ -1,4 +1,4 @@
-"""Processes that are stopped, killed, orphaned or too many: what the others do, and with which status they end."""
+"""Processes that are stopped, killed or orphaned: what the others do, and with which status they end."""
 
 from __future__ import annotations
 
@@ -178,9 +178,8 @@ def test_a_port_in_use(lfield):
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         host = lfield("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
     assert lfield.status(host) == 69
-    assert host.err == [
-        f"lfield: cannot use {address}: the port is in use; stop the program that has it, or choose another port"
-    ]
+    remedy = "stop the program that has it, or choose another port"
+    assert host.err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
 
 
 CROWD = """

@@ -1,0 +1,266 @@
+"""Files and command lines that are wrong: a sentence and a status of sysexits, never a traceback."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lfield.cli.main import main
+
+pytestmark = pytest.mark.process
+
+GOOD = """
+resource Bell {
+    init(string[] arg) { }
+    portal ring() { write("ring\\n"); }
+}
+coordinator Ringer {
+    init(string[] arg) { findBell(arg[1]).ring(); }
+}
+"""
+DEPLOYMENT = "//Bell:bell@alpha\n//Ringer:tom@alpha?bell\n"
+GARBAGE = bytes(range(256)) * 20
+
+needs_a_user = pytest.mark.skipif(os.geteuid() == 0, reason="root may read and write everything")
+
+
+@pytest.fixture
+def good(lfield):
+    return lfield.mission(GOOD, DEPLOYMENT)
+
+
+@pytest.fixture
+def refused(monkeypatch, capfd):
+    """`refused(status, words, *command)`: what a command line comes to, in this process for speed."""
+    monkeypatch.chdir(lfield.folder)
+
+    def check(status: int, words: str, *command) -> None:
+        ended = main([str(word) for word in command])
+        said = capfd.readouterr()
+        assert words in said.err
+        assert "a bug in lfield" not in said.err
+        assert (ended, said.out) == (status, ""), said.err
+
+    return check
+
+
+# usage
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ([], "the following arguments are required: COMMAND"),
+        (["fly"], "invalid choice: 'fly'"),
+        (["up"], "required: --deploy"),
+        (["up", "--deploy", "mission.dL", "--wings"], "unrecognized arguments: --wings"),
+        (["up", "--deploy", "mission.dL", "--all", "--host", "alpha"], "not allowed with argument"),
+        (["up", "--deploy", "mission.dL", "--lost-after", "soon"], "--lost-after"),
+        (["up", "--deploy", "mission.dL", "--unreachable-after", "-1"], "a number of seconds above 0"),
+        (["up", "--deploy", "mission.dL", "--map", "alpha"], "write it as NAME=ADDR:PORT"),
+        (["up", "--deploy", "mission.dL", "--map", "alpha=localhost:0"], "write it as NAME=ADDR:PORT"),
+        (["ps", "--deploy", "mission.dL", "--map", "alhpa=localhost:1"], "did you mean 'alpha'"),
+        (["up", "--deploy", "mission.dL", "--host", "alhpa"], "did you mean 'alpha'"),
+        (["up", "--deploy", "mission.dL"], "name one with --host, or run all of them here with --all"),
+        (["sim"], "which fake? installed: mavlink"),
+        (["sim", "mavlink", "--listen", "pigeon:1"], "write udp:HOST:PORT"),
+        (["check"], "required: FILE.L"),
+    ],
+)
+def test_a_command_line_that_makes_no_sense(lfield, refused, good, command, words):
+    refused(64, words, *command)
+
+
+def test_help_and_version_are_answers(lfield):
+    shown = lfield("--help")
+    assert lfield.status(shown) == 0
+    assert "130 interrupted" in "\n".join(shown.out)
+    assert lfield("--version").out[0].startswith("lfield ")
+    assert "--until-done" in "\n".join(lfield("up", "--help").out)
+
+
+# files
+
+
+COMMANDS = [
+    "check {path}.L",
+    "check {path}.dL",
+    "build {path}.L -o out.lb",
+    "disasm {path}.L",
+    "disasm {path}.lb",
+    "inspect {path}.block",
+    "up --deploy {path}.dL --program mission.L --host alpha",
+    "up --deploy mission.dL --host alpha --program {path}.L",
+    "up --deploy mission.dL --host alpha --program {path}.lb",
+    "up --deploy mission.dL --host alpha --devices {path}.yaml",
+    "ps --deploy {path}.dL",
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    ("name", "status"),
+    [("missing", 66), ("folder", 66), ("garbage", 65), pytest.param("locked", 66, marks=needs_a_user)],
+)
+def test_a_file_that_is_not_what_it_should_be(lfield, refused, good, command, name, status):
+    for ending in ("L", "dL", "lb", "block", "yaml"):
+        path = lfield.folder / f"{name}.{ending}"
+        if name == "folder":
+            path.mkdir()
+        elif name != "missing":
+            path.write_bytes(GARBAGE)
+        if name == "locked":
+            path.chmod(0)
+    refused(status, f"{name}.", *command.format(path=name).split())
+    assert not (lfield.folder / "out.lb").exists()
+
+
+def test_an_endless_file_in_place_of_the_program(lfield, refused, good):
+    refused(65, "not a sound L program", "disasm", "/dev/zero")
+
+
+@pytest.mark.parametrize(("program", "cut"), [("whole", 0), ("cut", 1), ("cut", 100), ("flipped", 0)])
+def test_a_program_file_that_was_damaged(lfield, refused, good, program, cut):
+    assert lfield.status(lfield("build", "mission.L")) == 0
+    path = lfield.folder / "mission.lb"
+    data = bytearray(path.read_bytes())
+    if program == "whole":
+        shown = lfield("disasm", path)
+        assert lfield.status(shown) == 0
+        assert any("Ringer" in line for line in shown.out)
+        return
+    if program == "flipped":
+        data[len(data) // 2] ^= 0x40
+    path.write_bytes(data[: len(data) - cut])
+    refused(65, "mission.lb", "up", "--deploy", good, "--host", "alpha", "--program", path)
+
+
+def test_a_deployment_that_does_not_fit_the_program(lfield, good):
+    lfield.write("mission.dL", "//Bel:bell@alpha\n//Ringer:tom@alpha?bell\n//Ringer:tom@alpha?bell\n")
+    done = lfield("up", "--deploy", good, "--all", "--until-done")
+    assert lfield.status(done) == 65
+    said = "\n".join(done.err)
+    assert "mission.dL:1:3: error[" in said
+    assert "did you mean 'Bell'" in said
+    assert "mission.dL:3:" in said, "all errors in one run"
+
+
+def test_devices_that_are_wrong_are_told_all_at_once(lfield, good):
+    lfield.write("mission.devices.yaml", "agents:\n  belle: {heap: 1 MiB}\n  bell: {heap: much, wings: 2}\n")
+    done = lfield("up", "--deploy", good, "--all", "--until-done")
+    assert lfield.status(done) == 65
+    said = "\n".join(done.err)
+    assert "mission.devices.yaml:2:3" in said
+    assert "mission.devices.yaml:3:16" in said
+    assert "'wings'" in said
+
+
+# check, build, disasm
+
+
+def test_check_tells_every_error_of_a_file_in_one_run(lfield):
+    lfield.write(
+        "bad.L", "coordinator C {\n  init(string[] arg) {\n    int a = tru;\n    b = 1;\n    a.f();\n  }\n}\n"
+    )
+    done = lfield("check", "bad.L")
+    assert lfield.status(done) == 65
+    errors = [line for line in done.err if ": error[L" in line]
+    assert [error.split(":")[:2] for error in errors] == [["bad.L", "3"], ["bad.L", "4"], ["bad.L", "5"]]
+    assert done.err[-1].startswith("lfield: 3 error(s)")
+    assert sum(line.strip().startswith("^") for line in done.err) == 3
+
+
+def test_check_is_silent_about_good_files(lfield, good):
+    done = lfield("check", "mission.L", "mission.dL")
+    assert (lfield.status(done), done.out, done.err) == (0, [], [])
+
+
+def test_what_was_built_flies(lfield, good):
+    built = lfield("build", "mission.L", "-o", "elsewhere.lb")
+    assert lfield.status(built) == 0
+    assert "elsewhere.lb: " in built.err[0]
+    (lfield.folder / "mission.L").unlink()
+    done = lfield("up", "--deploy", good, "--all", "--until-done", "--program", "elsewhere.lb")
+    assert (lfield.status(done), done.out) == (0, ["alpha | ring"]), done.said
+
+
+@pytest.mark.parametrize("target", ["/dev/full", "/proc/nowhere/out.lb", "no/such/folder.lb", "mission.d"])
+def test_a_program_file_that_cannot_be_written(lfield, refused, good, target):
+    (lfield.folder / "mission.d").mkdir()
+    refused(73, f"cannot write {target}: ", "build", "mission.L", "-o", target)
+    assert not [path.name for path in lfield.folder.iterdir() if path.name.startswith("tmp")]
+
+
+def test_a_listing_whose_reader_leaves(lfield, good):
+    command = f"unset PYTHONUNBUFFERED; {sys.executable} -m lfield disasm mission.L | head -1; echo ${{PIPESTATUS[0]}}"
+    many = "".join(
+        f"class C{n} {{ public int a; public int f() {{ return a + {n}; }} }}\n" for n in range(3000)
+    )
+    lfield.write("mission.L", GOOD + many)
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=lfield.folder, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.stderr == ""
+    assert done.stdout.splitlines()[0].startswith("; program ")
+    assert done.stdout.splitlines()[-1] == "74"
+
+
+@pytest.mark.parametrize("command", ["disasm mission.L", "--help", "--version"])
+def test_a_full_disk_under_the_output_of_a_command(lfield, good, command):
+    with open("/dev/full", "wb") as full:
+        done = lfield(*command.split(), stdout=full)
+    assert lfield.status(done) == 74
+    assert done.err == ["lfield: No space left on device"]
+
+
+# up
+
+
+def test_a_machine_that_is_in_the_deployment_needs_no_host_option(lfield):
+    deployment = lfield.mission(GOOD, DEPLOYMENT.replace("alpha", socket.gethostname()))
+    maps = lfield.maps([socket.gethostname()])
+    done = lfield("up", "--deploy", deployment, *maps, "--until-done")
+    assert (lfield.status(done), done.out) == (0, ["ring"]), done.said
+
+
+def test_a_host_named_by_a_loopback_address_is_this_machine(lfield):
+    deployment = lfield.mission(
+        GOOD, "//Bell:bell@127.0.0.1\n//Bell:other@192.0.2.7\n//Ringer:tom@127.0.0.1?bell\n"
+    )
+    maps = lfield.maps(["127.0.0.1"])
+    done = lfield("up", "--deploy", deployment, *maps, "--until-done")
+    assert (lfield.status(done), done.out) == (0, ["ring"]), done.said
+
+
+def test_an_address_that_others_can_reach_needs_a_word_of_trust(lfield, refused, good):
+    words = "use --trust-network on a network of your own"
+    refused(64, words, "up", "--deploy", good, "--host", "alpha", "--map", "alpha=0.0.0.0:8181")
+    refused(64, words, "up", "--deploy", good, "--host", "alpha", "--map", "alpha=192.0.2.1:8181")
+
+
+def test_with_that_word_the_address_must_still_be_ours(lfield, refused, good):
+    address = "alpha=192.0.2.1:8181"
+    command = ("up", "--deploy", good, "--host", "alpha", "--map", address, "--trust-network")
+    refused(69, "the address is not one of this machine", *command)
+
+
+def test_a_name_that_leads_nowhere(lfield, refused, good):
+    command = ("up", "--deploy", good, "--host", "alpha", "--map", "alpha=no.such.host.invalid:1")
+    refused(69, "leads to no address; use --map", *command)
+
+
+def test_a_missing_vendor_library_names_the_extra_to_install(lfield):
+    lfield.write("shim/pymavlink/__init__.py", "raise ImportError('No module named pymavlink')\n")
+    example = Path(__file__).parents[2] / "examples" / "01-first-flight" / "mission.dL"
+    done = lfield(
+        "up", "--deploy", example, "--all", "--sim", "--until-done",
+        env={"PYTHONPATH": str(lfield.folder / "shim")},
+    )  # fmt: skip
+    assert lfield.status(done) == 69, done.said
+    assert "lfield[mavlink]" in "\n".join(done.err)
+    assert lfield.left() == []
