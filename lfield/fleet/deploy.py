@@ -12,7 +12,7 @@ from lfield.driver.plugins import Plugins, discover
 from lfield.errors import InputFileError, ProgramError, ProgramFileError
 from lfield.fleet.bindings import Bindings, read_bindings
 from lfield.fleet.team import Team, make_team, parse_maps
-from lfield.lang.deployment import Deployment, parse_deployment, read_deployment
+from lfield.lang.deployment import Deployment, read_deployment
 from lfield.source import Diagnostic
 
 
@@ -103,9 +103,15 @@ def check_file(path: Path) -> list[Diagnostic]:
         except ProgramError as error:
             return list(error.diagnostics)
     beside = path.with_suffix(".L")
-    units: Mapping[str, UnitKind] | None = compile_file(beside)[0].units if beside.exists() else None
+    units: Mapping[str, UnitKind] | None = None
+    found: list[Diagnostic] = []
+    if beside.exists():
+        try:
+            units = compile_file(beside)[0].units
+        except ProgramError as error:
+            found = list(error.diagnostics)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputFileError(str(path), getattr(error, "strerror", None) or str(error)) from None
-    return parse_deployment(text, str(path), units)[1]
+        read_deployment(path, units)
+    except ProgramError as error:
+        found += error.diagnostics
+    return found
