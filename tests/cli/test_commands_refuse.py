@@ -35,7 +35,7 @@ def good(lfield):
 
 
 @pytest.fixture
-def refused(monkeypatch, capfd):
+def refused(lfield, monkeypatch, capfd):
     """`refused(status, words, *command)`: what a command line comes to, in this process for speed."""
     monkeypatch.chdir(lfield.folder)
 
@@ -197,10 +197,9 @@ def test_a_program_file_that_cannot_be_written(lfield, refused, good, target):
 
 
 def test_a_listing_whose_reader_leaves(lfield, good):
-    command = f"unset PYTHONUNBUFFERED; {sys.executable} -m lfield disasm mission.L | head -1; echo ${{PIPESTATUS[0]}}"
-    many = "".join(
-        f"class C{n} {{ public int a; public int f() {{ return a + {n}; }} }}\n" for n in range(3000)
-    )
+    listing = f"{sys.executable} -m lfield disasm mission.L"
+    command = f"unset PYTHONUNBUFFERED; {listing} | head -1; echo ${{PIPESTATUS[0]}}"
+    many = "".join(f"class C{n} {{ public int f() {{ return {n}; }} }}\n" for n in range(3000))
     lfield.write("mission.L", GOOD + many)
     done = subprocess.run(
         ["bash", "-c", command], cwd=lfield.folder, capture_output=True, text=True, timeout=60, check=False

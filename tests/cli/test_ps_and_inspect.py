@@ -1,0 +1,142 @@
+"""What one sees of a mission that runs, and of an agent that died."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { while (true) yield(); }
+    portal stay(real seconds) { write("stays\\n"); sleep(seconds); }
+}
+coordinator Guest {
+    init(string[] arg) { findPost(arg[1]).stay(0.01); findPost(arg[2]).stay(1000.0); }
+}
+"""
+DEPLOYMENT = "//Post:near@alpha\n//Guest:tom@alpha?near&far\n//Post:far@bravo\n"
+
+
+@pytest.fixture(scope="module")
+def mission(shared_lfield):
+    """A mission in which a guest stays at the other host."""
+    deployment = shared_lfield.mission(PROGRAM, DEPLOYMENT)
+    team = shared_lfield.start("up", "--deploy", deployment, "--all")
+    team.wait_for(r"bravo \| stays")
+    team.deployment = deployment
+    return team
+
+
+def test_the_table_shows_what_runs_where(mission, lfield):
+    shown = lfield("ps", "--deploy", mission.deployment)
+    assert lfield.status(shown) == 0, shown.said
+    assert shown.out[0].split()[:6] == ["HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED"]
+    rows = {line.split()[1]: line for line in shown.out[1:]}
+    assert re.match(r"alpha +near +Post +parked +1 +[\d.]+ (Ki)?B", rows["near"])
+    assert re.match(r"bravo +far +Post +sleeping +0 +[\d.]+ (Ki)?B", rows["far"])
+    assert re.match(r"bravo +tom +Guest +in a portal +1 +[\d.]+ (Ki)?B", rows["tom"])
+
+
+def test_the_same_as_json(mission, lfield):
+    shown = lfield("ps", "--deploy", mission.deployment, "--json")
+    assert lfield.status(shown) == 0
+    hosts = json.loads("\n".join(shown.out))
+    assert list(hosts) == ["alpha", "bravo"]
+    assert hosts["alpha"]["linked"] == ["bravo"]
+    agents = {agent["id"]: (host, agent) for host in hosts for agent in hosts[host]["agents"]}
+    assert {name: host for name, (host, _) in agents.items()} == {
+        "near": "alpha",
+        "far": "bravo",
+        "tom": "bravo",
+    }
+    assert agents["tom"][1]["hops"] == 1
+    assert agents["near"][1]["served"] == 1
+    (moved,) = hosts["alpha"]["coordinators"]
+    assert (moved["state"], moved["where"]) == ("MOVED", "bravo")
+
+
+def test_where_nothing_runs(lfield):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT.replace("1000", "999"))
+    maps = lfield.maps(["alpha", "bravo"])
+    shown = lfield("ps", "--deploy", deployment, *maps)
+    assert lfield.status(shown) == 69
+    assert sum("no answer" in line for line in shown.out) == 2
+    assert [line.split(":")[0] for line in shown.err] == ["alpha", "bravo"]
+    assert all("nobody listens there; is its host up?" in line for line in shown.err)
+    asked = lfield("ps", "--deploy", deployment, "--json", *maps)
+    assert lfield.status(asked) == 69
+    assert set(json.loads("\n".join(asked.out))["alpha"]) == {"error"}
+
+
+FAULTY = """
+class Pair {
+    public int left;
+    public string right;
+    public Pair(int l, string r) { left = l; right = r; }
+}
+resource Post {
+    init(string[] arg) { }
+    portal count() emit int { return 3; }
+}
+coordinator Careless {
+    Pair kept;
+    init(string[] arg) {
+        Post post = findPost(arg[1]);
+        kept = new Pair(7, "seven");
+        int counted = post.count();
+        spend(counted, new int[5]);
+    }
+    private void spend(int n, int[] purse) {
+        string why = "too far";
+        purse[n + 4] = 1;
+    }
+}
+"""
+
+
+def test_a_dead_agent_is_dumped_and_explained(lfield):
+    deployment = lfield.mission(FAULTY, "//Careless:tom@alpha?post\n//Post:post@bravo\n")
+    done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
+    assert lfield.status(done) == 1
+    assert "bravo | dumped tom: lfield inspect dumps/tom.block" in done.err
+    shown = lfield("inspect", "dumps/tom.block")
+    assert lfield.status(shown) == 0, shown.said
+    text = "\n".join(shown.out)
+    assert "agent     tom (coordinator Careless)" in text
+    assert "on        bravo, after 1 hop(s): alpha → bravo" in text
+    assert "why       IndexException" in text
+    stack = [line.split(")")[0] for line in shown.out if line.startswith("  at ")]
+    assert stack == ["  at Careless.spend (mission.L:21", "  at Careless.init (mission.L:17"]
+    assert "purse[n + 4] = 1;" in text
+    assert "spend(counted, new int[5]);" in text
+    assert re.search(r"^ +n = 3$", text, re.M)
+    assert re.search(r'^ +why = "too far"$', text, re.M)
+    assert re.search(r"^ +counted = 3$", text, re.M)
+    assert re.search(r"^ +kept = .*Pair", text, re.M)
+    assert re.search(r"^heap: \d+ of 1048576 bytes$", text, re.M)
+    assert re.search(r"^ +\d+ bytes +1 × Pair$", text, re.M)
+
+
+@pytest.mark.parametrize("damage", [b"", b"\xff"])
+def test_a_damaged_dump(lfield, damage):
+    deployment = lfield.mission(FAULTY, "//Careless:tom@alpha?post\n//Post:post@alpha\n")
+    lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
+    path = lfield.folder / "dumps" / "tom.block"
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2] + damage * (len(data) // 2))
+    shown = lfield("inspect", path)
+    assert lfield.status(shown) == 65, shown.said
+    assert shown.out == []
+    assert "tom.block" in shown.err[0]
+
+
+def test_a_dump_that_cannot_be_written_is_told(lfield):
+    lfield.write("dumps", "a file in the way\n")
+    deployment = lfield.mission(FAULTY, "//Careless:tom@alpha?post\n//Post:post@alpha\n")
+    done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
+    assert lfield.status(done) == 1
+    assert any("alpha | cannot dump tom to dumps/tom.block: " in line for line in done.err), done.said

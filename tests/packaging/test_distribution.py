@@ -1,0 +1,145 @@
+"""The wheel and the editable install: what is in them, and that both work."""
+
+from __future__ import annotations
+
+import email
+import os
+import subprocess
+import sys
+import zipfile
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from lfield.driver.plugins import discover
+from lfield.driver.sims import discover_sims
+
+pytestmark = pytest.mark.process
+
+ROOT = Path(__file__).parents[2]
+PROGRAM = 'coordinator Hello { init(string[] arg) { print("hello " + arg[0]); } }\n'
+
+
+def run(*words: object, **options) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=110,
+        check=False,
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    """The wheel of this checkout, built as a user's pip would; isolated unless the build tool is here."""
+    folder = tmp_path_factory.mktemp("wheel")
+    isolation = ["--no-build-isolation"] if find_spec("hatchling") else []
+    built = run("-m", "pip", "wheel", "--quiet", "--no-deps", *isolation, "-w", folder, ROOT, cwd=folder)
+    assert built.returncode == 0, built.stderr
+    (found,) = folder.glob("*.whl")
+    return found
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory) -> dict[str, str]:
+    """The environment of a Python that sees the wheel before everything else."""
+    folder = tmp_path_factory.mktemp("installed")
+    done = run("-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", folder, wheel)
+    assert done.returncode == 0, done.stderr
+    return {**os.environ, "PYTHONPATH": str(folder)}
+
+
+def test_the_wheel_holds_the_three_packages_and_their_data(wheel):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert {
+        "lfield/py.typed",
+        "lfield/cli/main.py",
+        "lfield/docs/language.md",
+        "lfield/docs/bytecode.md",
+        "lfield_mavlink/__init__.py",
+        "lfield_mavlink/manifest.yaml",
+        "lfield_sim/__init__.py",
+        "lfield_sim/mavlink/__init__.py",
+    } <= names
+    tops = {name.split("/")[0] for name in names if ".dist-info" not in name}
+    assert tops == {"lfield", "lfield_mavlink", "lfield_sim"}
+    assert not [name for name in names if "__pycache__" in name or "/tests/" in name]
+
+
+def test_everything_of_the_packages_is_in_the_wheel(wheel):
+    names = set(zipfile.ZipFile(wheel).namelist())
+    for package in ("lfield", "drivers/lfield_mavlink", "sim-adapters/lfield_sim"):
+        base = ROOT / package
+        for path in base.rglob("*"):
+            if path.suffix in (".py", ".yaml", ".typed"):
+                assert f"{base.name}/{path.relative_to(base).as_posix()}" in names
+
+
+def _metadata(wheel: Path, name: str) -> str:
+    archive = zipfile.ZipFile(wheel)
+    (found,) = [n for n in archive.namelist() if n.endswith(f".dist-info/{name}")]
+    return archive.read(found).decode()
+
+
+def test_the_metadata_names_licence_extras_and_entry_points(wheel):
+    metadata = email.message_from_string(_metadata(wheel, "METADATA"))
+    assert metadata["Name"] == "lfield"
+    assert metadata["License-Expression"] == "Apache-2.0"
+    assert metadata["Requires-Python"] == ">=3.11"
+    assert {"mavlink", "fast", "all", "test", "bench"} <= set(metadata.get_all("Provides-Extra"))
+    needed = metadata.get_all("Requires-Dist")
+    core = [requirement for requirement in needed if "extra ==" not in requirement]
+    assert sorted(word.split(">")[0].strip() for word in core) == ["msgspec", "pyyaml", "rich"]
+    assert any(word.startswith("pymavlink") and "'mavlink'" in word for word in needed)
+    assert "Apache License" in _metadata(wheel, "licenses/LICENSE")
+    points = _metadata(wheel, "entry_points.txt")
+    assert "lfield = lfield.cli.main:main" in points
+    assert "[lfield.drivers.v1]\nmavlink = lfield_mavlink:PLUGIN" in points
+    assert "[lfield.sims.v1]\nmavlink = lfield_sim.mavlink:SIM" in points
+
+
+def test_the_installed_wheel_runs(installed, tmp_path):
+    (tmp_path / "hello.L").write_text(PROGRAM)
+    (tmp_path / "hello.dL").write_text("//Hello:tom@alpha\n")
+
+    def lfield(*words):
+        return run("-P", "-m", "lfield", *words, env=installed, cwd=tmp_path)
+
+    where = run("-P", "-c", "import lfield; print(lfield.__file__)", env=installed, cwd=tmp_path)
+    assert where.stdout.startswith(installed["PYTHONPATH"])
+    assert lfield("--version").stdout.startswith("lfield 0.")
+    checked = lfield("check", "hello.L", "hello.dL")
+    assert (checked.returncode, checked.stderr) == (0, "")
+    flown = lfield("up", "--deploy", "hello.dL", "--all", "--until-done")
+    assert flown.returncode == 0, flown.stderr
+    assert "alpha | tom: hello tom" in flown.stderr
+
+
+def test_the_installed_wheel_finds_its_plugins(installed, tmp_path):
+    script = (
+        "from lfield.driver.plugins import discover; from lfield.driver.sims import discover_sims; "
+        "import lfield_mavlink; print(lfield_mavlink.__file__); "
+        "print(sorted(discover().manifests), sorted(discover_sims()))"
+    )
+    done = run("-P", "-c", script, env=installed, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    place, found = done.stdout.splitlines()
+    assert place.startswith(installed["PYTHONPATH"])
+    assert found == "['Mavlink'] ['mavlink']"
+
+
+def test_the_editable_install_finds_its_plugins():
+    assert [point.value for point in entry_points(group="console_scripts", name="lfield")] == [
+        "lfield.cli.main:main"
+    ]
+    plugins = discover()
+    assert sorted(plugins.by_driver) == ["mavlink"]
+    assert plugins.problems == []
+    assert sorted(discover_sims()) == ["mavlink"]
+    script = Path(sys.executable).with_name("lfield")
+    done = subprocess.run([script, "--version"], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout.startswith("lfield ")
