@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
     Answers = dict[str, dict[str, Any] | LfieldError]
 
+#: A device that has not been heard for longer (seconds) is shown as silent: its telemetry is old.
+SILENT = 3.0
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
@@ -78,10 +81,17 @@ def _devices(answers: Answers) -> Table:
         if isinstance(answer, Exception):
             continue
         for name, values in answer["devices"].items():
-            state = "safe" if name in answer["latched"] else "in use"
+            state = _device_state(name, answer)
             words = (f"{quantity} {_value(value)}" for quantity, value in values.items())
             shown.add_row(host, name, state, ", ".join(words))
     return shown
+
+
+def _device_state(name: str, answer: dict[str, Any]) -> str:
+    silence = answer["silences"].get(name, 0.0)
+    if silence > SILENT:
+        return f"silent {silence:.0f} s"
+    return "safe" if name in answer["latched"] else "in use"
 
 
 def _value(value: object) -> str:

@@ -176,6 +176,12 @@ class Guard(asyncio.SubprocessProtocol):
         return value
 
     @property
+    def silences(self) -> dict[str, float]:
+        """For how many seconds each device has not been heard."""
+        now = self._clock.monotonic()
+        return {name: now - self._heard[name] for name in self._devices if name in self._heard}
+
+    @property
     def telemetry(self) -> dict[str, dict[str, DeviceValue]]:
         """The last values known, by device and quantity, however old."""
         shown: dict[str, dict[str, DeviceValue]] = {name: {} for name in self._devices}
@@ -242,7 +248,9 @@ class Guard(asyncio.SubprocessProtocol):
             case Latched(device, reason, confirmed):
                 self.latched[device] = reason
                 state = f"its safe state '{self._devices[device].safe_state}': {reason}"
-                self._note(f"{device}: {'is in' if confirmed else 'goes into'} {state}")
+                # An ordinary stop is told once, when it is done; anything else at once.
+                if confirmed or not self._stopping:
+                    self._note(f"{device}: {'is in' if confirmed else 'goes into'} {state}")
             case Released(device):
                 self.latched.pop(device, None)
                 self._note(f"{device}: released")

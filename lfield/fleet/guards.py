@@ -105,6 +105,11 @@ class Guards:
         return {name: reason for guard in self._guards for name, reason in guard.latched.items()}
 
     @property
+    def silences(self) -> Mapping[str, float]:
+        """For how many seconds each device has not been heard."""
+        return {name: seconds for guard in self._guards for name, seconds in guard.silences.items()}
+
+    @property
     def telemetry(self) -> Mapping[str, Mapping[str, DeviceValue]]:
         """The last values known, by device and quantity."""
         return {name: values for guard in self._guards for name, values in guard.telemetry.items()}

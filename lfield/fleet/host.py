@@ -125,6 +125,7 @@ class Host:
         self.address = await self.peers.open(self.options.listen)
         members = self.team.on(self.here)
         await self.guards.open(self.mission.bindings.of([m.id for m in members]))
+        self.note(f"{self.name} is up on {self.address}")
         generation = int(self.clock.time() * 1e9)
         for member in members:
             if member.kind == "resource":

@@ -26,6 +26,9 @@ PING_EVERY, SILENT_FOR = 1.0, 3.0
 #: Whoever has not greeted after so many seconds is no host.
 GREETED_WITHIN = 10.0
 
+#: How many different complaints are remembered, so as not to be repeated.
+MOST_COMPLAINTS = 100
+
 
 class Owner(Protocol):
     """The host the links belong to."""
@@ -69,6 +72,7 @@ class Peers:
         self._links: dict[str, Session] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._listener: Listener | None = None
+        self._complaints: set[str] = set()
         #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.
         self._unheard = {host for i, host in enumerate(hosts) if i != here}
         self._all_heard = asyncio.Event()
@@ -230,6 +234,15 @@ class Peers:
         """The clock's monotonic time."""
         return self._clock.monotonic()
 
+    def complain(self, text: str) -> None:
+        """A line for the log, once: a caller that is refused calls again every second."""
+        if text in self._complaints:
+            return
+        if len(self._complaints) >= MOST_COMPLAINTS:
+            self._complaints.clear()
+        self._complaints.add(text)
+        self._owner.note(text)
+
     def note(self, text: str) -> None:
         """A line for the log."""
         self._owner.note(text)
@@ -313,7 +326,7 @@ class Session:
         self._relax()
         self.reason = self.reason or str(error or "")
         if error and not self.dialled:
-            self._peers.note(f"closed a link from {link.peer}: {error}")
+            self._peers.complain(f"closed a link from {link.peer.rpartition(':')[0]}: {error}")
         self._peers.gone(self)
         self.over.set()
 

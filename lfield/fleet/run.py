@@ -31,7 +31,7 @@ async def run_host(
 ) -> int:
     """Run a host; returns the exit status. `lost_after` None runs until it is stopped.
 
-    Raises AddressError, BindingError and DeviceError when it cannot start.
+    Raises AddressError and DevicesError when it cannot start.
     """
     address = listen or mission.team.addresses[mission.team.number(name)]
     if not (listen or trust_network or await is_loopback(address)):
@@ -69,7 +69,6 @@ async def _live(host: Host, lost_after: float | None) -> int:
     # What is loaded now stays: Python's collector need not look at it again in the middle of a hop.
     gc.collect()
     gc.freeze()
-    host.note(f"{host.name} is up on {host.address}")
     if lost_after is None:
         await _for_ever()
     fates = await until_done(host, lost_after)

@@ -40,6 +40,7 @@ def status_of(host: Host) -> dict[str, Any]:
         "linked": sorted(host.peers.incarnations),
         "away": {name: round(now - since, 3) for name, since in host.peers.away.items()},
         "devices": {name: dict(values) for name, values in host.guards.telemetry.items()},
+        "silences": {name: round(seconds, 3) for name, seconds in host.guards.silences.items()},
         "latched": dict(host.guards.latched),
     }
 

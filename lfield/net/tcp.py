@@ -151,7 +151,7 @@ def _socket_address(name: tuple[str, int] | tuple[str, int, int, int]) -> str:
 def _reason(error: OSError | UnicodeError) -> str:
     """What a socket's error means to the user."""
     if isinstance(error, socket.gaierror | UnicodeError):
-        return "the name is not known; correct it, or map the host to an address"
+        return "the name is not known; correct it, or say where the host is with --map NAME=ADDR:PORT"
     if error.errno in _REASONS:
         return _REASONS[error.errno]
     return os.strerror(error.errno) if error.errno else str(error)
