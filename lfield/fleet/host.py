@@ -1,8 +1,7 @@
 """One host of a team: the machine, its links to the others, its devices, and its life from start to stop.
 
-Everything happens on one asyncio loop. The machine and mobility are pure; this module carries their
-effects out, and gives the machine its turns: `_pump` runs it until nothing can run, then waits for a timer,
-a message, or a device.
+Everything happens on one asyncio loop. The machine is pure; this module is its world and gives it its turns:
+`pump` runs it until nothing can run, then waits for a timer, a message, or a device.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import os
 import secrets
-from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,40 +16,24 @@ from typing import Any
 
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock, SystemClock
-from lfield.errors import BlockError, DeviceError
+from lfield.errors import DeviceError
 from lfield.fleet.deploy import Mission
 from lfield.fleet.guards import Guards
 from lfield.fleet.logbook import Logbook
-from lfield.fleet.mobility import Mobility, MobilityMessage
-from lfield.fleet.mobility_effects import (
-    Departed,
-    Effect,
-    Finished,
-    InDoubt,
-    Note,
-    Refusal,
-    Resume,
-    Send,
-    SendTransfer,
-    Supersede,
-)
+from lfield.fleet.mobility import MobilityMessage
 from lfield.fleet.peers import Peers
 from lfield.fleet.status import coordinators_of, status_of
-from lfield.framing import Buffer
+from lfield.fleet.travel import Travel
 from lfield.manifest import DeviceValue
 from lfield.net.transport import Link, Transport
-from lfield.vm import dump, layout
+from lfield.vm import dump
 from lfield.vm.agent import Agent, Member
 from lfield.vm.machine import Machine
 from lfield.vm.world import Pending
 from lfield.wire.messages import (
-    Accepted,
     Control,
-    Ended,
-    EndedAck,
     Hello,
     Known,
-    Outcome,
     Status,
     StatusRequest,
     Transfer,
@@ -89,30 +71,21 @@ class Host:
         self.max_block = max(
             (mission.bindings.limits(m.id).heap for m in self.team.coordinators), default=1 << 20
         )
-        self.mobility = Mobility(
-            self._own_hello([]),
-            peers=self.team.hosts,
-            agents=[m.id for m in self.team.coordinators],
-            inject=self._inject,
-            unreachable_after=options.unreachable_after,
-        )
         self.peers = Peers(self, transport, self.clock, self.team.hosts, self.team.addresses, self.here)
         self.guards = Guards(mission.plugins, self.clock, self.note)
         self.changed = asyncio.Event()
         self.address = ""
-        self.failed: list[Agent] = []
-        #: Coordinators that came before the resources here were started; None once they are.
-        self._early: list[tuple[str, Transfer, memoryview]] | None = []
+        self.travel = Travel(
+            self, self.team, self._own_hello([]), mission.bindings.limits, options.unreachable_after
+        )
+        self.mobility = self.travel.mobility
         self._hellos: dict[str, Hello] = {}
         self._statuses: dict[str, dict[str, Any]] = {}
-        #: Where each coordinator was last sent.
-        self._sent_to: dict[str, str] = {}
         #: Every other host's incarnation as last seen, and the hosts that were restarted meanwhile.
         self._seen: dict[str, int] = {}
         self.restarted: set[str] = set()
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
-        self._deadline: asyncio.TimerHandle | None = None
         self._stopped = False
 
     # --- life -----------------------------------------------------------------------------------------
@@ -130,21 +103,14 @@ class Host:
         for member in members:
             if member.kind == "resource":
                 self.machine.start(member, self.mission.bindings.limits(member.id), generation)
-        self._let_in()
+        self.travel.open()
         coordinators = [m for m in members if m.kind == "coordinator"]
         if coordinators:
             await self.peers.first_round(CENSUS)
         for member in coordinators:
             if self._may_start(member, generation):
                 self.machine.start(member, self.mission.bindings.limits(member.id), generation)
-        self._pump()
-
-    def _let_in(self) -> None:
-        """Take the coordinators that came while the devices were opened: what they call is here now."""
-        early, self._early = self._early or [], None
-        for host, header, block in early:
-            self._carry_out(self.mobility.arrive(host, header, block))
-        self._pump()
+        self.pump()
 
     def _may_start(self, member: Member, generation: int) -> bool:
         known = [k for k in self.mobility.knowledge() if k.agent == member.id]
@@ -167,16 +133,16 @@ class Host:
         if self._stopped:
             return
         self._stopped = True
-        for handle in (self._timer, self._deadline):
-            if handle:
-                handle.cancel()
+        if self._timer:
+            self._timer.cancel()
+        self.travel.stop()
         await self.guards.close()
         self.peers.close()
         self.logbook.flush()
 
     # --- the machine's turns --------------------------------------------------------------------------
 
-    def _pump(self) -> None:
+    def pump(self) -> None:
         """Let the machine run, and come back when it can run again."""
         if self._timer:
             self._timer.cancel()
@@ -186,81 +152,9 @@ class Host:
         pause = self.machine.run()
         self.logbook.flush()
         if pause == 0.0:
-            self._timer = self._loop.call_soon(self._pump)
+            self._timer = self._loop.call_soon(self.pump)
         elif pause is not None:
-            self._timer = self._loop.call_later(pause, self._pump)
-
-    def _carry_out(self, effects: Iterable[Effect]) -> None:
-        for effect in effects:
-            self._effect(effect)
-        self._mind_deadline()
-
-    def _mind_deadline(self) -> None:
-        """Be called back when mobility next has something to give up, or earlier.
-
-        Every new deadline is later than those before, so a timer that is set is left as it is.
-        """
-        if self._deadline or self._stopped:
-            return
-        due = self.mobility.next_deadline()
-        if due is not None:
-            wait = max(0.0, due - self.clock.monotonic())
-            self._deadline = self._loop.call_later(wait, self._tick)
-
-    def _tick(self) -> None:
-        self._deadline = None
-        self._carry_out(self.mobility.tick(self.clock.monotonic()))
-        self._pump()
-
-    # --- mobility's effects ---------------------------------------------------------------------------
-
-    def _effect(self, effect: Effect) -> None:
-        match effect:
-            case SendTransfer():
-                self._sent_to[effect.header.agent] = effect.host
-                self.peers.send_transfer(effect.host, effect.header, effect.block)
-            case Send():
-                self.peers.send(effect.host, effect.message)
-            case Departed():
-                if agent := self._held(effect.agent, effect.generation):
-                    self.machine.release(agent)
-            case Resume():
-                if agent := self._held(effect.agent, effect.generation):
-                    agent.block.w[layout.W_SEQUENCE] = effect.sequence
-                    self.machine.resume(agent, effect.kind, effect.reason)
-            case InDoubt():
-                self.note(f"{effect.agent} is in doubt: {effect.reason}")
-                self.changed.set()
-            case Supersede():
-                self.note(f"{effect.agent} stopped: {effect.reason}")
-                self._drop(effect.agent, effect.generation)
-            case Finished():
-                self._drop(effect.agent, effect.generation)
-            case Note():
-                self.note(effect.reason)
-
-    def _held(self, identity: str, generation: int) -> Agent | None:
-        """The frozen copy of a coordinator that is here, if it is of that start."""
-        agent = self.machine.agents.get(identity)
-        return agent if agent and agent.frozen and agent.generation == generation else None
-
-    def _drop(self, identity: str, generation: int) -> None:
-        agent = self.machine.agents.get(identity)
-        if agent and agent.generation == generation:
-            agent.ended = agent.ended or "dropped"
-            self.machine.release(agent)
-        self.changed.set()
-
-    def _inject(self, header: Transfer, block: Buffer) -> Refusal | None:
-        member = self.team.member(header.agent)
-        if member is None:
-            return Refusal("UnreachableResourceException", f"{self.name} knows no coordinator {header.agent}")
-        try:
-            self.machine.admit(member, memoryview(block), self.mission.bindings.limits(member.id))
-        except BlockError as error:
-            self.note(f"refused {header.agent}: {error}")
-            return Refusal("UnreachableResourceException", f"{self.name} refused the coordinator: {error}")
-        return None
+            self._timer = self._loop.call_later(pause, self.pump)
 
     # --- Owner of the links ---------------------------------------------------------------------------
 
@@ -288,9 +182,9 @@ class Host:
             self.note(f"linked with {hello.host}")
         self._seen[hello.host] = hello.incarnation
         self._hellos[hello.host] = hello
-        self._carry_out(self.mobility.linked(hello))
+        self.travel.linked(hello)
         self.changed.set()
-        self._pump()
+        self.pump()
 
     def unlinked(self, host: str) -> None:
         """A host cannot be talked to any more."""
@@ -301,23 +195,12 @@ class Host:
         self.changed.set()
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
-        """A coordinator came: it runs before anything else does."""
-        if self._early is not None:
-            self._early.append((host, header, block))
-            return
-        effects = self.mobility.arrive(host, header, block)
-        answers = [effect for effect in effects if isinstance(effect, Send)]
-        if len(answers) < len(effects):
-            self._carry_out(effect for effect in effects if not isinstance(effect, Send))
-        self._sent_to.pop(header.agent, None)
-        self._pump()
-        # An answer is for the sender's books only, and a coordinator that is back there has brought it.
-        if self._sent_to.get(header.agent) != host:
-            self._carry_out(answers)
+        """A coordinator came."""
+        self.travel.arrived(host, header, block)
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""
-        self._carry_out(self.mobility.oversize(host, header, size))
+        self.travel.too_large(host, header, size)
 
     def received(self, host: str, message: Control, link: Link) -> None:
         """A message came; `host` is '' when an observer sent it."""
@@ -327,11 +210,7 @@ class Host:
             self._statuses[host] = message.data
             self.changed.set()
         elif host and isinstance(message, MobilityMessage):
-            self._carry_out(self.mobility.receive(host, message, self.clock.monotonic()))
-            if isinstance(message, Ended | EndedAck):
-                self.changed.set()
-            if not isinstance(message, Accepted):
-                self._pump()
+            self.travel.received(host, message)
 
     def note(self, text: str) -> None:
         """A line for the log."""
@@ -368,14 +247,7 @@ class Host:
 
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
-        image = self.machine.pack(agent)
-
-        def seal(sequence: int) -> Buffer:
-            agent.block.w[layout.W_SEQUENCE] = sequence
-            return image
-
-        target = self.team.hosts[resource.host]
-        self._carry_out(self.mobility.depart(agent.id, target, seal, self.clock.monotonic()))
+        self.travel.depart(agent, resource)
 
     def device(
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
@@ -387,7 +259,7 @@ class Host:
                 self.machine.refuse(agent, thread, value.kind, str(value), value.device)
             else:
                 self.machine.answer(agent, thread, value, call.result, call.field)
-            self._pump()
+            self.pump()
 
         return self.guards.call(agent.id, call.field, call.instruction, values, answered)
 
@@ -396,15 +268,13 @@ class Host:
         if agent.ended == "died":
             self._report_death(agent)
         if agent.member.kind == "coordinator":
-            outcome: Outcome = "done" if agent.ended == "done" else "died"
-            self._carry_out(self.mobility.ended(agent.id, agent.generation, outcome, agent.report))
+            self.travel.ended(agent)
         self.changed.set()
 
     def _report_death(self, agent: Agent) -> None:
         visited = " → ".join(self.team.hosts[n] for n in agent.block.trail() if n < len(self.team.hosts))
         where = f"\n    hosts visited: {visited}" if agent.member.kind == "coordinator" else ""
         self.note(f"{agent.id} died of an uncaught {agent.report}{where}")
-        self.failed.append(agent)
         if self.options.dump:
             self._dump(agent, self.options.dump)
 
