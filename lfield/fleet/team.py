@@ -30,10 +30,6 @@ class Team:
         """The agents that start on a host, in order."""
         return [m for m in self.members if m.host == host]
 
-    def member(self, identity: str) -> Member | None:
-        """The agent with that id."""
-        return next((m for m in self.members if m.id == identity), None)
-
     @property
     def coordinators(self) -> list[Member]:
         """All coordinators."""
