@@ -243,10 +243,6 @@ class Peers:
         self._complaints.add(text)
         self._owner.note(text)
 
-    def note(self, text: str) -> None:
-        """A line for the log."""
-        self._owner.note(text)
-
 
 class Session:
     """One link from its greeting to its end."""
@@ -326,7 +322,7 @@ class Session:
         self._relax()
         self.reason = self.reason or str(error or "")
         if error and not self.dialled:
-            self._peers.complain(f"closed a link from {link.peer.rpartition(':')[0]}: {error}")
+            self._complain(str(error))
         self._peers.gone(self)
         self.over.set()
 
@@ -337,5 +333,10 @@ class Session:
     def _give_up(self) -> None:
         self.reason = f"it has not greeted within {GREETED_WITHIN:g} s"
         if not self.dialled:
-            self._peers.note(f"closed a link from {self.link.peer}: {self.reason}")
+            self._complain(self.reason)
         self.link.close()
+
+    def _complain(self, reason: str) -> None:
+        # Without the port, which is another for every attempt.
+        caller = self.link.peer.rpartition(":")[0] or self.link.peer
+        self._peers.complain(f"closed a link from {caller}: {reason}")
