@@ -261,7 +261,9 @@ class Session:
         self._patience: asyncio.TimerHandle | None = None
 
     def greet(self, link: Link) -> None:
-        """Say who we are, and wait for the other's greeting, though not for ever."""
+        """Say who we are, and wait for the other's greeting, though not for ever. Again: nothing happens."""
+        if self.connected:
+            return
         self.link, self.connected = link, True
         self._patience = asyncio.get_running_loop().call_later(GREETED_WITHIN, self._give_up)
         with suppress(AddressError):
@@ -288,6 +290,8 @@ class Session:
 
     def _greeted(self, link: Link, message: Message) -> None:
         """The other's greeting: tell it that it is taken, or why it is not."""
+        # On a link just made, the other's greeting may be read before whoever called gets its turn.
+        self.greet(link)
         try:
             hello = self._greeting.receive(message)
         except GreetingError:
