@@ -71,3 +71,33 @@ def test_a_second_host_with_the_same_name_is_refused_and_the_first_goes_on(fleet
         assert not _told(alpha, words)
 
     fleet(story)
+
+
+class EagerTransport:
+    """Hands out what has come on a new link before its caller gets its turn, as TCP may."""
+
+    def __init__(self, network, machine):
+        self.network, self.machine = network, machine
+
+    async def listen(self, address, on_link):
+        return self.network.listen(self.machine, address, on_link)
+
+    async def connect(self, address, handler):
+        link = self.network.connect(self.machine, address, handler)
+        self.network.run()
+        return link
+
+
+def test_a_greeting_that_is_read_before_the_caller_gets_its_turn(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        (bravo,) = await team.up(mission, "bravo")
+        alpha = team.make(mission, "alpha")
+        alpha.host.peers._transport = EagerTransport(team.network, "alpha")
+        await alpha.host.start()
+        assert await team.ended("tom") == "done"
+        assert bravo.output == ["here"]
+        assert "closed a link" not in alpha.log + bravo.log
+        assert team.network.sent["Hello"] == 2
+
+    fleet(story)
