@@ -8,6 +8,7 @@ agents:
       fc: {driver: mavlink, endpoint: "udp:127.0.0.1:14550", system: 1, limits: {speed: 5.0}}
 defaults: {heap: 1 MiB, call_depth: 500}   # limits of every agent
 unreachable_after: 10                      # seconds until UnreachableResourceException
+silence: 0.2                               # seconds without the host after which its devices go safe
 ```
 
 The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state` and `limits`; the
@@ -24,6 +25,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lfield.driver.binding import DeviceBinding, OptionValue
+from lfield.driver.guard_core import SILENCE
 from lfield.driver.manifest_file import Option
 from lfield.driver.plugins import Installed, Plugins
 from lfield.errors import BindingError
@@ -52,6 +54,7 @@ class Bindings:
     devices: Mapping[str, Mapping[str, DeviceBinding]] = field(default_factory=dict)
     defaults: Limits = field(default_factory=Limits)
     unreachable_after: float = 10.0
+    silence: float = SILENCE
 
     def limits(self, agent: str) -> Limits:
         """The limits of an agent: its own, then the defaults of the file, then the machine's."""
@@ -140,6 +143,7 @@ class _Reader:
         defaults = self._limits(section, Limits())
         section.done()
         unreachable_after = top.number("unreachable_after", 10.0, minimum=0.1, maximum=86400.0)
+        silence = top.number("silence", SILENCE, minimum=0.1, maximum=10.0)
         agents: dict[str, Limits] = {}
         devices: dict[str, dict[str, DeviceBinding]] = {}
         for entry, fields in top.section("agents").entries():
@@ -151,7 +155,7 @@ class _Reader:
             devices[entry.key] = dict(self._devices(entry.key, fields))
             fields.done()
         top.done()
-        return Bindings(agents, devices, defaults, unreachable_after)
+        return Bindings(agents, devices, defaults, unreachable_after, silence)
 
     def _limits(self, fields: Fields, defaults: Limits) -> Limits:
         return Limits(

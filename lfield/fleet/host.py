@@ -72,7 +72,7 @@ class Host:
             (mission.bindings.limits(m.id).heap for m in self.team.coordinators), default=1 << 20
         )
         self.peers = Peers(self, transport, self.clock, self.team.hosts, self.team.addresses, self.here)
-        self.guards = Guards(mission.plugins, self.clock, self.note)
+        self.guards = Guards(mission.plugins, self.clock, self.note, silence=mission.bindings.silence)
         self.changed = asyncio.Event()
         self.address = ""
         self.travel = Travel(
