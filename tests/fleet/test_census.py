@@ -70,6 +70,13 @@ def test_a_departure_to_a_host_that_answers_is_awaited():
     assert fate({"alpha": [row("MOVED", 1, "bravo")]}, gone=("carol",)) is None
 
 
+@pytest.mark.parametrize("there", [[], [row("MOVED", 2, "alpha")]])
+def test_one_that_went_to_a_host_that_knows_nothing_of_it_is_lost(there):
+    """That host was restarted: its memory began after the arrival."""
+    found = fate({"alpha": [row("MOVED", 3, "bravo")], "bravo": there})
+    assert found == Fate("tom", "lost", "it went to bravo (transfer 3), which was restarted")
+
+
 def test_a_copy_that_arrived_under_the_same_number_is_the_coordinator():
     records = {"alpha": [row("MOVED", 1, "bravo")], "bravo": [row("RUN", 1)]}
     assert fate(records, gone=("bravo",)) is None

@@ -6,6 +6,8 @@ import asyncio
 
 import pytest
 
+from lfield.fleet.until_done import until_done
+
 PROGRAM = """
 resource Post {
     init(string[] arg) { }
@@ -55,5 +57,19 @@ def test_a_coordinator_that_was_lost_with_its_host_is_started_anew(fleet):
         _, again = await team.up(mission)
         assert await team.ended("guest") == "done"
         assert again.output == ["arrived", "done"]
+
+    fleet(story)
+
+
+def test_a_coordinator_that_died_with_a_host_that_is_back_at_once_is_lost(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, FIRST_HOME)
+        home, away = await team.up(mission)
+        await team.until(lambda: away.output == ["arrived"])
+        await away.host.stop()
+        await team.up(mission, "away")
+        (fate,) = await until_done(home.host, lost_after=1000.0)
+        assert fate.outcome == "lost"
+        assert fate.detail.endswith("which was restarted")
 
     fleet(story)
