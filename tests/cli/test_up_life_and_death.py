@@ -6,10 +6,13 @@ import os
 import signal
 import socket
 import time
+from pathlib import Path
 
 import pytest
 
 pytestmark = pytest.mark.process
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 POSTS = """
 resource Post {
@@ -132,6 +135,18 @@ def test_ctrl_c_ends_all_hosts_in_order(lfield, number):
     team.signal(number)
     assert team.wait() == 130
     assert "killed" not in team.said
+    assert lfield.left() == []
+
+
+def test_ctrl_c_in_flight_lands_the_copters_before_the_hosts_end(lfield):
+    deployment = EXAMPLES / "01-first-flight" / "mission.dL"
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done")
+    team.wait_for("wing: taking off")
+    team.signal(signal.SIGINT)
+    assert team.wait() == 130
+    for device in ("lead.fc", "wing.fc"):
+        assert f"{device}: is in its safe state 'land': the host is stopping" in team.said
+    assert "NOT confirmed" not in team.said
     assert lfield.left() == []
 
 
