@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import io
-import selectors
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -15,37 +14,10 @@ from lfield.fleet.deploy import Mission, load_mission
 from lfield.fleet.host import Host, Options
 from lfield.fleet.logbook import Logbook
 from lfield.net.memory import MemoryNetwork
+from lfield.testing.jumping import LoopClock, run_jumping
 
 #: Seconds of the jumping clock in which anything must have happened.
 PATIENCE = 60.0
-
-
-class JumpSelector(selectors.DefaultSelector):
-    """Never waits: time moves on to when the loop would have been woken."""
-
-    now = 1000.0
-
-    def select(self, timeout=None):
-        ready = super().select(0)
-        if not ready and timeout is None:
-            raise RuntimeError("the loop would sleep for ever")
-        if not ready:
-            self.now += timeout
-        return ready
-
-
-def jumping_loop() -> asyncio.SelectorEventLoop:
-    selector = JumpSelector()
-    loop = asyncio.SelectorEventLoop(selector)
-    loop.time = lambda: selector.now
-    return loop
-
-
-class LoopClock:
-    def monotonic(self) -> float:
-        return asyncio.get_running_loop().time()
-
-    time = monotonic
 
 
 class Running:
@@ -145,7 +117,6 @@ def fleet(tmp_path: Path):
                 await made.stop()
             return made
 
-        with asyncio.Runner(loop_factory=jumping_loop) as runner:
-            return runner.run(main())
+        return run_jumping(main())
 
     return run

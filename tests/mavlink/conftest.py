@@ -3,47 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-import selectors
 from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
 
 from lfield.driver import DeviceBinding
+from lfield.testing.jumping import LoopClock, run_jumping
 from lfield_mavlink import PLUGIN
 from lfield_mavlink.driver import MavlinkDriver
 from lfield_sim.autopilot import KINDS, Autopilot
 from lfield_sim.mavlink.protocol import STEP, Faults, MavlinkFake
 
 MANIFEST = PLUGIN.manifest()
-
-
-class JumpSelector(selectors.DefaultSelector):
-    """Never waits: time moves on to when the loop would have been woken."""
-
-    now = 1000.0
-
-    def select(self, timeout=None):
-        ready = super().select(0)
-        if not ready and timeout is None:
-            raise RuntimeError("the loop would sleep for ever")
-        if not ready:
-            self.now += timeout
-        return ready
-
-
-def jumping_loop() -> asyncio.SelectorEventLoop:
-    selector = JumpSelector()
-    loop = asyncio.SelectorEventLoop(selector)
-    loop.time = lambda: selector.now
-    return loop
-
-
-class LoopClock:
-    def monotonic(self) -> float:
-        return asyncio.get_running_loop().time()
-
-    time = monotonic
 
 
 class MemoryLink:
@@ -125,8 +97,7 @@ class Bench:
                 flying.cancel()
                 await driver.close()
 
-        with asyncio.Runner(loop_factory=jumping_loop) as runner:
-            result = runner.run(main())
+        result = run_jumping(main())
         assert self.crashes == []
         return result
 
@@ -149,7 +120,6 @@ def jumping() -> Callable[[Any], Any]:
     """Run a coroutine in jumping time."""
 
     def run(work: Any) -> Any:
-        with asyncio.Runner(loop_factory=jumping_loop) as runner:
-            return runner.run(work)
+        return run_jumping(work)
 
     return run
