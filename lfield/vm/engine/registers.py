@@ -15,13 +15,15 @@ LEAVE = -1
 class Registers:
     """Mirrors of the block for the length of one run; `slots` is the word of slot 0 of the frame."""
 
-    __slots__ = ("block", "class_names", "exit", "frame", "limits", "r", "slots", "thread", "w")
+    __slots__ = ("block", "class_names", "exit", "frame", "limits", "pc", "r", "slots", "thread", "w")
 
     block: Block
     w: memoryview[int]
     r: memoryview[float]
     frame: int
     slots: int
+    #: The instruction that is being done.
+    pc: int
     #: The id of the running thread: the owner of a monitor it takes.
     thread: int
     exit: Exit

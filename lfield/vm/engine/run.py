@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from lfield.bytecode.program import BUILTIN_CLASSES, MESSAGE, SOURCE, Program
 from lfield.vm.block import Block, Full
 from lfield.vm.engine.prepare import Group, Prepared, Raised, prepare
@@ -46,58 +48,63 @@ class Engine:
         the instruction (the group) that could not be done here.
         """
         m = self._registers
-        m.block, m.limits, m.class_names = block, limits, self.prepared.class_names
-        w = m.w = block.w
-        m.r = block.r
+        w = block.w
+        m.block, m.w, m.r = block, w, block.r
+        m.limits, m.class_names = limits, self.prepared.class_names
         m.frame = w[thread + THREAD_FRAME]
         m.slots = m.frame + FRAME_SLOTS
         m.thread = w[thread + THREAD_ID]
-        pc = w[thread + THREAD_PC]
+        m.pc = w[thread + THREAD_PC]
         m.exit = SPENT
-        steps = self.prepared.steps
-        left = budget
-        while True:
+        instructions = iter(range(budget))
+        going = True
+        while going:
             try:
-                while left > 0:
-                    left -= 1
-                    at = pc
-                    pc = steps[pc](m)
-                    if pc == LEAVE:
-                        pc = at
-                        break
-                break
-            except Trap as trap:
-                thrown = self._made(block, trap.kind, trap.message, trap.source)
-            except Raised as raised:
-                thrown = raised.place
-            except Full as full:
-                m.exit, pc = NoRoom(full.words), at
-                break
-            except (ValueError, OverflowError):
-                thrown = self._made(block, "ArithmeticException", "the result does not fit an int")
-            except ZeroDivisionError:
-                thrown = self._made(block, "ArithmeticException", "division by zero")
-            if not thrown:
-                m.exit, pc = NoRoom(_EXCEPTION_WORDS), at
-                break
-            landed = self._land(m, at, thrown)
-            if landed is None:
-                m.exit, pc = Thrown(thrown), at
-                break
-            pc = landed
+                self._go(m, instructions)
+                going = False
+            except (Trap, Raised, Full, ValueError, ArithmeticError) as error:
+                going = self._recover(m, error)
         w[thread + THREAD_FRAME] = m.frame
-        w[thread + THREAD_PC] = pc
+        w[thread + THREAD_PC] = m.pc
         return m.exit
 
-    def _land(self, m: Registers, pc: int, thrown: int) -> int | None:
-        """Go to who catches the object; None when nobody does."""
-        found = find_handler(m.block, self.program, m.frame, pc, thrown)
+    def _go(self, m: Registers, instructions: Iterator[int]) -> None:
+        """Take steps until one leaves or the instructions are used up; `m.pc` is where it came to."""
+        steps = self.prepared.steps
+        pc = m.pc
+        for _ in instructions:
+            m.pc = pc
+            pc = steps[pc](m)
+            if pc == LEAVE:
+                return
+        m.pc = pc
+
+    def _recover(self, m: Registers, error: Exception) -> bool:
+        """Make an L exception of what a step raised, and go to who catches it; false to leave the engine."""
+        match error:
+            case Full():
+                m.exit = NoRoom(error.words)
+                return False
+            case Raised():
+                thrown = error.place
+            case Trap():
+                thrown = self._made(m.block, error.kind, error.message, error.source)
+            case ZeroDivisionError():
+                thrown = self._made(m.block, "ArithmeticException", "division by zero")
+            case _:
+                # A number that does not fit its word in the block.
+                thrown = self._made(m.block, "ArithmeticException", "the result does not fit an int")
+        if not thrown:
+            m.exit = NoRoom(_EXCEPTION_WORDS)
+            return False
+        found = find_handler(m.block, self.program, m.frame, m.pc, thrown)
         if found is None:
-            return None
+            m.exit = Thrown(thrown)
+            return False
         frame, handler = found
-        unwind(m.block, self.program, m.frame, pc, frame, handler, thrown)
-        m.frame, m.slots = frame, frame + FRAME_SLOTS
-        return handler.target
+        unwind(m.block, self.program, m.frame, m.pc, frame, handler, thrown)
+        m.frame, m.slots, m.pc = frame, frame + FRAME_SLOTS, handler.target
+        return True
 
     def _made(self, block: Block, kind: str, message: str, source: str = "") -> int:
         """An exception object of a built-in class, or 0 when there is no room for it."""
