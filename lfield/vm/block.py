@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -22,6 +23,11 @@ class Full(Exception):
     def __init__(self, words: int) -> None:
         self.words = words
         super().__init__(words)
+
+
+def template(kind: int, index: int, words: int) -> memoryview[int]:
+    """The words of a new thing of that kind, for `Block.stamp`."""
+    return memoryview(array("q", [header(kind, index, words), *[0] * (words - 1)]))
 
 
 class Block:
@@ -83,6 +89,16 @@ class Block:
             w[start : start + 4096] = _ZEROS
             start += 4096
         w[start:end] = _ZEROS[: end - start]
+        self.top = end
+        return place
+
+    def stamp(self, template: memoryview[int]) -> int:
+        """A copy of a template on the heap: its header and zeros, written at once; raises Full."""
+        place = self.top
+        end = place + len(template)
+        if end > self.end:
+            raise Full(len(template))
+        self.w[place:end] = template
         self.top = end
         return place
 

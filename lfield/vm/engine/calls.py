@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from lfield.vm import layout
+from lfield.vm.block import template
 from lfield.vm.engine.registers import LEAVE, Registers, Step, Trap, null_use
 from lfield.vm.exits import BLOCKED, Done, Outside
 from lfield.vm.layout import FRAME, FRAME_CALLER, FRAME_DEPTH, FRAME_RETURN, FRAME_SLOTS
@@ -13,16 +14,17 @@ Argument = tuple[int | None, int]
 
 def call(arguments: list[Argument], method: int, words: int, entry: int, after: int, name: str) -> Step:
     """A whole call group: a frame for the callee with the arguments in its first slots."""
+    blank = template(FRAME, method, words)
+    first = arguments[0][0]
 
     def step(m: Registers) -> int:
         block, w, slots = m.block, m.w, m.slots
-        first = arguments[0][0]
         if first is not None and not w[slots + first]:
             raise null_use(f"call of '{name}'")
         depth = w[m.frame + FRAME_DEPTH] + 1
         if depth > m.limits.call_depth:
             raise Trap("LimitException", f"calls are nested deeper than {m.limits.call_depth}")
-        place = block.allocate(FRAME, method, words)
+        place = block.stamp(blank)
         w[place + FRAME_CALLER] = m.frame
         w[place + FRAME_RETURN] = after
         w[place + FRAME_DEPTH] = depth

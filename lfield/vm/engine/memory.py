@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from lfield.vm.block import template
 from lfield.vm.engine.registers import Registers, Step, Trap, null_use
 from lfield.vm.layout import ARRAY, OBJECT
 
@@ -111,9 +112,10 @@ def load_string(a: int, text: str, after: int) -> Step:
 
 def new_object(a: int, record: int, words: int, after: int) -> Step:
     """`new`."""
+    blank = template(OBJECT, record, words)
 
     def step(m: Registers) -> int:
-        m.w[m.slots + a] = m.block.allocate(OBJECT, record, words)
+        m.w[m.slots + a] = m.block.stamp(blank)
         return after
 
     return step
