@@ -9,6 +9,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 
 import agreement
 import collector
@@ -28,6 +29,8 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "agreement": agreement.figure,
     "footprint": footprint.figure,
 }
+#: What the extra `bench` brings.
+LIBRARIES = ("Pyro5", "rpyc", "grpc")
 COLUMNS = ("CASE", "MEASURED", "MEDIAN", "P99", "RATIO", "TARGET")
 
 
@@ -39,6 +42,13 @@ def main() -> int:
     for name in names:
         if name not in FIGURES:
             parser.error(f"there is no figure '{name}'; there are {', '.join(FIGURES)}")
+    lacking = [module for module in LIBRARIES if "remote" in names and find_spec(module) is None]
+    if lacking:
+        print(
+            f"remote compares with {', '.join(lacking)}: pip install -e '.[bench]', or make bench",
+            file=sys.stderr,
+        )
+        return 69
     table = Table(box=None, pad_edge=False)
     for column in COLUMNS:
         table.add_column(column, justify="left" if column in ("CASE", "MEASURED") else "right")
