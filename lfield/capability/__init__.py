@@ -1,1 +1,0 @@
-"""The capability registry."""
