@@ -106,11 +106,12 @@ class Machine:
         w[layout.W_SELF] = block.allocate(OBJECT, record, self.layouts.class_words[record])
         w[layout.W_ID] = block.new_string(agent.id)
         texts = (agent.id, *agent.member.arguments)
-        init = self.program.core.methods[self.program.core.classes[record].init]
-        array = block.allocate(layout.ARRAY, init.slots[1], 1 + len(texts))
+        init = self.program.core.classes[record].init
+        strings = self.program.core.methods[init].slots[1]
+        array = block.allocate(layout.ARRAY, strings, 1 + len(texts))
         for i, text in enumerate(texts, array + 1):
             w[i] = block.new_string(text)
-        identity = self.spawn(agent, self.program.core.classes[record].init, [w[layout.W_SELF], array], 0)
+        identity = self.spawn(agent, init, [w[layout.W_SELF], array], 0)
         self.turns.last(agent, identity)
 
     def admit(self, member: Member, image: bytes | memoryview, limits: Limits) -> Agent:
@@ -311,7 +312,7 @@ class Machine:
             self.release(agent)
             self.world.ended(agent)
         else:
-            unlink(agent.block, thread)
+            self.forget(agent, thread)
             self.open(agent)
 
     def _uncaught(self, agent: Agent, thread: int, thrown: int) -> None:
@@ -359,6 +360,12 @@ class Machine:
         waiting, agent.waiting = agent.waiting, []
         for caller, thread in waiting:
             self.turns.last(caller, thread)
+
+    def forget(self, agent: Agent, thread: int) -> None:
+        """A thread of an agent that goes on has come to its end."""
+        unlink(agent.block, thread)
+        agent.polls.pop(thread, None)
+        agent.asked.discard(thread)
 
     def flush(self, agent: Agent, thread: int) -> None:
         """Write what a thread has left of a line."""

@@ -122,11 +122,14 @@ class Outsiders:
             machine.set_state(agent, thread, PARKED)
             agent.pollers.add(thread)
             return
-        agent.asked.discard(thread)
         if image != agent.seen:
             machine.stir(agent)
             agent.seen = image
-        machine.turns.sleep(agent, thread, POLL_INTERVAL)
+        if thread in agent.asked:
+            agent.asked.discard(thread)
+            machine.turns.sleep(agent, thread, POLL_INTERVAL)
+        else:
+            machine.turns.last(agent, thread)
 
     def _sleep(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         machine = self.machine

@@ -10,7 +10,7 @@ from lfield.vm import traceback
 from lfield.vm.copier import deep_copy
 from lfield.vm.engine.registers import Trap
 from lfield.vm.layout import CALLING, THREAD_CALL, THREAD_PC, W_SELF, W_THREADS
-from lfield.vm.threads import count, place_of, threads, unlink
+from lfield.vm.threads import count, place_of, threads
 
 if TYPE_CHECKING:
     from lfield.vm.agent import Agent
@@ -83,7 +83,7 @@ def finish(machine: Machine, resource: Agent, thread: int, number: int, word: in
     else:
         machine.engine.complete(caller.block, place, word)
         machine.turns.next(caller, waiter)
-    unlink(resource.block, thread)
+    machine.forget(resource, thread)
 
 
 def fail(machine: Machine, resource: Agent, thread: int, number: int, thrown: int) -> None:
@@ -107,7 +107,7 @@ def fail(machine: Machine, resource: Agent, thread: int, number: int, thrown: in
         machine.refuse(caller, waiter, trap.kind, trap.message, resource.id)
     else:
         machine.throw(caller, waiter, copied)
-    unlink(resource.block, thread)
+    machine.forget(resource, thread)
     machine.give_back(resource, thread)
 
 

@@ -83,8 +83,10 @@ def test_a_loop_that_changes_something_between_yields_goes_on() -> None:
 resource R { int n; init(string[] a) { while (n < 200) { n = n + 1; yield(); } print(n); } }
 """
     )
+    start = clock.now
     settle(machine, clock)
     assert desk.output == ["200"]
+    assert clock.now == start, "a loop that works is not slowed down by its yields"
 
 
 def test_a_loop_that_asks_the_clock_goes_on() -> None:
@@ -97,3 +99,19 @@ coordinator C {
     )
     settle(machine, clock)
     assert desk.output == ["later"]
+
+
+def test_nothing_is_kept_of_threads_that_have_ended() -> None:
+    machine, desk, clock = started(
+        """
+resource R { init(string[] a) { } portal pause() { now(); yield(); now(); } }
+coordinator C {
+  init(string[] a) { R r = findR("r"); for (int i = 0; i < 50; i = i + 1) r.pause(); print("done"); }
+}
+"""
+    )
+    settle(machine, clock)
+    assert desk.output == ["done"]
+    agent = machine.agents["r"]
+    assert not agent.polls
+    assert not agent.asked
