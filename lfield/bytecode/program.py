@@ -177,11 +177,6 @@ class Program:
         """Class, resource and coordinator indexes by name."""
         return {record.name: i for i, record in enumerate(self.core.classes)}
 
-    @cached_property
-    def method_at(self) -> dict[int, int]:
-        """Method indexes by entry."""
-        return {record.entry: i for i, record in enumerate(self.core.methods)}
-
     @property
     def units(self) -> dict[str, UnitKind]:
         """Deployable types: name to "resource" or "coordinator" (and "class" for the others)."""

@@ -17,8 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what the dump says."""
-    from lfield.cli.files import read_bytes
     from lfield.errors import BlockError
+    from lfield.files import read_bytes
     from lfield.vm import dump
     from lfield.vm.decode import view
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from lfield.bytecode.encoding import MAX_SIZE, decode
 from lfield.bytecode.program import Program, UnitKind
 from lfield.driver.plugins import Plugins, discover
-from lfield.errors import InputFileError, ProgramError, ProgramFileError
+from lfield.errors import ProgramError, ProgramFileError
+from lfield.files import read_bytes
 from lfield.fleet.bindings import Bindings, read_bindings
 from lfield.fleet.team import Team, make_team, parse_maps
 from lfield.lang.deployment import Deployment, read_deployment
@@ -27,6 +28,11 @@ class Mission:
     bindings: Bindings
     plugins: Plugins
     warnings: tuple[Diagnostic, ...] = ()
+
+    @property
+    def max_block(self) -> int:
+        """The largest block a coordinator of the mission may have, in bytes."""
+        return max((self.bindings.limits(m.id).heap for m in self.team.coordinators), default=1 << 20)
 
 
 def load_mission(
@@ -70,15 +76,12 @@ def _program(path: Path, plugins: Plugins) -> tuple[Program, list[Diagnostic]]:
 
 def load_program(path: Path) -> Program:
     """A program from L text or from a program file, whichever the path names."""
-    return _program(path, discover())[0] if path.suffix == ".L" else _read_program(path)
+    return compile_file(path)[0] if path.suffix == ".L" else _read_program(path)
 
 
 def _read_program(path: Path) -> Program:
     try:
-        with path.open("rb") as stream:
-            return decode(stream.read(MAX_SIZE + 1))
-    except OSError as error:
-        raise InputFileError(str(path), error.strerror or str(error)) from None
+        return decode(read_bytes(path, MAX_SIZE))
     except ProgramFileError as error:
         raise ProgramFileError(f"{path}: {error.reason}", method=error.method, pc=error.pc) from None
 

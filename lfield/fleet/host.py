@@ -68,9 +68,6 @@ class Host:
         self.started = self.clock.monotonic()
         self.incarnation = secrets.randbits(62) + 1
         self.machine = Machine(mission.program, self.team.members, self.here, self, self.clock)
-        self.max_block = max(
-            (mission.bindings.limits(m.id).heap for m in self.team.coordinators), default=1 << 20
-        )
         self.peers = Peers(self, transport, self.clock, self.team.hosts, self.team.addresses, self.here)
         self.guards = Guards(mission.plugins, self.clock, self.note, silence=mission.bindings.silence)
         self.changed = asyncio.Event()
@@ -165,7 +162,7 @@ class Host:
             self.incarnation,
             self.mission.program.digest,
             self.team.deployment,
-            self.max_block,
+            self.mission.max_block,
             coordinators,
         )
 

@@ -43,8 +43,7 @@ async def run_host(
     bound = unreachable_after or mission.bindings.unreachable_after
     host_options = Options(address, dump, bound)
     logbook = Logbook()
-    largest = max((mission.bindings.limits(m.id).heap for m in mission.team.coordinators), default=1 << 20)
-    host = Host(mission, name, TcpTransport(largest), logbook, host_options)
+    host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
     stopping = _stop_signals()
     if leash:
         _end_with_parent(stopping)

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 from lfield.errors import UsageError
 from lfield.lang.deployment import Deployment, lookup_host
+from lfield.net.transport import DEFAULT_PORT
 from lfield.vm.agent import Member
-
-#: Where a host listens unless the deployment or the command line says otherwise (chapter IV, figure 4.9).
-DEFAULT_PORT = 8181
 
 
 @dataclass(frozen=True, slots=True)

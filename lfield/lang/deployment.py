@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Literal
 
 from lfield.errors import ProgramError, UsageError
+from lfield.files import read_bytes
 from lfield.lang import messages
 from lfield.lang.deployment_line import Entry, read_line
-from lfield.lang.reading import bad_byte, read_bytes
+from lfield.lang.reading import MAX_BYTES, bad_byte
 from lfield.lang.suggest import did_you_mean, listed
 from lfield.lang.tree import UnitKind
 from lfield.source import Diagnostic, Diagnostics, Source, Span
@@ -108,7 +109,7 @@ def parse_deployment(
 
 def read_deployment(path: Path, units: Mapping[str, UnitKind] | None) -> Deployment:
     """The deployment of a file. Raises InputFileError, or ProgramError with all that is wrong in it."""
-    data = read_bytes(path)
+    data = read_bytes(path, MAX_BYTES)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

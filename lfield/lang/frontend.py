@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lfield.errors import ProgramError
+from lfield.files import read_bytes
 from lfield.lang.checker import check
 from lfield.lang.includes import FileSet, FindInclude
-from lfield.lang.reading import read_bytes
+from lfield.lang.reading import MAX_BYTES
 from lfield.lang.tree import CheckedProgram
 from lfield.manifest import DeviceManifest
 from lfield.source import Diagnostic, Diagnostics, Source
@@ -48,7 +49,7 @@ def check_file(
     `include <name/file.L>;` to a file. Raises InputFileError when the file itself cannot be read; everything
     else that is wrong with it is a diagnostic.
     """
-    data = read_bytes(path)
+    data = read_bytes(path, MAX_BYTES)
     found = Diagnostics()
     files = FileSet(found, find_include)
     files.read(data, path)

@@ -6,9 +6,10 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from lfield.files import read_within, reason
 from lfield.lang import messages
 from lfield.lang.parser import parse
-from lfield.lang.reading import bad_byte, reason
+from lfield.lang.reading import MAX_BYTES, bad_byte
 from lfield.lang.syntax import File, Include
 from lfield.source import Diagnostic, Diagnostics, Source
 
@@ -52,7 +53,7 @@ class FileSet:
             if identity in self._seen:
                 return []
             self._seen.add(identity)
-            source = self._decoded(path.read_bytes(), str(path))
+            source = self._decoded(read_within(path, MAX_BYTES), str(path))
         except FileNotFoundError:
             self._missing(messages.INCLUDE_MISSING.at(include.span, path=path))
             return []

@@ -1,26 +1,11 @@
-"""Files as bytes and as text, with the errors a user can act on."""
+"""Program and deployment files as text."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from lfield.errors import InputFileError
 from lfield.source import Source, Span
 
-
-def read_bytes(path: Path) -> bytes:
-    """The bytes of a file. Raises InputFileError."""
-    try:
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise InputFileError(str(path), reason(error)) from None
-
-
-def reason(error: OSError | ValueError) -> str:
-    """Why a file cannot be read, in a few words."""
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror.lower()
-    return "not a file name"
+#: The largest file of a program, or deployment, in bytes.
+MAX_BYTES = 16 << 20
 
 
 def bad_byte(name: str, error: UnicodeDecodeError) -> tuple[Span, str]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from lfield.framing import Buffer
     from lfield.wire.messages import Message, Transfer
 
-#: The port of a host whose address gives none.
+#: The port of a host whose address gives none (chapter IV, figure 4.9).
 DEFAULT_PORT = 8181
 
 
