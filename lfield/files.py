@@ -19,11 +19,16 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 def read_within(path: Path, most: int) -> bytes:
     """The same with the system's own errors: OSError (EFBIG over the bound), ValueError for no file name."""
-    with path.open("rb") as stream:
-        data = stream.read(most + 1)
+    data = read_head(path, most + 1)
     if len(data) > most:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
     return data
+
+
+def read_head(path: Path, most: int) -> bytes:
+    """The first bytes of a file, `most` of them if there are so many, with the system's own errors."""
+    with path.open("rb") as stream:
+        return stream.read(most)
 
 
 def reason(error: OSError | ValueError) -> str:

@@ -9,8 +9,8 @@ from pathlib import Path
 from lfield.bytecode.encoding import MAX_SIZE, decode
 from lfield.bytecode.program import Program, UnitKind
 from lfield.driver.plugins import Plugins, discover
-from lfield.errors import ProgramError, ProgramFileError
-from lfield.files import read_bytes
+from lfield.errors import InputFileError, ProgramError, ProgramFileError
+from lfield.files import read_head, reason
 from lfield.fleet.bindings import Bindings, read_bindings
 from lfield.fleet.team import Team, make_team, parse_maps
 from lfield.lang.deployment import Deployment, read_deployment
@@ -81,7 +81,9 @@ def load_program(path: Path) -> Program:
 
 def _read_program(path: Path) -> Program:
     try:
-        return decode(read_bytes(path, MAX_SIZE))
+        return decode(read_head(path, MAX_SIZE + 1))
+    except (OSError, ValueError) as error:
+        raise InputFileError(str(path), reason(error)) from None
     except ProgramFileError as error:
         raise ProgramFileError(f"{path}: {error.reason}", method=error.method, pc=error.pc) from None
 

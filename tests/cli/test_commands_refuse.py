@@ -118,7 +118,11 @@ def test_a_file_that_is_not_what_it_should_be(lfield, refused, good, command, na
     assert not (lfield.folder / "out.lb").exists()
 
 
-@pytest.mark.parametrize("command", ["disasm /dev/zero", "check zero.L", "check zero.dL"])
+def test_an_endless_file_in_place_of_the_program(lfield, refused, good):
+    refused(65, "not a sound L program", "disasm", "/dev/zero")
+
+
+@pytest.mark.parametrize("command", ["check zero.L", "check zero.dL"])
 def test_an_endless_file_is_not_read_to_its_end(lfield, refused, good, command):
     for name in ("zero.L", "zero.dL"):
         (lfield.folder / name).symlink_to("/dev/zero")
