@@ -11,6 +11,9 @@ from typing import Literal
 
 Effect = Literal["query", "idempotent", "actuate"]
 
+#: What any instruction of any device may raise, unless its manifest says less.
+DEVICE_EXCEPTIONS = ("DeviceException", "DeviceTimeoutException")
+
 #: L types that may cross between a program and a driver.
 DEVICE_VALUE_TYPES = ("boolean", "int", "real", "string", "real[]", "int[]")
 
@@ -35,6 +38,8 @@ class Instruction:
     `result` is an L type name or 'void'. `effect` says what a repeat would do: nothing at all (query),
     nothing new (idempotent), or act again (actuate). A query is answered from the last telemetry
     snapshot and never blocks; `blocking` instructions hold the calling thread until they are done.
+    Instructions of one `channel` replace one another, those of different channels run side by side: a
+    gripper may close while the vehicle that carries it flies on. `raises` are L exceptions.
     """
 
     name: str
@@ -44,22 +49,32 @@ class Instruction:
     effect: Effect = "actuate"
     blocking: bool = False
     meaning: str = ""
+    channel: str = "motion"
+    raises: tuple[str, ...] = DEVICE_EXCEPTIONS
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One telemetry quantity that the driver publishes and queries read. `max_age` in seconds."""
+    """One telemetry quantity that the driver publishes and queries read.
+
+    `max_age` in seconds; `rate` in Hz is how often the driver asks the device for it, 0 when the device
+    says it by itself.
+    """
 
     name: str
     type: str
     unit: str = ""
     max_age: float = 3.0
     meaning: str = ""
+    rate: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceManifest:
-    """A device type as L sees it: `Mavlink fc;` with its instructions, telemetry and safe states."""
+    """A device type as L sees it: `Mavlink fc;` with its instructions, telemetry and safe states.
+
+    `capabilities` are dotted ids of the registry (DESIGN section 8) that a resource with it can offer.
+    """
 
     type: str
     driver: str
@@ -68,6 +83,7 @@ class DeviceManifest:
     safe_states: tuple[str, ...] = ()
     meaning: str = ""
     bindings: dict[str, str] = field(default_factory=dict)
+    capabilities: tuple[str, ...] = ()
 
     def instruction(self, name: str) -> Instruction | None:
         """The instruction of that name, or None. A device type never overloads a name."""

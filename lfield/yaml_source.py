@@ -329,6 +329,16 @@ class Fields:
                 self._wrong(key, "a list of texts", node)
         return tuple(values)
 
+    def integers(self, key: str) -> tuple[int, ...]:
+        """A list of whole numbers."""
+        values = []
+        for node in self.items(key):
+            if isinstance(node, Scalar) and isinstance(node.value, int) and not isinstance(node.value, bool):
+                values.append(node.value)
+            else:
+                self._wrong(key, "a list of whole numbers", node)
+        return tuple(values)
+
     def items(self, key: str) -> tuple[Node, ...]:
         """The nodes of a list."""
         node = self.node(key)
@@ -349,6 +359,10 @@ class Fields:
         for entry in self._entries.values():
             self._known.add(entry.key)
             yield entry, Fields(entry.value, self._found, f"'{entry.key}'")
+
+    def named(self) -> Iterator[Entry]:
+        """Every entry, for mappings whose keys are names and whose values are read by key."""
+        yield from self._entries.values()
 
     def __contains__(self, key: str) -> bool:
         """Whether the text has the key."""

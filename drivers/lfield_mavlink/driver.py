@@ -18,7 +18,7 @@ class MavlinkDriver(Driver):
     """One link with the vehicles on it."""
 
     def _device(self, binding: DeviceBinding) -> MavlinkVehicle:
-        return MavlinkVehicle(binding, self.manifest, self.clock, self.reports, self._send)
+        return MavlinkVehicle(binding, self.manifests[binding.type], self.clock, self.reports, self._send)
 
     async def _open(self) -> None:
         self._reader, self._writer = Reader(), Writer()

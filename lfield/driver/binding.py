@@ -7,24 +7,27 @@ from typing import Any
 import msgspec
 
 #: A value of an option in a devices file.
-OptionValue = bool | int | float | str
+OptionValue = bool | int | float | str | list[int | str]
 
 
 class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     """A device with its driver, place and limits; travels to the guard as it is.
 
     `ttl` is the time-to-live of a setpoint in seconds, `limits` are in the SI units that the manifest
-    names, `options` are the driver's own (`system`, `kind`). An absent limit does not limit.
+    names, `options` are the driver's own (`system`, `kind`). An absent limit does not limit. `waivers` name
+    the protections that whoever wrote the binding has knowingly given up. `type` is the device type in L.
     """
 
     agent: str
     field: str
+    type: str
     driver: str
     endpoint: str
     safe_state: str
     ttl: float = 0.5
     limits: dict[str, float] = {}
     options: dict[str, OptionValue] = {}
+    waivers: list[str] = []
 
     @property
     def name(self) -> str:
@@ -35,6 +38,10 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     def bus(self) -> tuple[str, str]:
         """Devices with the same bus share one guard."""
         return self.driver, self.endpoint
+
+    def waives(self, protection: str) -> bool:
+        """Whether the binding gives this protection up, by its name."""
+        return protection in self.waivers
 
     def option(self, name: str) -> Any:
         """An option of the manifest; always present, since the loader fills in defaults."""

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.manifest_file import RELEASE, Manifest
+from lfield.driver.manifest_file import RELEASE, WATCHDOG, Manifest
 from lfield.driver.values import conform
 from lfield.errors import DeviceError, PluginError
 from lfield.manifest import DeviceValue
@@ -46,7 +46,11 @@ def method_name(instruction: str) -> str:
 
 
 class Device:
-    """One device on a bus. Authors override `_open`, `_make_safe` and write the `do_...` coroutines."""
+    """One device on a bus.
+
+    Authors override `_open`, `_make_safe`, for a device that has one `_set_watchdog`, and write the
+    `do_...` coroutines.
+    """
 
     def __init__(self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports) -> None:
         self.binding, self.manifest, self.clock = binding, manifest, clock
@@ -54,8 +58,10 @@ class Device:
         self._types = {quantity.name: quantity.type for quantity in manifest.device.telemetry}
 
     async def open(self) -> str:
-        """Find the device; its identity in words. Raises DeviceError."""
-        return await self._open()
+        """Find the device and set its watchdog; its identity in words. Raises DeviceError."""
+        identity = await self._open()
+        await self._check_watchdog()
+        return identity
 
     async def execute(self, instruction: str, arguments: Sequence[object]) -> DeviceValue:
         """Carry an instruction out and return its result. Raises DeviceError when it did not happen."""
@@ -69,6 +75,24 @@ class Device:
     async def make_safe(self) -> None:
         """Bring the device into its safe state and see that it is there. Raises DeviceError."""
         await self._make_safe(self.binding.safe_state)
+
+    async def _check_watchdog(self) -> None:
+        """Nothing may be commanded unless the device stops by itself when this computer is gone.
+
+        Its own time may be twice the guard's; where that cannot be, the binding must say so by name.
+        """
+        longest = 2.0 * self.binding.ttl
+        seconds = await self._set_watchdog(longest)
+        if seconds is not None and seconds <= longest * (1.0 + 1e-9):
+            return
+        has = "has no watchdog of its own" if seconds is None else f"has a watchdog of {seconds:g} s"
+        told = f"it {has}: nothing stops it {'' if seconds is None else 'sooner '}when this computer dies"
+        if not self.binding.waives(WATCHDOG):
+            raise self.error(
+                f"{told}; at most {longest:g} s (twice the ttl) is wanted. "
+                f"Accept it by 'waivers: [{WATCHDOG}]' in its binding"
+            )
+        self.note(f"{told} (waived by its binding)")
 
     def publish(self, **values: object) -> None:
         """Tell the host the present values of telemetry quantities."""
@@ -96,16 +120,28 @@ class Device:
     async def _make_safe(self, state: str) -> None:
         raise NotImplementedError
 
+    async def _set_watchdog(self, longest: float) -> float | None:
+        """Set the device's own watchdog to at most `longest` seconds, or to the least it can.
+
+        Read it back: the seconds that it now has, None when there is none. Raises DeviceError.
+        """
+        return None
+
 
 class Driver:
-    """One bus with its devices. Authors override `_open`, `_close` and `_device`."""
+    """One bus with its devices. Authors override `_open`, `_close`, `_device`, and for a bus that is polled
+    or needs signs of life `_quiet` and `_resume`."""
 
     def __init__(
-        self, bindings: Sequence[DeviceBinding], manifest: Manifest, clock: Clock, reports: Reports
+        self,
+        bindings: Sequence[DeviceBinding],
+        manifests: Mapping[str, Manifest],
+        clock: Clock,
+        reports: Reports,
     ) -> None:
-        self.endpoint, self.manifest, self.clock, self.reports = (
+        self.endpoint, self.manifests, self.clock, self.reports = (
             bindings[0].endpoint,
-            manifest,
+            manifests,
             clock,
             reports,
         )
@@ -121,6 +157,14 @@ class Driver:
         for task in list(self._tasks):
             task.cancel()
         await self._close()
+
+    def quiet(self) -> None:
+        """The owner is gone: from now on nothing may be sent that feeds a device's own watchdog."""
+        self._quiet()
+
+    def resume(self) -> None:
+        """The owner is back."""
+        self._resume()
 
     def spawn(self, work: Coroutine[Any, Any, None]) -> None:
         """Run something in the background until `close`; if it fails, every device goes safe."""
@@ -141,6 +185,12 @@ class Driver:
 
     async def _close(self) -> None:
         raise NotImplementedError
+
+    def _quiet(self) -> None:
+        """Stop polling and signs of life; listening and safe states go on."""
+
+    def _resume(self) -> None:
+        """Take them up again."""
 
 
 def check_methods(device: type[Device], manifest: Manifest) -> None:

@@ -17,7 +17,6 @@ from typing import Any
 from lfield.clock import Clock, SystemClock
 from lfield.driver.device import Device, Driver, check_methods
 from lfield.driver.guard_core import Cancel, Effect, Execute, Exit, GuardCore, MakeSafe, Tell
-from lfield.driver.manifest_file import Manifest
 from lfield.driver.messages import (
     Beat,
     Call,
@@ -133,8 +132,7 @@ class Shell(asyncio.Protocol):
     async def _open(self, message: Open) -> None:
         problems: list[tuple[str, str, str]] = []
         try:
-            manifest = self._plugin.manifest()
-            self._driver = self._make_driver(message, manifest)
+            self._driver = self._make_driver(message)
             await self._driver.open()
             devices = list(self._driver.devices.values())
             identities, problems = await _open_all(devices)
@@ -149,7 +147,7 @@ class Shell(asyncio.Protocol):
             self._finish(1)
             return
         self._core = GuardCore(
-            ((d.binding.name, manifest.device, d.binding.ttl) for d in devices),
+            ((d.binding.name, d.manifest.device, d.binding.ttl) for d in devices),
             self._clock,
             silence=message.silence,
         )
@@ -158,10 +156,10 @@ class Shell(asyncio.Protocol):
         self._tell(Ready(identities))
         self._run(self._core.opened(message.latched))
 
-    def _make_driver(self, message: Open, manifest: Manifest) -> Driver:
-        driver = self._plugin.load()(message.devices, manifest, self._clock, self)
+    def _make_driver(self, message: Open) -> Driver:
+        driver = self._plugin.load()(message.devices, self._plugin.read_manifests(), self._clock, self)
         for device in driver.devices.values():
-            check_methods(type(device), manifest)
+            check_methods(type(device), device.manifest)
         return driver
 
     # -- effects --------------------------------------------------------------------------------------

@@ -5,18 +5,23 @@ driver: servo                       # the name in bindings
 type: Servo                         # the device type in L
 meaning: one servo on a bus
 safe_states: [hold, off]            # the first is the default
+capabilities: [maneuverability.rotation]   # of the registry; what a resource with it can offer
 options:                            # the driver's own keys of a binding
   id: {type: int, default: 1, minimum: 1, maximum: 252, meaning: its number on the bus}
 limits:
   speed: {unit: rad/s, meaning: the fastest it may turn}
+waivers:                            # protections that a binding may give up by name, beside device_watchdog
+  no_homing: it moves before it has been homed
 instructions:
   turn: {parameters: {angle: {type: real, unit: rad}}, blocking: true, meaning: turns and waits}
+  light: {parameters: {on: {type: boolean}}, effect: idempotent, blocking: true, channel: light}
 telemetry:                          # each is also a query of the same name: `s.angle()`
-  angle: {type: real, unit: rad, max_age: 0.5, meaning: where it is}
+  angle: {type: real, unit: rad, max_age: 0.5, rate: 20.0, meaning: where it is}
 ```
 
 An instruction of effect `actuate` that is not blocking is a *setpoint*: it acts on after the call has
 returned, so the guard gives it a time-to-live. A `query` that is blocking asks the device itself.
+Instructions of one channel replace one another, the newest wins; those of other channels run beside them.
 Every device type has two instructions more, `release()` and `age()`; no manifest declares them.
 """
 
@@ -25,13 +30,21 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import cast
 
 from lfield.driver.binding import OptionValue
 from lfield.errors import PluginError
-from lfield.manifest import DEVICE_VALUE_TYPES, DeviceManifest, Effect, Instruction, Parameter, Quantity
+from lfield.manifest import (
+    DEVICE_EXCEPTIONS,
+    DEVICE_VALUE_TYPES,
+    DeviceManifest,
+    Effect,
+    Instruction,
+    Parameter,
+    Quantity,
+)
 from lfield.source import Diagnostics, Span
-from lfield.yaml_source import Fields, Node, Scalar, decode
+from lfield.yaml_source import Fields, Listing, Node, Scalar, decode
 
 #: What every device can do; the guard and the host answer them.
 RELEASE = Instruction(
@@ -39,11 +52,18 @@ RELEASE = Instruction(
     effect="idempotent",
     blocking=True,
     meaning="takes the device out of its latched safe state, once that state is confirmed",
+    channel="release",
 )
 AGE = Instruction(
     "age", result="real", unit="s", effect="query", meaning="seconds since the device was last heard"
 )
 STANDARD = (RELEASE, AGE)
+
+#: The waiver that every device knows: it has no watchdog of its own, or a slower one than is wanted.
+WATCHDOG = "device_watchdog"
+
+#: L types of options; a path is taken from the folder of the devices file.
+OPTION_TYPES = ("boolean", "int", "real", "string", "path", "int[]", "string[]")
 
 _NAME = re.compile(r"[a-z][A-Za-z0-9]*")
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
@@ -54,7 +74,7 @@ class Option:
     """A key of a binding that only this driver knows; `default` None means that it must be given."""
 
     name: str
-    type: Literal["boolean", "int", "real", "string"]
+    type: str
     default: OptionValue | None = None
     choices: tuple[str, ...] = ()
     minimum: float = -math.inf
@@ -78,6 +98,7 @@ class Manifest:
     device: DeviceManifest
     options: tuple[Option, ...] = ()
     limits: tuple[Limit, ...] = ()
+    waivers: tuple[tuple[str, str], ...] = ()
 
     @property
     def default_safe_state(self) -> str:
@@ -106,6 +127,8 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
         top.report("Y110", "a manifest needs at least one safe state", top.value_span("safe_states"))
     options = tuple(_option(name, fields) for name, fields in _named(top, "options"))
     limits = tuple(_limit(name, fields) for name, fields in _named(top, "limits"))
+    waivers = ((WATCHDOG, "it has no watchdog of its own, or a slow one"), *_waivers(top))
+    capabilities = top.texts("capabilities")
     instructions = [_instruction(name, fields) for name, fields in _named(top, "instructions")]
     telemetry = tuple(_quantity(name, fields) for name, fields in _named(top, "telemetry"))
     _check_names_differ(top, {instruction.name for instruction in instructions})
@@ -119,8 +142,15 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
         safe_states=safe_states,
         meaning=meaning,
         bindings={option.name: option.meaning for option in options},
+        capabilities=capabilities,
     )
-    return Manifest(device, options, limits)
+    return Manifest(device, options, limits, waivers)
+
+
+def _waivers(top: Fields) -> list[tuple[str, str]]:
+    """The protections of this device that a binding may give up, and what that means."""
+    section = top.section("waivers")
+    return [(entry.key, section.text(entry.key)) for entry in section.named()]
 
 
 def _check_names_differ(top: Fields, instructions: set[str]) -> None:
@@ -151,12 +181,12 @@ def _check_name(top: Fields, name: str, pattern: re.Pattern[str], span: Span) ->
 
 
 def _option(name: str, fields: Fields) -> Option:
-    kind = fields.text("type", "string", required=True, choices=("boolean", "int", "real", "string"))
+    kind = fields.text("type", "string", required=True, choices=OPTION_TYPES)
     default = fields.node("default")
     option = Option(
         name,
-        cast(Literal["boolean", "int", "real", "string"], kind),
-        default.value if isinstance(default, Scalar) else None,
+        kind,
+        _default(default),
         fields.texts("choices"),
         fields.number("minimum", -math.inf),
         fields.number("maximum", math.inf),
@@ -164,6 +194,13 @@ def _option(name: str, fields: Fields) -> Option:
     )
     fields.done()
     return option
+
+
+def _default(node: Node | None) -> OptionValue | None:
+    """The default of an option; the only list that can be one is the empty list."""
+    if isinstance(node, Scalar):
+        return node.value
+    return [] if isinstance(node, Listing) else None
 
 
 def _limit(name: str, fields: Fields) -> Limit:
@@ -184,6 +221,8 @@ def _instruction(name: str, fields: Fields) -> Instruction:
         cast(Effect, effect),
         fields.flag("blocking"),
         fields.text("meaning"),
+        fields.text("channel", "motion"),
+        fields.texts("raises") or DEVICE_EXCEPTIONS,
     )
     if effect == "query" and not instruction.blocking:
         fields.report(
@@ -206,6 +245,7 @@ def _parameter(name: str, fields: Fields) -> Parameter:
 def _quantity(name: str, fields: Fields) -> Quantity:
     kind = fields.text("type", "real", required=True, choices=DEVICE_VALUE_TYPES)
     max_age = fields.number("max_age", 3.0, minimum=0.001)
-    quantity = Quantity(name, kind, fields.text("unit"), max_age, fields.text("meaning"))
+    unit, meaning, rate = fields.text("unit"), fields.text("meaning"), fields.number("rate", minimum=0.0)
+    quantity = Quantity(name, kind, unit, max_age, meaning, rate)
     fields.done()
     return quantity

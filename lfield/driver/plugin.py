@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from lfield.driver.manifest_file import Manifest, load_manifest
 from lfield.errors import PluginError
@@ -18,8 +19,10 @@ if TYPE_CHECKING:
 class Plugin:
     """One driver: `PLUGIN = Plugin("servo", "lfield_servo", "lfield_servo.driver:ServoDriver", ...)`.
 
-    `package` holds `manifest.yaml`; `driver` is the path of the class, imported only in the guard's
-    process; `extra` is what to install when one of the vendor modules in `requires` is missing.
+    `package` holds a manifest for each device type, and the folder `L` with the L sources that missions
+    include as `<servo/gripper.L>`. `driver` is the path of the driver's class and `kit` that of its
+    conformance kit (`package.kit:KIT`), both imported only where they run; `extra` is what to install when
+    one of the vendor modules in `requires` is missing.
     """
 
     name: str
@@ -27,21 +30,45 @@ class Plugin:
     driver: str
     extra: str
     requires: tuple[str, ...] = ()
+    manifests: tuple[str, ...] = ("manifest.yaml",)
+    kit: str = ""
 
-    def manifest(self) -> Manifest:
-        """The manifest, read now. Raises PluginError."""
+    def read_manifests(self) -> dict[str, Manifest]:
+        """The manifests by device type, read now. Raises PluginError."""
+        read = [self._manifest(file) for file in self.manifests]
+        types = {manifest.device.type: manifest for manifest in read}
+        if len(types) < len(read):
+            raise PluginError(f"driver '{self.name}' has two manifests of one device type")
+        return types
+
+    def _manifest(self, file: str) -> Manifest:
         try:
-            data = (files(self.package) / "manifest.yaml").read_bytes()
+            data = (files(self.package) / file).read_bytes()
         except (OSError, ImportError) as error:
-            raise PluginError(f"driver '{self.name}' has no readable manifest.yaml: {error}") from None
-        manifest = load_manifest(f"{self.package}/manifest.yaml", data)
+            raise PluginError(f"driver '{self.name}' has no readable {file}: {error}") from None
+        manifest = load_manifest(f"{self.package}/{file}", data)
         if manifest.device.driver != self.name:
             raise PluginError(f"driver '{self.name}' has the manifest of '{manifest.device.driver}'")
         return manifest
 
+    def source(self, file: str) -> Path | None:
+        """The L source that a program includes as `<NAME/file>`, or None when the plugin ships none such."""
+        path = Path(str(files(self.package))) / "L" / file
+        return path if path.is_file() else None
+
     def load(self) -> type[Driver]:
         """The driver class, with its vendor library. Raises PluginError that says what to install."""
-        module, _, name = self.driver.partition(":")
+        driver: type[Driver] = self._load(self.driver)
+        return driver
+
+    def load_kit(self) -> Any:
+        """The conformance kit, with the vendor library. Raises PluginError, also when there is none."""
+        if not self.kit:
+            raise PluginError(f"driver '{self.name}' has no conformance kit")
+        return self._load(self.kit)
+
+    def _load(self, path: str) -> Any:
+        module, _, name = path.partition(":")
         try:
             for vendor in self.requires:
                 importlib.import_module(vendor)
@@ -50,10 +77,9 @@ class Plugin:
                 f"driver '{self.name}' needs {', '.join(self.requires)}: pip install 'lfield[{self.extra}]'"
             ) from None
         try:
-            driver: type[Driver] = getattr(importlib.import_module(module), name)
+            return getattr(importlib.import_module(module), name)
         except Exception as error:  # a plugin is foreign code: whatever it raises on import is its fault
-            raise PluginError(f"driver '{self.name}' cannot be loaded from {self.driver}: {error}") from error
-        return driver
+            raise PluginError(f"driver '{self.name}' cannot be loaded from {path}: {error}") from error
 
 
 def load_plugin(reference: str) -> Plugin:

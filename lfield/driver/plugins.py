@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path, PurePosixPath
 
 from lfield.driver.manifest_file import Manifest
 from lfield.driver.plugin import Plugin, load_plugin
@@ -16,10 +17,10 @@ GROUP = "lfield.drivers.v1"
 
 @dataclass(frozen=True, slots=True)
 class Installed:
-    """One usable plugin; `reference` is how another process imports it."""
+    """One usable plugin, its manifests by device type; `reference` is how another process imports it."""
 
     plugin: Plugin
-    manifest: Manifest
+    manifests: dict[str, Manifest]
     reference: str
 
 
@@ -31,13 +32,26 @@ class Plugins:
     problems: list[str] = field(default_factory=list)
 
     @property
-    def manifests(self) -> dict[str, DeviceManifest]:
+    def device_types(self) -> dict[str, DeviceManifest]:
         """Device types by their name in L, as the compiler needs them."""
-        return {found.manifest.device.type: found.manifest.device for found in self.by_driver.values()}
+        return {
+            name: manifest.device
+            for found in self.by_driver.values()
+            for name, manifest in found.manifests.items()
+        }
 
     def for_type(self, device_type: str) -> Installed | None:
         """The plugin of a device type."""
-        return next((i for i in self.by_driver.values() if i.manifest.device.type == device_type), None)
+        return next((found for found in self.by_driver.values() if device_type in found.manifests), None)
+
+    def find_source(self, path: str) -> Path | None:
+        """The file of `include <driver/name.L>;`, or None when no installed driver ships it."""
+        driver, _, file = path.partition("/")
+        found = self.by_driver.get(driver)
+        # One folder, no way out of it: the rest is a plain file name.
+        if found is None or PurePosixPath(file).name != file or file in ("", ".", ".."):
+            return None
+        return found.plugin.source(file)
 
     def add(self, reference: str) -> None:
         """Take a plugin in, or note why it cannot be. Raises PluginError on a duplicate name.
@@ -46,20 +60,22 @@ class Plugins:
         """
         try:
             plugin = load_plugin(reference)
-            installed = Installed(plugin, plugin.manifest(), reference)
+            installed = Installed(plugin, plugin.read_manifests(), reference)
         except PluginError as error:
             self.problems.append(str(error))
             return
-        device_type = installed.manifest.device.type
-        rival = self.by_driver.get(plugin.name) or self.for_type(device_type)
-        if rival is not None:
-            what = "driver" if rival.plugin.name == plugin.name else "device type"
-            name = plugin.name if what == "driver" else device_type
-            raise PluginError(
-                f"two installed plugins, {rival.reference} and {reference}, "
-                f"both define the {what} '{name}'; uninstall one of them"
-            )
+        if (rival := self.by_driver.get(plugin.name)) is not None:
+            raise _both(rival.reference, reference, f"the driver '{plugin.name}'")
+        for device_type in installed.manifests:
+            if (rival := self.for_type(device_type)) is not None:
+                raise _both(rival.reference, reference, f"the device type '{device_type}'")
         self.by_driver[plugin.name] = installed
+
+
+def _both(first: str, second: str, what: str) -> PluginError:
+    return PluginError(
+        f"two installed plugins, {first} and {second}, both define {what}; uninstall one of them"
+    )
 
 
 def discover(entries: Iterable[EntryPoint] | None = None) -> Plugins:

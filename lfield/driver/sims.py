@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+import tempfile
+from collections.abc import Iterable, Sequence
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from lfield.driver.binding import OptionValue
+from lfield.driver.binding import DeviceBinding
 from lfield.errors import LfieldError, PluginError
 
 GROUP = "lfield.sims.v1"
@@ -28,8 +31,11 @@ class Sim(Protocol):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add its options to a command line; they include `--listen` and `--until-stdin-closes`."""
 
-    def arguments(self, options: Mapping[str, OptionValue]) -> list[str]:
-        """The options that make it the device of a binding with these options, on a free port."""
+    def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
+        """The options that make it the bus with these devices, on a free port.
+
+        They name each device as its binding does, so that its faults can be set by that name.
+        """
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until SIGTERM, SIGINT or (if asked) the end of stdin; the exit status.
@@ -71,6 +77,14 @@ def discover_sims(entries: Iterable[EntryPoint] | None = None) -> Sims:
     for reference in sorted({entry.value for entry in found}):
         sims.add(reference)
     return sims
+
+
+def control_folder() -> Path:
+    """Where running fakes have the sockets at which their faults are set; made on demand."""
+    base = os.environ.get("XDG_RUNTIME_DIR") or f"{tempfile.gettempdir()}/lfield-{os.getuid()}"
+    folder = Path(base) / "lfield-sims"
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return folder
 
 
 def load_sim(reference: str) -> Sim:

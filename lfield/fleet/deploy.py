@@ -94,7 +94,7 @@ def compile_file(path: Path, plugins: Plugins | None = None) -> tuple[Program, l
     from lfield.lang.frontend import check_file as check_program
 
     known = plugins if plugins is not None else discover()
-    checked = check_program(path, devices=known.manifests)
+    checked = check_program(path, devices=known.device_types, find_include=known.find_source)
     if checked.program is None:
         raise ProgramError(checked.diagnostics)
     return compile_program(checked.program), checked.diagnostics

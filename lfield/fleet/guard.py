@@ -60,7 +60,11 @@ class Guard(asyncio.SubprocessProtocol):
     ) -> None:
         self._installed, self._clock, self._note, self._silence = installed, clock, note, silence
         self._devices = {device.name: device for device in devices}
-        self._quantities = {quantity.name: quantity for quantity in installed.manifest.device.telemetry}
+        self._quantities = {
+            (device.name, quantity.name): quantity
+            for device in devices
+            for quantity in installed.manifests[device.type].device.telemetry
+        }
         self._reader = MessageReader()
         self._transport: asyncio.SubprocessTransport | None = None
         self._pipe: asyncio.WriteTransport | None = None
@@ -169,7 +173,7 @@ class Guard(asyncio.SubprocessProtocol):
         if found is None:
             raise DeviceError(binding.field, f"has not reported {quantity}", kind="DeviceTimeoutException")
         value, at = found
-        age, longest = now - at, self._quantities[quantity].max_age
+        age, longest = now - at, self._quantities[device, quantity].max_age
         if age > longest:
             reason = f"the last {quantity} is {age:.1f} s old (at most {longest:g} s)"
             raise DeviceError(binding.field, reason, kind="DeviceTimeoutException")
@@ -271,7 +275,7 @@ class Guard(asyncio.SubprocessProtocol):
         now = self._clock.monotonic()
         self._heard[snapshot.device] = now - snapshot.heard
         for name, value in snapshot.values.items():
-            known = conform(value, self._quantities[name].type)
+            known = conform(value, self._quantities[snapshot.device, name].type)
             self._values[snapshot.device, name] = (known, now - snapshot.ages[name])
 
     def _on_done(self, token: int, value: Any) -> None:

@@ -11,13 +11,13 @@ import msgspec
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.guard_core import SILENCE
-from lfield.driver.plugins import Installed, Plugins
+from lfield.driver.plugins import Plugins
 from lfield.driver.sims import discover_sims
 from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.fleet.bindings import SIMULATED
 from lfield.fleet.guard import Answered, Guard, OpenFailed
 from lfield.fleet.sims import Fake, start_fake
-from lfield.manifest import DeviceValue
+from lfield.manifest import DeviceManifest, DeviceValue
 from lfield.vm.world import PENDING, Pending
 
 
@@ -33,7 +33,7 @@ class Guards:
         self._plugins, self._clock, self._note, self._silence = plugins, clock, note, silence
         self._guards: list[Guard] = []
         self._fakes: list[Fake] = []
-        self._by_device: dict[str, tuple[Guard, Installed]] = {}
+        self._by_device: dict[str, tuple[Guard, DeviceManifest]] = {}
 
     async def open(self, devices: Sequence[DeviceBinding]) -> None:
         """Open all devices at once. Raises DevicesError with all problems; then none is left open."""
@@ -48,14 +48,17 @@ class Guards:
             raise DevicesError(problems)
 
     async def _open(self, devices: Sequence[DeviceBinding], problems: list[str]) -> None:
-        placed = await self._with_fakes(devices, problems)
+        problems += _shared_ports(devices)
+        placed = await self._with_fakes(devices, problems) if not problems else []
         if problems:
             return
         for bus in _by_bus(placed).values():
             installed = self._plugins.by_driver[bus[0].driver]
             guard = Guard(installed, bus, self._clock, self._note, self._silence)
             self._guards.append(guard)
-            self._by_device.update({device.name: (guard, installed) for device in bus})
+            self._by_device.update(
+                {device.name: (guard, installed.manifests[device.type].device) for device in bus}
+            )
         for answer in await asyncio.gather(*(g.open() for g in self._guards), return_exceptions=True):
             if isinstance(answer, OpenFailed):
                 problems.extend(answer.problems)
@@ -64,21 +67,22 @@ class Guards:
 
     async def _with_fakes(self, devices: Sequence[DeviceBinding], problems: list[str]) -> list[DeviceBinding]:
         """The same devices, the simulated ones at the endpoints of fakes that now run."""
-        simulated = [device for device in devices if device.endpoint == SIMULATED]
+        simulated = _by_bus([device for device in devices if device.endpoint.startswith(SIMULATED)])
         if not simulated:
             return list(devices)
         sims = discover_sims()
-        started = await asyncio.gather(*(start_fake(sims, d) for d in simulated), return_exceptions=True)
+        fakes = (start_fake(sims, bus) for bus in simulated.values())
+        started = await asyncio.gather(*fakes, return_exceptions=True)
         self._fakes += [fake for fake in started if isinstance(fake, Fake)]
-        endpoints: dict[str, str] = {}
-        for device, fake in zip(simulated, started, strict=True):
+        endpoints: dict[tuple[str, str], str] = {}
+        for bus, fake in zip(simulated, started, strict=True):
             if isinstance(fake, Fake):
-                endpoints[device.name] = fake.endpoint
+                endpoints[bus] = fake.endpoint
             elif isinstance(fake, PluginError):
                 problems.append(str(fake))
             else:
                 raise fake
-        return [msgspec.structs.replace(d, endpoint=endpoints.get(d.name, d.endpoint)) for d in devices]
+        return [msgspec.structs.replace(d, endpoint=endpoints.get(d.bus, d.endpoint)) for d in devices]
 
     def call(
         self, agent: str, field: str, instruction: str, arguments: Sequence[Any], answered: Answered
@@ -90,8 +94,8 @@ class Guards:
         found = self._by_device.get(f"{agent}.{field}")
         if found is None:
             raise DeviceError(field, "is not open on this host")
-        guard, installed = found
-        declared = installed.manifest.device.instruction(instruction)
+        guard, manifest = found
+        declared = manifest.instruction(instruction)
         if declared is None:
             raise DeviceError(field, f"has no instruction '{instruction}'")
         if declared.effect == "query" and not declared.blocking:
@@ -119,6 +123,17 @@ class Guards:
         await asyncio.gather(*(guard.close() for guard in self._guards))
         await asyncio.gather(*(fake.stop() for fake in self._fakes))
         self._guards, self._fakes, self._by_device = [], [], {}
+
+
+def _shared_ports(devices: Sequence[DeviceBinding]) -> list[str]:
+    """One port has one driver; two of them would take each other's bytes."""
+    first: dict[str, DeviceBinding] = {}
+    return [
+        f"{rival.name} and {device.name} are both at {device.endpoint}, one by the driver '{rival.driver}', "
+        f"one by '{device.driver}': one port can have one driver"
+        for device in devices
+        if (rival := first.setdefault(device.endpoint, device)).driver != device.driver
+    ]
 
 
 def _by_bus(devices: Sequence[DeviceBinding]) -> dict[tuple[str, str], list[DeviceBinding]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lfield.driver.binding import DeviceBinding
@@ -33,19 +34,18 @@ class Fake:
             await self.process.wait()
 
 
-async def start_fake(sims: Sims, binding: DeviceBinding) -> Fake:
-    """Start the fake of a binding's driver on a free port. Raises PluginError.
+async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> Fake:
+    """Start the fake of all devices of one bus on a free port. Raises PluginError.
 
     The fake ends when its stdin closes, so also when this process is killed. It is in a session of its own:
     a Ctrl-C must not take it away from devices that are still being made safe.
     """
-    sim = sims.get(binding.driver)
+    names, driver = ", ".join(device.name for device in bus), bus[0].driver
+    sim = sims.get(driver)
     if sim is None:
         known = ", ".join(sorted(sims)) or "none"
-        raise PluginError(
-            f"{binding.name}: there is no fake for driver '{binding.driver}' (fakes installed: {known})"
-        )
-    reference, options = sims.references[sim.name], sim.arguments(binding.options)
+        raise PluginError(f"{names}: there is no fake for driver '{driver}' (fakes installed: {known})")
+    reference, options = sims.references[sim.name], sim.arguments(bus)
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes"),
         stdin=asyncio.subprocess.PIPE,
@@ -63,6 +63,6 @@ async def start_fake(sims: Sims, binding: DeviceBinding) -> Fake:
         fake = Fake("", process)
         await fake.stop()
         raise PluginError(
-            f"{binding.name}: the fake '{sim.name}' did not start; it said: {line.strip() or 'nothing'}"
+            f"{names}: the fake '{sim.name}' did not start; it said: {line.strip() or 'nothing'}"
         )
     return Fake(words[1], process)

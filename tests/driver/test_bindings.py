@@ -134,13 +134,18 @@ def test_a_driver_of_another_type(written, plugins):
 
 def test_simulation_needs_no_file(plugins):
     fc = read_bindings(None, NEEDED, plugins, simulate=True).devices["beta"]["fc"]
-    assert (fc.driver, fc.endpoint, fc.safe_state, fc.option("system")) == ("mavlink", SIMULATED, "land", 1)
+    assert (fc.driver, fc.endpoint, fc.safe_state, fc.option("system")) == (
+        "mavlink",
+        SIMULATED + "beta.fc",
+        "land",
+        1,
+    )
 
 
 def test_simulation_keeps_what_the_file_says_but_the_endpoint(written, plugins):
     fc = read_bindings(written(GOOD), NEEDED, plugins, simulate=True).devices["alpha"]["fc"]
     assert (fc.endpoint, fc.option("system"), fc.limits, fc.safe_state) == (
-        SIMULATED,
+        SIMULATED + "udp:127.0.0.1:14550",
         3,
         {"speed": 5.0},
         "hold",

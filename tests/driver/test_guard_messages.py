@@ -10,7 +10,14 @@ from lfield.driver.values import conform
 from lfield.errors import WireError
 
 BINDING = DeviceBinding(
-    agent="a", field="f", driver="d", endpoint="e", safe_state="off", limits={"speed": 1.5}, options={"id": 3}
+    agent="a",
+    field="f",
+    type="T",
+    driver="d",
+    endpoint="e",
+    safe_state="off",
+    limits={"speed": 1.5},
+    options={"id": 3},
 )
 SAMPLES = [
     Open([BINDING], "again", 0.2),

@@ -17,7 +17,7 @@ from lfield.clock import SystemClock
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import Sims
 from lfield.errors import BindingError, DeviceError
-from lfield.fleet.bindings import read_bindings
+from lfield.fleet.bindings import SIMULATED, read_bindings
 from lfield.fleet.guards import Guards
 from lfield.fleet.sims import Fake, start_fake
 from lfield.vm.world import PENDING
@@ -52,7 +52,7 @@ class Brisk(dict):
         super().__init__(mavlink=Faster())
 
 
-def binding(endpoint="sim", **changes):
+def binding(endpoint=SIMULATED, **changes):
     bound = read_bindings(None, {"alpha": {"fc": "Mavlink"}}, plugins(), simulate=True).devices["alpha"]["fc"]
     options = bound.options | changes.pop("options", {})
     return msgspec.structs.replace(bound, endpoint=endpoint, options=options, **changes)
@@ -60,7 +60,7 @@ def binding(endpoint="sim", **changes):
 
 @asynccontextmanager
 async def fake(*options: str):
-    running = await start_fake(Brisk(*options), binding())
+    running = await start_fake(Brisk(*options), [binding()])
     try:
         yield running
     finally:
@@ -298,7 +298,7 @@ def test_a_missing_vendor_library_names_the_extra_on_the_host(tmp_path, monkeypa
 
 def test_no_fake_for_a_driver():
     async def attempt():
-        await start_fake(Sims(), binding())
+        await start_fake(Sims(), [binding()])
 
     with pytest.raises(
         Exception, match=r"alpha.fc: there is no fake for driver 'mavlink' \(fakes installed: none\)"

@@ -80,7 +80,7 @@ def test_all_mistakes_are_told_at_once():
 
 
 def test_the_mavlink_manifest_has_what_the_language_needs():
-    device = PLUGIN.manifest().device
+    device = PLUGIN.read_manifests()["Mavlink"].device
     assert device.type == "Mavlink"
     names = {i.name for i in device.instructions}
     actions = {"arm", "disarm", "takeoff", "goTo", "yaw", "setVelocity", "hold", "land", "release"}

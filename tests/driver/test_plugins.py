@@ -45,7 +45,7 @@ def plugin_at(tmp_path, monkeypatch):
 def test_plugins_by_driver_and_by_type(plugin_at):
     plugins = discover([entry(plugin_at("plug_a", "a", "A")), entry(plugin_at("plug_b", "b", "B"))])
     assert sorted(plugins.by_driver) == ["a", "b"]
-    assert sorted(plugins.manifests) == ["A", "B"]
+    assert sorted(plugins.device_types) == ["A", "B"]
     found = plugins.for_type("B")
     assert found is not None
     assert found.reference == "plug_b:PLUGIN"
@@ -92,7 +92,7 @@ def test_broken_plugins_do_not_stop_the_others(plugin_at):
 def test_a_missing_vendor_library_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pymavlink", None)
     plugin = load_plugin("lfield_mavlink:PLUGIN")
-    assert plugin.manifest().device.type == "Mavlink"
+    assert "Mavlink" in plugin.read_manifests()
     with pytest.raises(PluginError, match=r"needs pymavlink: pip install 'lfield\[mavlink\]'"):
         plugin.load()
 
@@ -106,7 +106,7 @@ def test_looking_at_plugins_and_fakes_imports_no_vendor_library():
     code = (
         "import sys; from lfield.driver.plugins import Plugins; from lfield.driver.sims import Sims\n"
         "p = Plugins(); p.add('lfield_mavlink:PLUGIN'); s = Sims(); s.add('lfield_sim.mavlink:SIM')\n"
-        "assert p.manifests and s and not p.problems and not s.problems, (p.problems, s.problems)\n"
+        "assert p.device_types and s and not p.problems and not s.problems, (p.problems, s.problems)\n"
         "assert 'pymavlink' not in sys.modules\n"
         "assert not any(m.startswith(('lfield.vm', 'lfield.lang', 'lfield.fleet')) for m in sys.modules)"
     )
@@ -125,4 +125,4 @@ def test_broken_and_duplicate_fakes(plugin_at):
 def test_plugins_can_be_added_by_reference():
     plugins = Plugins()
     plugins.add("lfield_mavlink:PLUGIN")
-    assert "Mavlink" in plugins.manifests
+    assert "Mavlink" in plugins.device_types

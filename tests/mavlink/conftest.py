@@ -15,7 +15,7 @@ from lfield_mavlink.driver import MavlinkDriver
 from lfield_sim.autopilot import KINDS, Autopilot
 from lfield_sim.mavlink.protocol import STEP, Faults, MavlinkFake
 
-MANIFEST = PLUGIN.manifest()
+MANIFEST = PLUGIN.read_manifests()["Mavlink"]
 
 
 class MemoryLink:
@@ -57,8 +57,9 @@ class Bench:
         self.fake = MavlinkFake(self.autopilot, faults=faults or Faults())
         given = {"system": 1, "kind": kind, "connect": 5.0, "tolerance": 0.5, **(options or {})}
         self.binding = DeviceBinding(
-            agent="alpha", field="fc", driver="mavlink", endpoint="udp:127.0.0.1:1", safe_state=safe_state,
-            limits=limits or {}, options=given,
+            agent="alpha", field="fc", type="Mavlink", driver="mavlink", safe_state=safe_state,
+            endpoint="udp:127.0.0.1:1",
+            limits=limits or {}, options=given, waivers=["device_watchdog"],
         )  # fmt: skip
         self.sent: list[bytes] = []
         self.link: MemoryLink | None = None
@@ -85,7 +86,7 @@ class Bench:
 
         async def main() -> Any:
             kind = type("Driver", (BenchDriver,), {"bench": self})
-            driver = kind([self.binding], MANIFEST, LoopClock(), self)
+            driver = kind([self.binding], {"Mavlink": MANIFEST}, LoopClock(), self)
             flying = asyncio.get_running_loop().create_task(self._fly())
             try:
                 await driver.open()

@@ -123,7 +123,7 @@ def test_the_installed_wheel_finds_its_plugins(installed, tmp_path):
     script = (
         "from lfield.driver.plugins import discover; from lfield.driver.sims import discover_sims; "
         "import lfield_mavlink; print(lfield_mavlink.__file__); "
-        "print(sorted(discover().manifests), sorted(discover_sims()))"
+        "print(sorted(discover().device_types), sorted(discover_sims()))"
     )
     done = run("-P", "-c", script, env=installed, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -10,6 +10,7 @@ import sys
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from lfield.driver.binding import DeviceBinding
 from lfield.driver.sims import main as run_sim
 from lfield.errors import UsageError
 from lfield_sim.mavlink import SIM, parse_listen
@@ -112,6 +113,10 @@ def test_listen_texts():
 
 
 def test_a_binding_makes_its_fake():
-    assert SIM.arguments({"kind": "rover", "system": 9}) == [
+    device = DeviceBinding(
+        agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint="sim:a.fc", safe_state="land",
+        options={"kind": "rover", "system": 9},
+    )  # fmt: skip
+    assert SIM.arguments([device]) == [
         "--listen", "udp:127.0.0.1:0", "--kind", "rover", "--system", "9",
     ]  # fmt: skip

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from lfield.driver.binding import OptionValue
+from lfield.driver.binding import DeviceBinding
 from lfield.errors import PluginError, UsageError
 
 
@@ -70,16 +70,11 @@ class MavlinkSim:
             "--until-stdin-closes", action="store_true", help="end with the one who started it"
         )
 
-    def arguments(self, options: Mapping[str, OptionValue]) -> list[str]:
-        """The fake of a binding with these options."""
-        listen = ["--listen", "udp:127.0.0.1:0"]
-        return [
-            *listen,
-            "--kind",
-            str(options.get("kind", "copter")),
-            "--system",
-            str(options.get("system", 1)),
-        ]
+    def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
+        """The fake of the device of a bus."""
+        options = devices[0].options
+        kind, system = str(options.get("kind", "copter")), str(options.get("system", 1))
+        return ["--listen", "udp:127.0.0.1:0", "--kind", kind, "--system", system]
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until told to end; 0."""

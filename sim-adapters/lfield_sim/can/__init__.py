@@ -1,0 +1,1 @@
+"""Fakes on a CAN bus."""

@@ -1,0 +1,1 @@
+"""A fake chain of Dynamixel servos."""

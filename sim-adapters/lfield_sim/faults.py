@@ -1,0 +1,114 @@
+"""Faults of a fake by name: what there is, what is set, for which device, changed while it runs.
+
+loss=0.1           a share, for every device of the fake
+dead@3=true        of device 3 only
+silent@alpha.fc=true   by the name that a mission's binding gives the device
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+FaultValue = bool | float | str
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that can go wrong. The type of `default` is the type of its values; it means "healthy"."""
+
+    name: str
+    default: FaultValue
+    meaning: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
+
+    def parse(self, text: str) -> FaultValue:
+        """The value that a text means. Raises ValueError with a sentence."""
+        if isinstance(self.default, str):
+            return text
+        if isinstance(self.default, bool):
+            if text not in ("true", "false"):
+                raise ValueError(f"{self.name} is true or false, not '{text}'")
+            return text == "true"
+        try:
+            value = float(text)
+        except ValueError:
+            raise ValueError(f"{self.name} is a number, not '{text}'") from None
+        if not self.minimum <= value <= self.maximum:
+            raise ValueError(f"{self.name} is from {self.minimum:g} to {self.maximum:g}, not {text}")
+        return value
+
+
+def share(name: str, meaning: str) -> Fault:
+    """A fault that is a probability: 0 healthy, 1 always."""
+    return Fault(name, 0.0, meaning, 0.0, 1.0)
+
+
+class Faults:
+    """The faults of a fake. `devices` are the ids it can tell apart, with the names of their bindings."""
+
+    def __init__(self, known: Iterable[Fault], devices: Mapping[str, str] | Iterable[str] = ()) -> None:
+        self._known = {fault.name: fault for fault in known}
+        self._names = dict(devices) if isinstance(devices, Mapping) else dict.fromkeys(devices, "")
+        self._set: dict[tuple[str, str], FaultValue] = {}
+        self._watchers: list[Callable[[], None]] = []
+
+    def watch(self, changed: Callable[[], None]) -> None:
+        """Call `changed` after every change."""
+        self._watchers.append(changed)
+
+    def get(self, name: str, device: object = "") -> Any:
+        """What a fault is for a device (by its id), or for the whole fake."""
+        own = self._set.get((name, str(device)))
+        return self._set.get((name, ""), self._known[name].default) if own is None else own
+
+    def apply(self, texts: Iterable[str]) -> None:
+        """Set `NAME[@DEVICE]=VALUE`, all or none. Raises ValueError with a sentence."""
+        parsed = [self._parse(text) for text in texts]
+        self._set.update(parsed)
+        for changed in self._watchers:
+            changed()
+
+    def _parse(self, text: str) -> tuple[tuple[str, str], FaultValue]:
+        target, equals, value = text.partition("=")
+        name, at, device = target.partition("@")
+        if not equals:
+            raise ValueError(f"'{text}' is no fault; write NAME=VALUE or NAME@DEVICE=VALUE")
+        if name not in self._known:
+            raise ValueError(f"there is no fault '{name}'; there are: {', '.join(sorted(self._known))}")
+        return (name, self._device(device) if at else ""), self._known[name].parse(value)
+
+    def _device(self, name: str) -> str:
+        if name in self._names:
+            return name
+        for device, called in self._names.items():
+            if called == name:
+                return device
+        known = ", ".join(
+            f"{device} ({called})" if called else device for device, called in self._names.items()
+        )
+        raise ValueError(f"there is no device '{name}'; there are: {known or 'none to tell apart'}")
+
+    def described(self) -> dict[str, str]:
+        """Every fault with what it is now and what it means, for people."""
+        lines = {}
+        for fault in self._known.values():
+            values = [f"{_text(self.get(fault.name))}"]
+            values += [f"@{d}={_text(v)}" for (name, d), v in self._set.items() if name == fault.name and d]
+            lines[fault.name] = f"{' '.join(values)}  ({fault.meaning})"
+        return lines
+
+
+def add_fault_option(parser: argparse.ArgumentParser) -> None:
+    """`--fault NAME=VALUE`, as often as wanted: what is wrong from the start."""
+    parser.add_argument(
+        "--fault", action="append", default=[], metavar="NAME[@DEVICE]=VALUE", help="wrong from the start"
+    )
+
+
+def _text(value: FaultValue) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
