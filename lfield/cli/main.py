@@ -26,6 +26,7 @@ COMMANDS = {
     "disasm": "list a program file",
     "up": "run the hosts of a deployment",
     "ps": "show what runs where",
+    "estop": "bring every device of a running mission into its safe state",
     "inspect": "explain a dumped agent",
     "sim": "run a stand-alone fake of a device",
 }

@@ -8,6 +8,8 @@ SIGTERM, the devices are made safe and the process ends.
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import gc
 import os
 import signal
 import sys
@@ -16,8 +18,9 @@ from typing import Any
 
 from lfield.clock import Clock, SystemClock
 from lfield.driver.device import Device, Driver, check_methods
-from lfield.driver.guard_core import Cancel, Effect, Execute, Exit, GuardCore, MakeSafe, Tell
+from lfield.driver.guard_core import Cancel, Effect, Execute, Exit, GuardCore, MakeSafe, Quiet, Tell
 from lfield.driver.messages import (
+    Allow,
     Beat,
     Call,
     Failed,
@@ -89,7 +92,9 @@ class Shell(asyncio.Protocol):
         elif isinstance(message, Call):
             self._run(self._core.call(message))
         elif isinstance(message, Safe):
-            self._run(self._core.safe(message.device, message.reason))
+            self._run(self._core.safe(message.device, message.reason, barred=message.barred))
+        elif isinstance(message, Allow):
+            self._run(self._core.allow())
         elif isinstance(message, Stop):
             self._run(self._core.stop(message.reason))
 
@@ -174,11 +179,23 @@ class Shell(asyncio.Protocol):
                         self._calls[token].cancel()
                 case MakeSafe(device):
                     self._spawn(self._make_safe(device))
+                case Quiet(on):
+                    self._be_quiet(on)
                 case Tell(message):
                     self._tell(message)
                 case Exit(status):
                     self._finish(status)
         self._set_timer()
+
+    def _be_quiet(self, on: bool) -> None:
+        assert self._driver is not None
+        try:
+            if on:
+                self._driver.quiet()
+            else:
+                self._driver.resume()
+        except Exception as error:  # foreign code again
+            self.crashed(repr(error))
 
     async def _execute(self, call: Call) -> None:
         core, driver = self._core, self._driver
@@ -273,6 +290,20 @@ async def serve(plugin: Plugin, input_fd: int, output_fd: int) -> int:
         output.close()
 
 
+def be_prompt() -> None:
+    """Have the timers of this process come first, also on a computer that is busy.
+
+    Only where the system allows it (CAP_SYS_NICE, or LimitRTPRIO=1 in the service's unit). The threads of a
+    driver do not inherit it: one that spins must not starve the machine.
+    """
+    policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, policy, os.sched_param(1))
+    # What is there now stays: later collections look at new objects only, and are short.
+    gc.collect()
+    gc.freeze()
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the guard of the plugin `package:PLUGIN`."""
     if len(arguments) != 1:
@@ -283,6 +314,7 @@ def main(arguments: Sequence[str]) -> int:
     os.dup2(2, 1)
     try:
         plugin = load_plugin(arguments[0])
+        be_prompt()
         return asyncio.run(serve(plugin, os.dup(0), output_fd))
     except LfieldError as error:
         print(error, file=sys.stderr)

@@ -7,9 +7,12 @@ A device is free or latched. It is latched, and its safe state commanded until i
   - the time-to-live of a setpoint is over and nothing has replaced it;
   - its driver raised anything but a DeviceError, or the guard was restarted.
 
-Only `release()` frees it, and only once its safe state is confirmed. One actuation runs at a time: a newer
-one replaces an older one, so that `land()` need not wait for a `goTo()` of another thread. A query that
-asks the device runs beside the others, also while the device is latched.
+Only `release()` frees it, and only once its safe state is confirmed. On each channel of a device one
+actuation runs at a time: a newer one replaces an older one, so that `land()` need not wait for a `goTo()` of
+another thread. A query that asks the device runs beside the others, also while the device is latched.
+
+While the host is silent the bus is made quiet, once every safe state is confirmed or QUIET_BY is over: what
+the driver sends by itself would keep the device's own watchdog content for an owner who is gone.
 
 Every event first looks at the clock: what is overdue happens before what has just arrived, so that a beat
 that lay in the pipe while this process was stopped does not excuse the silence.
@@ -30,6 +33,8 @@ from lfield.manifest import DeviceManifest, DeviceValue, Instruction
 SILENCE = 0.2
 #: How long after a failed attempt the safe state is commanded again.
 RETRY = 1.0
+#: How long a silent host's devices have to confirm their safe states before their bus is made quiet.
+QUIET_BY = 2.0
 #: How long a stop waits for the safe states to be confirmed.
 STOP_BOUND = 8.0
 
@@ -65,6 +70,13 @@ class MakeSafe:
 
 
 @dataclass(frozen=True, slots=True)
+class Quiet:
+    """Effect: send nothing that feeds a device's own watchdog from now on (False: do again)."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Tell:
     """Effect: send a message to the host."""
 
@@ -78,29 +90,34 @@ class Exit:
     status: int
 
 
-Effect = Execute | Cancel | MakeSafe | Tell | Exit
+Effect = Execute | Cancel | MakeSafe | Quiet | Tell | Exit
 
 
 @dataclass(slots=True)
 class _Device:
-    """What the guard knows of one device. `latched` is the reason, or '' when it is free."""
+    """What the guard knows of one device. `latched` is the reason, or '' when it is free.
+
+    `barred` is why the program may not release it: somebody pressed the emergency stop.
+    `acting` is what runs on each channel, `setpoints` are the times when the ones in effect are over.
+    """
 
     name: str
     manifest: DeviceManifest
     ttl: float
     latched: str = ""
+    barred: str = ""
     confirmed: bool = False
     moved: bool = False
     retry_at: float | None = None
-    setpoint_until: float | None = None
-    acting: Call | None = None
+    setpoints: dict[str, float] = field(default_factory=dict)
+    acting: dict[str, Call] = field(default_factory=dict)
     asking: dict[int, Call] = field(default_factory=dict)
 
-    def way(self, call: Call) -> Way:
-        """How a call that was let in is treated."""
+    def declared(self, call: Call) -> Instruction:
+        """The instruction of a call that was let in."""
         instruction = self.manifest.instruction(call.instruction)
         assert instruction is not None, "an unknown instruction is refused before it gets here"
-        return way(instruction)
+        return instruction
 
 
 class GuardCore:
@@ -118,7 +135,7 @@ class GuardCore:
         self._silence = silence
         self._last_beat = clock.monotonic()
         self._stop_by: float | None = None
-        self._ended = False
+        self._ended = self._quiet = False
 
     # -- events ---------------------------------------------------------------------------------------
 
@@ -130,7 +147,11 @@ class GuardCore:
     def beat(self, sent: float) -> list[Effect]:
         """The host was alive at `sent`."""
         effects = self.tick()
-        self._last_beat = max(self._last_beat, min(sent, self._clock.monotonic()))
+        now = self._clock.monotonic()
+        self._last_beat = max(self._last_beat, min(sent, now))
+        if self._quiet and now < self._last_beat + self._silence:
+            self._quiet = False
+            effects.append(Quiet(False))
         return effects
 
     def call(self, call: Call) -> list[Effect]:
@@ -151,8 +172,8 @@ class GuardCore:
         refusal = self._why_not(device, call, how)
         if refusal:
             return [*effects, _refuse(call, refusal)]
-        effects += self._abandon(device, f"replaced by {call.instruction}()")
-        device.acting, device.moved = call, True
+        effects += self._abandon(device, instruction.channel, f"replaced by {call.instruction}()")
+        device.acting[instruction.channel], device.moved = call, True
         return [*effects, Execute(call)]
 
     def finished(self, token: int, value: DeviceValue) -> list[Effect]:
@@ -162,11 +183,12 @@ class GuardCore:
         if call is None:
             return effects
         device = self._devices[call.device]
-        how = device.way(call)
+        instruction = device.declared(call)
+        how = way(instruction)
         if how == "setpoint":
-            device.setpoint_until = call.sent + device.ttl
+            device.setpoints[instruction.channel] = call.sent + device.ttl
         elif how == "act":
-            device.setpoint_until = None
+            device.setpoints.pop(instruction.channel, None)
         return [*effects, Tell(Done(token, value))]
 
     def refused(self, token: int, kind: str, reason: str) -> list[Effect]:
@@ -183,12 +205,20 @@ class GuardCore:
         effects.append(_refuse(call, reason))
         return effects + self._latch(self._devices[call.device], reason)
 
-    def safe(self, device: str, reason: str) -> list[Effect]:
+    def safe(self, device: str, reason: str, *, barred: bool = False) -> list[Effect]:
         """Somebody asks for the safe state of a device, or of all ('')."""
         effects = self.tick()
-        if not device:
-            return effects + self._latch_all(reason)
-        return effects + self._latch(self._devices[device], reason) if device in self._devices else effects
+        for name, known in self._devices.items():
+            if device in ("", name):
+                known.barred = known.barred or (reason if barred else "")
+                effects += self._latch(known, reason)
+        return effects
+
+    def allow(self) -> list[Effect]:
+        """The emergency is over: what is latched may be released."""
+        for device in self._devices.values():
+            device.barred = ""
+        return self.tick()
 
     def made_safe(self, name: str) -> list[Effect]:
         """The driver has seen the device in its safe state."""
@@ -196,7 +226,7 @@ class GuardCore:
         device = self._devices[name]
         device.confirmed, device.retry_at = True, None
         effects.append(Tell(Latched(name, device.latched, True)))
-        return effects + self._end_if_safe()
+        return effects + self._be_quiet() + self._end_if_safe()
 
     def not_safe(self, name: str, reason: str) -> list[Effect]:
         """The driver could not bring the device into its safe state; it is tried again."""
@@ -226,6 +256,7 @@ class GuardCore:
             if device.retry_at is not None and now >= device.retry_at:
                 device.retry_at = None
                 effects.append(MakeSafe(device.name))
+        effects += self._be_quiet()
         if self._stop_by is not None and now >= self._stop_by:
             effects += self._end()
         return effects
@@ -237,8 +268,10 @@ class GuardCore:
         times = [self._expiry(device) for device in self._devices.values()]
         times += [device.retry_at for device in self._devices.values()]
         times.append(self._stop_by)
-        if any(device.moved and not device.latched for device in self._devices.values()):
-            times.append(self._last_beat + self._silence)
+        if not self._quiet:
+            silent_at = self._last_beat + self._silence
+            waiting = self._clock.monotonic() >= silent_at
+            times.append(silent_at + QUIET_BY if waiting else silent_at)
         return min((time for time in times if time is not None), default=None)
 
     # -- decisions ------------------------------------------------------------------------------------
@@ -250,12 +283,25 @@ class GuardCore:
             return f"the setpoint came after its time-to-live of {device.ttl:g} s"
         return ""
 
+    def _be_quiet(self) -> list[Effect]:
+        """Make the bus quiet when the host is silent and there is nothing left to be sent for its sake."""
+        silence = self._clock.monotonic() - self._last_beat - self._silence
+        if self._quiet or silence < 0.0:
+            return []
+        safe = all(device.confirmed or not device.latched for device in self._devices.values())
+        if not safe and silence < QUIET_BY:
+            return []
+        self._quiet = True
+        return [Quiet(True)]
+
     def _ask(self, device: _Device, call: Call) -> list[Effect]:
         """Let a call in that moves nothing; release() unlatches first, and tells the driver so."""
         effects: list[Effect] = []
         if call.instruction == RELEASE.name:
             if self._stop_by is not None or self._ended:
                 return [_refuse(call, "the host is stopping")]
+            if device.barred:
+                return [_refuse(call, f"{device.barred}; 'lfield estop --lift' must come first")]
             if device.latched and not device.confirmed:
                 return [
                     _refuse(call, "its safe state is not confirmed yet; call release() again in a moment")
@@ -273,9 +319,14 @@ class GuardCore:
         """Latch a free device; the first reason is the one that is kept."""
         if device.latched:
             return []
-        device.latched, device.confirmed, device.setpoint_until = reason, False, None
+        device.latched, device.confirmed = reason, False
+        device.setpoints.clear()
         # The safe state goes out first: it is the effect that cannot wait.
-        stopped = self._abandon(device, f"stopped, since {reason}")
+        stopped = [
+            effect
+            for channel in list(device.acting)
+            for effect in self._abandon(device, channel, f"stopped, since {reason}")
+        ]
         return [
             *_cancels(stopped),
             MakeSafe(device.name),
@@ -283,8 +334,8 @@ class GuardCore:
             Tell(Latched(device.name, reason, False)),
         ]
 
-    def _abandon(self, device: _Device, reason: str) -> list[Effect]:
-        call, device.acting = device.acting, None
+    def _abandon(self, device: _Device, channel: str, reason: str) -> list[Effect]:
+        call = device.acting.pop(channel, None)
         if call is None:
             return []
         return [Cancel(call.token), _refuse(call, f"{call.instruction}() was {reason}")]
@@ -292,20 +343,24 @@ class GuardCore:
     def _take(self, token: int) -> Call | None:
         """The call of a token, no longer running; None when it has been answered before."""
         for device in self._devices.values():
-            if device.acting is not None and device.acting.token == token:
-                call, device.acting = device.acting, None
-                return call
+            for channel, call in device.acting.items():
+                if call.token == token:
+                    return device.acting.pop(channel)
             if token in device.asking:
                 return device.asking.pop(token)
         return None
 
     def _expiry(self, device: _Device) -> float | None:
-        """When the setpoint in effect is over. An actuation that runs replaces it, unless it fails."""
+        """When the first setpoint in effect is over. An actuation that runs replaces it, unless it fails."""
         if device.latched:
             return None
-        if device.acting is None:
-            return device.setpoint_until
-        return device.acting.sent + device.ttl if device.way(device.acting) == "setpoint" else None
+        times = [until for channel, until in device.setpoints.items() if channel not in device.acting]
+        times += [
+            call.sent + device.ttl
+            for call in device.acting.values()
+            if way(device.declared(call)) == "setpoint"
+        ]
+        return min(times, default=None)
 
     def _end_if_safe(self) -> list[Effect]:
         if self._stop_by is None or not all(device.confirmed for device in self._devices.values()):

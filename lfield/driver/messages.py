@@ -51,10 +51,14 @@ class Beat(Message, frozen=True):
 
 
 class Safe(Message, frozen=True):
-    """Host: bring the device ('' for all) into its safe state, now."""
+    """Host: bring the device ('' for all) into its safe state, now.
+
+    When it is `barred`, the program cannot release it until an Allow has come.
+    """
 
     device: str
     reason: str
+    barred: bool = False
 
 
 class Stop(Message, frozen=True):
@@ -126,6 +130,10 @@ class Stopped(Message, frozen=True):
     unsafe: list[str]
 
 
+class Allow(Message, frozen=True):
+    """Host: the program may release its devices again."""
+
+
 #: The kind byte of each message. Order is the protocol: add at the end.
 MESSAGES: tuple[type[Message], ...] = (
     Open,
@@ -142,6 +150,7 @@ MESSAGES: tuple[type[Message], ...] = (
     Released,
     Note,
     Stopped,
+    Allow,
 )
 
 MAX_PAYLOAD = 1 << 20

@@ -11,6 +11,7 @@ from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.manifest_file import AGE
 from lfield.driver.messages import (
+    Allow,
     Beat,
     Call,
     Done,
@@ -23,6 +24,7 @@ from lfield.driver.messages import (
     Ready,
     Refused,
     Released,
+    Safe,
     Snapshot,
     Stop,
     Stopped,
@@ -78,8 +80,13 @@ class Guard(asyncio.SubprocessProtocol):
         self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}
         self._heard: dict[str, float] = {}
         self._unsafe: list[str] = []
+        self._barred = ""
         #: Why a device is held in its safe state, by name; absent while it answers to calls.
         self.latched: dict[str, str] = {}
+        #: The latched devices that have been seen in their safe states.
+        self.confirmed: set[str] = set()
+        #: Called after every change of the two.
+        self.on_latch: Callable[[], None] = lambda: None
 
     # -- life -----------------------------------------------------------------------------------------
 
@@ -101,6 +108,8 @@ class Guard(asyncio.SubprocessProtocol):
             if isinstance(error, OpenFailed):
                 raise
             raise OpenFailed([f"the driver did not open its devices within {OPEN_BOUND:g} s"]) from None
+        if self._barred:
+            self._send(Safe("", self._barred, barred=True))
         for name, identity in identities.items():
             self._note(f"{name}: {identity} at {self._devices[name].endpoint}")
 
@@ -148,6 +157,19 @@ class Guard(asyncio.SubprocessProtocol):
                 pause = min(2 * pause, AGAIN_LAST)
                 self._note(f"the guard cannot be started again yet: {error}")
 
+    def bar(self, reason: str) -> None:
+        """Bring every device into its safe state and keep the program from releasing it.
+
+        A guard that is being started again is told when it is there.
+        """
+        self._barred = reason
+        self._send(Safe("", reason, barred=True))
+
+    def allow(self) -> None:
+        """The program may release the devices again."""
+        self._barred = ""
+        self._send(Allow())
+
     # -- calls and queries ----------------------------------------------------------------------------
 
     def call(
@@ -178,6 +200,11 @@ class Guard(asyncio.SubprocessProtocol):
             reason = f"the last {quantity} is {age:.1f} s old (at most {longest:g} s)"
             raise DeviceError(binding.field, reason, kind="DeviceTimeoutException")
         return value
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The devices of this bus."""
+        return tuple(self._devices)
 
     @property
     def silences(self) -> dict[str, float]:
@@ -220,6 +247,7 @@ class Guard(asyncio.SubprocessProtocol):
         if self._beating is not None:
             self._beating.cancel()
         was_ready, self._ready = self._ready, False
+        self.confirmed.clear()
         self._exited.set()
         if self._opening is not None and not self._opening.done():
             self._opening.set_exception(OpenFailed([f"the driver's process ended with status {status}"]))
@@ -251,12 +279,15 @@ class Guard(asyncio.SubprocessProtocol):
                 answered(DeviceError(binding.field, reason, kind=kind))
             case Latched(device, reason, confirmed):
                 self.latched[device] = reason
+                (self.confirmed.add if confirmed else self.confirmed.discard)(device)
+                self.on_latch()
                 state = f"its safe state '{self._devices[device].safe_state}': {reason}"
                 # An ordinary stop is told once, when it is done; anything else at once.
                 if confirmed or not self._stopping:
                     self._note(f"{device}: {'is in' if confirmed else 'goes into'} {state}")
             case Released(device):
                 self.latched.pop(device, None)
+                self.confirmed.discard(device)
                 self._note(f"{device}: released")
             case Note(device, text):
                 self._note(f"{device}: {text}")

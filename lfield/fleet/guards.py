@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -19,6 +20,9 @@ from lfield.fleet.guard import Answered, Guard, OpenFailed
 from lfield.fleet.sims import Fake, start_fake
 from lfield.manifest import DeviceManifest, DeviceValue
 from lfield.vm.world import PENDING, Pending
+
+#: Seconds for every device to confirm its safe state after an emergency stop.
+STOPS_WITHIN = 5.0
 
 
 class Guards:
@@ -102,6 +106,29 @@ class Guards:
             return guard.query(f"{agent}.{field}", instruction)
         guard.call(f"{agent}.{field}", declared, arguments, answered)
         return PENDING
+
+    async def emergency_stop(self, reason: str) -> dict[str, str]:
+        """Every device into its safe state: '' for each that confirmed within STOPS_WITHIN, else why not."""
+        changed = asyncio.Event()
+        for guard in self._guards:
+            guard.on_latch = changed.set
+            guard.bar(reason)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(STOPS_WITHIN):
+                while any(not guard.confirmed.issuperset(guard.names) for guard in self._guards):
+                    changed.clear()
+                    await changed.wait()
+        return {
+            name: "" if name in guard.confirmed else f"its safe state was not confirmed in {STOPS_WITHIN:g} s"
+            for guard in self._guards
+            for name in guard.names
+        }
+
+    def lift_stop(self) -> dict[str, str]:
+        """The program may release its devices again; the same table, all ''."""
+        for guard in self._guards:
+            guard.allow()
+        return {name: "" for guard in self._guards for name in guard.names}
 
     @property
     def latched(self) -> Mapping[str, str]:

@@ -32,6 +32,8 @@ from lfield.vm.machine import Machine
 from lfield.vm.world import Pending
 from lfield.wire.messages import (
     Control,
+    EmergencyStop,
+    EmergencyStopped,
     Hello,
     Known,
     Status,
@@ -206,8 +208,19 @@ class Host:
         elif isinstance(message, Status):
             self._statuses[host] = message.data
             self.changed.set()
+        elif isinstance(message, EmergencyStop) and not host:
+            self._stopping_devices = self._loop.create_task(self._emergency_stop(message, link))
         elif host and isinstance(message, MobilityMessage):
             self.travel.received(host, message)
+
+    async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
+        if message.lift:
+            self.note("the emergency stop is lifted; programs may release their devices")
+            devices = self.guards.lift_stop()
+        else:
+            self.note(f"EMERGENCY STOP: {message.reason}")
+            devices = await self.guards.emergency_stop(message.reason)
+        link.send(EmergencyStopped(devices))
 
     def note(self, text: str) -> None:
         """A line for the log."""

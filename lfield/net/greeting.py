@@ -9,12 +9,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NoReturn
 
 from lfield.errors import GreetingError, WireError
-from lfield.wire.messages import PROTOCOL, ForeignHello, Hello, Ping, Refuse, StatusRequest
+from lfield.wire.messages import PROTOCOL, EmergencyStop, ForeignHello, Hello, Ping, Refuse, StatusRequest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from lfield.wire.messages import Message
+
+
+#: What an observer may send: it looks, and it may stop every device, as anybody should be able to.
+OBSERVERS = StatusRequest | Ping | EmergencyStop
 
 
 class Greeting:
@@ -61,13 +65,15 @@ class Greeting:
         return message
 
     def admit(self, message: Message) -> None:
-        """Raises WireError for a message that the greeted peer must not send; observers may only look."""
+        """Raises WireError for a message that the greeted peer must not send; observers look, or stop."""
         if isinstance(message, Hello | ForeignHello):
             raise WireError("a second greeting came on one link")
         if self.peer is None:
             raise WireError(f"a {type(message).__name__} came before the greeting")
-        if self.peer.role == "observer" and not isinstance(message, StatusRequest | Ping):
-            raise WireError(f"an observer sent a {type(message).__name__}; it may only ask for the status")
+        if self.peer.role == "observer" and not isinstance(message, OBSERVERS):
+            raise WireError(
+                f"an observer sent a {type(message).__name__}; it may ask for the status and stop the devices"
+            )
 
     def _check_name(self, hello: Hello) -> None:
         name = hello.host

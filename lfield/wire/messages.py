@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 1
+PROTOCOL = 2
 
 #: Longest name of an agent or host, in characters.
 MAX_NAME = 128
@@ -181,8 +181,36 @@ class Pong(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
     token: Count
 
 
+class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):
+    """From an observer: bring every device of this host into its safe state and bar `release()`.
+
+    With `lift` the bar is taken away again; the devices stay latched until the program releases them.
+    """
+
+    reason: Text
+    lift: bool = False
+
+
+class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=11):
+    """The answer: every device of the host, with '' when its safe state is confirmed, else why it is not."""
+
+    devices: dict[str, Text]
+
+
 #: Messages that share the control frame.
-Control = Accepted | Refused | Inquire | Ended | EndedAck | StatusRequest | Status | Ping | Pong
+Control = (
+    Accepted
+    | Refused
+    | Inquire
+    | Ended
+    | EndedAck
+    | StatusRequest
+    | Status
+    | Ping
+    | Pong
+    | EmergencyStop
+    | EmergencyStopped
+)
 
 #: Every message without a block.
 Message = Hello | ForeignHello | Refuse | Control

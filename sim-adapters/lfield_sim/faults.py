@@ -18,13 +18,17 @@ FaultValue = bool | float | str
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that can go wrong. The type of `default` is the type of its values; it means "healthy"."""
+    """One thing that can go wrong. The type of `default` is the type of its values; it means "healthy".
+
+    A fault of the `whole` concerns the link or bus: who names a device means the bus of that device.
+    """
 
     name: str
     default: FaultValue
     meaning: str
     minimum: float = -math.inf
     maximum: float = math.inf
+    whole: bool = False
 
     def parse(self, text: str) -> FaultValue:
         """The value that a text means. Raises ValueError with a sentence."""
@@ -80,7 +84,8 @@ class Faults:
             raise ValueError(f"'{text}' is no fault; write NAME=VALUE or NAME@DEVICE=VALUE")
         if name not in self._known:
             raise ValueError(f"there is no fault '{name}'; there are: {', '.join(sorted(self._known))}")
-        return (name, self._device(device) if at else ""), self._known[name].parse(value)
+        fault, target = self._known[name], self._device(device) if at else ""
+        return (name, "" if fault.whole else target), fault.parse(value)
 
     def _device(self, name: str) -> str:
         if name in self._names:

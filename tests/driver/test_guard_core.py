@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from lfield.clock import ManualClock
-from lfield.driver.guard_core import Cancel, Execute, Exit, GuardCore, MakeSafe, Tell
+from lfield.driver.guard_core import QUIET_BY, Cancel, Execute, Exit, GuardCore, MakeSafe, Quiet, Tell
 from lfield.driver.messages import Call, Done, Latched, Refused, Released, Stopped
 from lfield.manifest import DeviceManifest, Instruction, Parameter
 
@@ -18,6 +18,7 @@ MANIFEST = DeviceManifest(
     (
         Instruction("go", (Parameter("x", "real"),), blocking=True),
         Instruction("steer", (Parameter("x", "real"),)),
+        Instruction("grip", (), blocking=True, channel="gripper"),
         Instruction("ask", (), "int", effect="query", blocking=True),
         Instruction("release", effect="idempotent", blocking=True),
     ),
@@ -209,6 +210,69 @@ def test_a_restarted_guard_brings_its_devices_back_safe():
     effects = core.opened("its guard died")
     assert made_safe(effects) == ["a"]
     assert told(effects, Latched) == [Latched("a", "its guard died", False)]
+
+
+def test_channels_run_side_by_side_and_stop_together():
+    rig = Rig()
+    rig.call("go", 1.0)
+    assert [type(e) for e in rig.call("grip")] == [Execute]
+    assert told(rig.call("go", 2.0), Refused)[0].token == 1
+    effects = rig.core.safe("", "asked")
+    assert sorted(e.token for e in effects if isinstance(e, Cancel)) == [2, 3]
+    assert len(told(effects, Refused)) == 2
+
+
+def test_a_setpoint_is_not_ended_by_another_channel():
+    rig = Rig()
+    rig.call("steer", 1.0)
+    rig.core.finished(1, None)
+    rig.call("grip")
+    rig.core.finished(2, None)
+    assert made_safe(rig.wait(0.6)) == ["a"]
+
+
+def quiets(effects):
+    return [e.on for e in effects if isinstance(e, Quiet)]
+
+
+def test_a_silent_host_makes_the_bus_quiet_and_its_beat_ends_that():
+    rig = Rig()
+    assert quiets(rig.wait(1.0)) == []
+    assert quiets(rig.wait(SILENCE + 0.05, beating=False)) == [True]
+    assert quiets(rig.wait(5.0, beating=False)) == []
+    assert quiets(rig.wait(0.1)) == [False]
+
+
+def test_the_bus_is_not_quiet_before_the_safe_state_is_confirmed():
+    rig = Rig()
+    rig.call("go", 1.0)
+    assert quiets(rig.wait(SILENCE + 0.5, beating=False)) == []
+    assert quiets(rig.core.made_safe("a")) == [True]
+
+
+def test_a_safe_state_that_nobody_confirms_keeps_no_watchdog_content():
+    rig = Rig()
+    rig.call("go", 1.0)
+    assert quiets(rig.wait(SILENCE + QUIET_BY - 0.1, beating=False)) == []
+    assert quiets(rig.wait(0.2, beating=False)) == [True]
+
+
+def test_who_is_barred_is_not_released_by_the_program():
+    rig = Rig()
+    rig.core.safe("", "the emergency stop was pressed", barred=True)
+    rig.core.made_safe("a")
+    (refused,) = told(rig.call("release"), Refused)
+    assert "the emergency stop was pressed; 'lfield estop --lift' must come first" in refused.reason
+    rig.core.allow()
+    assert told(rig.call("release"), Released)
+
+
+def test_a_device_that_was_safe_already_is_barred_all_the_same():
+    rig = Rig()
+    rig.core.safe("a", "asked")
+    rig.core.made_safe("a")
+    assert told(rig.core.safe("a", "stop!", barred=True), Latched) == []
+    assert "stop!" in told(rig.call("release"), Refused)[0].reason
 
 
 class GuardMachine(RuleBasedStateMachine):
