@@ -18,8 +18,10 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from lfield_sim.autopilot import Autopilot
 from lfield_sim.mavlink.codec import Reader, Writer
-from lfield_sim.mavlink.commands import Command, answer
-from lfield_sim.mavlink.telemetry import DATA_STREAMS, HEARTBEAT, MESSAGES, Place
+from lfield_sim.mavlink.commands import Answer, Command, answer
+from lfield_sim.mavlink.place import Place
+from lfield_sim.mavlink.services import SERVICES
+from lfield_sim.mavlink.telemetry import DATA_STREAMS, HEARTBEAT, MESSAGES
 
 #: The autopilot's component. Like ArduPilot, it takes commands for any component.
 COMPONENT = 1
@@ -65,6 +67,7 @@ class MavlinkFake:
         self.autopilot, self.system = autopilot, system
         self.place, self.faults = place or Place(), faults or Faults()
         self._random = random.Random(self.faults.seed)
+        self.services = [kind(autopilot, self.place) for kind in SERVICES]
         self._writer = Writer(system, COMPONENT)
         self._readers: OrderedDict[Hashable, Reader] = OrderedDict()
         self._streams = {HEARTBEAT: _Stream(1.0, 0.0)}
@@ -92,11 +95,17 @@ class MavlinkFake:
 
     def advance(self, seconds: float) -> list[bytes]:
         """Let time pass; the packets for every peer."""
+        packets: list[bytes] = []
         self._rest += seconds
         while self._rest >= STEP:
             self.autopilot.step(STEP)
             self._rest -= STEP
-        packets = [self._pack(MESSAGES[kind](self.autopilot, self.place)) for kind in self._due()]
+            packets += [
+                self._pack(message)
+                for service in self.services
+                for message in service.advance(self.autopilot.uptime)
+            ]
+        packets += [self._pack(MESSAGES[kind](self.autopilot, self.place)) for kind in self._due()]
         for severity, text in self.autopilot.take_texts():
             packets += self._text(severity, text)
         return self._sent(packets)
@@ -122,8 +131,13 @@ class MavlinkFake:
         target = getattr(message, "target_system", 0)
         if target not in (0, self.system):
             return []
-        handler = _HANDLERS.get(message.get_msgId())
-        return [self._pack(reply) for reply in handler(self, message)] if handler else []
+        kind = message.get_msgId()
+        own = _HANDLERS.get(kind)
+        replies = own(self, message) if own else []
+        for service in self.services:
+            if kind in service.handles:
+                replies += service.handles[kind](message)
+        return [self._pack(reply) for reply in replies]
 
     def _on_heartbeat(self, message: Any) -> list[Any]:
         if message.get_srcSystem() == int(self.autopilot.parameters["MAV_GCS_SYSID"]):
@@ -140,9 +154,15 @@ class MavlinkFake:
 
     def _on_command(self, message: Any, values: tuple[float, ...]) -> list[Any]:
         command = Command(message.command, values)
-        result, replies = answer(self, command)
+        result, replies = self._answer(command)
         source = message.get_srcSystem(), message.get_srcComponent()
         return [dialect.MAVLink_command_ack_message(command.number, int(result), 0, 0, *source), *replies]
+
+    def _answer(self, command: Command) -> Answer:
+        for service in self.services:
+            if command.number in service.commands:
+                return service.commands[command.number](command)
+        return answer(self, command)
 
     def _on_set_mode(self, message: Any) -> list[Any]:
         self.autopilot.set_mode(message.custom_mode)
@@ -179,36 +199,10 @@ class MavlinkFake:
                 self.stream(kind, rate)
         return []
 
-    def _on_param_request_read(self, message: Any) -> list[Any]:
-        names = sorted(self.autopilot.parameters)
-        if message.param_index >= 0:
-            name = names[message.param_index] if message.param_index < len(names) else ""
-        else:
-            name = message.param_id
-        # An unknown name gets no answer, from ArduPilot and from PX4.
-        return [self._param(name)] if name in self.autopilot.parameters else []
-
-    def _on_param_request_list(self, _: Any) -> list[Any]:
-        return [self._param(name) for name in sorted(self.autopilot.parameters)]
-
-    def _on_param_set(self, message: Any) -> list[Any]:
-        name = message.param_id
-        if name not in self.autopilot.parameters or not math.isfinite(message.param_value):
-            return []
-        self.autopilot.parameters[name] = message.param_value
-        self.autopilot.apply_parameters()
-        return [self._param(name)]
-
     def _on_timesync(self, message: Any) -> list[Any]:
         if message.tc1 != 0:
             return []
         return [dialect.MAVLink_timesync_message(int(self.autopilot.uptime * 1e9), message.ts1)]
-
-    def _param(self, name: str) -> Any:
-        names = sorted(self.autopilot.parameters)
-        value = self.autopilot.parameters[name]
-        kind = dialect.MAV_PARAM_TYPE_REAL32
-        return dialect.MAVLink_param_value_message(name.encode(), value, kind, len(names), names.index(name))
 
     def _due(self) -> list[int]:
         now = self.autopilot.uptime
@@ -244,9 +238,6 @@ class MavlinkFake:
 _HANDLERS = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: MavlinkFake._on_heartbeat,
     dialect.MAVLINK_MSG_ID_SET_MODE: MavlinkFake._on_set_mode,
-    dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: MavlinkFake._on_param_request_read,
-    dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: MavlinkFake._on_param_request_list,
-    dialect.MAVLINK_MSG_ID_PARAM_SET: MavlinkFake._on_param_set,
     dialect.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: MavlinkFake._on_request_data_stream,
     dialect.MAVLINK_MSG_ID_COMMAND_INT: MavlinkFake._on_command_int,
     dialect.MAVLINK_MSG_ID_COMMAND_LONG: MavlinkFake._on_command_long,

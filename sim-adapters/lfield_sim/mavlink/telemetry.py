@@ -4,31 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from lfield_sim.autopilot import Autopilot
+from lfield_sim.mavlink.place import Place
 
-EARTH_RADIUS = 6378137.0
 NO_VALUE_16, NO_VALUE_32 = 0xFFFF, 0xFFFFFFFF
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where the origin of the local frame is: degrees, and metres above mean sea level."""
-
-    latitude: float = 47.3977420
-    longitude: float = 8.5455940
-    altitude: float = 488.0
-
-    def at(self, north: float, east: float) -> tuple[int, int]:
-        """Latitude and longitude of a place near the origin, in 1e-7 degrees."""
-        latitude = self.latitude + math.degrees(north / EARTH_RADIUS)
-        shrink = math.cos(math.radians(self.latitude))
-        longitude = self.longitude + math.degrees(east / (EARTH_RADIUS * shrink))
-        return round(latitude * 1e7), round(longitude * 1e7)
 
 
 Builder = Callable[[Autopilot, Place], Any]

@@ -1,0 +1,52 @@
+"""A mission as the autopilot flies it: items one after the other, which is current, which were reached.
+
+The numbers are those of the list: with ArduPilot item 0 is home and is not flown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lfield_sim.vehicle import Vector
+
+
+@dataclass(frozen=True, slots=True)
+class MissionItem:
+    """One item: its MAV_CMD, its seven values, and its place in the local frame (None: it has none)."""
+
+    command: int
+    values: tuple[float, ...]
+    place: Vector | None = None
+
+
+@dataclass(slots=True)
+class Mission:
+    """The items and how far they are flown. `begun` is the index whose flight has begun, -1 for none."""
+
+    items: list[MissionItem] = field(default_factory=list)
+    current: int = 0
+    begun: int = -1
+    since: float = 0.0
+    _reached: list[int] = field(default_factory=list)
+
+    @property
+    def item(self) -> MissionItem | None:
+        """What is being flown; None past the end."""
+        return self.items[self.current] if 0 <= self.current < len(self.items) else None
+
+    def jump(self, index: int) -> bool:
+        """Make an item the current one; False when there is none of this number."""
+        if not 0 <= index < len(self.items):
+            return False
+        self.current, self.begun = index, -1
+        return True
+
+    def reach(self) -> None:
+        """The current item is done; on to the next."""
+        self._reached.append(self.current)
+        self.current, self.begun = self.current + 1, -1
+
+    def take_reached(self) -> list[int]:
+        """Which items were reached since the last call."""
+        reached, self._reached = self._reached[-1000:], []
+        return reached
