@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections import defaultdict
 from collections.abc import Callable
 from typing import Any
 
 from lfield.clock import Clock
 from lfield.driver import Device, DeviceBinding, Manifest, Reports
 from lfield_mavlink.dialect import dialect, result_words
-from lfield_mavlink.exchange import Exchange
+from lfield_mavlink.exchange import Exchange, is_for_us
 from lfield_mavlink.modes import KINDS
 from lfield_mavlink.state import STREAMS, VehicleState
 from lfield_mavlink.texts import Texts
@@ -22,9 +23,15 @@ SHOWS = 3.0
 #: Seconds to wait for a text that explains a refusal.
 EXPLAINS = 0.3
 
+Handler = Callable[[Any], None]
+
 
 class Contact(Device):
-    """A vehicle that is heard and can be asked; what it can do is in MavlinkVehicle."""
+    """A vehicle that is heard and can be asked. What it can do is in the parts of MavlinkVehicle, which use
+
+    `state` (what is known), `_send` (a message), `_exchange` (commands, parameters), `_on` and `_expect`
+    (messages), `_command`, `_achieve`, `_until` and `_seen` (waiting for a state), and `_prepare`.
+    """
 
     def __init__(
         self,
@@ -44,6 +51,8 @@ class Contact(Device):
         self._news = asyncio.Event()
         self._lost = False
         self._published: set[str] = set()
+        self._handlers: defaultdict[int, list[Handler]] = defaultdict(list)
+        self._expected: dict[asyncio.Future[Any], Callable[[Any], bool]] = {}
 
     # -- messages -------------------------------------------------------------------------------------
 
@@ -58,8 +67,37 @@ class Contact(Device):
         if values:
             self.publish(**values)
             self._published.update(values)
-        self._exchange.on_message(message)
+        if is_for_us(message):
+            self._hand_over(message)
         self._news.set()
+
+    def _hand_over(self, message: Any) -> None:
+        """To everybody who asked for it."""
+        self._exchange.on_message(message)
+        for handler in self._handlers[message.get_msgId()]:
+            handler(message)
+        for future, wanted in list(self._expected.items()):
+            if not future.done() and wanted(message):
+                future.set_result(message)
+
+    def _on(self, message_id: int, handler: Handler) -> None:
+        """Call `handler` with every message of this id that is for us, from now on."""
+        self._handlers[message_id].append(handler)
+
+    async def _expect(self, wanted: Callable[[Any], bool], bound: float) -> Any | None:
+        """The next message for us that is wanted; None when none came within `bound` seconds.
+
+        Nothing is missed between a `_send` and the `_expect` right after it.
+        """
+        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self._expected[future] = wanted
+        try:
+            async with asyncio.timeout(bound):
+                return await future
+        except TimeoutError:
+            return None
+        finally:
+            del self._expected[future]
 
     def _on_text(self, message: Any, now: float) -> None:
         text = self._texts.add(message.text, message.id, message.chunk_seq, now)
@@ -75,7 +113,7 @@ class Contact(Device):
                 self._lost = silent
                 self.note("no heartbeat; the link is lost" if silent else "heard again")
                 if not silent:
-                    await self._ask_for_streams()
+                    await self._prepare()
 
     # -- opening --------------------------------------------------------------------------------------
 
@@ -91,12 +129,16 @@ class Contact(Device):
             raise self.error(f"system {self.system} has no ArduPilot (autopilot {self.state.autopilot})")
         if self.state.type not in self._kind.types:
             raise self.error(f"system {self.system} is no {self._kind.name} (MAV_TYPE {self.state.type})")
-        await asyncio.gather(self._ask_for_streams(), self._check_failsafe())
+        await self._prepare()
         wanted = {quantity.name for quantity in self.manifest.device.telemetry}
         await self._seen(lambda: wanted <= self._published, SHOWS)
         if missing := wanted - self._published:
             self.note(f"it does not report {', '.join(sorted(missing))}")
         return f"ArduPilot {self._kind.name}, system {self.system}"
+
+    async def _prepare(self) -> None:
+        """What has to be asked and set before the vehicle is used. Parts add theirs, after `super()`."""
+        await asyncio.gather(self._ask_for_streams(), self._check_failsafe())
 
     async def _ask_for_streams(self) -> None:
         await asyncio.gather(*(self._ask_for_stream(kind, rate) for kind, rate in STREAMS.items()))

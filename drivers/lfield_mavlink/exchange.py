@@ -71,8 +71,7 @@ class Exchange:
         """Hand an answer to whoever waits for it; answers to others are left alone."""
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
             acks = self._acks.get(message.command)
-            ours = message.target_system in (0, SYSTEM) and message.target_component in (0, COMPONENT)
-            if acks is not None and ours:
+            if acks is not None and is_for_us(message):
                 acks.put_nowait(message.result)
         elif message.get_msgId() == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
             future = self._parameters.get(message.param_id)
@@ -82,6 +81,12 @@ class Exchange:
     def _command_long(self, number: int, confirmation: int, values: tuple[float, ...]) -> Any:
         padded = (*values, *[0.0] * (7 - len(values)))
         return dialect.MAVLink_command_long_message(self._system, AUTOPILOT, number, confirmation, *padded)
+
+
+def is_for_us(message: Any) -> bool:
+    """Whether a message is for everybody, or for this ground station."""
+    system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
+    return system in (0, SYSTEM) and component in (0, COMPONENT)
 
 
 async def _final(acks: asyncio.Queue[int]) -> int | None:
