@@ -28,7 +28,8 @@ COMMANDS = {
     "ps": "show what runs where",
     "estop": "bring every device of a running mission into its safe state",
     "inspect": "explain a dumped agent",
-    "sim": "run a stand-alone fake of a device",
+    "kit": "try a device, fake or real, against what its driver promises",
+    "sim": "run a stand-alone fake of a device, or make one go wrong",
 }
 _MODULES = {name: f"lfield.cli.{name}" for name in COMMANDS}
 

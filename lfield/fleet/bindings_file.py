@@ -18,9 +18,9 @@ unreachable_after: 10                      # seconds until UnreachableResourceEx
 silence: 0.2                               # seconds without the host after which its devices go safe
 ```
 
-The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `limits` and
-`waivers`; the rest are the driver's own options. What fits no agent, device, driver or type is an error,
-all of them at once, each drawn at its place.
+The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `limits`, `waivers`
+and, for those who read it, `type`; the rest are the driver's own options. What fits no agent, device,
+driver or type is an error, all of them at once, each drawn at its place.
 """
 
 from __future__ import annotations
@@ -150,6 +150,7 @@ class BindingsReader:
             message = f"driver '{name}' makes a {makes}, and {entry.key} is a {needed[entry.key]}"
             fields.report("Y113", message, fields.value_span("driver"))
             return None
+        fields.text("type", choices=(manifest.device.type,))
         states = manifest.device.safe_states
         binding = DeviceBinding(
             agent=agent,

@@ -81,6 +81,8 @@ class Guard(asyncio.SubprocessProtocol):
         self._heard: dict[str, float] = {}
         self._unsafe: list[str] = []
         self._barred = ""
+        #: Who the devices are, in their driver's words, once they are open.
+        self.identities: dict[str, str] = {}
         #: Why a device is held in its safe state, by name; absent while it answers to calls.
         self.latched: dict[str, str] = {}
         #: The latched devices that have been seen in their safe states.
@@ -101,16 +103,16 @@ class Guard(asyncio.SubprocessProtocol):
         self._beat()
         try:
             async with asyncio.timeout(OPEN_BOUND):
-                identities = await self._opening
+                self.identities = await self._opening
         except (TimeoutError, OpenFailed) as error:
-            self._kill()
+            self.kill()
             await self._exited.wait()
             if isinstance(error, OpenFailed):
                 raise
             raise OpenFailed([f"the driver did not open its devices within {OPEN_BOUND:g} s"]) from None
         if self._barred:
             self._send(Safe("", self._barred, barred=True))
-        for name, identity in identities.items():
+        for name, identity in self.identities.items():
             self._note(f"{name}: {identity} at {self._devices[name].endpoint}")
 
     async def close(self) -> None:
@@ -126,12 +128,13 @@ class Guard(asyncio.SubprocessProtocol):
                 await self._exited.wait()
         except TimeoutError:
             self._unsafe = list(self._devices)
-            self._kill()
+            self.kill()
             await self._exited.wait()
         for name in self._unsafe:
             self._note(f"{name}: its safe state '{self._devices[name].safe_state}' was NOT confirmed")
 
-    def _kill(self) -> None:
+    def kill(self) -> None:
+        """End the process by force; unless this end is wanted, the next one makes the devices safe."""
         if self._transport is not None and self._transport.get_returncode() is None:
             self._transport.kill()
 
@@ -141,7 +144,7 @@ class Guard(asyncio.SubprocessProtocol):
         self._unanswered += 1
         if self._ready and self._unanswered > UNANSWERED:
             self._note(f"the guard of {', '.join(self._devices)} hangs")
-            self._kill()
+            self.kill()
         self._send(Beat(self._clock.monotonic()))
         self._beating = asyncio.get_running_loop().call_later(BEAT, self._beat)
 
@@ -156,6 +159,17 @@ class Guard(asyncio.SubprocessProtocol):
             except OpenFailed as error:
                 pause = min(2 * pause, AGAIN_LAST)
                 self._note(f"the guard cannot be started again yet: {error}")
+
+    def make_safe(self, device: str, reason: str) -> None:
+        """Bring a device into its safe state, from which the program may release it."""
+        self._send(Safe(device, reason))
+
+    async def fall_silent(self, seconds: float) -> None:
+        """Send no beat for so long, as a host that hangs."""
+        if self._beating is not None:
+            self._beating.cancel()
+        await asyncio.sleep(seconds)
+        self._beat()
 
     def bar(self, reason: str) -> None:
         """Bring every device into its safe state and keep the program from releasing it.
@@ -202,6 +216,11 @@ class Guard(asyncio.SubprocessProtocol):
         return value
 
     @property
+    def ready(self) -> bool:
+        """Whether the devices are open."""
+        return self._ready
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The devices of this bus."""
         return tuple(self._devices)
@@ -236,7 +255,7 @@ class Guard(asyncio.SubprocessProtocol):
                 self._receive(message)
         except WireError as error:
             self._note(f"the guard sent bytes that make no sense: {error}")
-            self._kill()
+            self.kill()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The guard has ended and all it said is read; unless it was asked to end, a new one is started."""

@@ -107,6 +107,10 @@ class Guards:
         guard.call(f"{agent}.{field}", declared, arguments, answered)
         return PENDING
 
+    def guard_of(self, device: str) -> Guard:
+        """The guard of a device by its name."""
+        return self._by_device[device][0]
+
     async def emergency_stop(self, reason: str) -> dict[str, str]:
         """Every device into its safe state: '' for each that confirmed within STOPS_WITHIN, else why not."""
         changed = asyncio.Event()

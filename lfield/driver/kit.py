@@ -1,0 +1,146 @@
+"""The conformance kit: what every driver promises, tried on whatever is at an endpoint, fake or real.
+
+A driver adds its own checks in a module that its Plugin names (`kit="lfield_servo.kit:KIT"`):
+
+```python
+KIT = Kit()
+
+@KIT.check("turns and says so", moves=True)
+async def turns(bench: Bench) -> str:
+    await bench.call("turn", 0.5)
+    await bench.until(lambda: abs(bench.query("angle") - 0.5) < 0.02, 1.0, "the angle to be 0.5 rad")
+    return f"0.5 rad asked, {bench.query('angle'):.3f} rad seen"
+```
+
+A check returns in words what it has seen; it fails by DeviceError or CheckFailed. What can move something
+says so: nothing of that kind runs unless somebody has agreed to it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.manifest_file import Manifest
+from lfield.errors import DeviceError
+
+#: Seconds that one check may take.
+BOUND = 60.0
+
+
+class CheckFailed(Exception):
+    """Something that was promised was not seen; the sentence says what."""
+
+
+class Bench(Protocol):
+    """One device behind its guard, as a check sees it."""
+
+    binding: DeviceBinding
+    manifest: Manifest
+    #: What the guard has told since it was opened, one sentence each.
+    notes: list[str]
+
+    @property
+    def identity(self) -> str:
+        """Who the device is, in its driver's words."""
+
+    async def call(self, instruction: str, *arguments: object) -> Any:
+        """Carry an instruction out and return its result. Raises DeviceError."""
+
+    def query(self, quantity: str) -> Any:
+        """The present value of a telemetry quantity. Raises DeviceError when there is none."""
+
+    async def until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
+        """Wait until the condition holds (a query that has no value counts as no). Raises CheckFailed."""
+
+    async def make_safe(self) -> None:
+        """Ask the guard for the safe state, and wait until it is confirmed. Raises CheckFailed."""
+
+    async def fall_silent(self, seconds: float) -> None:
+        """Be a host that hangs for so long."""
+
+    async def kill_guard(self) -> None:
+        """Kill the guard's process, and wait until the next one has opened the device."""
+
+    @property
+    def latched(self) -> str:
+        """Why the device is held in its safe state, '' when it is free."""
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether it has been seen there."""
+
+
+CheckFunction = Callable[[Bench], Awaitable[str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One check; `types` are the device types it is for, none means all."""
+
+    name: str
+    run: CheckFunction
+    moves: bool
+    types: tuple[str, ...] = ()
+
+    def suits(self, device_type: str) -> bool:
+        """Whether it is for devices of this type."""
+        return not self.types or device_type in self.types
+
+
+@dataclass(slots=True)
+class Kit:
+    """The checks of one driver, in the order in which they run."""
+
+    checks: list[Check] = field(default_factory=list)
+
+    def check(
+        self, name: str, *, moves: bool, types: Sequence[str] = ()
+    ) -> Callable[[CheckFunction], CheckFunction]:
+        """Add a coroutine as a check."""
+
+        def add(function: CheckFunction) -> CheckFunction:
+            self.checks.append(Check(name, function, moves, tuple(types)))
+            return function
+
+        return add
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What became of one check on one device: what was seen, or why it failed or did not run."""
+
+    device: str
+    check: str
+    outcome: Literal["passed", "failed", "not run"]
+    seen: str
+
+
+async def run_kit(bench: Bench, checks: Iterable[Check], may_move: bool) -> AsyncIterator[Finding]:
+    """Run the checks that suit the device one after the other; a failure does not end the run."""
+    name = bench.binding.name
+    for check in checks:
+        if not check.suits(bench.binding.type):
+            continue
+        if check.moves and not may_move:
+            yield Finding(name, check.name, "not run", "it would move the device, and nobody agreed to that")
+            continue
+        yield await _run(bench, check)
+
+
+async def _run(bench: Bench, check: Check) -> Finding:
+    name = bench.binding.name
+    try:
+        async with asyncio.timeout(BOUND):
+            return Finding(name, check.name, "passed", await check.run(bench))
+    except TimeoutError:
+        return Finding(name, check.name, "failed", f"it was not done within {BOUND:g} s")
+    except DeviceError as error:
+        return Finding(name, check.name, "failed", error.reason)
+    except CheckFailed as error:
+        return Finding(name, check.name, "failed", str(error))
+    except Exception as error:  # a kit is foreign code, as a driver is
+        return Finding(name, check.name, "failed", f"the check itself is broken: {error!r}")

@@ -1,0 +1,137 @@
+"""The checks that every driver must pass, whatever its devices do: made from its manifest alone."""
+
+from __future__ import annotations
+
+import math
+
+from lfield.driver.guard_core import SILENCE
+from lfield.driver.kit import Bench, CheckFailed, Kit
+from lfield.driver.manifest_file import WATCHDOG
+from lfield.driver.values import conform
+from lfield.errors import DeviceError
+from lfield.manifest import Instruction
+
+KIT = Kit()
+
+#: Seconds for all telemetry to be there, and for a safe state to be confirmed.
+TELEMETRY, SAFE = 10.0, 20.0
+
+
+@KIT.check("identity", moves=False)
+async def identity(bench: Bench) -> str:
+    """The device said who it is when it was opened."""
+    return f"{bench.identity} at {bench.binding.endpoint}"
+
+
+@KIT.check("telemetry", moves=False)
+async def telemetry(bench: Bench) -> str:
+    """Every quantity of the manifest is reported with its type, and the device is heard."""
+    missing = {quantity.name for quantity in bench.manifest.device.telemetry}
+
+    def complete() -> bool:
+        for name in list(missing):
+            if _known(bench, name):
+                missing.discard(name)
+        return not missing
+
+    try:
+        await bench.until(complete, TELEMETRY, "all telemetry")
+    except CheckFailed:
+        raise CheckFailed(f"it does not report {', '.join(sorted(missing))}") from None
+    for quantity in bench.manifest.device.telemetry:
+        conform(bench.query(quantity.name), quantity.type)
+    return f"{len(bench.manifest.device.telemetry)} quantities, heard {bench.query('age') * 1000:.0f} ms ago"
+
+
+@KIT.check("its own watchdog", moves=False)
+async def watchdog(bench: Bench) -> str:
+    """It stops by itself when this computer dies, or its binding says that it does not."""
+    if bench.binding.waives(WATCHDOG):
+        return "waived by its binding: nothing, or nothing soon enough, stops it when this computer dies"
+    return f"set to at most {2 * bench.binding.ttl:g} s and read back"
+
+
+@KIT.check("what is no number is refused", moves=True)
+async def nonsense(bench: Bench) -> str:
+    """NaN and infinities are refused by every instruction that takes reals and acts."""
+    tried = [i for i in bench.manifest.device.instructions if i.effect != "query" and _reals(i)]
+    for instruction in tried:
+        for value in (math.nan, math.inf):
+            await _refused(bench, instruction, value)
+    return f"{', '.join(i.name for i in tried) or 'no instruction takes numbers'}"
+
+
+@KIT.check("the safe state is latched until release", moves=True)
+async def latch(bench: Bench) -> str:
+    """The safe state is confirmed; nothing moves before release(); then it is free again."""
+    await bench.make_safe()
+    acting = next((i for i in bench.manifest.device.instructions if _acts(i)), None)
+    if acting is not None:
+        arguments = [_zero(parameter.type) for parameter in acting.parameters]
+        try:
+            await bench.call(acting.name, *arguments)
+        except DeviceError as error:
+            if "release()" not in error.reason:
+                raise
+        else:
+            raise CheckFailed(f"{acting.name}() was carried out while the device was latched")
+    await bench.call("release")
+    await bench.until(lambda: not bench.latched, 2.0, "the latch to be off")
+    return f"'{bench.binding.safe_state}' confirmed, released"
+
+
+@KIT.check("a guard that dies comes back safe", moves=True)
+async def death(bench: Bench) -> str:
+    """After its guard's process was killed the device is held in its safe state by the next one."""
+    await bench.kill_guard()
+    await bench.until(lambda: bench.confirmed, SAFE, "the safe state to be confirmed")
+    reason = bench.latched
+    await bench.call("release")
+    return f"'{bench.binding.safe_state}' confirmed because {reason}"
+
+
+@KIT.check("a host that hangs", moves=True)
+async def silence(bench: Bench) -> str:
+    """Silence over the bound latches what was moved, and disturbs nothing that was not."""
+    await bench.fall_silent(3 * SILENCE)
+    await bench.until(lambda: _known(bench, "age"), 2.0, "the device to be heard again")
+    latched = bench.latched
+    if latched:
+        await bench.until(lambda: bench.confirmed, SAFE, "the safe state to be confirmed")
+        await bench.call("release")
+    return f"latched because {latched}" if latched else "nothing had been moved, nothing was done"
+
+
+def _known(bench: Bench, quantity: str) -> bool:
+    try:
+        bench.query(quantity)
+    except DeviceError:
+        return False
+    return True
+
+
+def _reals(instruction: Instruction) -> bool:
+    return any(parameter.type in ("real", "real[]") for parameter in instruction.parameters)
+
+
+def _acts(instruction: Instruction) -> bool:
+    return instruction.effect == "actuate"
+
+
+def _zero(kind: str) -> object:
+    zeros: dict[str, object] = {"boolean": False, "int": 0, "real": 0.0, "string": ""}
+    return zeros.get(kind, [])
+
+
+async def _refused(bench: Bench, instruction: Instruction, value: float) -> None:
+    """Raise CheckFailed unless the instruction refuses the value for each of its real parameters."""
+    for number, parameter in enumerate(instruction.parameters):
+        if parameter.type not in ("real", "real[]"):
+            continue
+        arguments = [_zero(p.type) for p in instruction.parameters]
+        arguments[number] = value if parameter.type == "real" else [value]
+        try:
+            await bench.call(instruction.name, *arguments)
+        except DeviceError:
+            continue
+        raise CheckFailed(f"{instruction.name}() took {value} for {parameter.name}")

@@ -1,0 +1,130 @@
+"""The kit's runner and its standard checks, on a bench that only pretends: good devices pass, bad ones fail."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.kit import CheckFailed, Kit, run_kit
+from lfield.driver.kit_checks import KIT as STANDARD
+from lfield.driver.manifest_file import load_manifest
+from lfield.errors import DeviceError
+
+MANIFEST = load_manifest(
+    "m.yaml",
+    b"""\
+driver: servo
+type: Servo
+safe_states: [off]
+instructions:
+  turn: {parameters: {angle: {type: real}}, blocking: true}
+telemetry:
+  angle: {type: real}
+""",
+)
+
+
+class Pretended:
+    """A device that keeps its promises unless `breaks` names one."""
+
+    identity = "a servo"
+
+    def __init__(self, breaks: str = "") -> None:
+        self.binding = DeviceBinding(
+            agent="a", field="s", type="Servo", driver="servo", endpoint="here", safe_state="off"
+        )
+        self.manifest, self.notes, self.breaks = MANIFEST, [], breaks
+        self.latched, self.confirmed = "", False
+
+    async def call(self, instruction, *arguments):
+        if instruction == "release":
+            self.latched = "" if self.breaks != "release" else self.latched
+            return None
+        if self.latched and self.breaks != "latch":
+            raise DeviceError("s", "held in its safe state; call release() first")
+        if any(not abs(value) < 10 for value in arguments) and self.breaks != "nan":
+            raise DeviceError("s", "no number")
+        return None
+
+    def query(self, quantity):
+        if quantity == "angle" and self.breaks == "telemetry":
+            raise DeviceError("s", "has not reported angle")
+        return "north" if quantity == "angle" and self.breaks == "type" else 0.25
+
+    async def until(self, condition, bound, what):
+        for _ in range(3):
+            if condition():
+                return
+        raise CheckFailed(f"waited for {what}")
+
+    async def make_safe(self):
+        self.latched, self.confirmed = "asked", True
+
+    async def fall_silent(self, seconds):
+        self.latched, self.confirmed = "the host was silent", self.breaks != "silence"
+
+    async def kill_guard(self):
+        self.latched, self.confirmed = "its guard died", self.breaks != "death"
+
+
+def findings(bench, checks=STANDARD.checks, *, may_move=True):
+    async def collect():
+        return [finding async for finding in run_kit(bench, checks, may_move)]
+
+    return {finding.check: finding for finding in asyncio.run(collect())}
+
+
+def test_a_device_that_keeps_its_promises_passes_everything():
+    found = findings(Pretended())
+    assert {finding.outcome for finding in found.values()} == {"passed"}
+    assert found["identity"].seen == "a servo at here"
+    assert found["telemetry"].seen == "1 quantities, heard 250 ms ago"
+
+
+@pytest.mark.parametrize(
+    ("breaks", "check", "words"),
+    [
+        ("telemetry", "telemetry", "it does not report angle"),
+        ("type", "telemetry", "'north' is not a real"),
+        ("nan", "what is no number is refused", "turn() took nan for angle"),
+        ("latch", "the safe state is latched until release", "carried out while the device was latched"),
+        ("release", "the safe state is latched until release", "waited for the latch to be off"),
+        ("death", "a guard that dies comes back safe", "waited for the safe state to be confirmed"),
+        ("silence", "a host that hangs", "waited for the safe state to be confirmed"),
+    ],
+)
+def test_each_broken_promise_is_told(breaks, check, words):
+    found = findings(Pretended(breaks))
+    assert found[check].outcome == "failed"
+    assert words in found[check].seen
+
+
+def test_nothing_moves_unless_somebody_has_agreed():
+    found = findings(Pretended(), may_move=False)
+    assert {f.check for f in found.values() if f.outcome == "passed"} == {
+        "identity", "telemetry", "its own watchdog",
+    }  # fmt: skip
+    assert {f.outcome for f in found.values()} == {"passed", "not run"}
+
+
+def test_a_drivers_own_checks_run_for_their_types_and_a_broken_one_is_told():
+    kit = Kit()
+
+    @kit.check("mine", moves=False, types=("Servo",))
+    async def mine(bench):
+        return "seen"
+
+    @kit.check("of another type", moves=False, types=("Arm",))
+    async def another(bench):
+        raise AssertionError
+
+    @kit.check("broken", moves=False)
+    async def broken(bench):
+        return str(1 // 0)
+
+    found = findings(Pretended(), kit.checks)
+    assert list(found) == ["mine", "broken"]
+    assert found["mine"].seen == "seen"
+    assert "the check itself is broken: ZeroDivisionError" in found["broken"].seen
