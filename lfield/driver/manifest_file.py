@@ -66,6 +66,8 @@ WATCHDOG = "device_watchdog"
 OPTION_TYPES = ("boolean", "int", "real", "string", "path", "int[]", "string[]")
 
 _NAME = re.compile(r"[a-z][A-Za-z0-9]*")
+#: Keys of bindings are no names in L, so they look like the other keys of that file.
+_KEY = re.compile(r"[a-z][A-Za-z0-9_]*")
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 
@@ -167,8 +169,9 @@ def _check_names_differ(top: Fields, instructions: set[str]) -> None:
 def _named(top: Fields, section: str) -> list[tuple[str, Fields]]:
     """The entries of a section whose keys are names; `done` is left to the caller's reader."""
     entries = []
+    pattern = _KEY if section in ("options", "limits") else _NAME
     for entry, fields in top.section(section).entries():
-        _check_name(top, entry.key, _NAME, entry.key_span)
+        _check_name(top, entry.key, pattern, entry.key_span)
         entries.append((entry.key, fields))
     return entries
 

@@ -1,0 +1,53 @@
+"""`lfield driver`: what is installed, and the skeleton of a new driver."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+from lfield.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    actions.add_parser("list", help="the installed drivers with their device types")
+    new = actions.add_parser("new", help="write a driver that passes the conformance kit on its own fake")
+    new.add_argument("name", metavar="NAME", help="the driver's name: small letters and digits")
+    new.add_argument(
+        "--into", metavar="DIR", type=Path, help="a folder that does not exist yet (lfield_NAME)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0; the exit status tells nothing more."""
+    return _list() if args.action == "list" else _new(args.name, args.into or Path(f"lfield_{args.name}"))
+
+
+def _list() -> int:
+    from lfield.driver.plugins import discover
+
+    plugins = discover()
+    for name, installed in sorted(plugins.by_driver.items()):
+        for device_type, manifest in sorted(installed.manifests.items()):
+            print(f"{name}: {device_type}: {manifest.device.meaning}")
+    for problem in plugins.problems:
+        print(problem)
+    return 0
+
+
+def _new(name: str, folder: Path) -> int:
+    from lfield.driver.plugins import discover
+    from lfield.driver.skeleton import write
+
+    if not re.fullmatch(r"[a-z][a-z0-9]{0,30}", name):
+        raise UsageError(f"'{name}' cannot be a driver's name; use small letters and digits, as in winch")
+    if name in discover().by_driver:
+        raise UsageError(f"a driver '{name}' is installed already")
+    if folder.exists():
+        raise UsageError(f"{folder} exists already; nothing was written")
+    for path in write(name, folder):
+        print(path)
+    print(f"\nnext: pip install -e {folder}, then what {folder}/README.md says")
+    return 0

@@ -1,0 +1,32 @@
+"""The files of a new driver, for `lfield driver new`: templates that end in `.in`."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+#: Where each template goes, below the folder of the new distribution.
+PLACES = {
+    "pyproject.toml": "pyproject.toml",
+    "README.md": "README.md",
+    "__init__.py": "lfield_$name/__init__.py",
+    "manifest.yaml": "lfield_$name/manifest.yaml",
+    "driver.py": "lfield_$name/driver.py",
+    "fake.py": "lfield_$name/fake.py",
+    "kit.py": "lfield_$name/kit.py",
+    "mover.L": "lfield_$name/L/mover.L",
+}
+
+
+def write(name: str, folder: Path) -> list[Path]:
+    """Write the driver `name` (letters and digits) below a folder; the files. Raises OSError."""
+    words = {"name": name, "Type": name.capitalize()}
+    written = []
+    for template, place in PLACES.items():
+        text = (files(__package__) / f"{template}.in").read_text(encoding="utf-8")
+        path = folder / Template(place).substitute(words)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(Template(text).substitute(words), encoding="utf-8")
+        written.append(path)
+    return written

@@ -1,0 +1,97 @@
+"""A new driver, as `lfield driver new` writes it: it compiles, and passes the kit on its own fake."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from lfield.driver.plugin import load_plugin
+from lfield.driver.plugins import Plugins
+from lfield.lang.frontend import check_text
+
+pytestmark = pytest.mark.process
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A folder for PYTHONPATH with the new driver, installed as pip would have it."""
+    folder = tmp_path_factory.mktemp("site")
+    new = subprocess.run(
+        [sys.executable, "-m", "lfield.cli.main", "driver", "new", "lamp", "--into", str(folder / "project")],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert "lfield_lamp/L/mover.L" in new.stdout
+    (folder / "project" / "lfield_lamp").rename(folder / "lfield_lamp")
+    info = folder / "lfield_lamp-0.1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lfield-lamp\nVersion: 0.1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[lfield.drivers.v1]\nlamp = lfield_lamp:PLUGIN\n[lfield.sims.v1]\nlamp = lfield_lamp.fake:SIM\n"
+    )
+    return folder
+
+
+def lfield(site, *words, **options):
+    return subprocess.Popen(
+        [sys.executable, "-m", "lfield.cli.main", *words],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(site), os.environ.get("PYTHONPATH", "")])},
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def endpoint(site):
+    fake = lfield(
+        site, "sim", "lamp", "--listen", "tcp:127.0.0.1:0", "--until-stdin-closes", stdin=subprocess.PIPE
+    )
+    yield fake.stdout.readline().split()[1]
+    fake.stdin.close()
+    assert fake.wait(10) == 0
+    fake.stdout.close()
+
+
+def test_it_passes_the_kit_on_its_own_fake(site, endpoint):
+    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes")
+    said, _ = kit.communicate(timeout=60)
+    assert kit.returncode == 0, said
+    assert "9 passed, 0 failed, 0 not run" in said
+
+
+def test_the_kit_sees_what_is_wrong_with_it(site, endpoint):
+    fault = lfield(site, "sim", "fault", endpoint, "stuck=true")
+    assert "stuck = true" in fault.communicate(timeout=30)[0]
+    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--set", "ttl=0.2")
+    said, _ = kit.communicate(timeout=90)
+    assert kit.returncode == 1, said
+    assert "FAILED  kit.device: moves and says where it is" in said
+
+
+def test_without_agreement_nothing_moves(site, endpoint):
+    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, stdin=subprocess.DEVNULL)
+    said, _ = kit.communicate(timeout=60)
+    assert kit.returncode == 0, said
+    assert "3 passed, 0 failed, 6 not run" in said
+
+
+def test_its_stock_resource_compiles(site, monkeypatch):
+    monkeypatch.syspath_prepend(str(site))
+    plugins = Plugins()
+    plugins.add("lfield_lamp:PLUGIN")
+    assert load_plugin("lfield_lamp:PLUGIN").read_manifests()
+    checked = check_text(
+        "include <lamp/mover.L>;\n"
+        'coordinator C { init(string[] arg) { LampMover m = findLampMover("m"); m.moveTo(1.0); } }',
+        devices=plugins.device_types,
+        find_include=plugins.find_source,
+    )
+    assert not checked.errors
+
+
+def test_what_is_there_is_not_overwritten(site, tmp_path):
+    (tmp_path / "mine").mkdir()
+    again = lfield(site, "driver", "new", "torch", "--into", str(tmp_path / "mine"))
+    assert "exists already; nothing was written" in again.communicate(timeout=30)[0]
+    assert again.returncode == 64
