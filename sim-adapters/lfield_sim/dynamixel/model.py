@@ -1,0 +1,261 @@
+"""Which registers a servo model has, what they may hold, and how strong it is. Data only.
+
+The pages of the models, from which the tables are, are under https://emanual.robotis.com/docs/en/dxl/.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from lfield.errors import UsageError
+
+#: Bits per second by the value of the Baud Rate register, protocol 2.0 models.
+BAUDS = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
+
+#: Operating modes by the value of their register.
+CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
+
+_RPM = 2.0 * 3.141592653589793 / 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One register. `low` to `high` is its fixed range; `choices`, when there are any, are all it may be.
+
+    `limit` names the register that bounds its size while a servo runs.
+    """
+
+    name: str
+    address: int
+    size: int
+    initial: int = 0
+    low: int = 0
+    high: int = 0
+    writable: bool = True
+    eeprom: bool = False
+    limit: str = ""
+    choices: Sequence[int] = ()
+
+    @property
+    def signed(self) -> bool:
+        """Whether its bytes are a two's complement; what is only read is signed where its limits are."""
+        return self.low < 0
+
+
+def _rom(address: int, size: int, name: str, initial: int, low: int, high: int, **more: object) -> Item:
+    return Item(name, address, size, initial, low, high, eeprom=True, **more)  # type: ignore[arg-type] # data
+
+
+def _ram(address: int, size: int, name: str, initial: int, low: int, high: int, limit: str = "") -> Item:
+    return Item(name, address, size, initial, low, high, limit=limit)
+
+
+def _seen(address: int, size: int, name: str, initial: int = 0, *, signed: bool = False) -> Item:
+    return Item(name, address, size, initial, -1 if signed else 0, writable=False, eeprom=address < 64)
+
+
+TURNS = 1_048_575
+
+X_SERIES = (
+    _seen(0, 2, "model_number"),
+    _seen(2, 4, "model_information"),
+    _seen(6, 1, "firmware_version", 52),
+    _rom(7, 1, "id", 1, 0, 252),
+    _rom(8, 1, "baud_rate", 1, 0, 7),
+    _rom(9, 1, "return_delay_time", 250, 0, 254),
+    _rom(10, 1, "drive_mode", 0, 0, 13, choices=(0, 1, 4, 5, 8, 9, 12, 13)),
+    _rom(
+        11,
+        1,
+        "operating_mode",
+        3,
+        0,
+        16,
+        choices=(CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM),
+    ),
+    _rom(12, 1, "secondary_id", 255, 0, 255),
+    _rom(13, 1, "protocol_type", 2, 1, 2),
+    _rom(20, 4, "homing_offset", 0, -1_044_479, 1_044_479),
+    _rom(24, 4, "moving_threshold", 10, 0, 1_023),
+    _rom(31, 1, "temperature_limit", 80, 0, 100),
+    _rom(32, 2, "max_voltage_limit", 160, 95, 160),
+    _rom(34, 2, "min_voltage_limit", 95, 95, 160),
+    _rom(36, 2, "pwm_limit", 885, 0, 885),
+    _rom(38, 2, "current_limit", 1_193, 0, 1_193),
+    _rom(44, 4, "velocity_limit", 200, 0, 1_023),
+    _rom(48, 4, "max_position_limit", 4_095, 0, 4_095),
+    _rom(52, 4, "min_position_limit", 0, 0, 4_095),
+    _rom(60, 1, "startup_configuration", 0, 0, 3),
+    _rom(63, 1, "shutdown", 52, 0, 63),
+    _ram(64, 1, "torque_enable", 0, 0, 1),
+    _ram(65, 1, "led", 0, 0, 1),
+    _ram(68, 1, "status_return_level", 2, 0, 2),
+    _seen(69, 1, "registered_instruction"),
+    _seen(70, 1, "hardware_error_status"),
+    _ram(76, 2, "velocity_i_gain", 1_920, 0, 16_383),
+    _ram(78, 2, "velocity_p_gain", 100, 0, 16_383),
+    _ram(80, 2, "position_d_gain", 0, 0, 16_383),
+    _ram(82, 2, "position_i_gain", 0, 0, 16_383),
+    _ram(84, 2, "position_p_gain", 800, 0, 16_383),
+    _ram(88, 2, "feedforward_2nd_gain", 0, 0, 16_383),
+    _ram(90, 2, "feedforward_1st_gain", 0, 0, 16_383),
+    _ram(98, 1, "bus_watchdog", 0, 0, 127),
+    _ram(100, 2, "goal_pwm", 885, -32_768, 32_767, "pwm_limit"),
+    _ram(102, 2, "goal_current", 0, -32_768, 32_767, "current_limit"),
+    _ram(104, 4, "goal_velocity", 0, -(1 << 31), (1 << 31) - 1, "velocity_limit"),
+    _ram(108, 4, "profile_acceleration", 0, 0, 32_767),
+    _ram(112, 4, "profile_velocity", 0, 0, 32_767),
+    _ram(116, 4, "goal_position", 0, -TURNS, TURNS),
+    _seen(120, 2, "realtime_tick"),
+    _seen(122, 1, "moving"),
+    _seen(123, 1, "moving_status"),
+    _seen(124, 2, "present_pwm", signed=True),
+    _seen(126, 2, "present_current", signed=True),
+    _seen(128, 4, "present_velocity", signed=True),
+    _seen(132, 4, "present_position", signed=True),
+    _seen(136, 4, "velocity_trajectory", signed=True),
+    _seen(140, 4, "position_trajectory", signed=True),
+    _seen(144, 2, "present_input_voltage"),
+    _seen(146, 1, "present_temperature"),
+    _seen(147, 1, "backup_ready"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Strength:
+    """The motor at its nominal voltage: N m, A, rad/s, V; `unit` is amperes per count of current (0: percent)."""
+
+    stall_torque: float
+    stall_current: float
+    fastest: float
+    voltage: float
+    unit: float
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A servo model: its registers by name, its strength, and its page in the manual.
+
+    `indirect` are blocks of (first address register, first data register, count).
+    """
+
+    name: str
+    page: str
+    items: Mapping[str, Item]
+    strength: Strength
+    indirect: Sequence[tuple[int, int, int]]
+
+    @property
+    def number(self) -> int:
+        """The model number that it answers to a ping."""
+        return self.items["model_number"].initial
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """How a model differs from the table above."""
+
+    number: int
+    page: str
+    strength: Strength
+    ranges: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
+    initial: Mapping[str, int] = field(default_factory=dict)
+    lacks: Sequence[str] = ()
+    modes: Sequence[int] = (CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM)
+    wide: bool = True
+
+
+#: What the 330 series has in common: initial value, lowest and highest.
+_330 = {
+    "baud_rate": (1, 0, 6),
+    "protocol_type": (2, 2, 22),
+    "temperature_limit": (70, 0, 100),
+    "max_voltage_limit": (70, 31, 70),
+    "min_voltage_limit": (35, 31, 70),
+}
+_430 = {"velocity_i_gain": 1_000, "position_d_gain": 4_000, "position_p_gain": 640}
+
+_ROWS = {
+    "XL330-M288": _Row(
+        1200, "x/xl330-m288/", Strength(0.52, 1.47, 103 * _RPM, 5.0, 0.001),
+        {**_330, "current_limit": (1_750, 0, 1_750), "velocity_limit": (445, 0, 2_047)},
+        {"shutdown": 53, "velocity_i_gain": 1_600, "velocity_p_gain": 180, "position_p_gain": 400}, wide=False,
+    ),
+    "XL330-M077": _Row(
+        1190, "x/xl330-m077/", Strength(0.215, 1.47, 383 * _RPM, 5.0, 0.001),
+        {**_330, "current_limit": (1_750, 0, 1_750), "velocity_limit": (1_620, 0, 2_047)},
+        {"shutdown": 53, "velocity_i_gain": 1_600, "velocity_p_gain": 180, "position_p_gain": 400}, wide=False,
+    ),
+    "XC330-M288": _Row(
+        1240, "x/xc330-m288/", Strength(0.93, 1.8, 81 * _RPM, 5.0, 0.001),
+        {**_330, "current_limit": (2_352, 0, 2_352), "velocity_limit": (350, 0, 2_047)},
+        {"velocity_i_gain": 1_600, "velocity_p_gain": 50, "position_d_gain": 500, "position_p_gain": 1_100}, wide=False,
+    ),
+    "XL430-W250": _Row(
+        1060, "x/xl430-w250/", Strength(1.5, 1.4, 61 * _RPM, 12.0, 0.0),
+        {"temperature_limit": (72, 0, 100), "max_voltage_limit": (140, 60, 140), "min_voltage_limit": (60, 60, 140),
+         "velocity_limit": (265, 0, 1_023)},
+        _430, ("current_limit", "goal_current"), (VELOCITY, POSITION, EXTENDED, PWM),
+    ),
+    "XM430-W350": _Row(1020, "x/xm430-w350/", Strength(4.1, 2.3, 46 * _RPM, 12.0, 0.00269)),
+    "XM430-W210": _Row(
+        1030, "x/xm430-w210/", Strength(3.0, 2.3, 77 * _RPM, 12.0, 0.00269), {"velocity_limit": (330, 0, 1_023)},
+    ),
+    "XM540-W270": _Row(
+        1120, "x/xm540-w270/", Strength(10.6, 4.4, 30 * _RPM, 12.0, 0.00269),
+        {"current_limit": (2_047, 0, 2_047), "velocity_limit": (128, 0, 1_023)},
+    ),
+}  # fmt: skip
+
+
+def _indirect(wide: bool) -> Sequence[tuple[int, int, int]]:
+    return ((168, 224, 28), (578, 634, 28)) if wide else ((168, 208, 20),)
+
+
+def _items(row: _Row) -> dict[str, Item]:
+    items = {item.name: item for item in X_SERIES if item.name not in row.lacks}
+    changed = dict(row.ranges)
+    changed["model_number"] = (row.number, 0, 0)
+    for name, value in row.initial.items():
+        changed[name] = (value, items[name].low, items[name].high)
+    for name, (initial, low, high) in changed.items():
+        items[name] = _with(items[name], initial, low, high)
+    items["operating_mode"] = _with(items["operating_mode"], POSITION, 0, PWM, row.modes)
+    blocks = _indirect(row.wide)
+    last = blocks[-1][1] + blocks[-1][2] - 1
+    number = 0
+    for first, data, count in blocks:
+        for place in range(count):
+            number += 1
+            name = f"indirect_address_{number}"
+            items[name] = _ram(first + 2 * place, 2, name, data + place, 64, last)
+            name = f"indirect_data_{number}"
+            items[name] = _ram(data + place, 1, name, 0, 0, 255)
+    return items
+
+
+def _with(item: Item, initial: int, low: int, high: int, choices: Sequence[int] = ()) -> Item:
+    return Item(
+        item.name, item.address, item.size, initial, low, high, item.writable, item.eeprom, item.limit,
+        choices or item.choices,
+    )  # fmt: skip
+
+
+def _model(name: str, row: _Row) -> Model:
+    items = MappingProxyType(_items(row))
+    return Model(
+        name, f"https://emanual.robotis.com/docs/en/dxl/{row.page}", items, row.strength, _indirect(row.wide)
+    )
+
+
+MODELS: Mapping[str, Model] = MappingProxyType({name: _model(name, row) for name, row in _ROWS.items()})
+
+
+def model_named(name: str) -> Model:
+    """The model with that name, its suffix -T or -R apart. Raises UsageError."""
+    wanted = name.upper().removesuffix("-T").removesuffix("-R")
+    if wanted not in MODELS:
+        raise UsageError(f"there is no fake of the servo '{name}'; there are: {', '.join(MODELS)}")
+    return MODELS[wanted]

@@ -1,0 +1,245 @@
+"""One servo: what it does with the instructions it hears, and how it protects itself.
+
+Pure: time is given to it, in seconds. https://emanual.robotis.com/docs/en/dxl/protocol2/ and the page of its model.
+"""
+
+from __future__ import annotations
+
+from lfield_sim.dynamixel.model import BAUDS, POSITION, Item, Model
+from lfield_sim.dynamixel.motion import Motion
+from lfield_sim.dynamixel.table import ControlTable, Refusal, Refused
+
+#: Its control period while it moves, in seconds, and while nothing changes.
+PERIOD, IDLE_PERIOD = 0.002, 0.1
+#: How long it is silent after a reboot, in seconds.
+BOOT = 0.1
+#: A load is an overload when it takes this share of the stall current for this long, in seconds.
+OVERLOAD_SHARE, OVERLOAD_TIME = 0.8, 1.0
+#: How long a wrong voltage lasts until it counts, in seconds.
+VOLTAGE_TIME = 0.2
+
+#: Bits of Hardware Error Status and Shutdown.
+VOLTAGE_ERROR, OVERHEATING, ENCODER_ERROR, OVERLOAD = 0x01, 0x04, 0x08, 0x20
+ALERT = 0x80
+#: Bus Watchdog when it has bitten, and its unit in seconds.
+BITTEN, WATCHDOG_UNIT = 255, 0.02
+#: Bits of Startup Configuration and Drive Mode.
+STARTUP_TORQUE, TORQUE_BY_GOAL = 0x01, 0x08
+#: No secondary id from here on.
+NO_SECONDARY = 253
+
+GOALS = frozenset({"goal_pwm", "goal_current", "goal_velocity", "goal_position"})
+#: What may follow the Clear instruction: multi-turn information, and four fixed bytes.
+CLEAR_TURNS = bytes([0x01, 0x44, 0x58, 0x4C, 0x22])
+#: What Factory Reset keeps, by its option.
+KEPT = {0xFF: frozenset[str](), 0x01: frozenset({"id"}), 0x02: frozenset({"id", "baud_rate"})}
+
+
+class Servo:
+    """A servo that was switched on at time `now`. `encoder_fault` makes its encoder fail."""
+
+    def __init__(self, model: Model, now: float = 0.0) -> None:
+        self.model = model
+        self.table = ControlTable(model)
+        self.motion = Motion(model, self.table)
+        self.encoder_fault = False
+        self._time = self._born = self._heard = now
+        self._awake = now
+        self._registered: list[tuple[Item, int]] = []
+        self._shut = False
+        self._strained = self._starved = 0.0
+        self._stale = True
+        self.motion.reset_goals()
+
+    @property
+    def id(self) -> int:
+        """By which it is called."""
+        return self.table["id"]
+
+    @property
+    def baud(self) -> int:
+        """Bits per second."""
+        return BAUDS[self.table["baud_rate"]]
+
+    @property
+    def protocol(self) -> int:
+        """1 or 2."""
+        return 1 if self.table["protocol_type"] == 1 else 2
+
+    @property
+    def awake(self) -> bool:
+        """Not just rebooting."""
+        return self._time >= self._awake
+
+    @property
+    def return_delay(self) -> float:
+        """How long it waits before it answers, in seconds."""
+        return self.table["return_delay_time"] * 2e-6
+
+    @property
+    def secondary(self) -> int | None:
+        """The second id by which it is called, and never answers."""
+        number = self.table["secondary_id"]
+        return number if number < NO_SECONDARY else None
+
+    @property
+    def alert(self) -> int:
+        """What its error bytes have in addition while its hardware error status is not 0."""
+        return ALERT if self.table["hardware_error_status"] else 0
+
+    # ---- time ---------------------------------------------------------------------------------------
+
+    def advance(self, now: float) -> None:
+        """Let time pass until `now`, in whole control periods."""
+        while now - self._time >= PERIOD:
+            dt = min(now - self._time, IDLE_PERIOD if self.motion.resting else PERIOD)
+            self._time += dt
+            self.motion.step(dt)
+            self._watch()
+            self._protect(dt)
+            self._stale = True
+
+    def hear(self, now: float) -> None:
+        """An instruction packet was on the bus, for whomever: that feeds the watchdog."""
+        self._heard = now
+
+    def _watch(self) -> None:
+        limit = self.table["bus_watchdog"]
+        if not 0 < limit < BITTEN or not self.table["torque_enable"]:
+            return
+        if self._time - self._heard > limit * WATCHDOG_UNIT:
+            self.table.put("bus_watchdog", BITTEN)
+            self.motion.stop()
+
+    def _protect(self, dt: float) -> None:
+        """Note what is wrong, and give way if Shutdown says so."""
+        table, motor = self.table, self.motion.motor
+        strained = abs(motor.current) > OVERLOAD_SHARE * motor.strength.stall_current
+        self._strained = self._strained + dt if strained else 0.0
+        starved = not table["min_voltage_limit"] <= motor.voltage * 10.0 <= table["max_voltage_limit"]
+        self._starved = self._starved + dt if starved else 0.0
+        found = OVERLOAD if self._strained > OVERLOAD_TIME else 0
+        found |= VOLTAGE_ERROR if self._starved > VOLTAGE_TIME else 0
+        found |= OVERHEATING if motor.temperature > table["temperature_limit"] else 0
+        found |= ENCODER_ERROR if self.encoder_fault else 0
+        if found:
+            table.put("hardware_error_status", table["hardware_error_status"] | found)
+            if found & table["shutdown"]:
+                self._shut = True
+                table.put("torque_enable", 0)
+
+    # ---- instructions -------------------------------------------------------------------------------
+
+    def ping(self) -> bytes:
+        """Model number and firmware version."""
+        return self.model.number.to_bytes(2, "little") + bytes([self.table["firmware_version"]])
+
+    def read(self, address: int, length: int) -> bytes:
+        """Registers as they are now. Raises Refused."""
+        if self._stale:
+            self.motion.publish(self._time - self._born)
+            self._stale = False
+        return self.table.read(address, length)
+
+    def write(self, address: int, data: bytes, *, secondary: bool = False) -> None:
+        """Set registers: all that the bytes cover, or none. Raises Refused."""
+        self._apply(self._allowed(address, data, secondary))
+
+    def register(self, address: int, data: bytes, *, secondary: bool = False) -> None:
+        """Keep a write for `act`. Raises Refused."""
+        self._registered = self._allowed(address, data, secondary)
+        self.table.put("registered_instruction", 1)
+
+    def act(self) -> None:
+        """Carry out what was registered. Raises Refused."""
+        if not self.table["registered_instruction"]:
+            raise Refused(Refusal.RESULT_FAIL)
+        self.table.put("registered_instruction", 0)
+        self._apply(self._registered)
+
+    def reboot(self) -> None:
+        """Start anew: the RAM area as it was delivered, errors forgotten (they come back if they must)."""
+        self.table.reset(eeprom=False)
+        self._shut, self._registered = False, []
+        self._strained = self._starved = 0.0
+        self._awake = self._time + BOOT
+        self.motion.single_turn()
+        self.motion.reset_goals()
+        if "startup_configuration" in self.table and self.table["startup_configuration"] & STARTUP_TORQUE:
+            self.table.put("torque_enable", 1)
+        self._stale = True
+
+    def factory_reset(self, option: int) -> None:
+        """As it was delivered; `option` says what stays. Raises Refused."""
+        if option not in KEPT:
+            raise Refused(Refusal.RANGE)
+        self.table.reset(KEPT[option])
+        self.reboot()
+
+    def clear(self, parameters: bytes) -> None:
+        """Forget the turns. Raises Refused: only that can be cleared, and only while it stands still."""
+        if parameters != CLEAR_TURNS:
+            raise Refused(Refusal.RANGE)
+        if self.motion.moving:
+            raise Refused(Refusal.RESULT_FAIL)
+        self.motion.single_turn()
+        self.motion.hold()
+        self._stale = True
+
+    # ---- writing ------------------------------------------------------------------------------------
+
+    def _allowed(self, address: int, data: bytes, secondary: bool) -> list[tuple[Item, int]]:
+        changes = self.table.changes(address, data)
+        for item, value in changes:
+            self._check(item, value, secondary)
+        return changes
+
+    def _check(self, item: Item, value: int, secondary: bool) -> None:
+        if not item.writable or (item.eeprom and (secondary or self.table["torque_enable"])):
+            raise Refused(Refusal.ACCESS)
+        if not item.low <= value <= item.high or (item.choices and value not in item.choices):
+            raise Refused(Refusal.RANGE)
+        bitten = self.table["bus_watchdog"] == BITTEN
+        if bitten and (item.name in GOALS or (item.name == "bus_watchdog" and value)):
+            raise Refused(Refusal.RANGE)
+        if item.limit and abs(value) > self.table[item.limit]:
+            raise Refused(Refusal.LIMIT)
+        if item.name == "goal_position" and not self._within(value):
+            raise Refused(Refusal.LIMIT)
+
+    def _within(self, place: int) -> bool:
+        """Whether a goal is allowed; the limits are those of position mode."""
+        limits = self.table["min_position_limit"], self.table["max_position_limit"]
+        return self.table["operating_mode"] != POSITION or limits[0] <= place <= limits[1]
+
+    def _apply(self, changes: list[tuple[Item, int]]) -> None:
+        for item, value in changes:
+            before = self.table[item.name]
+            self.table.put(item.name, value)
+            self._follow_up(item.name, before, value)
+        self.motion.resting = False
+        self._stale = True
+
+    def _follow_up(self, name: str, before: int, value: int) -> None:
+        """What a register's new value sets going."""
+        if name == "torque_enable" and self._shut:
+            self.table.put("torque_enable", 0)
+        elif name == "torque_enable" and value and not before:
+            self.motion.hold()
+        elif name in ("operating_mode", "drive_mode", "homing_offset"):
+            self._changed_frame(name)
+        elif name in GOALS:
+            self._new_goal(name)
+
+    def _changed_frame(self, name: str) -> None:
+        if name == "operating_mode" and self.table["operating_mode"] == POSITION:
+            self.motion.single_turn()
+        self.motion.reset_goals()
+
+    def _new_goal(self, name: str) -> None:
+        if self.table["drive_mode"] & TORQUE_BY_GOAL and not self._shut:
+            self.table.put("torque_enable", 1)
+        if name == "goal_position":
+            self.motion.approach()
+        elif name == "goal_velocity":
+            self.motion.accelerate()

@@ -1,0 +1,111 @@
+"""The control table: a servo's registers as bytes, with the rules by which they are read and written."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from lfield_sim.dynamixel.model import Item, Model
+
+
+class Refusal(IntEnum):
+    """Why a servo refuses: the error numbers of protocol 2.0."""
+
+    RESULT_FAIL = 1
+    INSTRUCTION = 2
+    CRC = 3
+    RANGE = 4
+    LENGTH = 5
+    LIMIT = 6
+    ACCESS = 7
+
+
+class Refused(Exception):
+    """An instruction that is not carried out."""
+
+    def __init__(self, reason: Refusal) -> None:
+        self.reason = reason
+        super().__init__(reason.name)
+
+
+class ControlTable:
+    """The registers of one servo, all of them at their initial values."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self._items = model.items
+        self._owner: dict[int, Item] = {}
+        for item in model.items.values():
+            self._owner.update(dict.fromkeys(range(item.address, item.address + item.size), item))
+        self._indirect = _indirect(model)
+        self._windows = [(data, data + count) for _, data, count in model.indirect]
+        self._memory = bytearray(1 + max(self._owner))
+        for item in model.items.values():
+            self.put(item.name, item.initial)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._items
+
+    def __getitem__(self, name: str) -> int:
+        item = self._items[name]
+        raw = self._memory[item.address : item.address + item.size]
+        return int.from_bytes(raw, "little", signed=item.signed)
+
+    def put(self, name: str, value: int) -> None:
+        """Set a register, rules apart; what does not fit wraps around."""
+        item = self._items[name]
+        raw = (value & ((1 << 8 * item.size) - 1)).to_bytes(item.size, "little")
+        self._memory[item.address : item.address + item.size] = raw
+
+    def read(self, address: int, length: int) -> bytes:
+        """Some bytes; places without a register are 0. Raises Refused."""
+        end = address + length
+        if length == 0:
+            raise Refused(Refusal.LENGTH)
+        if end > len(self._memory):
+            raise Refused(Refusal.ACCESS)
+        if not any(first < end and address < last for first, last in self._windows):
+            return bytes(self._memory[address:end])
+        return bytes(self._memory[self._target(place)] for place in range(address, end))
+
+    def _target(self, address: int) -> int:
+        """The address that an address stands for: indirect data is elsewhere."""
+        pointer = self._indirect.get(address)
+        if pointer is None:
+            return address
+        target = int.from_bytes(self._memory[pointer : pointer + 2], "little")
+        # One that leads to indirect data leads no further, so that none leads in circles.
+        return target if target < len(self._memory) else address
+
+    def changes(self, address: int, data: bytes) -> list[tuple[Item, int]]:
+        """The registers that a write would set, with their values; nothing is set. Raises Refused.
+
+        A register is written as a whole or not at all.
+        """
+        if not data:
+            raise Refused(Refusal.LENGTH)
+        places = {self._target(address + at): byte for at, byte in enumerate(data)}
+        changes = []
+        while places:
+            first = next(iter(places))
+            item = self._owner.get(first)
+            if item is None:
+                raise Refused(Refusal.ACCESS)
+            try:
+                raw = bytes(places.pop(item.address + at) for at in range(item.size))
+            except KeyError:
+                raise Refused(Refusal.LENGTH) from None
+            changes.append((item, int.from_bytes(raw, "little", signed=item.signed)))
+        return changes
+
+    def reset(self, keep: frozenset[str] = frozenset(), *, eeprom: bool = True) -> None:
+        """Everything (or only the RAM area) but `keep` to its initial value."""
+        for item in self._items.values():
+            if item.name not in keep and (eeprom or not item.eeprom):
+                self.put(item.name, item.initial)
+
+
+def _indirect(model: Model) -> dict[int, int]:
+    """Where the address of each byte of indirect data is."""
+    return {
+        data + place: first + 2 * place for first, data, count in model.indirect for place in range(count)
+    }
