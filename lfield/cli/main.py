@@ -28,6 +28,7 @@ COMMANDS = {
     "ps": "show what runs where",
     "estop": "bring every device of a running mission into its safe state",
     "inspect": "explain a dumped agent",
+    "doctor": "look for what stands between this computer and its devices",
     "driver": "list the drivers, or begin a new one",
     "kit": "try a device, fake or real, against what its driver promises",
     "sim": "run a stand-alone fake of a device, or make one go wrong",
