@@ -1,1 +1,101 @@
-"""Fakes on a CAN bus."""
+"""The CAN fake for the command line: `lfield sim can`. See README.md beside this package."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+from lfield.driver.binding import DeviceBinding
+from lfield.errors import UsageError
+from lfield_sim.faults import Faults, add_fault_option
+
+#: The kind of door that is a pty; the other kind is `socketcand:HOST:PORT`.
+_PTY = "slcan-pty"
+
+
+def parse_listen(text: str) -> tuple[str, str, int]:
+    """`socketcand:HOST:PORT` or `slcan-pty` as kind, host and port. Raises UsageError."""
+    if text == _PTY:
+        return _PTY, "", 0
+    kind, _, rest = text.partition(":")
+    host, _, port = rest.rpartition(":")
+    if kind != "socketcand" or not host or not port.isdecimal() or int(port) > 65535:
+        raise UsageError(
+            f"cannot listen on '{text}'; write socketcand:HOST:PORT (port 0: any free one) or {_PTY}"
+        )
+    return kind, host, int(port)
+
+
+def _bitrate(text: str) -> int:
+    value = int(text)
+    if not 10_000 <= value <= 1_000_000:
+        raise argparse.ArgumentTypeError("a bit rate from 10000 to 1000000")
+    return value
+
+
+class CanSim:
+    """A CAN bus with drives on a desk (see `lfield.driver.sims.Sim`)."""
+
+    name = "can"
+    help = "A CAN bus with CiA 402 drives, ODrive axes and devices by DBC file."
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Doors, devices and faults."""
+        parser.add_argument(
+            "--listen",
+            action="append",
+            metavar="socketcand:HOST:PORT|slcan-pty",
+            help="a door, as often as wanted (socketcand:127.0.0.1:0)",
+        )
+        parser.add_argument(
+            "--device",
+            action="append",
+            default=[],
+            metavar="KIND:NODE|FILE[:NAME][,KEY=VALUE]",
+            help="cia402:5, odrive:3 or dbc:FILE, as often as wanted",
+        )
+        parser.add_argument("--bitrate", type=_bitrate, default=1_000_000, metavar="BIT/S", help="(1000000)")
+        add_fault_option(parser)
+        parser.add_argument(
+            "--until-stdin-closes", action="store_true", help="end with the one who started it"
+        )
+
+    def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
+        """A bus with the devices of these bindings behind socketcand; two on one node are one device."""
+        from lfield_sim.can.fleet import parse, spec_of
+
+        specs: dict[str, str] = {}
+        for binding in devices:
+            text = spec_of(binding)
+            specs.setdefault(parse(text).id, text)
+        chosen = [word for text in specs.values() for word in ("--device", text)]
+        bitrates = {str(b.options["bitrate"]) for b in devices if b.options.get("bitrate")}
+        rate = ["--bitrate", bitrates.pop()] if len(bitrates) == 1 else []
+        return ["--listen", "socketcand:127.0.0.1:0", *rate, *chosen]
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Serve until told to end; 0."""
+        from lfield_sim.can.fleet import build, parse
+        from lfield_sim.can.server import run
+        from lfield_sim.can.troubles import FAULTS
+
+        doors = [parse_listen(text) for text in args.listen or ["socketcand:127.0.0.1:0"]]
+        specs = [parse(text) for text in args.device]
+        names = {spec.id: spec.name for spec in specs}
+        faults = Faults(FAULTS, names)
+        try:
+            faults.apply(args.fault)
+        except ValueError as error:
+            raise UsageError(f"--fault: {error}") from None
+        return run(
+            doors,
+            build(specs, faults),
+            faults,
+            bitrate=args.bitrate,
+            names=names,
+            words=" ".join(f"{spec.kind}:{spec.id}" for spec in specs),
+            until_stdin_closes=args.until_stdin_closes,
+        )
+
+
+SIM = CanSim()

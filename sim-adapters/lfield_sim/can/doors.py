@@ -1,0 +1,171 @@
+"""How clients reach the bus: socketcand clients over TCP, and one slcan dongle on a pty."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import pty
+import tty
+from collections.abc import Callable
+from typing import Protocol
+
+from lfield_sim.can import slcan, socketcand
+from lfield_sim.can.bus import BUS_OFF, Port
+from lfield_sim.can.frame import Frame
+from lfield_sim.can.slcan import Slcan
+from lfield_sim.can.socketcand import GREETING, Socketcand
+
+#: Frames of one client that may wait for the bus before no more is read from it.
+MOST_WAITING = 64
+#: A client that leaves more than this unread is dropped (TCP) or misses frames (pty), in bytes.
+MOST_UNREAD = 1 << 20
+#: python-can takes the bytes after `< rawmode >` in one piece and wants `< ok >` alone in it. A client that
+#: has said nothing joins the bus this much later, in seconds.
+JOIN_AFTER = 0.05
+
+
+class Hub(Protocol):
+    """What a door needs of the server."""
+
+    def join(self, port: Port) -> None:
+        """Let a port take part."""
+
+    def leave(self, port: Port) -> None:
+        """Let it go."""
+
+    def send(self, port: Port, frame: Frame) -> None:
+        """Put a frame on the bus now."""
+
+    def when_sent(self, go_on: Callable[[], None]) -> None:
+        """Call once after the bus has moved on."""
+
+    def seconds(self, time: float) -> float:
+        """A time of the bus as a time of day."""
+
+    def is_off(self, port: Port) -> bool:
+        """Whether a port is bus-off."""
+
+
+class SocketcandDoor(asyncio.Protocol):
+    """One client of socketcand."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub, self._protocol = hub, Socketcand()
+        self._buffer = bytearray()
+        self._port = Port(self._hear)
+        self._joined = self._closed = False
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Greet."""
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        transport.write(GREETING)
+
+    def data_received(self, data: bytes) -> None:
+        """Carry out what has come."""
+        self._buffer += data
+        self._pump()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Leave the bus."""
+        self._closed = True
+        if self._joined:
+            self._hub.leave(self._port)
+
+    def _pump(self) -> None:
+        while not self._closed and self._port.waiting < MOST_WAITING:
+            text = socketcand.cut(self._buffer)
+            if text is None:
+                self._transport.resume_reading()
+                return
+            self._carry_out(text)
+        if not self._closed:
+            self._transport.pause_reading()
+            self._hub.when_sent(self._pump)
+
+    def _carry_out(self, text: bytes) -> None:
+        was_raw = self._protocol.raw
+        answer, frame = self._protocol.command(text)
+        if answer:
+            self._transport.write(answer)
+        if self._protocol.raw and not was_raw:
+            asyncio.get_running_loop().call_later(JOIN_AFTER, self._join)
+        if frame:
+            self._join()
+            self._hub.send(self._port, frame)
+
+    def _join(self) -> None:
+        if not self._joined and not self._closed:
+            self._joined = True
+            self._hub.join(self._port)
+
+    def _hear(self, frame: Frame, time: float) -> None:
+        if self._transport.get_write_buffer_size() > MOST_UNREAD:
+            self._transport.abort()
+        elif not self._transport.is_closing():
+            self._transport.write(self._protocol.encode(frame, self._hub.seconds(time)))
+
+
+class SlcanDoor:
+    """A dongle on a pty. The slave stays open here, so that clients may come and go."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._loop = asyncio.get_running_loop()
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._master)
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        self._buffer, self._unsent = bytearray(), bytearray()
+        self._port = Port(self._hear)
+        self._protocol = Slcan(lambda: BUS_OFF if hub.is_off(self._port) else self._port.errors)
+        hub.join(self._port)
+        self._loop.add_reader(self._master, self._readable)
+
+    def close(self) -> None:
+        """Pull the dongle out."""
+        self._loop.remove_reader(self._master)
+        self._loop.remove_writer(self._master)
+        os.close(self._master)
+        os.close(self._slave)
+
+    def _readable(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            self._buffer += os.read(self._master, 4096)
+        self._loop.remove_reader(self._master)
+        self._pump()
+
+    def _pump(self) -> None:
+        while self._port.waiting < MOST_WAITING:
+            text = slcan.cut(self._buffer)
+            if text is None:
+                self._loop.add_reader(self._master, self._readable)
+                return
+            answer, frame = self._protocol.command(text)
+            self._port.bitrate = self._protocol.bitrate
+            self._write(answer)
+            if frame:
+                self._hub.send(self._port, frame)
+        self._hub.when_sent(self._pump)
+
+    def _hear(self, frame: Frame, _: float) -> None:
+        if self._protocol.opened:
+            self._write(self._protocol.encode(frame))
+
+    def _write(self, data: bytes) -> None:
+        """Whole lines or nothing: what nobody reads is lost, as in a dongle."""
+        if len(self._unsent) > MOST_UNREAD:
+            return
+        self._unsent += data
+        self._flush()
+
+    def _flush(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while self._unsent:
+                del self._unsent[: os.write(self._master, self._unsent)]
+        if self._unsent:
+            self._loop.add_writer(self._master, self._flush)
+        else:
+            self._loop.remove_writer(self._master)

@@ -1,0 +1,87 @@
+"""A motor with its load: torque in, motion, heat and current out. SI units, at the output shaft."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+#: Still air and the fault `overheat`, in degrees Celsius.
+AMBIENT, OVERHEATED = 25.0, 130.0
+#: Warming at rated current when it runs for long, in kelvin, and how fast that comes, in seconds.
+RATED_WARMING, WARMING_TIME = 40.0, 120.0
+
+
+@dataclass(frozen=True, slots=True)
+class MotorData:
+    """A motor as its data sheet has it; `load` is a constant torque against positive motion (a weight)."""
+
+    inertia: float = 0.002
+    friction: float = 0.002
+    load: float = 0.0
+    rated_torque: float = 1.0
+    max_torque: float = 3.0
+    torque_constant: float = 0.2
+    max_speed: float = 314.0
+    supply: float = 48.0
+    resistance: float = 0.1
+    brake: bool = True
+
+
+class Motor:
+    """What a motor does in time. A brake, if there is one, holds it whenever it is not driven."""
+
+    def __init__(self, data: MotorData) -> None:
+        self.data = data
+        self.angle = self.speed = self.torque = 0.0
+        self.stuck = self.overheated = False
+        self._warmth = AMBIENT
+
+    @property
+    def temperature(self) -> float:
+        """Of the winding, in degrees Celsius."""
+        return OVERHEATED if self.overheated else self._warmth
+
+    @property
+    def current(self) -> float:
+        """The current that makes the torque, in amperes."""
+        return self.torque / self.data.torque_constant
+
+    @property
+    def supply_current(self) -> float:
+        """What it draws from (or feeds back into) the supply, in amperes."""
+        heat = self.current * self.current * self.data.resistance
+        return (self.torque * self.speed + heat) / self.data.supply
+
+    @property
+    def voltage(self) -> float:
+        """The supply at its terminals: it sags a little, in volts."""
+        return self.data.supply - 0.05 * self.supply_current
+
+    def track(self, speed: float, dt: float, limit: float) -> None:
+        """Drive with the torque that reaches `speed` after this step, as far as `limit` allows."""
+        needed = self.data.inertia * (speed - self.speed) / dt + self._resisting(speed)
+        self.drive(max(-limit, min(limit, needed)), dt)
+
+    def drive(self, torque: float, dt: float) -> None:
+        """Let a torque act."""
+        self.torque = torque
+        self._move((torque - self._resisting(self.speed)) / self.data.inertia, dt)
+
+    def rest(self, dt: float) -> None:
+        """Without power: the brake stops and holds it; without a brake it coasts and its load moves it."""
+        self.torque = 0.0
+        if self.data.brake:
+            most = 2.0 * self.data.max_torque / self.data.inertia * dt
+            self._move(-max(-most, min(most, self.speed)) / dt, dt)
+        else:
+            self._move(-self._resisting(self.speed) / self.data.inertia, dt)
+
+    def _resisting(self, speed: float) -> float:
+        return self.data.load + self.data.friction * speed
+
+    def _move(self, acceleration: float, dt: float) -> None:
+        top = self.data.max_speed
+        self.speed = 0.0 if self.stuck else max(-top, min(top, self.speed + acceleration * dt))
+        self.angle += self.speed * dt
+        rated = self.data.rated_torque / self.data.torque_constant
+        aim = AMBIENT + RATED_WARMING * (self.current / rated) ** 2
+        self._warmth += (aim - self._warmth) * dt / WARMING_TIME
