@@ -1,0 +1,160 @@
+"""One item of a plan (mission, fence or rally points): from the wire, to the wire, and what makes it wrong.
+
+Mission protocol: https://mavlink.io/en/services/mission.html
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+
+class PlanType(IntEnum):
+    """MAV_MISSION_TYPE."""
+
+    MISSION = 0
+    FENCE = 1
+    RALLY = 2
+
+
+class PlanResult(IntEnum):
+    """MAV_MISSION_RESULT, the part that is used."""
+
+    ACCEPTED = 0
+    ERROR = 1
+    UNSUPPORTED_FRAME = 2
+    UNSUPPORTED = 3
+    NO_SPACE = 4
+    INVALID = 5
+    INVALID_PARAM1 = 6
+    INVALID_PARAM2 = 7
+    INVALID_PARAM3 = 8
+    INVALID_PARAM4 = 9
+    INVALID_PARAM5_X = 10
+    INVALID_PARAM6_Y = 11
+    INVALID_PARAM7 = 12
+    INVALID_SEQUENCE = 13
+    DENIED = 14
+    OPERATION_CANCELLED = 15
+
+
+#: Frames of a global place: above sea level, above home, above terrain; each with its INT twin.
+ABOVE_SEA, ABOVE_HOME, ABOVE_TERRAIN = frozenset({0, 5}), frozenset({3, 6}), frozenset({10, 11})
+PLACED = ABOVE_SEA | ABOVE_HOME | ABOVE_TERRAIN
+#: MAV_FRAME_MISSION: the command has no place.
+UNPLACED = 2
+
+WAYPOINT = 16
+#: Commands that are flown to: waypoint, the loiters, land, takeoff.
+PLACE_COMMANDS = frozenset({WAYPOINT, 17, 18, 19, 21, 22})
+#: Commands that end when time or heading is reached: return, delay, condition delay, yaw.
+WAIT_COMMANDS = frozenset({20, 93, 112, 115})
+#: Commands that are done at once: jump, speed, home, region of interest, camera, gimbal, relay, servo,
+#: gripper.
+DO_COMMANDS = frozenset(
+    {177, 178, 179, 181, 183, 195, 197, 201, 203, 204, 205, 206, 207, 211, 530, 532, 1000, 2000, 2001}
+    | {2500, 2501}
+)
+FENCE_RETURN, POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT = 5000, 5001, 5002, 5003, 5004
+POLYGONS, CIRCLES = frozenset({POLYGON_IN, POLYGON_OUT}), frozenset({CIRCLE_IN, CIRCLE_OUT})
+COMMANDS = {
+    PlanType.MISSION: PLACE_COMMANDS | WAIT_COMMANDS | DO_COMMANDS,
+    PlanType.FENCE: POLYGONS | CIRCLES | {FENCE_RETURN},
+    PlanType.RALLY: frozenset({5100}),
+}
+_PARAMS = (
+    PlanResult.INVALID_PARAM1,
+    PlanResult.INVALID_PARAM2,
+    PlanResult.INVALID_PARAM3,
+    PlanResult.INVALID_PARAM4,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One item: `values` are param1 to param4, `x` and `y` 1e-7 degrees, `z` metres in its frame."""
+
+    command: int
+    frame: int
+    values: tuple[float, float, float, float]
+    x: int = 0
+    y: int = 0
+    z: float = 0.0
+    autocontinue: int = 1
+
+    @classmethod
+    def read(cls, message: Any) -> Item:
+        """Of MISSION_ITEM_INT 73, or of the old MISSION_ITEM 39 with its degrees in floats."""
+        x, y = message.x, message.y
+        if message.get_msgId() == dialect.MAVLINK_MSG_ID_MISSION_ITEM:
+            x, y = _tenths_of_micro(x), _tenths_of_micro(y)
+        values = (message.param1, message.param2, message.param3, message.param4)
+        return cls(message.command, message.frame, values, x, y, message.z, message.autocontinue)
+
+    def write(
+        self, peer: tuple[int, int], number: int, kind: PlanType, *, current: bool, whole: bool = True
+    ) -> Any:
+        """As MISSION_ITEM_INT, or as MISSION_ITEM where `whole` numbers were not asked for."""
+        head = (*peer, number, self.frame, self.command, int(current), self.autocontinue, *self.values)
+        if whole:
+            return dialect.MAVLink_mission_item_int_message(*head, self.x, self.y, self.z, int(kind))
+        return dialect.MAVLink_mission_item_message(*head, self.x / 1e7, self.y / 1e7, self.z, int(kind))
+
+    @property
+    def degrees(self) -> tuple[float, float]:
+        """Latitude and longitude."""
+        return self.x / 1e7, self.y / 1e7
+
+
+def check(item: Item, kind: PlanType, *, nan_means_unset: bool) -> PlanResult:
+    """Whether an autopilot takes an item. PX4 has NaN for "not given"; ArduPilot only as a waypoint's yaw."""
+    if item.command not in COMMANDS[kind]:
+        return PlanResult.UNSUPPORTED
+    if item.frame not in PLACED and (item.frame != UNPLACED or _has_place(item, kind)):
+        return PlanResult.UNSUPPORTED_FRAME
+    for number, (value, wrong) in enumerate(zip(item.values, _PARAMS, strict=True), 1):
+        may_be_nan = nan_means_unset or (number == 4 and item.command in PLACE_COMMANDS)
+        if math.isinf(value) or (math.isnan(value) and not may_be_nan):
+            return wrong
+    if _has_place(item, kind):
+        return _check_place(item)
+    return PlanResult.ACCEPTED
+
+
+def check_fence(items: Sequence[Item]) -> PlanResult:
+    """Whether the vertices of each polygon are all there, three at least, and circles have a radius."""
+    left, of = 0, (0, 0.0)
+    for item in items:
+        if item.command in POLYGONS:
+            mine = (item.command, item.values[0])
+            if left == 0:
+                of, left = mine, int(item.values[0]) if 3 <= item.values[0] <= 255 else 0
+            if mine != of or left == 0:
+                return PlanResult.INVALID_PARAM1
+            left -= 1
+        elif left or (item.command in CIRCLES and not item.values[0] > 0.0):
+            return PlanResult.INVALID_PARAM1
+    return PlanResult.INVALID if left else PlanResult.ACCEPTED
+
+
+def _has_place(item: Item, kind: PlanType) -> bool:
+    return kind is not PlanType.MISSION or item.command in PLACE_COMMANDS
+
+
+def _check_place(item: Item) -> PlanResult:
+    latitude, longitude = item.degrees
+    if abs(latitude) > 90.0:
+        return PlanResult.INVALID_PARAM5_X
+    if abs(longitude) > 180.0:
+        return PlanResult.INVALID_PARAM6_Y
+    return PlanResult.ACCEPTED if abs(item.z) < 1e6 else PlanResult.INVALID_PARAM7
+
+
+def _tenths_of_micro(degrees: float) -> int:
+    """Degrees as 1e-7 degrees; what is no such number becomes one that every check refuses."""
+    return round(degrees * 1e7) if abs(degrees) <= 180.0 else 0x7FFFFFFF
