@@ -11,6 +11,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from lfield_mavlink.signing import Signing
+
 __all__ = ["AUTOPILOT", "COMPONENT", "SYSTEM", "Reader", "Writer", "dialect", "result_words"]
 
 #: Who we are: a ground station (the only id whose heartbeat counts by default), on board.
@@ -20,21 +22,32 @@ AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 
 #: The parser keeps what it has read until its buffer is empty, which on a stream may be never.
 _KEPT = 4096
+#: What pymavlink says of a packet whose signature was not believed.
+_REFUSED = "Invalid signature"
 
 
 class Reader:
-    """Bytes of a link to messages; broken packets and unknown messages are left out."""
+    """Bytes of a link to messages; broken packets and unknown messages are left out.
 
-    def __init__(self) -> None:
+    `broken` counts the packets that were damaged on their way. With `signing`, packets that it does not
+    believe are left out too; it counts them itself.
+    """
+
+    def __init__(self, signing: Signing | None = None) -> None:
         self._parser: Any = dialect.MAVLink(None)
         # Without it one wrong checksum raises.
         self._parser.robust_parsing = True
+        if signing is not None:
+            signing.attach_reader(self._parser)
+        self.broken = 0
 
     def feed(self, data: bytes) -> Iterator[Any]:
         """The messages that these bytes complete; never raises."""
         parser = self._parser
         for message in parser.parse_buffer(data) or ():
-            if message.get_msgId() >= 0 and not isinstance(message, dialect.MAVLink_unknown):
+            if isinstance(message, dialect.MAVLink_bad_data):
+                self.broken += message.reason != _REFUSED
+            elif not isinstance(message, dialect.MAVLink_unknown):
                 yield message
         if parser.buf_index > _KEPT:
             parser.buf = parser.buf[parser.buf_index :]
@@ -42,13 +55,16 @@ class Reader:
 
 
 class Writer:
-    """Messages to packets, numbered."""
+    """Messages to packets, numbered, and signed where there is a key."""
 
-    def __init__(self) -> None:
+    def __init__(self, signing: Signing | None = None) -> None:
         self._mavlink: Any = dialect.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+        self._signing = signing
 
     def pack(self, message: Any) -> bytes:
         """One packet."""
+        if self._signing is not None:
+            self._signing.seal(self._mavlink)
         data = bytes(message.pack(self._mavlink))
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
         return data

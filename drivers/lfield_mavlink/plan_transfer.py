@@ -1,0 +1,202 @@
+"""Plans to and from a vehicle: the mission protocol, with every upload read back and compared.
+
+The vehicle leads an upload: it asks for item after item, repeats its question when one is lost, and ends
+with an acknowledgement. That word alone is not trusted, since lost and repeated packets can leave a plan
+that is shorter than what was sent (MAVSDK #1745): the plan on the vehicle is what a download shows.
+
+https://mavlink.io/en/services/mission.html; what the autopilots really do was measured:
+ArduPilot asks with the deprecated MISSION_REQUEST and keeps home as item 0 of its missions.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Sequence
+from typing import Any, TypeVar
+
+from lfield_mavlink.dialect import AUTOPILOT, dialect
+from lfield_mavlink.peer import Inbox, Peer
+from lfield_mavlink.plan_items import HOME, Item, PlanKind
+
+T = TypeVar("T")
+
+#: Seconds to wait for an answer, and how often a question is asked that nobody answers.
+PATIENCE, QUESTIONS = 0.5, 6
+#: Silences of PATIENCE in the middle of an upload: ArduPilot repeats a question every second for 8 s.
+SILENCES = 16
+#: A question that comes again sooner than after so many seconds is the same packet twice.
+TWICE = 0.1
+#: How often an upload is begun anew before it has failed.
+ATTEMPTS = 3
+#: Messages that an upload may take for each item, and beside them: a bound also for a vehicle gone mad.
+PER_ITEM, BESIDE = 10, 100
+#: The most items that are downloaded; a vehicle that says more is not believed.
+MAX_ITEMS = 5000
+
+_ACK = dialect.MAVLINK_MSG_ID_MISSION_ACK
+_COUNT = dialect.MAVLINK_MSG_ID_MISSION_COUNT
+_ITEM = dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT
+_REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
+_ACCEPTED = dialect.MAV_MISSION_ACCEPTED
+_CANCELLED = dialect.MAV_MISSION_OPERATION_CANCELLED
+#: Ends of an upload that another attempt may mend: packets out of turn, a vehicle that waited too long.
+_AGAIN = (dialect.MAV_MISSION_INVALID_SEQUENCE, _CANCELLED)
+
+
+class PlanTransfer:
+    """The plans of one vehicle; one transfer at a time. `home_first`: its missions begin with home."""
+
+    def __init__(self, peer: Peer, *, home_first: bool) -> None:
+        self._peer, self._home_first = peer, home_first
+        self._inbox = Inbox(peer, _ACK, _COUNT, _ITEM, *_REQUESTS)
+        self._lock = asyncio.Lock()
+
+    async def upload(self, kind: PlanKind, items: Sequence[Item]) -> None:
+        """Put a whole plan onto the vehicle in place of the one there. Raises DeviceError.
+
+        When it returns, the vehicle has been seen to hold exactly this plan.
+        """
+        wire = [HOME, *items] if self._has_home(kind) else list(items)
+        async with self._lock:
+            await self._guarded(kind, self._upload(kind, wire))
+
+    async def download(self, kind: PlanKind) -> list[Item]:
+        """The plan that the vehicle holds, without home. Raises DeviceError."""
+        async with self._lock:
+            items = await self._guarded(kind, self._download(kind))
+        return items[1:] if self._has_home(kind) else items
+
+    async def clear(self, kind: PlanKind) -> None:
+        """Leave the vehicle without that plan, and see that it is so. Raises DeviceError."""
+        if self._has_home(kind):
+            await self.upload(kind, [])
+            return
+        async with self._lock:
+            await self._guarded(kind, self._clear(kind))
+
+    def _has_home(self, kind: PlanKind) -> bool:
+        return self._home_first and kind is PlanKind.MISSION
+
+    async def _guarded(self, kind: PlanKind, work: Coroutine[Any, Any, T]) -> T:
+        """Do a part of the protocol; when it ends early, the vehicle is told to forget it."""
+        with self._inbox:
+            try:
+                return await work
+            except BaseException:
+                self._peer.send(self._ack(kind, _CANCELLED))
+                raise
+
+    # -- upload ---------------------------------------------------------------------------------------
+
+    async def _upload(self, kind: PlanKind, wire: Sequence[Item]) -> None:
+        skip = 1 if self._has_home(kind) else 0
+        why = ""
+        for _ in range(ATTEMPTS):
+            why = await self._offer(kind, wire)
+            if why:
+                continue
+            found = await self._download(kind)
+            if _same(wire[skip:], found[skip:]):
+                return
+            why = f"it holds {len(found)} items that are not the {len(wire)} that were sent"
+        raise self._peer.error(f"the {kind.word} could not be uploaded in {ATTEMPTS} attempts: {why}")
+
+    async def _offer(self, kind: PlanKind, wire: Sequence[Item]) -> str:
+        """Hand out a plan as the vehicle asks for it. Why it failed, or '' when every item was asked for."""
+        now = asyncio.get_running_loop().time
+        handed: dict[int, float] = {}
+        silences = 0
+        self._peer.send(self._count(kind, len(wire)))
+        for _ in range(BESIDE + PER_ITEM * len(wire)):
+            message = await self._inbox.find(lambda m: _is_of(m, kind), PATIENCE)
+            if message is None:
+                silences += 1
+                if silences >= (SILENCES if handed else QUESTIONS):
+                    break
+                if not handed:
+                    self._peer.send(self._count(kind, len(wire)))
+                continue
+            silences = 0
+            if message.get_msgId() in _REQUESTS:
+                # A repeated packet must not be answered twice: each answer brings the next question, and
+                # every later item would cross twice as well.
+                if message.seq < len(wire) and now() - handed.get(message.seq, -TWICE) >= TWICE:
+                    handed[message.seq] = now()
+                    self._peer.send(wire[message.seq].message(self._peer.system, message.seq, kind))
+            elif message.get_msgId() == _ACK:
+                if message.type in _AGAIN:
+                    return f"it ended with {mission_result_words(message.type)}"
+                self._check_accepted(kind, message.type)
+                # An acknowledgement before the last item is one of an earlier upload that comes late.
+                if len(handed) == len(wire):
+                    break
+        if wire and not handed:
+            raise self._peer.error(f"uploading the {kind.word}: the autopilot did not answer", timeout=True)
+        return "" if len(handed) == len(wire) else f"it asked for {len(handed)} of {len(wire)} items only"
+
+    def _check_accepted(self, kind: PlanKind, result: int) -> None:
+        if result != _ACCEPTED:
+            raise self._peer.error(f"the autopilot refuses the {kind.word}: {mission_result_words(result)}")
+
+    # -- download and clear -----------------------------------------------------------------------------
+
+    async def _download(self, kind: PlanKind) -> list[Item]:
+        system = self._peer.system
+        ask_list = dialect.MAVLink_mission_request_list_message(system, AUTOPILOT, int(kind))
+        count: int = (await self._ask(kind, ask_list, lambda m: m.get_msgId() == _COUNT)).count
+        if count > MAX_ITEMS:
+            raise self._peer.error(f"it says that its {kind.word} has {count} items; {MAX_ITEMS} is the most")
+        items = [await self._item(kind, number) for number in range(count)]
+        self._peer.send(self._ack(kind, _ACCEPTED))
+        return items
+
+    async def _item(self, kind: PlanKind, number: int) -> Item:
+        ask = dialect.MAVLink_mission_request_int_message(self._peer.system, AUTOPILOT, number, int(kind))
+        return Item.of(await self._ask(kind, ask, lambda m: m.get_msgId() == _ITEM and m.seq == number))
+
+    async def _clear(self, kind: PlanKind) -> None:
+        clear = dialect.MAVLink_mission_clear_all_message(self._peer.system, AUTOPILOT, int(kind))
+        await self._ask(kind, clear, lambda m: m.get_msgId() == _ACK and m.type == _ACCEPTED)
+        if left := len(await self._download(kind)):
+            raise self._peer.error(f"the {kind.word} was cleared, but {left} of its items are still there")
+
+    async def _ask(self, kind: PlanKind, question: Any, answers: Callable[[Any], bool]) -> Any:
+        """Ask until it is answered. Raises DeviceError with the refusal, when there was one."""
+        refusal: list[int] = []
+
+        def wanted(message: Any) -> bool:
+            if not _is_of(message, kind):
+                return False
+            if message.get_msgId() == _ACK and message.type != _ACCEPTED:
+                refusal.append(message.type)
+            return answers(message)
+
+        for _ in range(QUESTIONS):
+            self._peer.send(question)
+            if (answer := await self._inbox.find(wanted, PATIENCE)) is not None:
+                return answer
+        if refusal:
+            words = mission_result_words(refusal[-1])
+            raise self._peer.error(f"the autopilot refuses to talk about its {kind.word}: {words}")
+        raise self._peer.error(f"reading the {kind.word}: the autopilot did not answer", timeout=True)
+
+    def _count(self, kind: PlanKind, count: int) -> Any:
+        return dialect.MAVLink_mission_count_message(self._peer.system, AUTOPILOT, count, int(kind))
+
+    def _ack(self, kind: PlanKind, result: int) -> Any:
+        return dialect.MAVLink_mission_ack_message(self._peer.system, AUTOPILOT, result, int(kind))
+
+
+def mission_result_words(result: int) -> str:
+    """`NO_SPACE (4)`."""
+    entry = dialect.enums["MAV_MISSION_RESULT"].get(result)
+    name = entry.name.removeprefix("MAV_MISSION_") if entry is not None else "unknown result"
+    return f"{name} ({result})"
+
+
+def _is_of(message: Any, kind: PlanKind) -> bool:
+    return bool(message.mission_type == kind)
+
+
+def _same(wanted: Sequence[Item], found: Sequence[Item]) -> bool:
+    return len(wanted) == len(found) and all(map(Item.same, wanted, found))
