@@ -1,0 +1,90 @@
+"""The bus: one port, one chain, the devices on it, and the telemetry that also feeds their watchdogs."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+
+from lfield.clock import Clock
+from lfield.driver import DeviceBinding, Driver, Manifest, Reports
+from lfield_dynamixel.bus import Bus
+from lfield_dynamixel.chain import Chain
+from lfield_dynamixel.group import DynamixelGroup
+from lfield_dynamixel.members import Members
+from lfield_dynamixel.port import Port, PortEvents, SerialPort
+from lfield_dynamixel.single import Dynamixel
+
+#: Seconds between two looks at the servos; at most half a time-to-live, or their watchdogs would fire.
+PERIOD = 0.05
+
+_TYPES: dict[str, type[Members]] = {"Dynamixel": Dynamixel, "DynamixelGroup": DynamixelGroup}
+
+
+class DynamixelDriver(Driver):
+    """One serial port with the servos on it."""
+
+    def __init__(
+        self,
+        bindings: Sequence[DeviceBinding],
+        manifests: Mapping[str, Manifest],
+        clock: Clock,
+        reports: Reports,
+    ) -> None:
+        self._bus = Bus(self._make_port, self._lost, self._back)
+        self._chain = Chain(self._bus)
+        # Cleared while the owner is silent: a servo that is polled never sees that it is alone.
+        self._awake = asyncio.Event()
+        self._awake.set()
+        super().__init__(bindings, manifests, clock, reports)
+
+    def _device(self, binding: DeviceBinding) -> Members:
+        kind = _TYPES[binding.type]
+        return kind(binding, self.manifests[binding.type], self.clock, self.reports, self._chain)
+
+    def _make_port(self, events: PortEvents) -> Port:
+        return SerialPort(self.endpoint, events, self._note)
+
+    @property
+    def _members(self) -> list[Members]:
+        return [device for device in self.devices.values() if isinstance(device, Members)]
+
+    async def _open(self) -> None:
+        taken: dict[int, Members] = {}
+        for device in self._members:
+            for number in device.numbers:
+                if number in taken:
+                    other = taken[number].binding.name
+                    raise device.error(f"servo {number} on {self.endpoint} is {other}'s already")
+                taken[number] = device
+        self._bus.open()
+        self.spawn(self._poll())
+
+    async def _close(self) -> None:
+        self._bus.close()
+
+    def _quiet(self) -> None:
+        self._awake.clear()
+
+    def _resume(self) -> None:
+        self._awake.set()
+
+    async def _poll(self) -> None:
+        """Look at every device again and again; not while the owner is silent, or the port is gone."""
+        period = min([PERIOD, *(0.5 * device.binding.ttl for device in self._members)])
+        while True:
+            await self._awake.wait()
+            if not self._bus.gone:
+                for device in self._members:
+                    if device.opened and self._awake.is_set():
+                        await device.poll()
+            await asyncio.sleep(period)
+
+    def _lost(self, reason: str) -> None:
+        self._note(f"{reason}; it is opened again as soon as it is back")
+
+    def _back(self) -> None:
+        self._note("the port is back")
+
+    def _note(self, text: str) -> None:
+        for device in self._members:
+            device.note(text)

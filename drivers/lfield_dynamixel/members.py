@@ -1,0 +1,267 @@
+"""What one servo and a group have in common: members that are found, watched, held and let go.
+
+A single servo is a group of one. Whatever is done to several is done to each, and what failed is told at the
+end, by name: one that is dead keeps nobody else from being made safe.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable
+from typing import TypeVar
+
+from lfield.clock import Clock
+from lfield.driver import Device, DeviceBinding, Manifest, Reports
+from lfield.errors import DeviceError
+from lfield_dynamixel.bus import COMMAND, POLL, SAFETY
+from lfield_dynamixel.chain import Chain, Node
+from lfield_dynamixel.packets import Status
+from lfield_dynamixel.servo import FIRED, Condition, Present, Servo, condition, present
+
+#: Every so many polls the conditions are read too.
+CONDITIONS_EVERY = 10
+#: Seconds between two looks for a member that does not answer.
+PROBE = 0.5
+#: rad/s below which a servo stands still, and seconds that a stop may take.
+STILL, STOP = 0.1, 2.0
+#: A position that is older than this (s) is not where a silent servo is told to stay.
+FRESH = 0.3
+#: Seconds between two looks at a state that is waited for.
+LOOK = 0.02
+
+Seen = dict[int, Present]
+T = TypeVar("T")
+
+
+class Members(Device):
+    """The servos of one device. Authors of a device type override `_tell`."""
+
+    def __init__(
+        self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports, chain: Chain
+    ) -> None:
+        super().__init__(binding, manifest, clock, reports)
+        self.chain = chain
+        self.profile = (0.0, 0.0)
+        self.servos: dict[int, Servo] = {}
+        self.conditions: dict[int, Condition] = {}
+        self._seen: dict[int, tuple[float, Present]] = {}
+        self._probe_at: dict[int, float] = {}
+        self._watchdog: float | None = None
+        self._polls = 0
+        self.opened = False
+
+    def _tell(self, seen: Seen) -> None:
+        """Publish what the members measure."""
+        raise NotImplementedError
+
+    # -- opening ----------------------------------------------------------------------------------------
+
+    async def _open(self) -> str:
+        protocol, numbers = self.binding.option("protocol"), self.numbers
+        if not numbers:
+            raise self.error("its binding names no servo: write 'ids: [1, 2, 3]'")
+        servos = [Servo(self.chain, Node(number, protocol)) for number in numbers]
+        model = self.binding.option("model")
+        identities = await self._each(servos, lambda servo: servo.open(model))
+        self.servos = dict(zip(numbers, servos, strict=True))
+        self._tell(await self.observe())
+        await self.look()
+        self.opened = True
+        return ", ".join(identities)
+
+    @property
+    def numbers(self) -> list[int]:
+        """The ids in the binding."""
+        options = self.binding.options
+        return list(self.binding.option("ids")) if "ids" in options else [self.binding.option("id")]
+
+    async def _set_watchdog(self, longest: float) -> float | None:
+        self._watchdog = longest
+        times = await self._each(self.servos.values(), lambda servo: servo.set_watchdog(longest))
+        return None if None in times else max(time for time in times if time is not None)
+
+    async def do_release(self) -> None:
+        """The owner takes the device back: members that their watchdog has stopped follow goals again."""
+        await self._each(self.servos.values(), self._revive)
+
+    async def do_reboot(self) -> None:
+        """Restart the members, and set them up as at opening."""
+        await self._each(self.servos.values(), self._reboot)
+        await self.look()
+
+    async def _reboot(self, servo: Servo) -> None:
+        await self.chain.reboot(servo.node)
+        for _ in range(30):
+            await asyncio.sleep(0.1)
+            if await self.chain.ping(servo.node) is not None:
+                break
+        await self._revive(servo)
+        await servo.read_settings()
+
+    async def _revive(self, servo: Servo) -> None:
+        """Have a servo follow goals with its watchdog set, where it fired or forgot it without power."""
+        if not servo.model.watchdog or self._watchdog is None:
+            return
+        if (await servo.condition()).watchdog in (0, FIRED):
+            await servo.set_watchdog(self._watchdog)
+
+    # -- watching ---------------------------------------------------------------------------------------
+
+    async def poll(self) -> None:
+        """One look at the members; publishes it. What fails is told, not raised."""
+        seen = await self.observe(urgency=POLL)
+        self._tell(seen)
+        self._polls += 1
+        if self._polls % CONDITIONS_EVERY == 0 or any(value.alert for value in seen.values()):
+            await self.look()
+
+    async def observe(self, *, urgency: int = COMMAND, alone: bool = True) -> Seen:
+        """What the members that answer measure now. Who is silent is looked for now and then only."""
+        asked = await self._present_members(urgency) if alone else list(self.servos.values())
+        answers = await self._read(asked, "present", urgency, alone=alone)
+        seen = {n: present(self.servos[n].model, status) for n, status in answers.items()}
+        now = self.clock.monotonic()
+        self._seen.update({number: (now, value) for number, value in seen.items()})
+        if alone:
+            for servo in asked:
+                if servo.node.number not in seen:
+                    self._miss(servo)
+        if seen:
+            self.heard()
+        return seen
+
+    async def _read(
+        self, servos: list[Servo], area: str, urgency: int, *, alone: bool = True
+    ) -> dict[int, Status]:
+        """A range of the control tables (`present` or `state`) of several servos, by id."""
+        answers: dict[int, Status] = {}
+        for place in {getattr(servo.model, area) for servo in servos}:
+            nodes = [servo.node for servo in servos if getattr(servo.model, area) == place]
+            answers |= await self.chain.sync_read(nodes, *place, urgency=urgency, alone=alone)
+        return answers
+
+    async def _present_members(self, urgency: int) -> list[Servo]:
+        """The members that answer as far as is known; whose time has come is looked for."""
+        found = []
+        for number, servo in self.servos.items():
+            if self._probe_at.get(number, 0.0) > self.clock.monotonic():
+                continue
+            if number in self._probe_at:
+                if await self.chain.ping(servo.node, urgency=urgency) is None:
+                    self._miss(servo)
+                    continue
+                del self._probe_at[number]
+                self.note(f"servo {number} answers again: {await self._how_it_is(servo)}")
+            found.append(servo)
+        return found
+
+    def _miss(self, servo: Servo) -> None:
+        """A member does not answer; that is told once."""
+        number = servo.node.number
+        if number not in self._probe_at:
+            self.note(f"servo {number} does not answer any more; it is looked for")
+        self._probe_at[number] = self.clock.monotonic() + PROBE
+        self.conditions.pop(number, None)
+
+    async def _how_it_is(self, servo: Servo) -> str:
+        """What became of a servo while it was silent. One without power has forgotten its watchdog."""
+        try:
+            now = await servo.condition(urgency=POLL)
+            torque = "torque on" if now.torque else "torque off"
+            if now.watchdog == FIRED:
+                return f"{torque}, stopped by its watchdog until release()"
+            if servo.model.watchdog and now.watchdog == 0 and self._watchdog is not None:
+                await servo.read_settings()
+                await servo.set_watchdog(self._watchdog)
+                return f"{torque}, restarted"
+        except DeviceError as error:
+            return error.reason
+        return torque
+
+    async def look(self) -> None:
+        """Read the conditions of the members that answer, and publish them."""
+        asked = [servo for number, servo in self.servos.items() if number not in self._probe_at]
+        answers = await self._read(asked, "state", COMMAND)
+        for number, status in answers.items():
+            new, old = condition(self.servos[number].model, status), self.conditions.get(number)
+            self.conditions[number] = new
+            if new.faults and (old is None or old.faults != new.faults):
+                self.note(f"servo {number}: {new.faults}; the torque is {'on' if new.torque else 'off'}")
+            if new.watchdog == FIRED and (old is None or old.watchdog != FIRED):
+                self.note(f"servo {number} was stopped by its own watchdog; release() frees it")
+        self.publish(
+            torqueOn=bool(self.conditions) and all(c.torque for c in self.conditions.values()),
+            fault="; ".join(self._fault(n, c) for n, c in self.conditions.items() if c.faults),
+        )
+
+    def _fault(self, number: int, condition: Condition) -> str:
+        return condition.faults if len(self.servos) == 1 else f"servo {number}: {condition.faults}"
+
+    # -- safe states ------------------------------------------------------------------------------------
+
+    async def _make_safe(self, state: str) -> None:
+        self._probe_at.clear()
+        servos = list(self.servos.values())
+        if state == "torque_off":
+            await self._send({s: (s.item("torque_enable").address, b"\0") for s in servos})
+            await self._each(servos, _be_limp)
+            return
+        seen = await self.observe(urgency=SAFETY, alone=False)
+        await self._send({servo: _stay(servo, place) for servo, place in self._places(seen).items()})
+        await self._each(servos, self._be_still)
+
+    def _places(self, seen: Seen) -> dict[Servo, Present]:
+        """Where each member is; one that is silent now, but may hear, is where it was a moment ago."""
+        now = self.clock.monotonic()
+        fresh = {n: value for n, (at, value) in self._seen.items() if now - at <= FRESH}
+        return {self.servos[number]: value for number, value in (fresh | seen).items()}
+
+    async def _send(self, writes: dict[Servo, tuple[int, bytes]], urgency: int = SAFETY) -> None:
+        """Write to several at once, one packet for each address; it reaches those that cannot answer too."""
+        for address in sorted({address for address, _ in writes.values()}):
+            data = {s.node.number: part for s, (at, part) in writes.items() if at == address}
+            protocol = next(iter(writes)).node.protocol
+            await self.chain.sync_write(address, data, protocol=protocol, urgency=urgency)
+
+    async def _be_still(self, servo: Servo) -> None:
+        """See that a servo has stopped and stays: its goal is where it is, or it cannot turn by itself."""
+        now = await servo.condition(urgency=SAFETY)
+        if now.torque and now.watchdog != FIRED:
+            name, place = servo.here(await servo.present(urgency=SAFETY))
+            # A goal that is a moment old is as good; one that is far off never reached the servo.
+            near = STILL / servo.model.position if name == "goal_position" else 0.0
+            if abs(await servo.get(name, urgency=SAFETY) - place) > near:
+                await servo.put(name, place, urgency=SAFETY)
+        deadline, still = self.clock.monotonic() + STOP, 0
+        while still < 2:
+            velocity = (await servo.present(urgency=SAFETY)).velocity
+            still = still + 1 if abs(velocity) <= STILL else 0
+            if not still and self.clock.monotonic() > deadline:
+                raise servo.error(f"still turns, at {velocity:.2f} rad/s")
+            await asyncio.sleep(LOOK)
+
+    # -- parts ------------------------------------------------------------------------------------------
+
+    async def _each(self, servos: Iterable[Servo], work: Callable[[Servo], Awaitable[T]]) -> list[T]:
+        """Do something with every servo; what failed is raised when all had their turn. Raises DeviceError."""
+        done, failed = [], []
+        for servo in servos:
+            try:
+                done.append(await work(servo))
+            except DeviceError as error:
+                failed.append(error)
+        if failed:
+            silent = all(error.kind == "DeviceTimeoutException" for error in failed)
+            raise self.error("; ".join(error.reason for error in failed), timeout=silent)
+        return done
+
+
+def _stay(servo: Servo, place: Present) -> tuple[int, bytes]:
+    name, counts = servo.here(place)
+    item = servo.item(name)
+    return item.address, item.encode(counts)
+
+
+async def _be_limp(servo: Servo) -> None:
+    if await servo.get("torque_enable", urgency=SAFETY):
+        await servo.put("torque_enable", 0, urgency=SAFETY)

@@ -1,0 +1,194 @@
+"""Packets of DYNAMIXEL protocols 2.0 and 1.0: bytes in, bytes out.
+
+https://emanual.robotis.com/docs/en/dxl/protocol2/ and .../protocol1/. A packet of protocol 2.0 is
+`FF FF FD 00 id length(2) instruction parameters... crc(2)`; wherever its body would show `FF FF FD`, another
+FD is stuffed in. One of protocol 1.0 is `FF FF id length instruction parameters... checksum`. An answer is a
+*status packet*: in 2.0 its instruction is 55 and an error byte follows; in 1.0 the error stands in the place
+of the instruction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from dynamixel_sdk.robotis_def import BROADCAST_ID, INST_STATUS, MAX_ID
+
+#: A status packet longer than this is noise that looks like one (the SDK's own bound).
+LONGEST = 1024
+#: What is kept of bytes that are no packet yet.
+KEPT = LONGEST + 7
+
+_HEADER = b"\xff\xff\xfd"
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """An answer of a servo: its id, its error byte and the data."""
+
+    number: int
+    error: int
+    data: bytes
+
+
+class Reader(Protocol):
+    """Finds the status packets in a stream of bytes."""
+
+    def feed(self, data: bytes) -> list[Status]:
+        """The packets that are complete now. Noise is skipped; it raises nothing."""
+
+
+def _crc_table() -> tuple[int, ...]:
+    """CRC-16 with the polynomial 8005, as the protocol's page gives it."""
+    table = []
+    for value in range(256):
+        crc = value << 8
+        for _ in range(8):
+            crc = (crc << 1) ^ (0x8005 if crc & 0x8000 else 0)
+        table.append(crc & 0xFFFF)
+    return tuple(table)
+
+
+_CRC = _crc_table()
+
+
+def crc16(data: bytes) -> int:
+    """The checksum of protocol 2.0."""
+    crc = 0
+    for byte in data:
+        crc = (crc << 8 & 0xFF00) ^ _CRC[crc >> 8 ^ byte]
+    return crc
+
+
+def stuff(body: bytes) -> bytes:
+    """A body in which no header can be mistaken for the start of a packet."""
+    return body.replace(_HEADER, _HEADER + b"\xfd")
+
+
+def unstuff(body: bytes) -> bytes:
+    """The inverse of `stuff`."""
+    return body.replace(_HEADER + b"\xfd", _HEADER)
+
+
+class Protocol2:
+    """Protocol 2.0."""
+
+    version = 2
+    #: Bytes of a status packet around its data.
+    overhead = 11
+
+    @staticmethod
+    def encode(number: int, instruction: int, parameters: bytes = b"") -> bytes:
+        """An instruction packet."""
+        body = stuff(bytes((instruction,)) + parameters)
+        length = len(body) + 2
+        packet = _HEADER + bytes((0, number, length & 0xFF, length >> 8)) + body
+        return packet + crc16(packet).to_bytes(2, "little")
+
+    @staticmethod
+    def reader() -> Reader:
+        """A reader that has seen nothing yet."""
+        return Reader2()
+
+
+class Reader2:
+    """Status packets of protocol 2.0. A fast sync read is answered by one packet of the broadcast id."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+
+    def feed(self, data: bytes) -> list[Status]:
+        """The packets that are complete now."""
+        buffer, at, found = self._buffer + data, 0, []
+        while True:
+            at = buffer.find(_HEADER, at)
+            if at < 0 or len(buffer) < at + 7:
+                break
+            length = buffer[at + 5] | buffer[at + 6] << 8
+            if buffer[at + 3] != 0 or not 4 <= length <= LONGEST:
+                at += 3
+                continue
+            end = at + 7 + length
+            if len(buffer) < end:
+                break
+            status = _status2(buffer[at:end])
+            if status is not None:
+                found.append(status)
+            # A packet that is not sound may be a header in noise: the next one may begin within it.
+            at = end if status is not None else at + 3
+        # Two bytes may be the beginning of a header.
+        self._buffer = (buffer[at:] if at >= 0 else buffer[-2:])[-KEPT:]
+        return found
+
+
+def _status2(packet: bytes) -> Status | None:
+    """What a packet says; None when it is damaged, or an instruction (an echo of our own)."""
+    if packet[7] != INST_STATUS or crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
+        return None
+    # The parts of a fast answer come from several servos, none of which stuffs bytes (as the SDK has it).
+    body = packet[8:-2] if packet[4] == BROADCAST_ID else unstuff(packet[7:-2])[1:]
+    return Status(packet[4], body[0], body[1:]) if body else None
+
+
+def split_fast(answer: Status, numbers: tuple[int, ...], size: int) -> dict[int, Status] | None:
+    """The parts `error id data crc` of the answer to a fast sync read, by id; None when it is not whole.
+
+    The packet's own checksum has covered it all, so those between the parts need no look.
+    """
+    body = bytes((answer.error,)) + answer.data + b"\0\0"
+    part = size + 4
+    if len(body) != part * len(numbers):
+        return None
+    pieces = [body[at : at + part] for at in range(0, len(body), part)]
+    parts = {piece[1]: Status(piece[1], piece[0], piece[2:-2]) for piece in pieces}
+    return parts if parts.keys() == set(numbers) else None
+
+
+class Protocol1:
+    """Protocol 1.0, of AX and older MX servos."""
+
+    version = 1
+    overhead = 6
+
+    @staticmethod
+    def encode(number: int, instruction: int, parameters: bytes = b"") -> bytes:
+        """An instruction packet; at most 250 parameters."""
+        body = bytes((number, len(parameters) + 2, instruction)) + parameters
+        return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
+
+    @staticmethod
+    def reader() -> Reader:
+        """A reader that has seen nothing yet."""
+        return Reader1()
+
+
+class Reader1:
+    """Status packets of protocol 1.0."""
+
+    def __init__(self) -> None:
+        self._buffer = b""
+
+    def feed(self, data: bytes) -> list[Status]:
+        """The packets that are complete now."""
+        buffer, at, found = self._buffer + data, 0, []
+        while True:
+            at = buffer.find(b"\xff\xff", at)
+            if at < 0 or len(buffer) < at + 4:
+                break
+            end = at + 4 + buffer[at + 3]
+            if buffer[at + 2] > MAX_ID or buffer[at + 3] < 2:
+                at += 1
+                continue
+            if len(buffer) < end:
+                break
+            sound = sum(buffer[at + 2 : end]) & 0xFF == 0xFF
+            if sound:
+                found.append(Status(buffer[at + 2], buffer[at + 4], buffer[at + 5 : end - 1]))
+            at = end if sound else at + 1
+        self._buffer = (buffer[at:] if at >= 0 else buffer[-1:])[-KEPT:]
+        return found
+
+
+#: Either protocol: both know `version`, `overhead`, `encode` and `reader`.
+AnyProtocol = type[Protocol1] | type[Protocol2]
+PROTOCOLS: dict[int, AnyProtocol] = {1: Protocol1, 2: Protocol2}

@@ -1,0 +1,258 @@
+"""One servo: its control table in SI units, and the few things that must be done in the right order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lfield.errors import DeviceError
+from lfield_dynamixel.bus import COMMAND
+from lfield_dynamixel.chain import Chain, NoAnswer, Node
+from lfield_dynamixel.packets import Status
+from lfield_dynamixel.tables import Item, Model, models
+from lfield_dynamixel.words import alerted, faults
+
+#: Operating modes: the name in L and the value of the register (e-manual, address 11).
+MODES = {"current": 0, "velocity": 1, "position": 3, "extended": 4, "currentPosition": 5, "pwm": 16}
+POSITION_MODES = ("position", "extended", "currentPosition")
+
+#: What the watchdog register reads after it has fired: the goals are read-only until it is set to 0.
+FIRED = 255
+WATCHDOG_LONGEST = 127
+
+#: Bit of the drive mode register: profiles are given as times, in milliseconds.
+_TIME_BASED = 1 << 2
+_LONGEST_PROFILE = 32737
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """What a servo measures: rad, rad/s, A, N m (NaN where the model cannot say), V, °C."""
+
+    counts: int
+    position: float
+    velocity: float
+    current: float
+    effort: float
+    voltage: float
+    temperature: float
+    moving: bool
+    alert: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """The state that does not change by itself: torque on, hardware errors in words, watchdog in counts."""
+
+    torque: bool
+    faults: str
+    watchdog: int
+
+
+def present(model: Model, status: Status) -> Present:
+    """What an answer to a read of `model.present` says."""
+    start, data, items = model.present[0], status.data, model.items
+    counts = items["present_position"].decode(data, start)
+    ampere = math.nan
+    if model.current:
+        ampere = items["present_current"].decode(data, start) * model.current
+    return Present(
+        counts=counts,
+        position=model.to_angle(counts),
+        velocity=items["present_velocity"].decode(data, start) * model.velocity,
+        current=ampere,
+        effort=ampere * model.torque if model.torque is not None else math.nan,
+        voltage=items["present_voltage"].decode(data, start) * model.voltage,
+        temperature=items["present_temperature"].decode(data, start),
+        moving=bool(items["moving"].decode(data, start)),
+        alert=alerted(model.protocol, status),
+    )
+
+
+def condition(model: Model, status: Status) -> Condition:
+    """What an answer to a read of `model.state` says."""
+    start, items = model.state[0], model.items
+    bits = items["hardware_error"].decode(status.data, start) if model.has("hardware_error") else status.error
+    watchdog = items["bus_watchdog"].decode(status.data, start) if model.watchdog else 0
+    torque = bool(items["torque_enable"].decode(status.data, start))
+    return Condition(torque, faults(model.protocol, bits), watchdog)
+
+
+class Servo:
+    """One servo on a chain. `open` comes first; everything else needs its model.
+
+    `mode` is its operating mode by name, `reach` the least and greatest angle (rad) that it accepts in
+    position mode, `top_speed` its own limit (rad/s).
+    """
+
+    model: Model
+
+    def __init__(self, chain: Chain, node: Node) -> None:
+        self.chain, self.node = chain, node
+        self.mode = "position"
+        self.time_based = False
+        self.reach = (-math.inf, math.inf)
+        self.top_speed = math.inf
+
+    async def open(self, wanted: str = "") -> str:
+        """Find it and read how it is set; its identity in words. Raises DeviceError, also when it is not of
+        the model that is wanted.
+        """
+        if await self.chain.ping(self.node) is None and await self.chain.ping(self.node) is None:
+            raise NoAnswer(self.node.number, "is it powered, on this bus, of this baud rate and protocol?")
+        number = await self._model_number()
+        model = models().get((self.node.protocol, number))
+        if model is None:
+            known = ", ".join(sorted(m.name for m in models().values()))
+            raise self.error(f"is of the model number {number}, which is not in the tables (known: {known})")
+        if wanted not in ("", model.name):
+            raise self.error(f"is a {model.name}; its binding says that it is a {wanted}")
+        self.model, self.top_speed = model, model.fastest * model.velocity
+        firmware = await self.get("firmware_version")
+        await self.read_settings()
+        return f"{model.name} {self.node.number} (firmware {firmware}, {self.mode} mode)"
+
+    async def _model_number(self) -> int:
+        """Read the model number; a servo that is set to answer pings only is told to answer all."""
+        try:
+            status = await self.chain.read(self.node, 0, 2)
+        except NoAnswer:
+            if self.node.protocol == 1:
+                raise
+            address, answer_all = models()[2, 1020].items["status_return_level"].address, b"\x02"
+            await self.chain.tell(self.node, address, answer_all)
+            status = await self.chain.read(self.node, 0, 2)
+        return int.from_bytes(status.data, "little")
+
+    async def read_settings(self) -> None:
+        """Read what the driver relies on: mode, kind of profile, limits of position and speed."""
+        if await self.get("status_return_level") < 2:
+            item = self.item("status_return_level")
+            await self.chain.tell(self.node, item.address, item.encode(2))
+        if self.model.has("operating_mode"):
+            value = await self.get("operating_mode")
+            self.mode = next((name for name, number in MODES.items() if number == value), f"mode {value}")
+            self.time_based = bool(await self.get("drive_mode") & _TIME_BASED)
+            self.top_speed = await self.get("velocity_limit") * self.model.velocity
+        low, high = await self.get("min_position_limit"), await self.get("max_position_limit")
+        self.reach = self.model.to_angle(low), self.model.to_angle(high)
+
+    # -- the control table ------------------------------------------------------------------------------
+
+    def item(self, name: str) -> Item:
+        """Where a value stands. Raises DeviceError when the model has none such."""
+        if not self.model.has(name):
+            raise self.error(f"is a {self.model.name}: it has no {name.replace('_', ' ')}")
+        return self.model.items[name]
+
+    async def get(self, name: str, *, urgency: int = COMMAND) -> int:
+        """The value of an item, in counts. Raises DeviceError."""
+        item = self.item(name)
+        return item.decode(
+            (await self.chain.read(self.node, item.address, item.size, urgency=urgency)).data, item.address
+        )
+
+    async def put(self, name: str, counts: int, *, urgency: int = COMMAND) -> None:
+        """Write an item and see that it is what was written. Raises DeviceError."""
+        item = self.item(name)
+        await self.chain.write(self.node, item.address, item.encode(counts), urgency=urgency)
+        seen = await self.get(name, urgency=urgency)
+        if seen != counts:
+            raise self.error(f"has {seen} as its {name.replace('_', ' ')} after {counts} was written")
+
+    async def put_eeprom(self, **values: int) -> None:
+        """Write items that need the torque off, and see them. Then it is as it was, without motion."""
+        was_on = (await self.condition()).torque
+        if was_on:
+            await self.put("torque_enable", 0)
+        try:
+            for name, counts in values.items():
+                await self.put(name, counts)
+            await self.read_settings()
+        finally:
+            if was_on:
+                await self.torque(True)
+
+    # -- what it measures -------------------------------------------------------------------------------
+
+    async def present(self, *, urgency: int = COMMAND) -> Present:
+        """What it measures now. Raises DeviceError."""
+        return present(self.model, await self.chain.read(self.node, *self.model.present, urgency=urgency))
+
+    async def condition(self, *, urgency: int = COMMAND) -> Condition:
+        """Torque, hardware errors and watchdog now. Raises DeviceError."""
+        return condition(self.model, await self.chain.read(self.node, *self.model.state, urgency=urgency))
+
+    # -- what it does -----------------------------------------------------------------------------------
+
+    async def torque(self, on: bool) -> None:
+        """Switch the torque, seen to have happened. When it goes on, its goal is first where it is."""
+        if on:
+            await self.write_here(await self.present())
+        await self.put("torque_enable", int(on))
+
+    async def switch(self, mode: str) -> None:
+        """Change the operating mode. The torque goes off for it and comes back without motion."""
+        if mode not in MODES:
+            raise self.error(f"has no mode '{mode}'; there are: {', '.join(MODES)}")
+        if mode != self.mode:
+            await self.put_eeprom(operating_mode=MODES[mode])
+
+    def here(self, seen: Present) -> tuple[str, int]:
+        """The goal that means to stay: which item, and its value in counts."""
+        if self.mode in POSITION_MODES:
+            low, high = (self.model.to_counts(a) for a in self.reach)
+            return "goal_position", min(
+                max(seen.counts, low), high
+            ) if self.mode == "position" else seen.counts
+        return f"goal_{self.mode}", 0
+
+    async def write_here(self, seen: Present, *, urgency: int = COMMAND) -> None:
+        """Make what it does now its goal: it stays. Raises DeviceError."""
+        name, counts = self.here(seen)
+        item = self.item(name)
+        await self.chain.write(self.node, item.address, item.encode(counts), urgency=urgency)
+
+    def motion(self, angle: float, distance: float, speed: float, acceleration: float) -> tuple[int, bytes]:
+        """A goal with its profile, as one write: address and bytes. rad, rad, rad/s, rad/s2 (0: at once)."""
+        model = self.model
+        values = {"goal_position": model.to_counts(angle)}
+        if self.time_based:
+            ramp = speed / acceleration if acceleration else 0.0
+            seconds = (distance / speed if speed else 0.0) + ramp
+            span = values["profile_velocity"] = _counts(seconds, 0.001, _LONGEST_PROFILE)
+            values["profile_acceleration"] = min(round(ramp * 1000.0), span // 2)
+        else:
+            values["profile_velocity"] = _counts(speed, model.velocity, model.fastest)
+            if acceleration and model.acceleration:
+                values["profile_acceleration"] = _counts(acceleration, model.acceleration, model.fastest)
+        names = [n for n in ("profile_acceleration", "profile_velocity", "goal_position") if model.has(n)]
+        items = sorted((model.items[name].address, name) for name in names)
+        return items[0][0], b"".join(model.items[n].encode(values.get(n, 0)) for _, n in items)
+
+    # -- its own watchdog -------------------------------------------------------------------------------
+
+    async def set_watchdog(self, longest: float) -> float | None:
+        """Have it stop by itself after at most `longest` seconds without a packet; what it then says (s)."""
+        if not self.model.watchdog:
+            return None
+        counts = min(max(int(longest / self.model.watchdog + 1e-9), 1), WATCHDOG_LONGEST)
+        if (await self.condition()).watchdog == FIRED:
+            await self.clear_watchdog()
+        await self.put("bus_watchdog", counts)
+        return counts * self.model.watchdog
+
+    async def clear_watchdog(self) -> None:
+        """Take it out of the stop that its watchdog made: its goals are writable again, and it stays."""
+        seen = await self.present()
+        await self.chain.write(self.node, self.item("bus_watchdog").address, b"\0")
+        await self.write_here(seen)
+
+    def error(self, reason: str) -> DeviceError:
+        """An exception about this servo."""
+        return DeviceError(f"servo {self.node.number}", f"servo {self.node.number} {reason}")
+
+
+def _counts(value: float, unit: float, greatest: int) -> int:
+    """A value in counts, never 0: in a profile that would mean without limit."""
+    return max(round(min(value / unit, greatest)), 1)
