@@ -15,8 +15,8 @@ from lfield.errors import UsageError
 from lfield_sim.dynamixel.chain import Chain
 from lfield_sim.dynamixel.faults import FAULTS
 from lfield_sim.dynamixel.model import BAUDS, model_named
-from lfield_sim.dynamixel.servo import Servo
 from lfield_sim.dynamixel.server import Server
+from lfield_sim.dynamixel.servo import Servo
 from lfield_sim.faults import Faults, add_fault_option
 from lfield_sim.serving import serve_until_told
 

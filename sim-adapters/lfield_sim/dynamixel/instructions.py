@@ -5,6 +5,7 @@ https://emanual.robotis.com/docs/en/dxl/protocol2/ and .../protocol1/ (sections 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -35,7 +36,10 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The answers in their order. With `fast` they share one packet, whose blocks were to have so many bytes."""
+    """The answers in their order.
+
+    With `fast` they share one packet; it is how many bytes its blocks have if all answer.
+    """
 
     answers: Sequence[Answer] = ()
     fast: int = 0
@@ -167,10 +171,9 @@ def _bulk_write(cursor: _Cursor, servos: Sequence[Servo]) -> None:
 def _write_to(id: int, address: int, data: bytes, servos: Sequence[Servo]) -> None:
     for servo in servos:
         if id in (servo.id, servo.secondary):
-            try:
+            # Nobody answers a group write, not even with a refusal.
+            with contextlib.suppress(Refused):
                 servo.write(address, data, secondary=servo.id != id)
-            except Refused:
-                pass  # nobody answers a group write, not even with a refusal
 
 
 #: Id, address and length of what is asked of one servo of a group.

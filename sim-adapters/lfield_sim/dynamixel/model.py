@@ -5,8 +5,9 @@ The pages of the models, from which the tables are, are under https://emanual.ro
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from lfield.errors import UsageError
@@ -16,8 +17,10 @@ BAUDS = (9_600, 57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_5
 
 #: Operating modes by the value of their register.
 CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
+#: Reverse (1), time-based profile (4) and torque on by goal update (8), as Drive Mode has them.
+DRIVE_MODES = (0, 1, 4, 5, 8, 9, 12, 13)
 
-_RPM = 2.0 * 3.141592653589793 / 60.0
+_RPM = math.tau / 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +47,8 @@ class Item:
         return self.low < 0
 
 
-def _rom(address: int, size: int, name: str, initial: int, low: int, high: int, **more: object) -> Item:
-    return Item(name, address, size, initial, low, high, eeprom=True, **more)  # type: ignore[arg-type] # data
+def _rom(address: int, size: int, name: str, initial: int, low: int, high: int) -> Item:
+    return Item(name, address, size, initial, low, high, eeprom=True)
 
 
 def _ram(address: int, size: int, name: str, initial: int, low: int, high: int, limit: str = "") -> Item:
@@ -56,6 +59,7 @@ def _seen(address: int, size: int, name: str, initial: int = 0, *, signed: bool 
     return Item(name, address, size, initial, -1 if signed else 0, writable=False, eeprom=address < 64)
 
 
+#: The farthest goal, in counts: 255 turns.
 TURNS = 1_048_575
 
 X_SERIES = (
@@ -65,16 +69,8 @@ X_SERIES = (
     _rom(7, 1, "id", 1, 0, 252),
     _rom(8, 1, "baud_rate", 1, 0, 7),
     _rom(9, 1, "return_delay_time", 250, 0, 254),
-    _rom(10, 1, "drive_mode", 0, 0, 13, choices=(0, 1, 4, 5, 8, 9, 12, 13)),
-    _rom(
-        11,
-        1,
-        "operating_mode",
-        3,
-        0,
-        16,
-        choices=(CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM),
-    ),
+    _rom(10, 1, "drive_mode", 0, 0, 13),
+    _rom(11, 1, "operating_mode", 3, 0, 16),
     _rom(12, 1, "secondary_id", 255, 0, 255),
     _rom(13, 1, "protocol_type", 2, 1, 2),
     _rom(20, 4, "homing_offset", 0, -1_044_479, 1_044_479),
@@ -125,7 +121,10 @@ X_SERIES = (
 
 @dataclass(frozen=True, slots=True)
 class Strength:
-    """The motor at its nominal voltage: N m, A, rad/s, V; `unit` is amperes per count of current (0: percent)."""
+    """The motor at its nominal voltage, in N m, A, rad/s and V.
+
+    `unit` is amperes in a count of current; 0 where the register is a load in 0.1 percent instead.
+    """
 
     stall_torque: float
     stall_current: float
@@ -167,7 +166,7 @@ class _Row:
     wide: bool = True
 
 
-#: What the 330 series has in common: initial value, lowest and highest.
+#: What the 330 series has in common: initial value, lowest, highest.
 _330 = {
     "baud_rate": (1, 0, 6),
     "protocol_type": (2, 2, 22),
@@ -175,39 +174,61 @@ _330 = {
     "max_voltage_limit": (70, 31, 70),
     "min_voltage_limit": (35, 31, 70),
 }
-_430 = {"velocity_i_gain": 1_000, "position_d_gain": 4_000, "position_p_gain": 640}
+_XL330 = {**_330, "shutdown": (53, 0, 63), "current_limit": (1_750, 0, 1_750)}
+_XC330 = {**_330, "current_limit": (2_352, 0, 2_352), "velocity_limit": (350, 0, 2_047)}
+_XL330_GAINS = {"velocity_i_gain": 1_600, "velocity_p_gain": 180, "position_p_gain": 400}
+_XC330_GAINS = {**_XL330_GAINS, "velocity_p_gain": 50, "position_d_gain": 500, "position_p_gain": 1_100}
+_XL430 = {
+    "temperature_limit": (72, 0, 100),
+    "max_voltage_limit": (140, 60, 140),
+    "min_voltage_limit": (60, 60, 140),
+    "velocity_limit": (265, 0, 1_023),
+}
+_XL430_GAINS = {"velocity_i_gain": 1_000, "position_d_gain": 4_000, "position_p_gain": 640}
 
 _ROWS = {
     "XL330-M288": _Row(
-        1200, "x/xl330-m288/", Strength(0.52, 1.47, 103 * _RPM, 5.0, 0.001),
-        {**_330, "current_limit": (1_750, 0, 1_750), "velocity_limit": (445, 0, 2_047)},
-        {"shutdown": 53, "velocity_i_gain": 1_600, "velocity_p_gain": 180, "position_p_gain": 400}, wide=False,
+        1200,
+        "x/xl330-m288/",
+        Strength(0.52, 1.47, 103 * _RPM, 5.0, 0.001),
+        {**_XL330, "velocity_limit": (445, 0, 2_047)},
+        _XL330_GAINS,
+        wide=False,
     ),
     "XL330-M077": _Row(
-        1190, "x/xl330-m077/", Strength(0.215, 1.47, 383 * _RPM, 5.0, 0.001),
-        {**_330, "current_limit": (1_750, 0, 1_750), "velocity_limit": (1_620, 0, 2_047)},
-        {"shutdown": 53, "velocity_i_gain": 1_600, "velocity_p_gain": 180, "position_p_gain": 400}, wide=False,
+        1190,
+        "x/xl330-m077/",
+        Strength(0.215, 1.47, 383 * _RPM, 5.0, 0.001),
+        {**_XL330, "velocity_limit": (1_620, 0, 2_047)},
+        _XL330_GAINS,
+        wide=False,
     ),
     "XC330-M288": _Row(
-        1240, "x/xc330-m288/", Strength(0.93, 1.8, 81 * _RPM, 5.0, 0.001),
-        {**_330, "current_limit": (2_352, 0, 2_352), "velocity_limit": (350, 0, 2_047)},
-        {"velocity_i_gain": 1_600, "velocity_p_gain": 50, "position_d_gain": 500, "position_p_gain": 1_100}, wide=False,
+        1240, "x/xc330-m288/", Strength(0.93, 1.8, 81 * _RPM, 5.0, 0.001), _XC330, _XC330_GAINS, wide=False
     ),
     "XL430-W250": _Row(
-        1060, "x/xl430-w250/", Strength(1.5, 1.4, 61 * _RPM, 12.0, 0.0),
-        {"temperature_limit": (72, 0, 100), "max_voltage_limit": (140, 60, 140), "min_voltage_limit": (60, 60, 140),
-         "velocity_limit": (265, 0, 1_023)},
-        _430, ("current_limit", "goal_current"), (VELOCITY, POSITION, EXTENDED, PWM),
+        1060,
+        "x/xl430-w250/",
+        Strength(1.5, 1.4, 61 * _RPM, 12.0, 0.0),
+        _XL430,
+        _XL430_GAINS,
+        lacks=("current_limit", "goal_current"),
+        modes=(VELOCITY, POSITION, EXTENDED, PWM),
     ),
     "XM430-W350": _Row(1020, "x/xm430-w350/", Strength(4.1, 2.3, 46 * _RPM, 12.0, 0.00269)),
     "XM430-W210": _Row(
-        1030, "x/xm430-w210/", Strength(3.0, 2.3, 77 * _RPM, 12.0, 0.00269), {"velocity_limit": (330, 0, 1_023)},
+        1030,
+        "x/xm430-w210/",
+        Strength(3.0, 2.3, 77 * _RPM, 12.0, 0.00269),
+        {"velocity_limit": (330, 0, 1_023)},
     ),
     "XM540-W270": _Row(
-        1120, "x/xm540-w270/", Strength(10.6, 4.4, 30 * _RPM, 12.0, 0.00269),
+        1120,
+        "x/xm540-w270/",
+        Strength(10.6, 4.4, 30 * _RPM, 12.0, 0.00269),
         {"current_limit": (2_047, 0, 2_047), "velocity_limit": (128, 0, 1_023)},
     ),
-}  # fmt: skip
+}
 
 
 def _indirect(wide: bool) -> Sequence[tuple[int, int, int]]:
@@ -216,31 +237,25 @@ def _indirect(wide: bool) -> Sequence[tuple[int, int, int]]:
 
 def _items(row: _Row) -> dict[str, Item]:
     items = {item.name: item for item in X_SERIES if item.name not in row.lacks}
-    changed = dict(row.ranges)
-    changed["model_number"] = (row.number, 0, 0)
-    for name, value in row.initial.items():
-        changed[name] = (value, items[name].low, items[name].high)
-    for name, (initial, low, high) in changed.items():
-        items[name] = _with(items[name], initial, low, high)
-    items["operating_mode"] = _with(items["operating_mode"], POSITION, 0, PWM, row.modes)
-    blocks = _indirect(row.wide)
+    for name, (initial, low, high) in row.ranges.items():
+        items[name] = replace(items[name], initial=initial, low=low, high=high)
+    for name, initial in {**row.initial, "model_number": row.number}.items():
+        items[name] = replace(items[name], initial=initial)
+    items["drive_mode"] = replace(items["drive_mode"], choices=DRIVE_MODES)
+    items["operating_mode"] = replace(items["operating_mode"], choices=row.modes)
+    return items | _indirect_items(_indirect(row.wide))
+
+
+def _indirect_items(blocks: Sequence[tuple[int, int, int]]) -> dict[str, Item]:
+    """Pairs of an address register and a byte of data; at first each leads to its own byte."""
     last = blocks[-1][1] + blocks[-1][2] - 1
-    number = 0
+    items: list[Item] = []
     for first, data, count in blocks:
         for place in range(count):
-            number += 1
-            name = f"indirect_address_{number}"
-            items[name] = _ram(first + 2 * place, 2, name, data + place, 64, last)
-            name = f"indirect_data_{number}"
-            items[name] = _ram(data + place, 1, name, 0, 0, 255)
-    return items
-
-
-def _with(item: Item, initial: int, low: int, high: int, choices: Sequence[int] = ()) -> Item:
-    return Item(
-        item.name, item.address, item.size, initial, low, high, item.writable, item.eeprom, item.limit,
-        choices or item.choices,
-    )  # fmt: skip
+            number = 1 + len(items) // 2
+            pointer = _ram(first + 2 * place, 2, f"indirect_address_{number}", data + place, 64, last)
+            items += [pointer, _ram(data + place, 1, f"indirect_data_{number}", 0, 0, 255)]
+    return {item.name: item for item in items}
 
 
 def _model(name: str, row: _Row) -> Model:

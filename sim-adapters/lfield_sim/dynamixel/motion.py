@@ -126,7 +126,7 @@ class Motion:
         self._clock, self.resting = 0.0, False
 
     def _bounds(self, distance: float) -> tuple[float, float]:
-        """Greatest speed and acceleration of a profile, in counts and seconds; 0 in a register is no bound."""
+        """Greatest speed and acceleration of a profile, in counts and seconds."""
         fastest, rising = self._table["profile_velocity"], self._table["profile_acceleration"]
         if not fastest:
             return math.inf, math.inf
@@ -184,7 +184,7 @@ class Motion:
         return self._pace / COUNTS + math.copysign(catch_up, error)
 
     def _ramp(self, dt: float) -> float:
-        """The speed in rad/s on the way to the goal velocity. The velocity register has the same sign as places."""
+        """The speed in rad/s, in the register's direction, on the way to the goal velocity."""
         goal = self._table["goal_velocity"] * VELOCITY_UNIT * COUNTS
         rising = self._table["profile_acceleration"]
         if not rising:

@@ -111,7 +111,8 @@ class Codec2:
 
     def feed(self, data: bytes) -> list[Packet]:
         """The packets that these bytes complete."""
-        buffer, packets = self._buffer, []
+        buffer = self._buffer
+        packets: list[Packet] = []
         buffer += data
         while True:
             start = buffer.find(HEADER)
@@ -138,7 +139,7 @@ class Codec2:
         return Packet(raw[4], raw[7], unstuff(raw[7:-2])[1:], end, sound)
 
     def _restart(self) -> bool:
-        """Whether a packet began inside the half-read one, which stuffing rules out; it is the one to read."""
+        """Whether another packet began inside the half-read one, which then will never end."""
         again = self._buffer.find(HEADER, len(HEADER))
         if again >= 0:
             del self._buffer[:again]
@@ -177,7 +178,8 @@ class Codec1:
 
     def feed(self, data: bytes) -> list[Packet]:
         """The packets that these bytes complete."""
-        buffer, packets = self._buffer, []
+        buffer = self._buffer
+        packets: list[Packet] = []
         buffer += data
         while True:
             start = buffer.find(self._START)

@@ -75,7 +75,7 @@ class Profile:
 
 
 def timed(distance: float, total: float, rising: float) -> tuple[float, float]:
-    """Speed and acceleration of a way that starts and ends at rest and takes `total`, `rising` of it to speed up.
+    """Speed and acceleration of a way that takes `total` from rest to rest, `rising` of it to speed up.
 
     `rising` counts as half of `total` at most, as the manual says of Profile Acceleration.
     """

@@ -1,6 +1,6 @@
 """The chain in real time behind a pseudo-terminal, as behind a USB adapter.
 
-The client finds it at a symbolic link, which stays the same when the adapter is pulled out and plugged in again.
+The client finds it at a symbolic link, which stays the same when the adapter is pulled out and put back.
 A client with another baud rate than a servo is not heard by it: the speed is asked of the terminal (Linux).
 """
 
@@ -20,7 +20,7 @@ from lfield_sim.dynamixel.chain import Chain, Reply
 
 #: How often the servos move when nobody asks, in seconds.
 TICK = 0.02
-#: asyncio wakes up to a millisecond late; the last of it is slept, and what is shorter than GRAIN is not waited for.
+#: asyncio wakes up a millisecond late: the last COARSE seconds are slept; GRAIN is not worth waiting for.
 COARSE, GRAIN = 0.002, 0.0001
 #: Linux' struct termios2, which knows speeds that have no name: flags, line, characters, speeds.
 _TCGETS2, _TERMIOS2 = 0x802C542A, struct.Struct("4I20s2I")

@@ -1,6 +1,6 @@
 """One servo: what it does with the instructions it hears, and how it protects itself.
 
-Pure: time is given to it, in seconds. https://emanual.robotis.com/docs/en/dxl/protocol2/ and the page of its model.
+Pure: time is given to it, in seconds. https://emanual.robotis.com/docs/en/dxl/protocol2/
 """
 
 from __future__ import annotations

@@ -38,7 +38,9 @@ class ControlTable:
             self._owner.update(dict.fromkeys(range(item.address, item.address + item.size), item))
         self._indirect = _indirect(model)
         self._windows = [(data, data + count) for _, data, count in model.indirect]
+        # The same twice: bytes for the bus, numbers for the servo, which asks for them all the time.
         self._memory = bytearray(1 + max(self._owner))
+        self._values: dict[str, int] = {}
         for item in model.items.values():
             self.put(item.name, item.initial)
 
@@ -46,15 +48,14 @@ class ControlTable:
         return name in self._items
 
     def __getitem__(self, name: str) -> int:
-        item = self._items[name]
-        raw = self._memory[item.address : item.address + item.size]
-        return int.from_bytes(raw, "little", signed=item.signed)
+        return self._values[name]
 
     def put(self, name: str, value: int) -> None:
         """Set a register, rules apart; what does not fit wraps around."""
         item = self._items[name]
         raw = (value & ((1 << 8 * item.size) - 1)).to_bytes(item.size, "little")
         self._memory[item.address : item.address + item.size] = raw
+        self._values[name] = int.from_bytes(raw, "little", signed=item.signed)
 
     def read(self, address: int, length: int) -> bytes:
         """Some bytes; places without a register are 0. Raises Refused."""

@@ -1,0 +1,447 @@
+"""The fake's bus by raw packets and given time: who answers what, when, and what goes wrong."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield_sim.dynamixel.chain import Chain
+from lfield_sim.dynamixel.model import model_named
+from lfield_sim.dynamixel.packets import Instruction, crc16, encode, encode1, unstuff
+from lfield_sim.dynamixel.servo import Servo
+
+PING, READ, WRITE, REG_WRITE, ACTION = 1, 2, 3, 4, 5
+RESET, REBOOT, CLEAR, BROADCAST = 6, 8, 0x10, 0xFE
+ID, BAUD, DELAY, MODE, SECONDARY, VELOCITY_LIMIT, TORQUE, LED, LEVEL = 7, 8, 9, 11, 12, 44, 64, 65, 68
+REGISTERED, HARDWARE, GOAL_VELOCITY, GOAL, POSITION = 69, 70, 104, 116, 132
+RESULT_FAIL, BAD_INSTRUCTION, BAD_CRC, RANGE, LENGTH, LIMIT, ACCESS, ALERT = 1, 2, 3, 4, 5, 6, 7, 128
+
+
+def parse(data: bytes) -> list[tuple[int, int, bytes]]:
+    """Status packets as id, error and data; each must be sound."""
+    found = []
+    while data:
+        end = 7 + int.from_bytes(data[5:7], "little")
+        assert data[:4] == b"\xff\xff\xfd\x00"
+        assert crc16(data[: end - 2]) == int.from_bytes(data[end - 2 : end], "little")
+        body = unstuff(data[7 : end - 2])
+        assert body[0] == 0x55
+        found.append((data[4], body[1], body[2:]))
+        data = data[end:]
+    return found
+
+
+class Bus:
+    """A chain and its time."""
+
+    def __init__(self, *ids: int, model: str = "XM430-W350", **settings: int) -> None:
+        servos = []
+        for id in ids or (1,):
+            servos.append(Servo(model_named(model)))
+            for name, value in {"id": id, **settings}.items():
+                servos[-1].table.put(name, value)
+        self.chain = Chain(servos)
+        self.now, self.baud = 1.0, None
+
+    def send(self, raw: bytes) -> bytes:
+        """What comes back, all of it, before the next question."""
+        replies = self.chain.receive(raw, self.now, self.baud)
+        self.now = max([self.now + 0.005, *(reply.at for reply in replies)])
+        return b"".join(reply.data for reply in replies)
+
+    def ask(self, id: int, instruction: int, parameters: bytes = b"") -> list[tuple[int, int, bytes]]:
+        """The answers to an instruction."""
+        return parse(self.send(encode(id, instruction, parameters)))
+
+    def read(self, id: int, address: int, length: int) -> bytes:
+        """Registers of a servo that answers without an error."""
+        ((answerer, error, data),) = self.ask(id, READ, struct.pack("<HH", address, length))
+        assert (answerer, error) == (id, 0)
+        return data
+
+    def write(self, id: int, address: int, data: bytes) -> int | None:
+        """The error, or None when nobody answered."""
+        answers = self.ask(id, WRITE, struct.pack("<H", address) + data)
+        return answers[0][1] if answers else None
+
+    def wait(self, seconds: float) -> None:
+        """Silence."""
+        self.now += seconds
+        self.chain.advance(self.now)
+
+
+def sync_read(*ids: int, fast: bool = False) -> bytes:
+    instruction = Instruction.FAST_SYNC_READ if fast else Instruction.SYNC_READ
+    return encode(BROADCAST, instruction, struct.pack("<HH", POSITION, 4) + bytes(ids))
+
+
+# ---- single servos ----------------------------------------------------------------------------------
+
+
+def test_ping_and_broadcast_ping_in_the_order_of_ids():
+    bus = Bus(5, 2, 9)
+    assert bus.ask(5, PING) == [(5, 0, b"\xfc\x03\x34")]
+    assert [id for id, _, _ in bus.ask(BROADCAST, PING)] == [2, 5, 9]
+    assert bus.ask(77, PING) == []
+
+
+@pytest.mark.parametrize(
+    ("address", "data", "torque", "error"),
+    [
+        (LED, b"\x01", 0, 0),
+        (GOAL, struct.pack("<i", 1000), 1, 0),
+        (MODE, b"\x01", 0, 0),
+        (MODE, b"\x01", 1, ACCESS),
+        (MODE, b"\x02", 0, RANGE),
+        (0, b"\x01\x00", 0, ACCESS),
+        (POSITION, bytes(4), 0, ACCESS),
+        (71, b"\x01", 0, ACCESS),
+        (LED, b"\x02", 0, RANGE),
+        (GOAL, b"\x01\x00", 0, LENGTH),
+        (GOAL + 1, bytes(4), 0, LENGTH),
+        (GOAL, b"", 0, LENGTH),
+        (GOAL, struct.pack("<i", 5000), 0, LIMIT),
+        (GOAL, struct.pack("<i", -1), 0, LIMIT),
+        (GOAL, struct.pack("<i", 2_000_000), 0, RANGE),
+        (GOAL_VELOCITY, struct.pack("<i", -201), 0, LIMIT),
+        (VELOCITY_LIMIT, struct.pack("<i", 2000), 0, RANGE),
+        (TORQUE, b"\x01\x01", 0, 0),
+        (600, b"\x01", 0, LENGTH),
+        (5000, b"\x01", 0, ACCESS),
+    ],
+)
+def test_which_writes_are_refused(address, data, torque, error):
+    bus = Bus()
+    assert bus.write(1, TORQUE, bytes([torque])) == 0
+    before = bus.chain.servos[0].table.read(0, 120)
+    assert bus.write(1, address, data) == error
+    if error:
+        assert bus.chain.servos[0].table.read(0, 120) == before, "nothing has changed"
+
+
+def test_a_write_of_several_registers_is_all_or_nothing():
+    bus = Bus()
+    assert bus.write(1, TORQUE, b"\x01\x02") == RANGE
+    assert bus.read(1, TORQUE, 2) == b"\x00\x00"
+
+
+def test_reads_beyond_the_table_and_too_short():
+    bus = Bus()
+    assert bus.ask(1, READ, struct.pack("<HH", 660, 10)) == [(1, ACCESS, b"")]
+    assert bus.ask(1, READ, b"\x84") == [(1, LENGTH, b"")]
+    assert bus.ask(1, 0x77) == [(1, BAD_INSTRUCTION, b"")]
+
+
+def test_a_wrong_check_sum_is_told_by_the_one_who_was_meant():
+    bus = Bus(1, 2)
+    raw = bytearray(encode(2, WRITE, b"\x41\x00\x01"))
+    raw[-1] ^= 1
+    assert parse(bus.send(bytes(raw))) == [(2, BAD_CRC, b"")]
+    assert bus.read(2, LED, 1) == b"\x00"
+
+
+def test_status_return_level():
+    bus = Bus()
+    for level, read, write in ((2, True, True), (1, True, False), (0, False, False)):
+        bus.chain.servos[0].table.put("status_return_level", level)
+        assert bus.ask(1, PING)
+        assert bool(bus.ask(1, READ, b"\x84\x00\x04\x00")) is read
+        assert bool(bus.ask(1, WRITE, b"\x41\x00\x01")) is write
+        assert bool(bus.send(sync_read(1))) is read
+    assert bus.read.__self__.chain.servos[0].table["led"] == 1
+
+
+def test_broadcast_writes_are_carried_out_in_silence():
+    bus = Bus(1, 2)
+    assert bus.ask(BROADCAST, WRITE, b"\x41\x00\x01") == []
+    assert bus.read(1, LED, 1) == bus.read(2, LED, 1) == b"\x01"
+    assert bus.ask(BROADCAST, REBOOT) == []
+    assert bus.ask(BROADCAST, RESET, b"\xff") == []
+    bus.wait(0.2)
+    assert len(bus.ask(BROADCAST, PING)) == 2, "all with the same id would be the end of them"
+
+
+def test_ids_and_speeds_change_at_once():
+    bus = Bus()
+    bus.baud = 57_600
+    assert bus.write(1, ID, b"\x07") == 0
+    assert bus.ask(1, PING) == []
+    assert bus.write(7, BAUD, b"\x03") == 0
+    assert bus.ask(7, PING) == []
+    bus.baud = 1_000_000
+    assert len(bus.ask(7, PING)) == 1
+
+
+def test_a_secondary_id_writes_ram_in_silence():
+    bus = Bus(1, 2, secondary_id=100)
+    assert bus.write(100, LED, b"\x01") is None
+    assert bus.write(100, MODE, b"\x01") is None
+    assert bus.read(1, LED, 1) == bus.read(2, LED, 1) == b"\x01"
+    assert bus.read(1, MODE, 1) == b"\x03", "but no EEPROM"
+    bus.chain.servos[0].table.put("secondary_id", 2)
+    assert bus.write(2, LED, b"\x00") == 0, "the one whose id it is answers"
+    assert bus.read(1, LED, 1) == b"\x00"
+
+
+def test_registered_writes_wait_for_action():
+    bus = Bus()
+    assert bus.ask(1, ACTION) == [(1, RESULT_FAIL, b"")]
+    assert bus.ask(1, REG_WRITE, b"\x41\x00\x01") == [(1, 0, b"")]
+    assert bus.read(1, LED, 1) + bus.read(1, REGISTERED, 1) == b"\x00\x01"
+    assert bus.ask(1, ACTION) == [(1, 0, b"")]
+    assert bus.read(1, LED, 1) + bus.read(1, REGISTERED, 1) == b"\x01\x00"
+    assert bus.ask(1, REG_WRITE, b"\x41\x00\x09") == [(1, RANGE, b"")]
+
+
+def test_reboot_is_answered_and_then_there_is_silence():
+    bus = Bus()
+    bus.write(1, LED, b"\x01")
+    assert bus.ask(1, REBOOT) == [(1, 0, b"")]
+    assert bus.ask(1, PING) == []
+    bus.wait(0.15)
+    assert bus.read(1, LED, 1) == b"\x00"
+
+
+@pytest.mark.parametrize(("option", "id", "baud"), [(0xFF, 1, 57_600), (1, 9, 57_600), (2, 9, 1_000_000)])
+def test_factory_reset_keeps_what_it_says(option, id, baud):
+    bus = Bus(9, baud_rate=3, velocity_limit=100)
+    assert bus.ask(9, RESET, bytes([option])) == [(9, 0, b"")]
+    bus.wait(0.15)
+    servo = bus.chain.servos[0]
+    assert (servo.id, servo.baud, servo.table["velocity_limit"]) == (id, baud, 200)
+    assert bus.ask(id, RESET, b"\x07") == [(id, RANGE, b"")]
+
+
+def test_clear_forgets_turns_only_while_it_stands_still():
+    bus = Bus(operating_mode=4)
+    bus.chain.servos[0].motion.motor.angle += 12.0
+    turns = b"\x01\x44\x58\x4c\x22"
+    assert bus.ask(1, CLEAR, b"\x02") == [(1, RANGE, b"")]
+    assert bus.ask(1, CLEAR, turns) == [(1, 0, b"")]
+    assert 0 <= struct.unpack("<i", bus.read(1, POSITION, 4))[0] < 4096
+    bus.write(1, TORQUE, b"\x01")
+    bus.write(1, GOAL, struct.pack("<i", 100_000))
+    bus.wait(0.3)
+    assert bus.ask(1, CLEAR, turns) == [(1, RESULT_FAIL, b"")]
+
+
+@pytest.mark.parametrize(("model", "data"), [("XM430-W350", 224), ("XL330-M288", 208)])
+def test_indirect_addresses(model, data):
+    bus = Bus(model=model)
+    assert bus.write(1, data, b"\x2a") == 0, "at first each leads to its own byte"
+    assert bus.read(1, data, 1) == b"\x2a"
+    pointers = [POSITION, POSITION + 1, POSITION + 2, POSITION + 3, 146, GOAL, GOAL + 1, GOAL + 2, GOAL + 3]
+    assert bus.write(1, 168, struct.pack("<9H", *pointers)) == 0
+    assert bus.read(1, data, 5) == struct.pack("<iB", 2048, 30)
+    assert bus.write(1, data + 5, struct.pack("<i", 1234)) == 0
+    assert bus.read(1, GOAL, 4) == struct.pack("<i", 1234)
+    assert bus.write(1, data + 5, b"\x01") == LENGTH
+    assert bus.write(1, data, b"\x01\x00\x00\x00") == ACCESS
+    assert bus.write(1, 168, b"\x01\x00") == RANGE
+
+
+def test_data_that_looks_like_a_header_is_stuffed():
+    bus = Bus()
+    bus.write(1, 224, b"\xff\xff\xfd\x00\xff\xff\xfd")
+    assert bus.read(1, 224, 7) == b"\xff\xff\xfd\x00\xff\xff\xfd"
+
+
+# ---- groups -----------------------------------------------------------------------------------------
+
+
+def test_group_reads_answer_in_the_order_of_the_list_and_stop_at_one_who_is_missing():
+    bus = Bus(1, 2, 3)
+    assert [id for id, _, _ in parse(bus.send(sync_read(3, 1, 2)))] == [3, 1, 2]
+    assert [id for id, _, _ in parse(bus.send(sync_read(3, 77, 2)))] == [3]
+    wishes = struct.pack("<BHHBHH", 2, 144, 2, 1, 146, 1)
+    assert bus.ask(BROADCAST, Instruction.BULK_READ, wishes) == [(2, 0, b"\x78\x00"), (1, 0, b"\x1e")]
+
+
+def test_fast_reads_share_one_packet_that_breaks_where_one_is_missing():
+    bus = Bus(1, 2, 3)
+    ((id, error, data),) = parse(bus.send(sync_read(2, 3, fast=True)))
+    assert (id, error, data[0]) == (BROADCAST, 0, 2)
+    assert data[1:5] == struct.pack("<i", 2048)
+    assert data[7:9] == b"\x00\x03"
+    wishes = struct.pack("<BHHBHH", 2, 144, 2, 1, 146, 1)
+    whole = bus.send(encode(BROADCAST, Instruction.FAST_BULK_READ, wishes))
+    assert parse(whole)[0][2][:3] == b"\x02\x78\x00"
+    cut = bus.send(sync_read(2, 77, 3, fast=True))
+    assert len(cut) == 8 + 8, "one block of three"
+    assert int.from_bytes(cut[5:7], "little") == 1 + 3 * 8
+    assert bus.send(sync_read(77, 2, fast=True)) == b""
+
+
+def test_group_writes_are_never_answered():
+    bus = Bus(1, 2, 3)
+    assert (
+        bus.send(encode(BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HHBBBBB", LED, 1, 1, 1, 2, 9, 3)))
+        == b""
+    )
+    assert (
+        bus.send(encode(BROADCAST, Instruction.SYNC_WRITE, struct.pack("<HHBBBB", LED, 1, 1, 1, 2, 9))) == b""
+    )
+    assert bus.read(1, LED, 1) + bus.read(2, LED, 1) == b"\x01\x00", "a value out of range is ignored"
+    bulk = struct.pack("<BHHBBHHi", 1, LED, 1, 0, 2, GOAL, 4, 777)
+    assert bus.send(encode(BROADCAST, Instruction.BULK_WRITE, bulk)) == b""
+    assert bus.read(1, LED, 1) + bus.read(2, GOAL, 4) == b"\x00" + struct.pack("<i", 777)
+
+
+# ---- time -------------------------------------------------------------------------------------------
+
+
+def test_an_answer_takes_the_wire_and_the_return_delay():
+    bus = Bus(1, 2)
+    question = encode(1, READ, b"\x84\x00\x04\x00")
+    (reply,) = bus.chain.receive(question, 1.0, 57_600)
+    assert reply.at == pytest.approx(1.0 + (14 + 15) * 10 / 57_600 + 500e-6)
+    first, second = bus.chain.receive(sync_read(1, 2), 2.0, 57_600)
+    assert second.at - first.at == pytest.approx(15 * 10 / 57_600 + 500e-6)
+
+
+def test_questions_that_overtake_answers_are_answered_later_and_never_without_end():
+    bus = Bus()
+    flood = encode(1, PING) * 2000
+    replies = bus.chain.receive(flood, 1.0, 57_600)
+    assert replies[1].at > replies[0].at
+    assert replies[-1].at < 2.1
+    assert len(replies) < 300
+
+
+def test_the_wrong_speed_and_half_a_packet_are_silence():
+    bus = Bus()
+    bus.baud = 115_200
+    assert bus.ask(1, PING) == []
+    bus.baud = 57_600
+    raw = encode(1, PING)
+    assert bus.send(raw[:5]) == b""
+    assert len(parse(bus.send(raw[5:]))) == 1
+    bus.send(raw[:5])
+    bus.wait(0.2)
+    assert bus.send(raw[5:]) == b"", "too late for the rest"
+    assert len(bus.ask(1, PING)) == 1
+
+
+def test_any_packet_on_the_bus_feeds_the_watchdog_of_all():
+    bus = Bus(1, 2, bus_watchdog=10)
+    bus.write(1, TORQUE, b"\x01")
+    for _ in range(10):
+        bus.wait(0.15)
+        bus.ask(2, PING)
+    assert bus.read(1, 98, 1) == b"\x0a"
+    bus.wait(0.3)
+    assert bus.read(1, 98, 1) == b"\xff"
+
+
+# ---- protocol 1.0 -----------------------------------------------------------------------------------
+
+
+def test_protocol_1():
+    bus = Bus(protocol_type=1)
+    assert bus.ask(1, PING) == []
+    assert bus.send(encode1(1, PING)) == bytes.fromhex("FF FF 01 02 00 FC")
+    assert bus.send(encode1(1, READ, b"\x84\x04"))[5:9] == struct.pack("<i", 2048)
+    assert bus.send(encode1(1, WRITE, b"\x41\x09"))[4] == 0x08
+    assert bus.send(encode1(1, 0x77))[4] == 0x40
+    assert bus.send(encode1(BROADCAST, Instruction.SYNC_WRITE, b"\x41\x01\x01\x01")) == b""
+    assert bus.send(encode1(BROADCAST, Instruction.BULK_READ, b"\x00\x01\x01\x41"))[5] == 1
+    raw = bytearray(encode1(1, PING))
+    raw[-1] ^= 1
+    assert bus.send(bytes(raw))[4] == 0x10
+
+
+# ---- faults -----------------------------------------------------------------------------------------
+
+
+def test_a_dead_servo_stops_a_group():
+    bus = Bus(1, 2, 3)
+    bus.chain.faults.apply(["dead@2=true"])
+    assert bus.ask(2, PING) == []
+    assert [id for id, _, _ in parse(bus.send(sync_read(1, 2, 3)))] == [1]
+    bus.ask(BROADCAST, WRITE, b"\x41\x00\x01")
+    assert bus.chain.servos[1].table["led"] == 0
+
+
+def test_lost_and_corrupt_replies():
+    bus = Bus(1, 2, 3)
+    bus.chain.faults.apply(["lose@2=1"])
+    assert bus.write(2, LED, b"\x01") is None
+    assert bus.chain.servos[1].table["led"] == 1, "it was done"
+    assert [id for id, _, _ in parse(bus.send(sync_read(1, 2, 3)))] == [1, 3], "the others heard it"
+    assert len(bus.send(sync_read(1, 2, 3, fast=True))) == 16
+    bus.chain.faults.apply(["lose@2=0", "corrupt@1=1"])
+    good, bad = encode(1, 0x55, b"\x00\xfc\x03\x34"), bus.send(encode(1, PING))
+    assert sum(a != b for a, b in zip(good, bad, strict=True)) == 1
+
+
+def test_late_foreign_and_senseless_answers():
+    bus = Bus(1)
+    bus.chain.faults.apply(["delay=0.5"])
+    assert bus.chain.receive(encode(1, PING), 5.0)[0].at > 5.5
+    bus.chain.faults.apply(["delay=0", "other=true"])
+    bus.now = 6.0
+    assert bus.ask(1, PING)[0][0] == 2
+    bus.chain.faults.apply(["other=false", "nonsense=true"])
+    assert bus.send(encode(1, PING))[:4] != b"\xff\xff\xfd\x00"
+    bus.chain.faults.apply(["nonsense=false", "noise=1"])
+    assert len(bus.send(encode(1, PING))) > 14
+
+
+def test_overload_trips_and_the_alert_bit_tells():
+    bus = Bus(1, 2)
+    bus.write(1, TORQUE, b"\x01")
+    bus.chain.faults.apply(["overload@1=true"])
+    bus.wait(2.0)
+    assert bus.ask(1, PING)[0][1] == ALERT
+    assert bus.write(1, TORQUE, b"\x05") == ALERT | RANGE
+    assert bus.ask(2, PING)[0][1] == 0
+    assert bus.chain.servos[0].table["torque_enable"] == 0
+    bus.chain.faults.apply(["overload@1=false"])
+    bus.ask(1, REBOOT)
+    bus.wait(0.2)
+    assert bus.ask(1, PING)[0][1] == 0
+
+
+def test_a_broken_gear_moves_nothing_and_says_nothing():
+    bus = Bus()
+    bus.chain.faults.apply(["stuck=true"])
+    bus.write(1, TORQUE, b"\x01")
+    bus.write(1, GOAL, struct.pack("<i", 3000))
+    bus.wait(3.0)
+    assert bus.read(1, POSITION, 4) == struct.pack("<i", 2048)
+    assert bus.read(1, HARDWARE, 1) == b"\x00"
+
+
+def test_faults_keep_to_the_servo_when_its_id_changes():
+    bus = Bus()
+    bus.chain.faults.apply(["dead@1=true"])
+    bus.chain.servos[0].table.put("id", 5)
+    assert bus.ask(5, PING) == []
+
+
+# ---- hostile bytes ----------------------------------------------------------------------------------
+
+instructions = st.sampled_from([*Instruction, 0x55, 0x77])
+pieces = st.one_of(
+    st.binary(max_size=60),
+    st.builds(encode, st.sampled_from([1, 2, 9, 100, BROADCAST]), instructions, st.binary(max_size=30)),
+    st.builds(encode1, st.sampled_from([1, 2, 9, BROADCAST]), instructions, st.binary(max_size=30)),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.tuples(pieces, st.floats(0.0, 0.3)), max_size=8), st.sampled_from([1, 2]))
+def test_nothing_on_the_wire_breaks_it(pieces, protocol):
+    bus = Bus(1, 2, protocol_type=protocol, return_delay_time=0, secondary_id=100)
+    for piece, pause in pieces:
+        bus.wait(pause)
+        assert len(bus.send(piece)) <= 8 * (len(piece) + 1) * 700
+    bus.wait(0.5)
+    servo = bus.chain.servos[0]
+    servo.table.put("status_return_level", 2)
+    ping = encode(servo.id, PING) if servo.protocol == 2 else encode1(servo.id, PING)
+    assert bus.send(ping), "the next packet is heard"
+    assert all(len(codec._buffer) <= 1024 for codec in bus.chain._codecs.values())

@@ -1,0 +1,279 @@
+"""How the fake's servos move, heat and protect themselves, on given time."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from lfield_sim.dynamixel.model import MODELS, model_named
+from lfield_sim.dynamixel.motion import ACCELERATION_UNIT, COUNTS, VELOCITY_UNIT
+from lfield_sim.dynamixel.profile import RECTANGULAR, STEP, TRAPEZOIDAL, TRIANGULAR, Profile, timed
+from lfield_sim.dynamixel.servo import Servo
+from lfield_sim.dynamixel.table import Refused
+
+
+class Bench:
+    """One servo and its time; registers by name."""
+
+    def __init__(self, model: str = "XM430-W350", **settings: int) -> None:
+        self.servo = Servo(model_named(model))
+        self.now = 0.0
+        for name, value in settings.items():
+            self[name] = value
+
+    def __setitem__(self, name: str, value: int) -> None:
+        item = self.servo.model.items[name]
+        raw = (value % (1 << 8 * item.size)).to_bytes(item.size, "little")
+        self.servo.write(item.address, raw)
+
+    def __getitem__(self, name: str) -> int:
+        item = self.servo.model.items[name]
+        raw = self.servo.read(item.address, item.size)
+        return int.from_bytes(raw, "little", signed=item.signed)
+
+    def wait(self, seconds: float, *, listening: bool = True) -> Bench:
+        """Let time pass; `listening` says whether the bus is alive meanwhile."""
+        end = self.now + seconds
+        while self.now < end - 1e-9:
+            self.now = min(end, self.now + 0.02)
+            self.servo.advance(self.now)
+            if listening:
+                self.servo.hear(self.now)
+        return self
+
+
+# ---- profiles ---------------------------------------------------------------------------------------
+
+places = st.floats(-1e5, 1e5)
+speeds = st.floats(1.0, 1e5)
+
+
+@given(places, st.floats(-1e4, 1e4), places, speeds, speeds)
+def test_a_profile_reaches_its_goal_within_its_bounds(start, speed, goal, fastest, acceleration):
+    profile = Profile(start, speed, goal, fastest, acceleration)
+    assert profile.at(profile.duration + 1.0) == (goal, 0.0)
+    most, before, last = max(fastest, abs(speed)), speed, 0.0
+    for number in range(201):
+        time = profile.duration * number / 200.0
+        place, now = profile.at(time)
+        assert abs(now) <= most * 1.001 + 1e-6
+        assert abs(now - before) <= acceleration * (time - last) * 1.001 + most * 1e-6 + 1e-6
+        before, last = now, time
+    # Continuous at the end: it does not jump to the goal.
+    place, now = profile.at(max(0.0, profile.duration * (1 - 1e-9)))
+    assert place == pytest.approx(
+        goal, abs=1e-3 + 1e-6 * abs(goal - start) + 1e-6 * speed * speed / acceleration
+    )
+
+
+@given(places, places, st.floats(0.01, 30.0), st.floats(0.0, 30.0))
+def test_a_timed_profile_takes_its_time(start, goal, total, rising):
+    assume(abs(goal - start) > 1.0)
+    profile = Profile(start, 0.0, goal, *timed(goal - start, total, rising))
+    assert profile.duration == pytest.approx(total, rel=1e-6)
+
+
+def test_kinds_of_profiles():
+    assert Profile(0, 0, 100, math.inf, 10.0).kind == STEP
+    assert Profile(0, 0, 100, 10.0, math.inf).kind == RECTANGULAR
+    assert Profile(0, 0, 100, 10.0, 10.0).kind == TRAPEZOIDAL
+    assert Profile(0, 0, 100, 1000.0, 10.0).kind == TRIANGULAR
+
+
+# ---- operating modes --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_model_goes_where_it_is_told_and_stays(model):
+    bench = Bench(model, torque_enable=1, goal_position=3000).wait(4.0)
+    assert abs(bench["present_position"] - 3000) <= 1
+    assert (bench["moving"], bench["present_velocity"], bench["hardware_error_status"]) == (0, 0, 0)
+    assert bench["moving_status"] & 1
+    assert bench.servo.motion.resting
+
+
+def test_a_trapezoid_in_time():
+    bench = Bench(torque_enable=1, profile_velocity=100, profile_acceleration=20, goal_position=3000)
+    speed, acceleration = 100 * VELOCITY_UNIT * COUNTS, 20 * ACCELERATION_UNIT * COUNTS
+    length = (3000 - 2048) / speed + speed / acceleration
+    seen = []
+    while bench.now < length - 0.02:
+        bench.wait(0.02)
+        seen.append((bench["present_velocity"], bench["velocity_trajectory"], bench["moving"]))
+    assert max(v for v, _, _ in seen) == pytest.approx(100, abs=2)
+    assert all(abs(v - wanted) <= 3 for v, wanted, _ in seen)
+    assert all(moving for _, _, moving in seen)
+    assert bench["moving_status"] & 0x32 == 0x32
+    bench.wait(0.2)
+    assert (bench["present_position"], bench["moving"]) == (3000, 0)
+
+
+def test_a_profile_by_time():
+    bench = Bench(drive_mode=4, torque_enable=1, profile_velocity=2000, profile_acceleration=500)
+    bench["goal_position"] = 3000
+    assert bench.wait(1.0)["present_position"] == pytest.approx(2524, abs=5), "half way at half time"
+    assert bench.wait(0.9)["moving"] == 1
+    assert bench.wait(0.2)["moving"] == 0
+
+
+def test_velocity_with_a_ramp_and_several_turns():
+    bench = Bench(operating_mode=1, torque_enable=1, profile_acceleration=10, goal_velocity=100)
+    half = 100 * VELOCITY_UNIT / (10 * ACCELERATION_UNIT) / 2
+    assert bench.wait(half)["present_velocity"] == pytest.approx(50, abs=3)
+    assert bench.wait(5.0)["present_velocity"] == pytest.approx(100, abs=1)
+    assert bench["present_position"] > 5000
+    bench["goal_velocity"] = -100
+    assert bench.wait(3.0)["present_velocity"] == pytest.approx(-100, abs=1)
+
+
+def test_extended_position_turns_and_position_mode_forgets_them():
+    bench = Bench(operating_mode=4, torque_enable=1, goal_position=10_000).wait(4.0)
+    assert bench["present_position"] == 10_000
+    bench["torque_enable"] = 0
+    bench["operating_mode"] = 3
+    assert bench["present_position"] == 10_000 % 4096
+
+
+def test_current_mode_gives_torque_and_pwm_mode_a_share_of_the_supply():
+    bench = Bench(operating_mode=0, torque_enable=1, goal_current=50).wait(0.04)
+    assert bench["present_current"] == pytest.approx(50, abs=2)
+    bench = Bench(operating_mode=16, torque_enable=1, goal_pwm=-442).wait(2.0)
+    assert bench["present_velocity"] == pytest.approx(-100, rel=0.05), "half of the fastest"
+    assert bench["present_pwm"] == pytest.approx(-442, abs=10)
+
+
+def test_current_based_position_holds_with_the_current_it_may_use():
+    bench = Bench(operating_mode=5, torque_enable=1, goal_current=100)
+    bench.servo.motion.motor.blocked = True
+    bench["goal_position"] = 4000
+    bench.wait(3.0)
+    assert bench["present_current"] == pytest.approx(100, abs=1)
+    assert bench["hardware_error_status"] == 0, "a gentle grip is no overload"
+    assert bench["moving_status"] & 0x09 == 0x08
+
+
+def test_reverse_and_homing_offset():
+    bench = Bench(drive_mode=1, operating_mode=1, torque_enable=1, goal_velocity=50)
+    before = bench["present_position"]
+    bench.wait(1.0)
+    assert bench["present_velocity"] == pytest.approx(50, abs=1)
+    assert bench["present_position"] > before
+    assert bench.servo.motion.motor.speed < 0
+    bench = Bench(homing_offset=500)
+    assert bench["present_position"] == 2548
+    bench["homing_offset"] = 2000
+    assert bench["present_position"] == 2048, "position mode ignores offsets beyond 1024"
+
+
+def test_torque_holds_where_it_is_and_lets_go():
+    bench = Bench(torque_enable=1, goal_position=3000).wait(3.0)
+    bench["torque_enable"] = 0
+    bench["goal_position"] = 1000
+    bench["torque_enable"] = 1
+    assert bench.wait(1.0)["present_position"] == 3000
+    assert bench["goal_position"] == 3000
+
+
+def test_torque_comes_on_by_a_goal_if_drive_mode_says_so():
+    bench = Bench(drive_mode=8, goal_position=2500)
+    assert bench["torque_enable"] == 1
+    assert bench.wait(2.0)["present_position"] == 2500
+
+
+# ---- protection -------------------------------------------------------------------------------------
+
+
+def test_overload_shuts_it_down_until_it_is_rebooted():
+    bench = Bench(torque_enable=1)
+    motor = bench.servo.motion.motor
+    motor.blocked, motor.load, bench.servo.motion.resting = True, 6.0, False
+    bench.wait(0.5)
+    assert (bench["torque_enable"], bench["hardware_error_status"]) == (1, 0)
+    assert abs(bench["present_current"]) > 600
+    bench.wait(1.0)
+    assert (bench["torque_enable"], bench["hardware_error_status"]) == (0, 0x20)
+    bench["torque_enable"] = 1
+    assert bench["torque_enable"] == 0
+    motor.blocked, motor.load = False, 0.0
+    bench.servo.reboot()
+    bench.wait(0.2)
+    bench["torque_enable"] = 1
+    assert (bench["torque_enable"], bench["hardware_error_status"]) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "bit"),
+    [
+        (lambda servo: setattr(servo.motion.motor, "heater", 10.0), 0x04),
+        (lambda servo: setattr(servo.motion.motor, "sag", 4.0), 0x01),
+        (lambda servo: setattr(servo, "encoder_fault", True), 0x08),
+    ],
+)
+def test_what_is_wrong_is_told_and_shutdown_says_what_it_means(spoil, bit):
+    for shutdown in (0, bit):
+        bench = Bench(shutdown=shutdown, torque_enable=1)
+        spoil(bench.servo)
+        bench.wait(8.0)
+        assert bench["hardware_error_status"] == bit
+        assert bench["torque_enable"] == (0 if shutdown else 1)
+
+
+def test_load_heats_and_lowers_the_voltage():
+    bench = Bench(operating_mode=16, torque_enable=1)
+    cold, idle = bench["present_temperature"], bench["present_input_voltage"]
+    assert (cold, idle) == (30, 120)
+    bench.servo.motion.motor.blocked = True
+    bench["goal_pwm"] = 400
+    bench.wait(30.0)
+    assert bench["present_temperature"] > cold
+    assert bench["present_input_voltage"] < idle
+
+
+def test_the_bus_watchdog_stops_it_and_keeps_goals_read_only():
+    bench = Bench(operating_mode=1, torque_enable=1, bus_watchdog=10, goal_velocity=100)
+    assert bench.wait(1.0)["present_velocity"] > 90, "as long as there is traffic"
+    assert bench.wait(0.18, listening=False)["bus_watchdog"] == 10
+    bench.wait(0.5, listening=False)
+    assert (bench["bus_watchdog"], bench["present_velocity"], bench["torque_enable"]) == (255, 0, 1)
+    for name, value in (("goal_velocity", 50), ("bus_watchdog", 10)):
+        with pytest.raises(Refused, match="RANGE"):
+            bench[name] = value
+    bench["bus_watchdog"] = 0
+    bench["goal_velocity"] = 50
+    assert bench.wait(0.5)["present_velocity"] == pytest.approx(50, abs=1)
+
+
+def test_the_watchdog_sleeps_while_torque_is_off():
+    bench = Bench(bus_watchdog=1)
+    assert bench.wait(1.0, listening=False)["bus_watchdog"] == 1
+
+
+def test_the_tick_counts_milliseconds_and_wraps():
+    bench = Bench()
+    assert bench.wait(2.0)["realtime_tick"] == pytest.approx(2000, abs=2)
+    assert bench.wait(32.0)["realtime_tick"] == pytest.approx(34_000 - 32_768, abs=3)
+
+
+def test_startup_configuration_lets_it_hold_after_a_reboot():
+    bench = Bench(startup_configuration=1)
+    bench.servo.reboot()
+    assert not bench.servo.awake
+    assert bench.wait(0.2).servo.awake
+    assert bench["torque_enable"] == 1
+
+
+names = st.sampled_from(sorted(model_named("XM430-W350").items))
+
+
+@given(st.lists(st.tuples(names, st.integers(-(1 << 31), 1 << 31)), max_size=12))
+def test_whatever_is_written_nothing_breaks(writes):
+    bench = Bench()
+    for name, value in writes:
+        with contextlib.suppress(Refused):
+            bench[name] = value
+        bench.wait(0.06)
+    assert len(bench.servo.read(0, 147)) == 147
