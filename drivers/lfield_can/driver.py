@@ -1,0 +1,74 @@
+"""The driver of one bus: every frame handed to the devices that listen for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from lfield.clock import Clock
+from lfield.driver import DeviceBinding, Driver, Manifest, Reports
+from lfield_can.axis import CanAxis
+from lfield_can.bus import Bus
+from lfield_can.frames import Frame
+from lfield_can.signals import CanSignals
+
+CanDevice = CanAxis | CanSignals
+
+
+class CanDriver(Driver):
+    """One CAN bus with the axes and the devices of DBC files on it."""
+
+    def __init__(
+        self,
+        bindings: Sequence[DeviceBinding],
+        manifests: Mapping[str, Manifest],
+        clock: Clock,
+        reports: Reports,
+    ) -> None:
+        first = bindings[0]
+        self._bus = self._make_bus(first.endpoint, lambda text: reports.note(first.name, text))
+        self._members: list[CanDevice] = []
+        self._listeners: dict[int, list[CanDevice]] = {}
+        super().__init__(bindings, manifests, clock, reports)
+
+    def _make_bus(self, endpoint: str, note: Callable[[str], None]) -> Bus:
+        return Bus(endpoint, self._received, note)
+
+    def _device(self, binding: DeviceBinding) -> CanDevice:
+        kind = CanAxis if binding.type == "CanAxis" else CanSignals
+        device = kind(binding, self.manifests[binding.type], self.clock, self.reports, self._bus)
+        self._members.append(device)
+        return device
+
+    async def _open(self) -> None:
+        owners: dict[int, CanDevice] = {}
+        for device in self._members:
+            await device.prepare()
+            for key in device.listens():
+                self._listeners.setdefault(key, []).append(device)
+            for key in device.commands():
+                other = owners.setdefault(key, device)
+                if other is not device:
+                    raise device.error(
+                        f"it has the same frames as {other.binding.name} (id 0x{key & 0x1FFFFFFF:X}); "
+                        "give every device on the bus its own id"
+                    )
+        await self._bus.open()
+        for device in self._members:
+            self.spawn(device.watch())
+
+    async def _close(self) -> None:
+        for device in self._members:
+            device.close()
+        await self._bus.close()
+
+    def _quiet(self) -> None:
+        for device in self._members:
+            device.quiet(True)
+
+    def _resume(self) -> None:
+        for device in self._members:
+            device.quiet(False)
+
+    def _received(self, frame: Frame) -> None:
+        for device in self._listeners.get(frame.key, ()):
+            device.on_frame(frame)

@@ -1,0 +1,148 @@
+"""How a CiA 402 drive is set up: heartbeat, process data, limits, what happens when we are gone."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+
+from lfield.driver import DeviceBinding
+from lfield.errors import DeviceError
+from lfield_can.protocols import cia402_tables as t
+from lfield_can.protocols.canopen_node import CanopenNode, SdoRefused
+from lfield_can.protocols.cia402_units import Units
+
+#: Milliseconds between two heartbeats of the drive.
+HEARTBEAT_EVERY = 100
+#: Bit of the id of process data that says: not in use.
+UNUSED = 1 << 31
+#: The transmission type "when it changes, and by the event timer".
+BY_EVENT = 255
+#: The low half of 0x1000 of a drive.
+DRIVE_PROFILE = 402
+#: Bounds beyond which a position is not bounded at all.
+UNBOUNDED = 1e9
+
+Note = Callable[[str], None]
+
+
+async def identify(node: CanopenNode, error: Callable[[str], DeviceError]) -> str:
+    """Who it is. Raises DeviceError when it is no drive, or when two answer."""
+    kind = await node.read(0x1000)
+    if kind & 0xFFFF != DRIVE_PROFILE:
+        raise error(f"it is no CiA 402 drive: its device type 0x1000 is 0x{kind:08X}")
+    vendor, product = await optional(node, 0x1018, 1), await optional(node, 0x1018, 2)
+    if node.doubled:
+        raise error("two devices answer to this node id; give each its own")
+    return f"vendor 0x{vendor or 0:X}, product 0x{product or 0:X}"
+
+
+async def optional(node: CanopenNode, index: int, subindex: int = 0) -> int | None:
+    """The value of an object that a drive may do without."""
+    try:
+        return await node.read(index, subindex)
+    except SdoRefused:
+        return None
+
+
+async def set_heartbeat(node: CanopenNode) -> None:
+    """Have the drive say ten times a second that it is alive."""
+    await node.write(0x1017, 0, HEARTBEAT_EVERY)
+
+
+async def map_process_data(node: CanopenNode, number: int, note: Note) -> frozenset[int]:
+    """Set up all process data; the function codes of those that the drive has. Raises DeviceError."""
+    done = set()
+    for code, entries in {**t.TRANSMITTED, **t.RECEIVED}.items():
+        try:
+            await _map(node, code, number, entries)
+        except SdoRefused as refused:
+            if code not in t.OPTIONAL:
+                raise
+            note(f"it does not tell torque and current: {refused.reason}")
+            continue
+        done.add(code)
+    return frozenset(done)
+
+
+async def _map(node: CanopenNode, code: int, number: int, entries: tuple[int, ...]) -> None:
+    """One of them; it must not be in use while it is changed (CiA 301, 7.5.2.36)."""
+    transmitted = code in t.TRANSMITTED
+    place = (code - (t.STATUS if transmitted else t.CONTROL)) >> 8
+    how, what = (0x1800, 0x1A00) if transmitted else (0x1400, 0x1600)
+    await node.write_raw(how + place, 1, _u32(UNUSED | (code + number)))
+    await node.write_raw(what + place, 0, b"\0")
+    for position, entry in enumerate(entries, 1):
+        await node.write_raw(what + place, position, _u32(entry))
+    await node.write_raw(what + place, 0, bytes([len(entries)]))
+    await node.write_raw(how + place, 2, bytes([BY_EVENT]))
+    if transmitted:
+        every = t.STATUS_EVERY if code == t.STATUS else t.MOTION_EVERY
+        await node.write_raw(how + place, 5, struct.pack("<H", round(every * 1000)))
+    await node.write_raw(how + place, 1, _u32(code + number))
+
+
+async def read_ratings(node: CanopenNode, units: Units) -> None:
+    """Rated torque (mN m) and current (mA), where the binding did not give them."""
+    if not units.rated_torque:
+        units.rated_torque = (await optional(node, 0x6076) or 0) / 1000.0
+    if not units.rated_current:
+        units.rated_current = (await optional(node, 0x6075) or 0) / 1000.0
+
+
+async def set_limits(node: CanopenNode, binding: DeviceBinding, units: Units, note: Note) -> None:
+    """Have the drive itself keep the limits of the binding, where it can."""
+    for (index, subindex), value in _limits(binding, units).items():
+        try:
+            await node.write(index, subindex, value)
+        except SdoRefused as refused:
+            note(f"this driver alone keeps a limit: {refused.reason}")
+
+
+def _limits(binding: DeviceBinding, units: Units) -> Mapping[tuple[int, int], int]:
+    limits, wanted = binding.limits, {}
+    if "speed" in limits:
+        wanted[0x607F, 0] = abs(units.to_velocity(limits["speed"]))
+    if "acceleration" in limits:
+        for index in (0x6083, 0x6084, 0x6085):
+            wanted[index, 0] = abs(units.to_velocity(limits["acceleration"]))
+    if "torque" in limits and units.rated_torque:
+        wanted[0x6072, 0] = abs(units.to_torque(limits["torque"]))
+    if "current" in limits and units.rated_current:
+        wanted[0x6073, 0] = round(1000.0 * limits["current"] / units.rated_current)
+    bounds = binding.option("lowest"), binding.option("highest")
+    if max(map(abs, bounds)) < UNBOUNDED:
+        wanted[0x607D, 1], wanted[0x607D, 2] = sorted(map(units.to_counts, bounds))
+    return wanted
+
+
+async def set_quick_stop(node: CanopenNode, safe_state: str, error: Callable[[str], DeviceError]) -> None:
+    """torque_hold needs a quick stop that ends with torque; for brake the drive's own setting stands."""
+    if safe_state != "torque_hold":
+        return
+    try:
+        await node.write(0x605A, 0, t.STOP_AND_HOLD)
+    except SdoRefused as refused:
+        raise error(
+            f"it cannot hold its torque after a quick stop ({refused.reason}); use another safe_state"
+        ) from None
+
+
+async def set_watchdog(
+    node: CanopenNode, master: int, longest: float, safe_state: str, note: Note
+) -> float | None:
+    """Have the drive stop by itself when our heartbeat is missed for `longest` seconds; as it now is."""
+    milliseconds = int(longest * 1000.0)
+    reaction = t.ABORT_DISABLES if safe_state == "torque_off" else t.ABORT_QUICK_STOPS
+    try:
+        await node.write(0x6007, 0, reaction)
+        # An entry in use may be changed only by way of 0.
+        await node.write_raw(0x1016, 1, _u32(0))
+        await node.write(0x1016, 1, master << 16 | milliseconds)
+    except SdoRefused as refused:
+        note(f"it does not watch our heartbeat: {refused.reason}")
+        return None
+    return (await node.read(0x1016, 1) & 0xFFFF) / 1000.0
+
+
+def _u32(value: int) -> bytes:
+    return struct.pack("<I", value)

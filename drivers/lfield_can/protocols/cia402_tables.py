@@ -1,0 +1,252 @@
+"""CiA 301 and CiA 402 as data: objects, states, process data, errors in words.
+
+CiA 301 4.2 (communication profile) and CiA 402-2 4.1 / IEC 61800-7-201 (drive profile); the manual of every
+such drive has the numbers.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+
+from canopen.objectdictionary import datatypes as t
+
+#: The objects that this driver uses: (index, subindex) -> (name, data type).
+OBJECTS: Mapping[tuple[int, int], tuple[str, int]] = {
+    (0x1000, 0): ("device type", t.UNSIGNED32),
+    (0x1001, 0): ("error register", t.UNSIGNED8),
+    (0x1016, 1): ("consumer heartbeat time", t.UNSIGNED32),
+    (0x1017, 0): ("producer heartbeat time", t.UNSIGNED16),
+    (0x1018, 1): ("vendor id", t.UNSIGNED32),
+    (0x1018, 2): ("product code", t.UNSIGNED32),
+    (0x6007, 0): ("abort connection option code", t.INTEGER16),
+    (0x603F, 0): ("error code", t.UNSIGNED16),
+    (0x6040, 0): ("control word", t.UNSIGNED16),
+    (0x6041, 0): ("status word", t.UNSIGNED16),
+    (0x605A, 0): ("quick stop option code", t.INTEGER16),
+    (0x6060, 0): ("mode of operation", t.INTEGER8),
+    (0x6061, 0): ("mode of operation display", t.INTEGER8),
+    (0x606C, 0): ("velocity", t.INTEGER32),
+    (0x6071, 0): ("target torque", t.INTEGER16),
+    (0x6072, 0): ("max torque", t.UNSIGNED16),
+    (0x6073, 0): ("max current", t.UNSIGNED16),
+    (0x6075, 0): ("motor rated current", t.UNSIGNED32),
+    (0x6076, 0): ("motor rated torque", t.UNSIGNED32),
+    (0x6079, 0): ("supply voltage", t.UNSIGNED32),
+    (0x607A, 0): ("target position", t.INTEGER32),
+    (0x607D, 1): ("lowest position", t.INTEGER32),
+    (0x607D, 2): ("highest position", t.INTEGER32),
+    (0x607F, 0): ("max profile velocity", t.UNSIGNED32),
+    (0x6081, 0): ("profile velocity", t.UNSIGNED32),
+    (0x6083, 0): ("profile acceleration", t.UNSIGNED32),
+    (0x6084, 0): ("profile deceleration", t.UNSIGNED32),
+    (0x6085, 0): ("quick stop deceleration", t.UNSIGNED32),
+    (0x6098, 0): ("homing method", t.INTEGER8),
+    (0x6099, 1): ("homing speed to the switch", t.UNSIGNED32),
+    (0x6099, 2): ("homing speed to the zero", t.UNSIGNED32),
+    (0x60FF, 0): ("target velocity", t.INTEGER32),
+    (0x6502, 0): ("supported modes", t.UNSIGNED32),
+}
+
+# Function codes: what is added to the node id to give the id of a frame (CiA 301, predefined connections).
+NMT, EMERGENCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x000, 0x080, 0x580, 0x600, 0x700
+STATUS, MOTION, FORCE = 0x180, 0x280, 0x380
+CONTROL, POSITION, VELOCITY, TORQUE = 0x200, 0x300, 0x400, 0x500
+
+#: Seconds between two process data of each kind from the drive.
+STATUS_EVERY, MOTION_EVERY = 0.02, 0.02
+
+#: Process data: function code -> what is mapped, as (index << 16) | (subindex << 8) | bits.
+TRANSMITTED: Mapping[int, tuple[int, ...]] = {
+    STATUS: (0x60410010,),
+    MOTION: (0x60640020, 0x606C0020),
+    FORCE: (0x60770010, 0x60780010),
+}
+RECEIVED: Mapping[int, tuple[int, ...]] = {
+    CONTROL: (0x60400010,),
+    POSITION: (0x607A0020, 0x60810020),
+    VELOCITY: (0x60FF0020,),
+    TORQUE: (0x60710010,),
+}
+#: Process data that a drive may do without; torque and current are then not told.
+OPTIONAL = frozenset({FORCE})
+
+#: How they are packed.
+LAYOUTS: Mapping[int, struct.Struct] = {
+    STATUS: struct.Struct("<H"),
+    MOTION: struct.Struct("<ii"),
+    FORCE: struct.Struct("<hh"),
+    CONTROL: struct.Struct("<H"),
+    POSITION: struct.Struct("<iI"),
+    VELOCITY: struct.Struct("<i"),
+    TORQUE: struct.Struct("<h"),
+    EMERGENCY: struct.Struct("<HB5x"),
+    HEARTBEAT: struct.Struct("<B"),
+}
+
+OPERATIONAL, BOOTED = 0x05, 0x00
+NMT_START = 0x01
+
+# Bits of the status word beyond the state.
+TARGET_REACHED, ACKNOWLEDGED, FAILED = 1 << 10, 1 << 12, 1 << 13
+
+# Control words (CiA 402-2, table of commands).
+SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, FAULT_RESET = 0x06, 0x07, 0x0F, 0x00, 0x02, 0x80
+NEW_SETPOINT, AT_ONCE = 0x10, 0x20
+START_HOMING = 0x10
+
+#: State of the drive by the status word: (mask, value, name); the first that fits.
+STATES = (
+    (0x4F, 0x00, "not ready to switch on"),
+    (0x4F, 0x40, "switch on disabled"),
+    (0x6F, 0x21, "ready to switch on"),
+    (0x6F, 0x23, "switched on"),
+    (0x6F, 0x27, "operation enabled"),
+    (0x6F, 0x07, "quick stop active"),
+    (0x4F, 0x0F, "fault reaction active"),
+    (0x4F, 0x08, "fault"),
+)
+
+#: The control word that leads one step towards "operation enabled".
+UPWARDS: Mapping[str, int] = {
+    "quick stop active": DISABLE_VOLTAGE,
+    "switch on disabled": SHUTDOWN,
+    "ready to switch on": SWITCH_ON,
+    "switched on": ENABLE,
+}
+#: States without torque.
+IDLE = ("switch on disabled", "ready to switch on", "switched on", "fault", "not ready to switch on")
+
+# Modes of operation, and their bits in the object of supported modes.
+PROFILE_POSITION, PROFILE_VELOCITY, PROFILE_TORQUE, HOMING = 1, 3, 4, 6
+CYCLIC_POSITION, CYCLIC_VELOCITY, CYCLIC_TORQUE = 8, 9, 10
+MODES: Mapping[int, str] = {
+    PROFILE_POSITION: "profile position",
+    PROFILE_VELOCITY: "profile velocity",
+    PROFILE_TORQUE: "profile torque",
+    HOMING: "homing",
+    CYCLIC_POSITION: "cyclic position",
+    CYCLIC_VELOCITY: "cyclic velocity",
+    CYCLIC_TORQUE: "cyclic torque",
+}
+
+# Values of the abort connection option code and the quick stop option code.
+ABORT_DISABLES, ABORT_QUICK_STOPS, STOP_AND_HOLD = 2, 3, 6
+
+#: Bits of the error register (CiA 301, object 0x1001).
+REGISTER: Mapping[int, str] = {
+    0x01: "generic error",
+    0x02: "current",
+    0x04: "voltage",
+    0x08: "temperature",
+    0x10: "communication",
+    0x20: "drive profile",
+    0x80: "maker's own",
+}
+
+#: Error codes (CiA 402-2, table of error codes; CiA 301, emergency error codes). A code that is not here has
+#: the words of the group it is in: 0x7123 is in 0x7120, 0x7100, 0x7000.
+ERRORS: Mapping[int, str] = {
+    0x1000: "generic error",
+    0x2000: "current",
+    0x2100: "current at the input",
+    0x2200: "current inside the drive",
+    0x2210: "current inside the drive",
+    0x2220: "continuous over-current inside the drive",
+    0x2230: "short circuit or earth leakage inside the drive",
+    0x2300: "current at the output",
+    0x2310: "continuous over-current",
+    0x2320: "short circuit or earth leakage",
+    0x2330: "earth leakage",
+    0x2340: "short circuit",
+    0x2350: "overload (I²t)",
+    0x3000: "voltage",
+    0x3100: "mains voltage",
+    0x3110: "mains over-voltage",
+    0x3120: "mains under-voltage",
+    0x3130: "phase failure",
+    0x3200: "supply voltage",
+    0x3210: "supply over-voltage",
+    0x3220: "supply under-voltage",
+    0x3300: "output voltage",
+    0x4000: "temperature",
+    0x4100: "ambient temperature",
+    0x4110: "ambient temperature too high",
+    0x4200: "temperature of the drive",
+    0x4210: "the drive is too hot",
+    0x4220: "the drive is too cold",
+    0x4300: "temperature of the motor or brake",
+    0x4310: "the motor is too hot",
+    0x4400: "temperature of the supply",
+    0x5000: "hardware of the drive",
+    0x5100: "supply of the electronics",
+    0x5110: "low voltage of the electronics",
+    0x5200: "control electronics",
+    0x5300: "operating unit",
+    0x5400: "power stage",
+    0x5410: "output stages",
+    0x5440: "contactors",
+    0x5500: "memory of the drive",
+    0x5530: "parameter memory",
+    0x6000: "software of the drive",
+    0x6010: "watchdog of the drive's software",
+    0x6100: "internal software",
+    0x6200: "user software",
+    0x6300: "parameters",
+    0x6320: "a wrong parameter",
+    0x7000: "an additional module",
+    0x7100: "power module",
+    0x7110: "brake chopper",
+    0x7120: "motor",
+    0x7121: "motor blocked",
+    0x7122: "motor error or wrong commutation",
+    0x7180: "mechanical error",
+    0x7200: "measuring",
+    0x7300: "sensor",
+    0x7305: "incremental encoder 1",
+    0x7306: "incremental encoder 2",
+    0x7310: "speed sensor",
+    0x7320: "position sensor",
+    0x7400: "computation",
+    0x7500: "communication",
+    0x7510: "serial interface",
+    0x8000: "monitoring",
+    0x8100: "communication",
+    0x8110: "CAN overrun, frames were lost",
+    0x8120: "CAN is error passive",
+    0x8130: "our heartbeat was missed",
+    0x8140: "recovered from bus off",
+    0x8150: "collision of ids",
+    0x8200: "protocol",
+    0x8210: "process data too short",
+    0x8220: "process data too long",
+    0x8300: "torque control",
+    0x8311: "excess torque",
+    0x8331: "torque fault",
+    0x8400: "velocity control",
+    0x8480: "wrong speed",
+    0x8500: "position control",
+    0x8600: "positioning",
+    0x8611: "following error",
+    0x8612: "reference limit",
+    0x8613: "homing",
+    0x8700: "synchronisation",
+    0x9000: "external error",
+    0xF000: "an additional function",
+    0xF001: "deceleration",
+    0xF002: "sub-synchronous run",
+    0xFF00: "the maker's own",
+}
+
+
+def state_of(statusword: int) -> str:
+    """The state that a status word shows, or '' for one that no drive has."""
+    return next((name for mask, value, name in STATES if statusword & mask == value), "")
+
+
+def error_words(code: int, register: int = 0) -> str:
+    """An error code and error register in words, '' for none of both."""
+    if code:
+        groups = (ERRORS.get(code & mask) for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000))
+        return f"{next((g for g in groups if g), 'unknown error')} (0x{code:04X})"
+    return ", ".join(text for bit, text in REGISTER.items() if register & bit)

@@ -1,0 +1,226 @@
+"""Axes of an ODrive by CANSimple. It answers nothing: what it did is seen in its heartbeats and estimates."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping
+
+from lfield_can.frames import Frame
+from lfield_can.protocols import odrive_tables as t
+from lfield_can.protocols.axis_protocol import AxisProtocol, Wiring
+
+#: Seconds for a change of state to show, and for a homing.
+STEP, HOMED = 1.0, 120.0
+#: Seconds for the first estimates to come.
+FIRST = 1.0
+
+
+class Odrive(AxisProtocol):
+    """One axis.
+
+    No watchdog: that of an ODrive is in its own configuration, at an address that differs from firmware to
+    firmware, and CANSimple neither sets nor tells it.
+    """
+
+    def __init__(self, wiring: Wiring) -> None:
+        super().__init__(wiring)
+        self._axis_state: int | None = None
+        self._errors = 0
+        self._mode: tuple[int, int] | None = None
+        self._hold: float | None = None
+
+    # -- what the device says ---------------------------------------------------------------------------
+
+    def ids(self) -> frozenset[int]:
+        """The frames that an axis sends; those to it are not taken for its own."""
+        return frozenset(self.node << 5 | command for command in t.TOLD)
+
+    def on_frame(self, frame: Frame) -> Mapping[str, object] | None:
+        """One frame of the axis."""
+        command = frame.id & 0x1F
+        try:
+            # Newer firmware adds to the end of frames.
+            first, second = t.LAYOUTS[command].unpack_from(frame.data)
+        except struct.error:
+            return None
+        if command == t.HEARTBEAT:
+            return self._on_heartbeat(first, second)
+        if command == t.ERROR:
+            self._errors = first
+            return self._told()
+        if not (math.isfinite(first) and math.isfinite(second)):
+            return None
+        return self._on_numbers(command, first, second)
+
+    def _on_heartbeat(self, errors: int, axis_state: int) -> dict[str, object]:
+        self._errors, self._axis_state = errors, axis_state
+        if axis_state != t.CLOSED_LOOP:
+            self._mode = self._hold = None
+        return self._told()
+
+    def _told(self) -> dict[str, object]:
+        state, axis_state = self.state, self._axis_state
+        if axis_state is not None:
+            state.state = t.STATES.get(axis_state, f"state {axis_state}")
+        state.fault = t.error_words(self._errors)
+        state.enabled = axis_state == t.CLOSED_LOOP and not self._errors
+        return {
+            "state": state.state,
+            "fault": state.fault,
+            "enabled": state.enabled,
+            "referenced": state.referenced,
+        }
+
+    def _on_numbers(self, command: int, first: float, second: float) -> dict[str, object]:
+        if command == t.ESTIMATES:
+            self.state.position, self.state.velocity = first / self.turns, second / self.turns
+            return {"position": self.state.position, "velocity": self.state.velocity}
+        if command == t.IQ:
+            return {"current": second}
+        if command == t.TEMPERATURE:
+            return {"temperature": first}
+        if command == t.BUS_VOLTAGE:
+            return {"voltage": first}
+        return {"torque": second * self.turns * math.tau}
+
+    def silent(self) -> None:
+        """Not heard for too long."""
+        super().silent()
+        self._axis_state = self._mode = self._hold = None
+        self.state.state = "silent"
+
+    # -- setting up -------------------------------------------------------------------------------------
+
+    async def prepare(self) -> None:
+        """A node id of 6 bits; limits that only go together."""
+        if self.node > 63:
+            raise self.wiring.error(f"an ODrive's node id is 0 to 63, not {self.node}")
+        if "current" in self.binding.limits and "speed" not in self.binding.limits:
+            raise self.wiring.error("an ODrive takes the limit 'current' only together with 'speed'")
+
+    async def setup(self) -> str:
+        """Wait until it tells its state and position; set its limits."""
+        await self.expect(
+            lambda: self._axis_state is not None and self.state.position is not None,
+            FIRST,
+            "it sent no heartbeat or no encoder estimates",
+        )
+        speed, current = self.limit("speed"), self.limit("current")
+        if speed is not None and current is not None:
+            await self._command(t.SET_LIMITS, abs(speed * self.turns), current)
+        if (acceleration := self.limit("acceleration")) is not None:
+            turns = abs(acceleration * self.turns)
+            await self._command(t.SET_TRAVEL_ACCELERATION, turns, turns)
+        return f"ODrive axis, node {self.node}, {self.state.state}"
+
+    # -- instructions -----------------------------------------------------------------------------------
+
+    async def enable(self) -> None:
+        """Closed loop, at a velocity of 0."""
+        if self.state.fault:
+            raise self.wiring.error(f"enable refused: {self.state.fault}; resetFault() clears it")
+        if self.state.enabled:
+            return
+        await self._command(t.SET_TORQUE, 0.0)
+        await self._command(t.SET_VELOCITY, 0.0, 0.0)
+        await self._set_mode(t.VELOCITY, t.DIRECT)
+        await self._enter(t.CLOSED_LOOP, lambda: self.state.enabled or bool(self.state.fault))
+        if self.state.fault:
+            raise self.wiring.error(f"enable failed: {self.state.fault}")
+
+    async def disable(self) -> None:
+        """Idle."""
+        await self._enter(t.IDLE, lambda: self._axis_state == t.IDLE)
+
+    async def reset_fault(self) -> None:
+        """Clear its errors."""
+        await self._command(t.CLEAR_ERRORS, 0)
+        await self.expect(lambda: not self._errors, STEP, "its errors did not go away")
+
+    async def home(self) -> None:
+        """Its own homing sequence; it ends in idle or closed loop."""
+        await self._enter(t.HOMING, lambda: self._axis_state == t.HOMING)
+        await self.expect(lambda: self._axis_state != t.HOMING, HOMED, "homing did not end")
+        if self._errors or self._axis_state not in (t.IDLE, t.CLOSED_LOOP):
+            raise self.wiring.error(f"homing failed ({self.state.fault or self.state.state})")
+        self.state.referenced = True
+
+    async def begin_move(self, position: float, speed: float) -> None:
+        """By its own trapezoidal profile."""
+        self._hold = None
+        await self._command(t.SET_TRAVEL_SPEED, abs(speed * self.turns))
+        # The profile of a goal begins when the goal comes, so that the mode must be there before.
+        if self._mode != (t.POSITION, t.TRAVEL):
+            await self._hold_here(t.TRAVEL)
+        await self._command(t.SET_POSITION, position * self.turns, 0, 0)
+
+    async def set_position(self, position: float) -> None:
+        """The same at the speed limit."""
+        speed = self.limit("speed")
+        assert speed is not None, "the axis has refused it without"
+        await self.begin_move(position, speed)
+
+    async def set_velocity(self, velocity: float) -> None:
+        """One velocity; the value before the mode, in which an old one must not act."""
+        self._hold = None
+        await self._command(t.SET_VELOCITY, velocity * self.turns, 0.0)
+        await self._set_mode(t.VELOCITY, t.DIRECT)
+
+    async def set_torque(self, torque: float) -> None:
+        """One torque of the motor, in front of the gear."""
+        self._hold = None
+        await self._command(t.SET_TORQUE, torque / (self.turns * math.tau))
+        await self._set_mode(t.TORQUE, t.DIRECT)
+
+    # -- safe states ------------------------------------------------------------------------------------
+
+    async def command_safe(self, state: str) -> None:
+        """Off at once, or velocity 0; torque_hold keeps its position from where it came to stand."""
+        if state == "torque_off":
+            await self._command(t.SET_STATE, t.IDLE)
+            return
+        if state == "torque_hold" and self._hold is None and self._stands():
+            self._hold = self.state.position
+            await self._hold_here(t.DIRECT)
+        elif self._hold is None:
+            self._mode = None  # sent again even if it was sent before: it may have been lost
+            await self.set_velocity(0.0)
+
+    def is_safe(self, state: str, still: bool) -> bool:
+        """An axis that is idle cannot hold, and need not."""
+        idle = self._axis_state == t.IDLE
+        if state == "torque_off":
+            return idle
+        holds = self._hold is not None or state == "brake"
+        return still and (idle or (self._axis_state == t.CLOSED_LOOP and holds))
+
+    def _stands(self) -> bool:
+        velocity = self.state.velocity
+        return velocity is not None and abs(velocity) <= self.binding.option("standstill")
+
+    # -- parts ------------------------------------------------------------------------------------------
+
+    async def _hold_here(self, input_mode: int) -> None:
+        """Position mode at the present position."""
+        if self.state.position is None:
+            raise self.wiring.error("its position is not known")
+        await self._command(t.SET_POSITION, self.state.position * self.turns, 0, 0)
+        await self._set_mode(t.POSITION, input_mode)
+
+    async def _set_mode(self, control: int, inputs: int) -> None:
+        if self._mode != (control, inputs):
+            await self._command(t.SET_MODE, control, inputs)
+            self._mode = (control, inputs)
+
+    async def _enter(self, axis_state: int, condition: Callable[[], bool]) -> None:
+        await self._command(t.SET_STATE, axis_state)
+        await self.expect(condition, STEP, f"it did not go to '{t.STATES[axis_state]}'")
+
+    async def _command(self, command: int, *values: float) -> None:
+        """One frame to the axis. Raises DeviceError when a value does not fit."""
+        try:
+            data = t.LAYOUTS[command].pack(*values)
+        except (struct.error, OverflowError):
+            raise self.wiring.error(f"{values[0]} is more than an ODrive can be told; check 'gear'") from None
+        await self.bus.send(Frame(self.node << 5 | command, data))
