@@ -151,7 +151,7 @@ def test_status_return_level():
         assert bool(bus.ask(1, READ, b"\x84\x00\x04\x00")) is read
         assert bool(bus.ask(1, WRITE, b"\x41\x00\x01")) is write
         assert bool(bus.send(sync_read(1))) is read
-    assert bus.read.__self__.chain.servos[0].table["led"] == 1
+    assert bus.chain.servos[0].table["led"] == 1
 
 
 def test_broadcast_writes_are_carried_out_in_silence():

@@ -1,0 +1,299 @@
+"""The vendor's SDK, unchanged, against the fake: on given time in this process, and through a terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import dynamixel_sdk as sdk
+import pytest
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.sims import control_folder
+from lfield.driver.sims import main as run_sim
+from lfield_sim.dynamixel import SIM
+from lfield_sim.dynamixel.chain import Chain, Reply
+from lfield_sim.dynamixel.model import model_named
+from lfield_sim.dynamixel.servo import Servo
+
+LED, TORQUE, GOAL, POSITION, VOLTS, TEMPERATURE = 65, 64, 116, 132, 144, 146
+IDS = (1, 2, 3, 4, 5, 6)
+
+
+class VirtualPort(sdk.PortHandler):
+    """The SDK's port with a chain at its end; asking what time it is lets some pass."""
+
+    def __init__(self, chain: Chain) -> None:
+        super().__init__("virtual")
+        self.chain, self.now = chain, 1.0
+        self._coming: list[Reply] = []
+        self.baudrate, self.tx_time_per_byte = 57_600, 10_000.0 / 57_600
+
+    def clearPort(self) -> None:
+        self._coming.clear()
+
+    def writePort(self, packet) -> int:
+        self._coming += self.chain.receive(bytes(packet), self.now, self.baudrate)
+        return len(packet)
+
+    def readPort(self, length: int) -> bytes:
+        self.now += 0.0005
+        there = b"".join(reply.data for reply in self._coming if reply.at <= self.now)
+        later = [reply for reply in self._coming if reply.at > self.now]
+        self._coming = ([Reply(0.0, there[length:])] if there[length:] else []) + later
+        return there[:length]
+
+    def getCurrentTime(self) -> float:
+        return self.now * 1000.0
+
+    def wait(self, seconds: float) -> None:
+        self.now += seconds
+        self.chain.advance(self.now)
+
+
+def virtual(*ids: int, model: str = "XM430-W350", **settings: int) -> VirtualPort:
+    servos = [Servo(model_named(model)) for _ in ids]
+    for id, servo in zip(ids, servos, strict=True):
+        for name, value in {"id": id, **settings}.items():
+            servo.table.put(name, value)
+    return VirtualPort(Chain(servos))
+
+
+@pytest.fixture
+def packets() -> sdk.Protocol2PacketHandler:
+    return sdk.Protocol2PacketHandler()
+
+
+def test_pings(packets):
+    port = virtual(*IDS)
+    assert packets.ping(port, 3) == (1020, sdk.COMM_SUCCESS, 0)
+    assert packets.broadcastPing(port) == ({id: [1020, 52] for id in IDS}, sdk.COMM_SUCCESS)
+    assert packets.ping(port, 77)[1] == sdk.COMM_RX_TIMEOUT
+
+
+def test_reads_and_writes_of_every_size(packets):
+    port = virtual(1)
+    assert packets.write1ByteTxRx(port, 1, LED, 1) == (0, 0)
+    assert packets.read1ByteTxRx(port, 1, LED) == (1, 0, 0)
+    assert packets.write2ByteTxRx(port, 1, 102, 65_536 - 50) == (0, 0)
+    assert packets.read2ByteTxRx(port, 1, 102) == (65_486, 0, 0)
+    assert packets.write4ByteTxRx(port, 1, GOAL, 3000) == (0, 0)
+    assert packets.read4ByteTxRx(port, 1, GOAL) == (3000, 0, 0)
+    assert packets.write1ByteTxRx(port, 1, LED, 9) == (0, 4)
+
+
+def test_registered_writes(packets):
+    port = virtual(1, 2)
+    for id in (1, 2):
+        assert packets.regWriteTxRx(port, id, LED, 1, [1]) == (0, 0)
+        assert packets.read1ByteTxRx(port, id, LED)[0] == 0
+    assert packets.action(port, sdk.BROADCAST_ID) == 0
+    assert [packets.read1ByteTxRx(port, id, LED)[0] for id in (1, 2)] == [1, 1]
+
+
+def test_group_reads(packets):
+    port = virtual(*IDS)
+    group = sdk.GroupSyncRead(port, packets, POSITION, 4)
+    for id in IDS:
+        assert group.addParam(id)
+    for read in (group.txRxPacket, group.fastSyncRead):
+        assert read() == 0
+        assert [group.getData(id, POSITION, 4) for id in IDS] == [2048] * 6
+    bulk = sdk.GroupBulkRead(port, packets)
+    assert bulk.addParam(1, VOLTS, 2)
+    assert bulk.addParam(2, TEMPERATURE, 1)
+    for read in (bulk.txRxPacket, bulk.fastBulkRead):
+        assert read() == 0
+        assert (bulk.getData(1, VOLTS, 2), bulk.getData(2, TEMPERATURE, 1)) == (120, 30)
+
+
+def test_a_missing_servo_voids_the_sdks_group_read(packets):
+    port = virtual(1, 2, 3)
+    port.chain.faults.apply(["dead@2=true"])
+    group = sdk.GroupSyncRead(port, packets, POSITION, 4)
+    for id in (1, 2, 3):
+        group.addParam(id)
+    assert group.txRxPacket() == sdk.COMM_RX_TIMEOUT
+    assert not group.isAvailable(1, POSITION, 4)
+    assert group.fastSyncRead() == sdk.COMM_RX_CORRUPT
+
+
+def test_group_writes(packets):
+    port = virtual(1, 2)
+    sync = sdk.GroupSyncWrite(port, packets, GOAL, 4)
+    assert sync.addParam(1, [0xE8, 3, 0, 0])
+    assert sync.addParam(2, [0xD0, 7, 0, 0])
+    assert sync.txPacket() == 0
+    assert [packets.read4ByteTxRx(port, id, GOAL)[0] for id in (1, 2)] == [1000, 2000]
+    bulk = sdk.GroupBulkWrite(port, packets)
+    assert bulk.addParam(1, LED, 1, [1])
+    assert bulk.addParam(2, GOAL, 4, [1, 0, 0, 0])
+    assert bulk.txPacket() == 0
+    assert packets.read1ByteTxRx(port, 1, LED)[0] == 1
+    assert packets.read4ByteTxRx(port, 2, GOAL)[0] == 1
+
+
+def test_reboot_clear_and_factory_reset(packets):
+    port = virtual(7, operating_mode=4)
+    packets.write1ByteTxRx(port, 7, LED, 1)
+    assert packets.reboot(port, 7) == (0, 0)
+    port.wait(0.2)
+    assert packets.read1ByteTxRx(port, 7, LED)[0] == 0
+    packets.write1ByteTxRx(port, 7, TORQUE, 1)
+    packets.write4ByteTxRx(port, 7, GOAL, 10_000)
+    port.wait(4.0)
+    assert packets.read4ByteTxRx(port, 7, POSITION)[0] == 10_000
+    assert packets.clearMultiTurn(port, 7) == (0, 0)
+    assert packets.read4ByteTxRx(port, 7, POSITION)[0] == 10_000 % 4096
+    assert packets.factoryReset(port, 7, 0xFF) == (0, 0)
+    port.wait(0.2)
+    assert packets.ping(port, 1)[1] == 0
+
+
+def test_protocol_1():
+    port, packets = virtual(1, protocol_type=1), sdk.Protocol1PacketHandler()
+    assert packets.ping(port, 1) == (1020, 0, 0)
+    assert packets.write4ByteTxRx(port, 1, GOAL, 1000) == (0, 0)
+    assert packets.read4ByteTxRx(port, 1, GOAL) == (1000, 0, 0)
+
+
+# ---- through a terminal -----------------------------------------------------------------------------
+
+
+@contextmanager
+def running(*options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """The fake as a process, and the path of its port."""
+    command = [sys.executable, "-m", "lfield.driver.sims", "lfield_sim.dynamixel:SIM", *options]
+    process = subprocess.Popen(
+        [*command, "--until-stdin-closes"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        ready, endpoint, *_ = process.stdout.readline().split()
+        kind, path, _ = endpoint.split(":")
+        assert (ready, kind) == ("ready", "serial")
+        yield process, path
+    finally:
+        process.communicate(timeout=10)
+    assert process.returncode == 0
+    assert not os.path.lexists(path), "it leaves nothing behind"
+
+
+def tell(process: subprocess.Popen[str], *faults: str) -> dict[str, object]:
+    """Set faults of a running fake."""
+    with socket.socket(socket.AF_UNIX) as door:
+        door.settimeout(10)
+        door.connect(str(control_folder() / f"dynamixel-{process.pid}.sock"))
+        door.sendall(json.dumps({"set": list(faults)}).encode() + b"\n")
+        answer: dict[str, object] = json.loads(door.makefile().readline())
+    return answer
+
+
+def opened(path: str, baud: int) -> sdk.PortHandler:
+    port = sdk.PortHandler(path)
+    assert port.openPort()
+    assert port.setBaudRate(baud)
+    return port
+
+
+@pytest.mark.process
+def test_a_session_through_a_terminal(packets):
+    servos = [f"--servo={id}:XL330-M288:arm.joint{id}" for id in IDS]
+    with running("--baud", "1000000", *servos) as (process, path):
+        port = opened(path, 1_000_000)
+        assert packets.ping(port, 1) == (1200, 0, 0)
+        assert sorted(packets.broadcastPing(port)[0]) == list(IDS)
+        group = sdk.GroupSyncRead(port, packets, POSITION, 4)
+        for id in IDS:
+            group.addParam(id)
+        assert (group.txRxPacket(), group.fastSyncRead()) == (0, 0)
+        packets.write1ByteTxRx(port, 1, TORQUE, 1)
+        packets.write4ByteTxRx(port, 1, GOAL, 2600)
+        deadline = time.monotonic() + 10.0
+        while packets.read4ByteTxRx(port, 1, POSITION)[0] != 2600:
+            assert time.monotonic() < deadline
+        assert tell(process, "dead@arm.joint2=true")["devices"]["2"] == "arm.joint2"
+        assert packets.ping(port, 2)[1] == sdk.COMM_RX_TIMEOUT
+        assert "error" in tell(process, "dead@arm.joint9=true")
+        port.closePort()
+
+
+@pytest.mark.process
+def test_the_wrong_baud_rate_is_not_heard_and_one_without_a_name_is(packets):
+    with running("--servo", "1:XM430-W350", "--baud", "3000000") as (_, path):
+        port = opened(path, 57_600)
+        assert packets.ping(port, 1)[1] == sdk.COMM_RX_TIMEOUT
+        assert port.setBaudRate(3_000_000)
+        assert packets.ping(port, 1)[1] == 0
+        assert packets.write1ByteTxRx(port, 1, 8, 7) == (0, 0), "answered at the old speed"
+        assert packets.ping(port, 1)[1] == sdk.COMM_RX_TIMEOUT
+        port.ser.baudrate = 4_500_000
+        assert packets.ping(port, 1)[1] == 0
+        port.closePort()
+
+
+@pytest.mark.process
+def test_a_pulled_plug(packets, tmp_path):
+    path = str(tmp_path / "ttyDXL")
+    with running("--listen", path) as (process, where):
+        assert where == path
+        port = opened(path, 57_600)
+        assert packets.write1ByteTxRx(port, 1, LED, 1) == (0, 0)
+        tell(process, "unplug=true")
+        assert not os.path.lexists(path)
+        with pytest.raises((OSError, termios.error), match="Input/output error"):
+            packets.ping(port, 1)
+        tell(process, "unplug=false")
+        port.ser.close()
+        port = opened(path, 57_600)
+        assert packets.read1ByteTxRx(port, 1, LED) == (1, 0, 0), "the servos kept their power"
+        port.closePort()
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signals_end_it(number):
+    with running() as (process, _):
+        process.send_signal(number)
+        assert process.wait(10) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--servo", "300:XM430-W350"], "write ID:MODEL[:NAME], with an id from 0 to 252"),
+        (["--servo", "1:XM430-W350", "--servo", "1:XL330-M288"], "there is a servo 1 already"),
+        (["--servo", "1:XM999"], "there is no fake of the servo 'XM999'; there are: "),
+        (["--servo", "1:XL330-M288", "--protocol", "1.0"], "a XL330-M288 does not speak protocol 1.0"),
+        (["--servo", "1:XL330-M288", "--baud", "4500000"], "a XL330-M288 is not as fast as 4500000 baud"),
+        (["--return-delay", "9000"], "write microseconds from 0 to 508"),
+        (["--fault", "dead@7=true"], "there is no device '7'"),
+        (["--listen", "/nowhere/at/all/tty"], "cannot use /nowhere/at/all/tty: No such file or directory"),
+    ],
+)
+def test_options_that_make_no_sense(capsys, options, words):
+    assert run_sim(["lfield_sim.dynamixel:SIM", *options]) in (64, 69)
+    assert words in capsys.readouterr().err
+
+
+def binding(field: str, type: str, **options: object) -> DeviceBinding:
+    where = {"agent": "a", "driver": "dynamixel", "endpoint": "sim:a", "safe_state": "hold"}
+    return DeviceBinding(field=field, type=type, options=options, **where)
+
+
+def test_bindings_make_their_chain():
+    devices = [
+        binding("gripper", "Dynamixel", id=7, model="XL330-M288"),
+        binding("arm", "DynamixelGroup", ids=[1, 2, 7], model=""),
+    ]
+    assert SIM.arguments(devices) == [
+        "--baud", "1000000", "--servo", "1:XM430-W350:a.arm.1", "--servo", "2:XM430-W350:a.arm.2",
+        "--servo", "7:XL330-M288:a.gripper",
+    ]  # fmt: skip
