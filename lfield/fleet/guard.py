@@ -34,6 +34,8 @@ from lfield.driver.plugins import Installed
 from lfield.driver.values import conform
 from lfield.errors import DeviceError, WireError
 from lfield.manifest import DeviceValue, Instruction
+from lfield.vm.readings import Reading
+from lfield.vm.values import word_of
 
 #: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
 BEAT = 0.05
@@ -78,6 +80,7 @@ class Guard(asyncio.SubprocessProtocol):
         self._tokens = self._unanswered = 0
         self._calls: dict[int, tuple[DeviceBinding, Instruction, Answered]] = {}
         self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}
+        self._readings: dict[tuple[str, str], Reading] = {}
         self._heard: dict[str, float] = {}
         self._unsafe: list[str] = []
         self._barred = ""
@@ -215,6 +218,22 @@ class Guard(asyncio.SubprocessProtocol):
             raise DeviceError(binding.field, reason, kind="DeviceTimeoutException")
         return value
 
+    def reading(self, device: str, quantity: str) -> Reading | None:
+        """A reading that every snapshot keeps up to date, None for text, arrays and `age`."""
+        declared = self._quantities.get((device, quantity))
+        if declared is None or declared.type not in ("boolean", "int", "real"):
+            return None
+        known = self._readings.get((device, quantity))
+        if known is None:
+            known = self._readings[device, quantity] = Reading()
+            self._update(known, device, quantity)
+        return known
+
+    def _update(self, reading: Reading, device: str, quantity: str) -> None:
+        value, at = self._values[device, quantity]
+        reading.word = word_of(value) if isinstance(value, float) else int(cast("int", value))
+        reading.until = at + self._quantities[device, quantity].max_age
+
     @property
     def ready(self) -> bool:
         """Whether the devices are open."""
@@ -327,6 +346,8 @@ class Guard(asyncio.SubprocessProtocol):
         for name, value in snapshot.values.items():
             known = conform(value, self._quantities[snapshot.device, name].type)
             self._values[snapshot.device, name] = (known, now - snapshot.ages[name])
+            if (reading := self._readings.get((snapshot.device, name))) is not None:
+                self._update(reading, snapshot.device, name)
 
     def _on_done(self, token: int, value: Any) -> None:
         binding, instruction, answered = self._calls.pop(token)

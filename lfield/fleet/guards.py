@@ -19,6 +19,7 @@ from lfield.fleet.bindings import SIMULATED
 from lfield.fleet.guard import Answered, Guard, OpenFailed
 from lfield.fleet.sims import Fake, start_fake
 from lfield.manifest import DeviceManifest, DeviceValue
+from lfield.vm.readings import Reading
 from lfield.vm.world import PENDING, Pending
 
 #: Seconds for every device to confirm its safe state after an emergency stop.
@@ -106,6 +107,10 @@ class Guards:
             return guard.query(f"{agent}.{field}", instruction)
         guard.call(f"{agent}.{field}", declared, arguments, answered)
         return PENDING
+
+    def reading(self, agent: str, field: str, quantity: str) -> Reading | None:
+        """The reading of a telemetry quantity, None for what is no plain quantity."""
+        return self.guard_of(f"{agent}.{field}").reading(f"{agent}.{field}", quantity)
 
     def guard_of(self, device: str) -> Guard:
         """The guard of a device by its name."""

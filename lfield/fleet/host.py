@@ -29,6 +29,7 @@ from lfield.net.transport import Link, Transport
 from lfield.vm import dump
 from lfield.vm.agent import Agent, Member
 from lfield.vm.machine import Machine
+from lfield.vm.readings import Reading
 from lfield.vm.world import Pending
 from lfield.wire.messages import (
     Control,
@@ -272,6 +273,10 @@ class Host:
             self.pump()
 
         return self.guards.call(agent.id, call.field, call.instruction, values, answered)
+
+    def reading(self, agent: Agent, call: DeviceCall) -> Reading | None:
+        """What the engine may read by itself from now on."""
+        return self.guards.reading(agent.id, call.field, call.instruction)
 
     def ended(self, agent: Agent) -> None:
         """A coordinator is done, or an agent has died."""

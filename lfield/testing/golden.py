@@ -24,6 +24,7 @@ from lfield.manifest import DeviceValue
 from lfield.vm.agent import Agent, Member
 from lfield.vm.limits import Limits
 from lfield.vm.machine import Machine
+from lfield.vm.readings import Reading
 from lfield.vm.world import Pending
 
 #: Virtual seconds after which a golden program that still sleeps is stopped.
@@ -69,6 +70,10 @@ class Desk:
     ) -> DeviceValue | Pending:
         """There is no hardware here."""
         raise DeviceError(call.field, "a golden program has no devices")
+
+    def reading(self, agent: Agent, call: DeviceCall) -> Reading | None:
+        """There is no telemetry either."""
+        return None
 
     def ended(self, agent: Agent) -> None:
         """Keep the agents that ended."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from lfield.vm import layout
 from lfield.vm.block import Block
 from lfield.vm.limits import Limits
+from lfield.vm.readings import Reading
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +29,14 @@ class Agent:
     `open` is false until a resource's init has come to its first pause: calls wait in `waiting` till then.
     `lines` holds what threads have written since their last newline. `polls` counts how often a thread has
     yielded in a row; such threads poll. `seen` is the block as the last of them left it, empty when another
-    thread has run since; `asked` are those that looked beyond the block; `pollers` are parked.
+    thread has run since; `asked` are those that looked beyond the block; `pollers` are parked. `readings` are
+    the telemetry that the host keeps for it, by device call; a coordinator names no device and has none.
     """
 
     member: Member
     block: Block
     limits: Limits
+    readings: list[Reading | None]
     open: bool = False
     frozen: bool = False
     ended: str = ""

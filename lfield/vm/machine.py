@@ -35,6 +35,7 @@ from lfield.vm.layout import (
 from lfield.vm.limits import Limits
 from lfield.vm.liveness import Liveness
 from lfield.vm.outside import Outsiders
+from lfield.vm.readings import Reading
 from lfield.vm.soundness import Soundness
 from lfield.vm.threads import new_thread, place_of, unlink
 from lfield.vm.turns import Turns
@@ -69,7 +70,7 @@ class Machine:
         self.here = here
         self.world = world
         self.clock = clock
-        self.engine = Engine(program)
+        self.engine = Engine(program, clock.monotonic)
         self.layouts = self.engine.layouts
         self.dice = dice or random.Random()
         self.agents: dict[str, Agent] = {}
@@ -88,7 +89,8 @@ class Machine:
         """Create an agent and the thread of its init; it runs at the next `run`."""
         record = self.program.class_index[member.type]
         block = Block.empty(self.program.digest, limits.heap // 8)
-        agent = Agent(member, block, limits, open=member.kind == "coordinator")
+        readings: list[Reading | None] = [None] * len(self.program.core.device_calls)
+        agent = Agent(member, block, limits, readings, open=member.kind == "coordinator")
         w = block.w
         w[layout.W_CLASS] = record
         w[layout.W_GENERATION] = generation
@@ -122,7 +124,7 @@ class Machine:
         block = self._soundness.check(image, limits.heap // 8)
         block.w[layout.W_HOPS] += 1
         block.visit(self.here)
-        agent = Agent(member, block, limits, open=True)
+        agent = Agent(member, block, limits, [], open=True)
         self.agents[member.id] = agent
         self.turns.next(agent, block.w[block.w[layout.W_THREADS] + THREAD_ID])
         return agent
@@ -197,7 +199,9 @@ class Machine:
             return
         block = agent.block
         place = place_of(block, thread)
-        leave = self.engine.run(block, place, SLICE, agent.limits)
+        leave = self.engine.run(block, place, SLICE, agent.limits, agent.readings)
+        if agent.polls and self.engine.asked:
+            agent.asked.add(thread)
         if agent.blocked and not block.w[layout.W_OWNER]:
             self._unblock(agent)
         agent.polled = False

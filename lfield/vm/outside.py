@@ -198,6 +198,7 @@ class Outsiders:
             value = machine.world.device(agent, thread, call, values)
             if isinstance(value, Pending):
                 return
+            agent.readings[operand] = machine.world.reading(agent, call)
             machine.complete(
                 agent, thread, lambda: word_for(agent.block, machine.program, call.result, value, call.field)
             )

@@ -7,6 +7,7 @@ from typing import Final, Protocol
 from lfield.bytecode.program import DeviceCall
 from lfield.manifest import DeviceValue
 from lfield.vm.agent import Agent, Member
+from lfield.vm.readings import Reading
 
 
 class Pending:
@@ -34,6 +35,9 @@ class World(Protocol):
     ) -> DeviceValue | Pending:
         """Carry out a device instruction: its value, or PENDING and later `Machine.answer` or
         `Machine.refuse`. Raises DeviceError."""
+
+    def reading(self, agent: Agent, call: DeviceCall) -> Reading | None:
+        """The reading behind a query that was answered at once; None when it has to be asked each time."""
 
     def ended(self, agent: Agent) -> None:
         """A coordinator came to its end, or an agent died of an uncaught exception (`agent.report`)."""

@@ -16,6 +16,7 @@ import collector
 import engine
 import footprint
 import local
+import query
 import remote
 from harness import Figure
 from rich.console import Console
@@ -24,6 +25,7 @@ from rich.table import Table
 FIGURES: dict[str, Callable[[], Figure]] = {
     "remote": remote.figure,
     "local": local.figure,
+    "query": query.figure,
     "engine": engine.figure,
     "collector": collector.figure,
     "agreement": agreement.figure,

@@ -107,3 +107,17 @@ def outside(arguments: list[Argument], op: int, operand: int, checked: str) -> S
         return LEAVE
 
     return step
+
+
+def reading(ask: Step, call: int, into: int, after: int) -> Step:
+    """A query of telemetry: the host's last word while it is fresh enough, else `ask` leaves the engine."""
+
+    def step(m: Registers) -> int:
+        known = m.readings[call]
+        if known is None or m.now() >= known.until:
+            return ask(m)
+        m.w[m.slots + into] = known.word
+        m.asked = True
+        return after
+
+    return step

@@ -13,6 +13,7 @@ from lfield.vm.engine.calls import Argument
 from lfield.vm.engine.library import FUNCTIONS, Function
 from lfield.vm.engine.registers import Registers, Step, Trap
 from lfield.vm.layout import Layouts
+from lfield.vm.readings import PLAIN
 
 _PUSH, _POP, _JMP = BY_NAME["push"].code, BY_NAME["pop"].code, BY_NAME["jmp"].code
 
@@ -198,7 +199,10 @@ class _Preparer:
                 checked = f"portal '{self.core.methods[head.a].name}'"
             elif row.name in ("write_str", "print_str", "find"):
                 checked = f"'{row.name.partition('_')[0]}'"
-            return calls.outside(arguments, head.op, head.a, checked)
+            ask = calls.outside(arguments, head.op, head.a, checked)
+            if row.name == "device" and not arguments and self.device_result(head.a) in PLAIN:
+                return calls.reading(ask, head.a, into, after)
+            return ask
         reals = [kind == "real" for kind in row.takes or ()]
         return _pure(FUNCTIONS[row.name], self.getters(operands, reals), into, row.gives == "real", after)
 
@@ -213,14 +217,18 @@ class _Preparer:
             for operand, real in zip(operands, reals, strict=True)
         ]
 
+    def device_result(self, number: int) -> int:
+        """The type kind that a device call gives."""
+        call: DeviceCall = self.core.device_calls[number]
+        return self.core.types[call.result].kind
+
     def result_kind(self, head: Quad, method: MethodRecord) -> int:
         """The type kind a head gives, VOID for none; taken from the type of the slot that pops it."""
         row = BY_CODE[head.op]
         if row.name in ("call", "pcall"):
             return self.core.types[self.core.methods[head.a].result].kind
         if row.name == "device":
-            call: DeviceCall = self.core.device_calls[head.a]
-            return self.core.types[call.result].kind
+            return self.device_result(head.a)
         if not row.gives:
             return VOID
         return REAL if row.gives == "real" else _KINDS[row.gives]

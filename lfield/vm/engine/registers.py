@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from lfield.vm.block import Block
 from lfield.vm.exits import Exit
 from lfield.vm.limits import Limits
+from lfield.vm.readings import Reading
 
 #: The number of no instruction: the engine leaves, `Registers.exit` says why.
 LEAVE = -1
@@ -15,7 +16,21 @@ LEAVE = -1
 class Registers:
     """Mirrors of the block for the length of one run; `slots` is the word of slot 0 of the frame."""
 
-    __slots__ = ("block", "class_names", "exit", "frame", "limits", "pc", "r", "slots", "thread", "w")
+    __slots__ = (
+        "asked",
+        "block",
+        "class_names",
+        "exit",
+        "frame",
+        "limits",
+        "now",
+        "pc",
+        "r",
+        "readings",
+        "slots",
+        "thread",
+        "w",
+    )
 
     block: Block
     w: memoryview[int]
@@ -29,6 +44,11 @@ class Registers:
     exit: Exit
     limits: Limits
     class_names: list[str]
+    #: The agent's readings by device call, None where the host has to be asked; the time that judges them.
+    readings: Sequence[Reading | None]
+    now: Callable[[], float]
+    #: Whether this run has read one.
+    asked: bool
 
 
 Step = Callable[[Registers], int]

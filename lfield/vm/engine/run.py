@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from lfield.bytecode.program import BUILTIN_CLASSES, MESSAGE, SOURCE, Program
 from lfield.vm.block import Block, Full
@@ -19,6 +19,7 @@ from lfield.vm.layout import (
     Layouts,
 )
 from lfield.vm.limits import Limits
+from lfield.vm.readings import Reading
 
 #: The longest message an exception made by the machine carries, in characters.
 MESSAGE_LENGTH = 1000
@@ -27,10 +28,11 @@ MESSAGE_LENGTH = 1000
 class Engine:
     """Runs threads of blocks of one program. Keeps nothing between two calls of `run`."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: Program, now: Callable[[], float]) -> None:
         self.program = program
         self.prepared: Prepared = prepare(program)
         self._registers = Registers()
+        self._registers.now = now
 
     @property
     def layouts(self) -> Layouts:
@@ -41,8 +43,20 @@ class Engine:
         """The group that begins at an instruction."""
         return self.prepared.groups[pc]
 
-    def run(self, block: Block, thread: int, budget: int, limits: Limits) -> Exit:
-        """Run the thread at `thread` for at most `budget` instructions.
+    @property
+    def asked(self) -> bool:
+        """Whether the last run has read what is beyond the block."""
+        return self._registers.asked
+
+    def run(
+        self,
+        block: Block,
+        thread: int,
+        budget: int,
+        limits: Limits,
+        readings: Sequence[Reading | None] = (),
+    ) -> Exit:
+        """Run the thread at `thread` for at most `budget` instructions; `readings` are by device call.
 
         On return the thread's frame and pc in the block are where it will go on: behind what is done, or at
         the instruction (the group) that could not be done here.
@@ -51,6 +65,7 @@ class Engine:
         w = block.w
         m.block, m.w, m.r = block, w, block.r
         m.limits, m.class_names = limits, self.prepared.class_names
+        m.readings, m.asked = readings, False
         m.frame = w[thread + THREAD_FRAME]
         m.slots = m.frame + FRAME_SLOTS
         m.thread = w[thread + THREAD_ID]
