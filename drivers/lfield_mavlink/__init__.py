@@ -1,4 +1,4 @@
-"""The MAVLink driver: copters and rovers with ArduPilot. See README.md in this folder."""
+"""The MAVLink driver: vehicles with ArduPilot or PX4. See README.md in this folder."""
 
 from lfield.driver import Plugin
 
@@ -7,5 +7,5 @@ PLUGIN = Plugin(
     package="lfield_mavlink",
     driver="lfield_mavlink.driver:MavlinkDriver",
     extra="mavlink",
-    requires=("pymavlink",),
+    requires=("pymavlink", "serial"),
 )

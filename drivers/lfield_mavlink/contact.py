@@ -1,4 +1,4 @@
-"""Contact with one vehicle: its messages, its streams, commands with their refusals, and waiting for news."""
+"""Contact with one vehicle: its messages, commands with their refusals, and waiting for news."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from typing import Any
 
 from lfield.clock import Clock
 from lfield.driver import Device, DeviceBinding, Manifest, Reports
+from lfield.errors import DeviceError
 from lfield_mavlink.dialect import dialect, result_words
 from lfield_mavlink.exchange import Exchange, is_for_us
-from lfield_mavlink.modes import KINDS
-from lfield_mavlink.state import STREAMS, VehicleState
+from lfield_mavlink.geo import Place
+from lfield_mavlink.modes import STACKS, Profile
+from lfield_mavlink.state import VehicleState
 from lfield_mavlink.texts import Texts
 
-#: Seconds without a heartbeat after which the link is lost.
-LINK_LOST = 3.0
+#: Seconds without a heartbeat after which the link is lost; a call must fail within 3 s.
+LINK_LOST = 2.9
 #: Seconds for a state to show after it was accepted (a heartbeat comes every second at least).
 SHOWS = 3.0
 #: Seconds to wait for a text that explains a refusal.
@@ -43,16 +45,27 @@ class Contact(Device):
     ) -> None:
         super().__init__(binding, manifest, clock, reports)
         self.system: int = binding.option("system")
-        self._kind = KINDS[binding.option("kind")]
+        #: Set while the owner is gone: nothing is asked for (see Driver.quiet).
+        self.quiet = False
         self._send = send
-        self.state = VehicleState(self._kind)
+        self.state = VehicleState(binding.option("kind"))
         self._exchange = Exchange(self.system, send)
         self._texts = Texts()
         self._news = asyncio.Event()
         self._lost = False
-        self._published: set[str] = set()
         self._handlers: defaultdict[int, list[Handler]] = defaultdict(list)
         self._expected: dict[asyncio.Future[Any], Callable[[Any], bool]] = {}
+        self._set_up()
+
+    def _set_up(self) -> None:
+        """Parts make here what they keep, after `super()`."""
+
+    @property
+    def profile(self) -> Profile:
+        """What kind of vehicle it is; known once it is open."""
+        if self.state.profile is None:
+            raise self.error("it has not said what it is")
+        return self.state.profile
 
     # -- messages -------------------------------------------------------------------------------------
 
@@ -66,7 +79,6 @@ class Contact(Device):
             self.heard()
         if values:
             self.publish(**values)
-            self._published.update(values)
         if is_for_us(message):
             self._hand_over(message)
         self._news.set()
@@ -74,7 +86,7 @@ class Contact(Device):
     def _hand_over(self, message: Any) -> None:
         """To everybody who asked for it."""
         self._exchange.on_message(message)
-        for handler in self._handlers[message.get_msgId()]:
+        for handler in self._handlers.get(message.get_msgId(), ()):
             handler(message)
         for future, wanted in list(self._expected.items()):
             if not future.done() and wanted(message):
@@ -104,18 +116,7 @@ class Contact(Device):
         if text and message.severity <= dialect.MAV_SEVERITY_WARNING:
             self.note(f"the autopilot says: {text}")
 
-    async def watch(self) -> None:
-        """Tell when the link is lost and found; after it came back the streams are asked for again."""
-        while True:
-            await asyncio.sleep(LINK_LOST / 4)
-            silent = self._silence() > LINK_LOST
-            if silent != self._lost and self.state.heard is not None:
-                self._lost = silent
-                self.note("no heartbeat; the link is lost" if silent else "heard again")
-                if not silent:
-                    await self._prepare()
-
-    # -- opening --------------------------------------------------------------------------------------
+    # -- opening, losing and finding ------------------------------------------------------------------
 
     async def _open(self) -> str:
         patience: float = self.binding.option("connect")
@@ -125,46 +126,61 @@ class Contact(Device):
                 "check that the vehicle is on, the endpoint, and the id in the bindings",
                 timeout=True,
             )
-        if self.state.autopilot != dialect.MAV_AUTOPILOT_ARDUPILOTMEGA:
-            raise self.error(f"system {self.system} has no ArduPilot (autopilot {self.state.autopilot})")
-        if self.state.type not in self._kind.types:
-            raise self.error(f"system {self.system} is no {self._kind.name} (MAV_TYPE {self.state.type})")
+        self._check_identity()
         await self._prepare()
-        wanted = {quantity.name for quantity in self.manifest.device.telemetry}
-        await self._seen(lambda: wanted <= self._published, SHOWS)
-        if missing := wanted - self._published:
-            self.note(f"it does not report {', '.join(sorted(missing))}")
-        return f"ArduPilot {self._kind.name}, system {self.system}"
+        return f"{self.profile.stack} {self.profile.kind}, system {self.system}"
+
+    def _check_identity(self) -> None:
+        state, kind = self.state, self.state.kind
+        stack = STACKS.get(state.autopilot)
+        if stack is None:
+            raise self.error(
+                f"system {self.system} has neither ArduPilot nor PX4 (MAV_AUTOPILOT {state.autopilot})"
+            )
+        if state.profile is None:
+            raise self.error(f"a {kind} with {stack} is not served")
+        if state.type not in state.profile.types:
+            raise self.error(f"system {self.system} is no {kind} (MAV_TYPE {state.type})")
+        self._exchange.px4 = state.profile.px4
 
     async def _prepare(self) -> None:
-        """What has to be asked and set before the vehicle is used. Parts add theirs, after `super()`."""
-        await asyncio.gather(self._ask_for_streams(), self._check_failsafe())
+        """What is asked and set before the vehicle is used, and when it was lost and is back.
 
-    async def _ask_for_streams(self) -> None:
-        await asyncio.gather(*(self._ask_for_stream(kind, rate) for kind, rate in STREAMS.items()))
-        origin = dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
-        await self._exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, origin)
-        if not await self._seen(lambda: self.state.knows_frames, SHOWS):
-            self.note("it does not tell where home is; positions are of the place where it was switched on")
+        Parts add theirs, after `super()`. Raises DeviceError.
+        """
 
-    async def _ask_for_stream(self, kind: int, rate: float) -> None:
-        await self._exchange.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / rate)
+    async def watch(self) -> None:
+        """Tell when the link is lost and found; when it is back, what it was told is told again."""
+        ready = True
+        while True:
+            await asyncio.sleep(LINK_LOST / 4)
+            silent = self._silence() > LINK_LOST
+            if silent != self._lost and self.state.heard is not None:
+                self._lost = silent
+                self.note("no heartbeat; the link is lost" if silent else "heard again")
+                ready = False
+            if not (ready or silent or self.quiet):
+                ready = await self._prepared_again()
 
-    async def _check_failsafe(self) -> None:
-        """Find out whether the autopilot acts by itself when this computer dies."""
-        value = await self._exchange.parameter("FS_GCS_ENABLE")
-        if value is None:
-            self.note("it does not tell FS_GCS_ENABLE: what it does when this computer dies is not known")
-            return
-        if value == 0 and "gcsFailsafe" not in self._published:
-            self.note("FS_GCS_ENABLE is 0: if this computer dies, the autopilot itself does nothing")
-        self.publish(gcsFailsafe=bool(value))
-        self._published.add("gcsFailsafe")
+    async def _prepared_again(self) -> bool:
+        try:
+            self._check_identity()
+            await self._prepare()
+            await self._check_watchdog()
+        except DeviceError as error:
+            self.note(f"it is back, but not as it was: {error.reason}")
+            return False
+        return True
 
     # -- asking and waiting ---------------------------------------------------------------------------
 
     async def _command(
-        self, what: str, number: int, *values: float, taken: Callable[[], bool] = lambda: False
+        self,
+        what: str,
+        number: int,
+        *values: float | None,
+        place: Place | None = None,
+        taken: Callable[[], bool] = lambda: False,
     ) -> None:
         """Have a command accepted. Raises DeviceError with the result and the autopilot's own reason.
 
@@ -172,7 +188,7 @@ class Contact(Device):
         second copy may be refused, as a takeoff is in the air.
         """
         start = self.clock.monotonic()
-        answer = await self._exchange.command(number, *values)
+        answer = await self._exchange.command(number, *values, place=place)
         if answer.result == dialect.MAV_RESULT_ACCEPTED:
             return
         if answer.attempts > 1 and await self._seen(taken, EXPLAINS):
@@ -182,10 +198,12 @@ class Contact(Device):
         await self._seen(lambda: bool(self._texts.since(start)), EXPLAINS)
         raise self.error(f"{what} refused: {result_words(answer.result)}{self._reasons(start)}")
 
-    async def _achieve(self, what: str, state: Callable[[], bool], number: int, *values: float) -> None:
+    async def _achieve(
+        self, what: str, state: Callable[[], bool], number: int, *values: float | None
+    ) -> None:
         """Have a command accepted and wait until the state shows it. Raises DeviceError."""
-        await self._command(what, number, *values, taken=state)
         start = self.clock.monotonic()
+        await self._command(what, number, *values, taken=state)
         if not await self._seen(state, SHOWS):
             self._check_link()
             raise self.error(

@@ -1,63 +1,135 @@
-"""The bus: one link, one reader, every message handed to the vehicle it came from."""
+"""The bus: one or several links, a reader for each, every message handed to the vehicle it came from."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from lfield.driver import DeviceBinding, Driver
+from lfield.errors import DeviceError
 from lfield_mavlink.dialect import AUTOPILOT, Reader, Writer, dialect
-from lfield_mavlink.links import Link, make_link
+from lfield_mavlink.links import AGAIN, Link, make_link, split_endpoint
+from lfield_mavlink.routes import Route
 from lfield_mavlink.vehicle import MavlinkVehicle
 
-#: Seconds between our own heartbeats.
-HEARTBEAT = 1.0
+#: Seconds between our own heartbeats: several within the shortest failsafe (2 s), since some are lost.
+HEARTBEAT = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """One link with what writes its packets."""
+
+    link: Link
+    writer: Writer
+
+    def send(self, message: Any) -> None:
+        """One message as one packet."""
+        self.link.send(self.writer.pack(message))
 
 
 class MavlinkDriver(Driver):
-    """One link with the vehicles on it."""
+    """The vehicles on some links that lead to the same place, such as a radio and a cable."""
 
     def _device(self, binding: DeviceBinding) -> MavlinkVehicle:
-        return MavlinkVehicle(binding, self.manifests[binding.type], self.clock, self.reports, self._send)
+        send = partial(self._send_to, binding.option("system"))
+        return MavlinkVehicle(binding, self.manifests[binding.type], self.clock, self.reports, send)
 
     async def _open(self) -> None:
-        self._reader, self._writer = Reader(), Writer()
+        self._quieted = False
+        self._ports: list[Port] = []
         self._vehicles: dict[int, MavlinkVehicle] = {}
         for device in self.devices.values():
             assert isinstance(device, MavlinkVehicle)
             if device.system in self._vehicles:
                 raise device.error(f"two devices are system {device.system} on {self.endpoint}")
             self._vehicles[device.system] = device
-        self._link: Link | None = self._make_link()
-        await self._link.open()
+        endpoints = split_endpoint(self.endpoint)
+        self._routes = {system: Route(len(endpoints)) for system in self._vehicles}
+        for number, endpoint in enumerate(endpoints):
+            reader, writer = self._make_codec(endpoint)
+            link = self._make_link(endpoint, partial(self._received, number, reader))
+            self._ports.append(Port(link, writer))
+        await self._open_links()
         self.spawn(self._beat())
         for vehicle in self._vehicles.values():
             self.spawn(vehicle.watch())
+            self.spawn(vehicle.keep_streams())
 
     async def _close(self) -> None:
-        link = getattr(self, "_link", None)
-        if link is not None:
-            link.close()
+        for vehicle in self._vehicles.values():
+            vehicle.stop_setpoints()
+        for port in self._ports:
+            port.link.close()
 
-    def _make_link(self) -> Link:
-        return make_link(self.endpoint, self._received)
+    def _quiet(self) -> None:
+        """No heartbeats and no requests: what the autopilots do without us must be able to begin."""
+        self._quieted = True
+        for vehicle in self._vehicles.values():
+            vehicle.quiet = True
+            vehicle.stop_setpoints()
 
-    def _received(self, data: bytes) -> None:
-        for message in self._reader.feed(data):
-            vehicle = self._vehicles.get(message.get_srcSystem())
+    def _resume(self) -> None:
+        self._quieted = False
+        for vehicle in self._vehicles.values():
+            vehicle.quiet = False
+
+    # -- links ----------------------------------------------------------------------------------------
+
+    def _make_link(self, endpoint: str, on_data: Callable[[bytes], None]) -> Link:
+        return make_link(endpoint, on_data)
+
+    def _make_codec(self, endpoint: str) -> tuple[Reader, Writer]:
+        """What reads and writes the packets of one link."""
+        return Reader(), Writer()
+
+    async def _open_links(self) -> None:
+        """Open them all. One that cannot be opened is tried again, as long as there is another."""
+        opened = await asyncio.gather(*(port.link.open() for port in self._ports), return_exceptions=True)
+        problems = [error for error in opened if isinstance(error, BaseException)]
+        if len(problems) == len(self._ports) or any(not isinstance(e, DeviceError) for e in problems):
+            raise problems[0]
+        for port, error in zip(self._ports, opened, strict=True):
+            if isinstance(error, DeviceError):
+                for vehicle in self._vehicles.values():
+                    vehicle.note(f"{error.reason}; it goes on with the other links")
+                self.spawn(self._open_later(port.link))
+
+    async def _open_later(self, link: Link) -> None:
+        while True:
+            await asyncio.sleep(AGAIN)
+            try:
+                await link.open()
+            except DeviceError:
+                continue
+            return
+
+    # -- messages -------------------------------------------------------------------------------------
+
+    def _received(self, link: int, reader: Reader, data: bytes) -> None:
+        for message in reader.feed(data):
+            system = message.get_srcSystem()
+            vehicle = self._vehicles.get(system)
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
-            if vehicle is not None and message.get_srcComponent() == AUTOPILOT:
+            if vehicle is None or message.get_srcComponent() != AUTOPILOT:
+                continue
+            if self._routes[system].heard(link, bytes(message.get_msgbuf()), self.clock.monotonic()):
                 vehicle.on_message(message)
 
-    def _send(self, message: Any) -> None:
-        assert self._link is not None
-        self._link.send(self._writer.pack(message))
+    def _send_to(self, system: int, message: Any) -> None:
+        for number in self._routes[system].links(self.clock.monotonic()):
+            self._ports[number].send(message)
 
     async def _beat(self) -> None:
-        """Be heard as a ground station, as the autopilots' failsafes expect."""
+        """Be heard as a ground station on every link, as the autopilots' failsafes expect."""
         message = dialect.MAVLink_heartbeat_message(
             dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
         )
         while True:
-            self._send(message)
+            if not self._quieted:
+                for port in self._ports:
+                    port.send(message)
             await asyncio.sleep(HEARTBEAT)

@@ -1,4 +1,4 @@
-"""Flying and driving: each instruction is confirmed by the vehicle's state, not by its word."""
+"""Modes, arming, taking off, landing, and the safe states: each confirmed by the vehicle's state."""
 
 from __future__ import annotations
 
@@ -6,44 +6,40 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from lfield.clock import Clock
-from lfield.driver import DeviceBinding, Manifest, Reports
-from lfield_mavlink.contact import LINK_LOST, SHOWS, Contact
+from lfield_mavlink.contact import LINK_LOST, SHOWS
 from lfield_mavlink.dialect import AUTOPILOT, dialect
-from lfield_mavlink.state import Vector
+from lfield_mavlink.geo import Vector
+from lfield_mavlink.orders import ORDERS, Order, Stack, Target
+from lfield_mavlink.setpoints import SetpointStream
+from lfield_mavlink.watchdog import Watchdog
 
 #: Seconds without coming closer after which a flight has failed, and what counts as closer, in metres.
 STUCK, CLOSER = 10.0, 0.1
-#: How often a position goal is sent again while its call runs: a packet may have been lost.
-RESEND = 1.0
-#: How exactly a heading is reached, in radians.
-HEADING_TOLERANCE = math.radians(4.0)
-
-# type_mask of SET_POSITION_TARGET_LOCAL_NED: everything ignored but the position, or but the velocity.
-ONLY_POSITION, ONLY_VELOCITY = 0x0DF8, 0x0DC7
 
 
-class Flight(Contact):
-    """What moves a vehicle, and its safe states."""
+class Flight(Watchdog):
+    """What brings a vehicle into the air and down, and what keeps others' hands free."""
 
-    def __init__(
-        self,
-        binding: DeviceBinding,
-        manifest: Manifest,
-        clock: Clock,
-        reports: Reports,
-        send: Callable[[Any], None],
-    ) -> None:
-        super().__init__(binding, manifest, clock, reports, send)
-        # The mode we put it in last; any other but GUIDED is somebody else's.
-        self._commanded = "GUIDED"
+    def _set_up(self) -> None:
+        super()._set_up()
+        # The modes that the last order leads to; any other mode is somebody else's doing.
+        self._commanded: frozenset[str] = frozenset()
+        self._stream = SetpointStream(self.clock, self._send)
+
+    @property
+    def _orders(self) -> Stack:
+        return ORDERS[self.profile.autopilot]
 
     # -- instructions ---------------------------------------------------------------------------------
 
     async def do_arm(self) -> None:
-        """GUIDED, then armed: ArduPilot refuses to be armed in some modes, and to take off in most."""
-        await self._check_failsafe()
-        await self._be_guided()
+        """In a mode that may be armed in, then armed; its own watchdog is looked at before."""
+        self._begin("arm")
+        if self.state.armed:
+            return
+        await self._check_watchdog_holds()
+        if self.state.mode != self.profile.arming:
+            await self._set_mode(self.profile.arming)
         await self._achieve("arm", lambda: self.state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
 
     async def do_disarm(self) -> None:
@@ -52,77 +48,71 @@ class Flight(Contact):
 
     async def do_takeoff(self, height: float) -> None:
         """Up to `height` above home."""
-        self._check_goal("takeoff", 0.0, 0.0, height)
+        self._check_goal("takeoff", (0.0, 0.0, -height))
         if height <= 0.0:
             raise self.error(f"takeoff needs a height above 0, not {height:g}")
-        await self._be_guided()
+        self._begin("takeoff")
         stood = self.state.landed
 
         def climbing() -> bool:
             return bool(stood) and not self.state.landed
 
-        values = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height)
-        await self._command("takeoff", dialect.MAV_CMD_NAV_TAKEOFF, *values, taken=climbing)
+        order = self._orders.take_off(height)
+        await self._start("takeoff", order, taken=climbing)
         near = min(self._tolerance, 0.1 * height)
-        await self._travel("takeoff", lambda place: abs(height + place[2]), near)
-
-    async def do_go_to(self, north: float, east: float, down: float) -> None:
-        """To a place relative to home; the goal is repeated until it is reached."""
-        self._check_goal("goTo", north, east, -down)
-        await self._be_guided()
-        await self._set_speed()
-        goal = (north, east, down)
-        level = self._kind.name == "rover"
-
-        def distance(place: Vector) -> float:
-            return math.dist(goal[:2], place[:2]) if level else math.dist(goal, place)
-
-        await self._travel("goTo", distance, self._tolerance, lambda: self._send_position(goal))
-
-    async def do_yaw(self, heading: float) -> None:
-        """Turn on the spot to a heading."""
-        if not math.isfinite(heading):
-            raise self.error(f"yaw needs a finite heading, not {heading}")
-        await self._be_guided()
-        await self._command("yaw", dialect.MAV_CMD_CONDITION_YAW, math.degrees(heading) % 360.0)
-
-        def there() -> bool:
-            yaw = self.state.yaw
-            return yaw is not None and abs(math.remainder(yaw - heading, math.tau)) < HEADING_TOLERANCE
-
-        await self._until(there, 30.0, "yaw")
-
-    async def do_set_velocity(self, north: float, east: float, down: float) -> None:
-        """One velocity setpoint; it is sent once, and the guard sees to its end."""
-        limit = self.binding.limits.get("speed", math.inf)
-        speed = math.hypot(north, east, down)
-        if not speed <= limit:  # so that NaN is refused too
-            raise self.error(f"setVelocity of {speed:g} m/s is above the limit of {limit:g} m/s")
-        await self._be_guided()
-        self._send_target(ONLY_VELOCITY, (0.0, 0.0, 0.0), (north, east, down))
-
-    async def do_hold(self) -> None:
-        """Stop and stay."""
-        self._check_ours("hold")
-        await self._set_mode(self._kind.hold)
+        await self._travel("takeoff", order, lambda place: abs(height + place[2]), near)
 
     async def do_land(self) -> None:
         """Down to the ground, here."""
-        self._check_ours("land")
-        self._commanded = "LAND"
-        await self._achieve("land", lambda: self.state.mode == "LAND", dialect.MAV_CMD_NAV_LAND)
+        self._begin("land")
+        await self._leave_for("land", self.profile.land, dialect.MAV_CMD_NAV_LAND)
 
         def height(place: Vector) -> float:
-            down_yet = self.state.landed or not self.state.armed
-            return 0.0 if down_yet else max(-place[2], CLOSER) + 1.0
+            return 0.0 if self._down else max(-place[2], CLOSER) + 1.0
 
-        await self._travel("land", height, 0.0, mode="LAND")
+        await self._travel("land", Order(frozenset({self.profile.land})), height, 0.0)
+
+    async def do_return_home(self) -> None:
+        """Back to where home is; what flies and can land is done when it stands there."""
+        self._begin("returnHome")
+        home = self.profile.home
+        await self._leave_for("returnHome", home, dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+        lands = self.profile.kind == "copter"
+        way = _Way()
+
+        def left(place: Vector) -> float:
+            if lands:
+                return 0.0 if self._down else way.left(place)
+            return math.hypot(*place[:2])
+
+        await self._travel("returnHome", Order(frozenset({home})), left, 0.0 if lands else self._tolerance)
+
+    async def do_hold(self) -> None:
+        """Stop and stay."""
+        self._begin("hold")
+        await self._set_mode(self.profile.hold)
+
+    async def do_set_mode(self, name: str) -> None:
+        """Any mode of the autopilot, by its own name for it."""
+        wanted = name.upper()
+        if self.profile.mode_values(wanted) is None:
+            known = ", ".join(sorted(self.profile.modes.values()))
+            raise self.error(f"{self.profile.stack} has no mode '{name}'; it has {known}")
+        self._begin(f"mode {wanted}")
+        await self._set_mode(wanted)
 
     async def do_release(self) -> None:
         """Whatever mode it is in, the program takes the vehicle back."""
-        self._commanded = self.state.mode
+        self._commanded = frozenset({self.state.mode})
+
+    def stop_setpoints(self) -> None:
+        """Send no setpoint of a stream any more."""
+        self._stream.stop()
+
+    # -- the safe state -------------------------------------------------------------------------------
 
     async def _make_safe(self, state: str) -> None:
+        self._stream.stop()
         if self.state.heard is not None and self._silence() <= LINK_LOST:
             if not self.state.armed:
                 return
@@ -130,9 +120,9 @@ class Flight(Contact):
                 # A pilot or the autopilot's own failsafe flies it: to take it from them would be less safe.
                 self.note(f"in {self.state.mode}, by a pilot or a failsafe: left to them")
                 return
-            if self.state.landed and self._kind.name == "copter" and await self._disarmed():
+            if self.state.landed and self.profile.flies and await self._disarmed():
                 return
-        await self._set_mode(self._kind.safe[state])
+        await self._set_mode(self.profile.safe(state))
 
     async def _disarmed(self) -> bool:
         """Try to switch the motors off on the ground; the autopilot refuses if it is not there."""
@@ -141,63 +131,68 @@ class Flight(Contact):
             return False
         return await self._seen(lambda: not self.state.armed, SHOWS)
 
-    # -- parts of instructions ------------------------------------------------------------------------
+    # -- modes ----------------------------------------------------------------------------------------
+
+    @property
+    def _down(self) -> bool:
+        """Whether it stands on the ground, or does not move by itself."""
+        return bool(self.state.landed) or not self.state.armed
+
+    @property
+    def _ours(self) -> bool:
+        """Whether the mode is one that this program led to; of a vehicle at rest it does not matter."""
+        if not self.state.armed:
+            return True
+        profile = self.profile
+        return self.state.mode in (profile.guided, *profile.own, *self._commanded)
+
+    def _begin(self, what: str) -> None:
+        """A new motion ends the setpoints. Raises DeviceError when the vehicle is not ours to move."""
+        self._check_link()
+        if not self._ours:
+            raise self.error(
+                f"{what} refused: the vehicle is in {self.state.mode}, which this program did not choose; "
+                "a pilot or a failsafe has it. release() takes it back"
+            )
+        self._stream.stop()
+
+    async def _set_mode(self, name: str) -> None:
+        # Noted before it is known to have worked: a safe state that is tried again must count as ours.
+        self._commanded = frozenset({name})
+        custom = float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+        values = self.profile.mode_values(name)
+        assert values is not None, "the names are those of the table, or have been looked up in it"
+        set_mode = dialect.MAV_CMD_DO_SET_MODE
+        await self._achieve(f"mode {name}", lambda: self.state.mode == name, set_mode, custom, *values)
+
+    async def _leave_for(self, what: str, mode: str, command: int) -> None:
+        """Enter the mode of a command that has one of its own, such as NAV_LAND."""
+        self._commanded = frozenset({mode})
+        await self._achieve(what, lambda: self.state.mode == mode or self._down, command)
+
+    # -- motions --------------------------------------------------------------------------------------
 
     @property
     def _tolerance(self) -> float:
         tolerance: float = self.binding.option("tolerance")
         return tolerance
 
-    @property
-    def _ours(self) -> bool:
-        """Whether the mode is one that this program chose; of a vehicle at rest it does not matter."""
-        return not self.state.armed or self.state.mode in ("GUIDED", self._commanded)
-
-    def _check_ours(self, what: str) -> None:
-        if not self._ours:
-            raise self.error(
-                f"{what} refused: the vehicle is in {self.state.mode}, which this program did not choose; "
-                "a pilot or a failsafe has it. release() takes it back"
+    async def _start(self, what: str, order: Order, taken: Callable[[], bool] = lambda: False) -> None:
+        """Begin an order: parameters, mode, command, and the mode it leads to."""
+        for name, value in order.parameters.items():
+            if await self._exchange.set_parameter(name, value) is None:
+                raise self.error(f"{what}: the autopilot did not take {name}", timeout=True)
+        if order.mode and self.state.mode != order.mode:
+            await self._set_mode(order.mode)
+        self._commanded = order.modes
+        if order.command is not None:
+            await self._command(
+                what, order.command.number, *order.command.values, place=order.command.place, taken=taken
             )
-
-    async def _be_guided(self) -> None:
-        self._check_link()
-        self._check_ours("GUIDED")
-        if self.state.mode != "GUIDED":
-            await self._set_mode("GUIDED")
-
-    async def _set_mode(self, name: str) -> None:
-        # Noted before it is known to have worked: a safe state that is tried again must count as ours.
-        self._commanded = name
-        custom = float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
-        number = float(self._kind.mode_number(name))
-        set_mode = dialect.MAV_CMD_DO_SET_MODE
-        await self._achieve(f"mode {name}", lambda: self.state.mode == name, set_mode, custom, number)
-
-    async def _set_speed(self) -> None:
-        """Have the autopilot keep the binding's speed; it forgets it with every change of mode."""
-        if (speed := self.binding.limits.get("speed")) is not None:
-            await self._command("speed limit", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, speed, -1.0)
-
-    def _check_goal(self, what: str, north: float, east: float, height: float) -> None:
-        """Refuse a goal that is no place, or outside the limits of the binding."""
-        if not all(map(math.isfinite, (north, east, height))):
-            raise self.error(f"{what} needs finite numbers")
-        ceiling = self.binding.limits.get("altitude", math.inf)
-        if height > ceiling:
-            raise self.error(f"{what} refused: {height:g} m is above the limit of {ceiling:g} m")
-        radius, far = self.binding.limits.get("radius", math.inf), math.hypot(north, east)
-        if far > radius:
-            raise self.error(f"{what} refused: {far:.1f} m from home is beyond the limit of {radius:g} m")
+        await self._until(lambda: self.state.mode in order.modes, SHOWS, what)
 
     async def _travel(
-        self,
-        what: str,
-        distance: Callable[[Vector], float],
-        near: float,
-        resend: Callable[[], None] | None = None,
-        *,
-        mode: str = "GUIDED",
+        self, what: str, order: Order, distance: Callable[[Vector], float], near: float
     ) -> None:
         """Wait until `distance` of the position is at most `near`, as long as it gets less."""
         start = self.clock.monotonic()
@@ -209,31 +204,63 @@ class Flight(Contact):
             left = distance(place) if place is not None else math.inf
             if left <= near:
                 return
-            self._check_underway(what, mode, start)
+            self._check_underway(what, order.modes, start)
             if left < best - CLOSER:
                 best, best_at = left, now
             if now - best_at > STUCK:
                 raise self.error(f"{what} gave up: no progress for {STUCK:g} s, {left:.1f} m from its goal")
-            if resend is not None and now - sent_at >= RESEND:
-                resend()
+            if order.target is not None and place is not None and now - sent_at >= order.period:
+                self._send(self._setpoint(order.target(place)))
                 sent_at = now
-            await self._next_news(0.25)
+            await self._next_news(min(0.25, order.period))
 
-    def _check_underway(self, what: str, mode: str, start: float) -> None:
+    def _check_underway(self, what: str, modes: frozenset[str], start: float) -> None:
         """Raise when somebody else has taken over, or the motors are off."""
-        if self.state.armed and self.state.mode == mode:
+        if self.state.armed and self.state.mode in modes:
             return
-        why = "the vehicle was disarmed" if not self.state.armed else f"the vehicle went to {self.state.mode}"
+        why = "the motors are off" if not self.state.armed else f"the vehicle went to {self.state.mode}"
         raise self.error(f"{what} ended early: {why}{self._reasons(start)}")
 
-    def _send_position(self, goal: Vector) -> None:
-        north, east, down = (g + h for g, h in zip(goal, self.state.home_offset, strict=True))
-        self._send_target(ONLY_POSITION, (north, east, down), (0.0, 0.0, 0.0))
+    def _check_goal(self, what: str, goal: Vector) -> None:
+        """Refuse a goal that is no place, or outside the limits of the binding."""
+        north, east, down = goal
+        if not all(map(math.isfinite, goal)):
+            raise self.error(f"{what} needs finite numbers")
+        ceiling = self.binding.limits.get("altitude", math.inf)
+        if -down > ceiling:
+            raise self.error(f"{what} refused: {-down:g} m is above the limit of {ceiling:g} m")
+        radius, far = self.binding.limits.get("radius", math.inf), math.hypot(north, east)
+        if far > radius:
+            raise self.error(f"{what} refused: {far:.1f} m from home is beyond the limit of {radius:g} m")
 
-    def _send_target(self, mask: int, place: Vector, velocity: Vector) -> None:
-        frame, rest = dialect.MAV_FRAME_LOCAL_NED, (0.0, 0.0, 0.0)
-        self._send(
-            dialect.MAVLink_set_position_target_local_ned_message(
-                0, self.system, AUTOPILOT, frame, mask, *place, *velocity, *rest, 0.0, 0.0
-            )
+    def _setpoint(self, target: Target) -> Any:
+        """The message of a setpoint, in the autopilot's local frame."""
+        place = (g + h for g, h in zip(target.place, self.state.home_offset, strict=True))
+        frame, acceleration = dialect.MAV_FRAME_LOCAL_NED, (0.0, 0.0, 0.0)
+        return dialect.MAVLink_set_position_target_local_ned_message(
+            0,
+            self.system,
+            AUTOPILOT,
+            frame,
+            target.mask,
+            *place,
+            *target.velocity,
+            *acceleration,
+            0.0,
+            target.yaw_rate,
         )
+
+
+class _Way:
+    """The way back of a flight that may first climb, as a number that only falls while it gets on."""
+
+    def __init__(self) -> None:
+        self._moved = 0.0
+        self._last: Vector | None = None
+
+    def left(self, place: Vector) -> float:
+        """Minus the metres flown so far: a return has a shape of its own, so any motion is progress."""
+        if self._last is not None:
+            self._moved += math.dist(place, self._last)
+        self._last = place
+        return 1e6 - self._moved

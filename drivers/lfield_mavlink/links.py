@@ -1,25 +1,26 @@
 """Endpoints and the links behind them: UDP, TCP and serial. Bytes only.
 
 udp:HOST:PORT         sends to a vehicle that listens there
-udpin:HOST:PORT       listens there for a vehicle that sends (answers go to whoever sent last)
+udpin:HOST:PORT       listens there for vehicles that send (what is sent goes to all who sent lately)
 tcp:HOST:PORT         connects; reconnects when the connection breaks
 serial:/dev/ttyX:BAUD a serial port, 8N1; reopened when it was unplugged
+
+Several of them, with commas between, are links to the same vehicles.
 """
 
 from __future__ import annotations
 
 import asyncio
-import fcntl
-import os
-import termios
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Protocol
 
 from lfield.errors import DeviceError
+from lfield_mavlink.serial_link import SerialLink
 
 #: Seconds between attempts to open a link again.
 AGAIN = 1.0
+#: Peers that a listening port answers.
+PEERS = 16
 SYNTAX = "udp:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:/dev/ttyX:BAUD"
 
 OnData = Callable[[bytes], None]
@@ -38,6 +39,11 @@ class Link(Protocol):
         """Give it back."""
 
 
+def split_endpoint(endpoint: str) -> list[str]:
+    """The links of an endpoint: `udp:127.0.0.1:14550, serial:/dev/ttyUSB0:57600`."""
+    return [part.strip() for part in endpoint.split(",")]
+
+
 def make_link(endpoint: str, on_data: OnData) -> Link:
     """The link of an endpoint, not open yet. Raises DeviceError with a sentence on how to write one."""
     kind, _, rest = endpoint.partition(":")
@@ -54,12 +60,13 @@ def make_link(endpoint: str, on_data: OnData) -> Link:
 
 
 class UdpLink(asyncio.DatagramProtocol):
-    """Datagrams to one peer: the one we were told, or the one we heard last."""
+    """Datagrams to one peer that we were told, or to all that we have heard."""
 
     def __init__(self, host: str, port: int, on_data: OnData, *, listens: bool) -> None:
         self._address, self._on_data, self._listens = (host, port), on_data, listens
         self._transport: asyncio.DatagramTransport | None = None
-        self._peer: tuple[str, int] | None = None
+        # Several vehicles may send to one port; each leaves alone what is addressed to another.
+        self._peers: dict[tuple[str, int], None] = {}
 
     async def open(self) -> None:
         """Bind or connect the socket."""
@@ -74,16 +81,22 @@ class UdpLink(asyncio.DatagramProtocol):
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         """A packet from a vehicle."""
         if self._listens:
-            self._peer = addr
+            # The newest is last; the one that was silent longest is forgotten.
+            self._peers.pop(addr, None)
+            self._peers[addr] = None
+            if len(self._peers) > PEERS:
+                del self._peers[next(iter(self._peers))]
         self._on_data(data)
 
     def error_received(self, exc: Exception) -> None:
         """Nobody listens there yet; the heartbeat says when somebody does."""
 
     def send(self, data: bytes) -> None:
-        """To the peer, if there is one."""
-        if self._transport is not None and (self._peer or not self._listens):
-            self._transport.sendto(data, self._peer)
+        """To the peers, if there are any."""
+        if self._transport is None:
+            return
+        for peer in tuple(self._peers) if self._listens else (None,):
+            self._transport.sendto(data, peer)
 
     def close(self) -> None:
         """Close the socket."""
@@ -141,85 +154,6 @@ class TcpLink(asyncio.Protocol):
             self._task.cancel()
         if self._transport is not None:
             self._transport.close()
-
-
-class SerialLink:
-    """A tty in raw mode, read as it becomes readable. One owner: the port is locked for others."""
-
-    def __init__(self, path: str, baud: int, on_data: OnData) -> None:
-        self._path, self._baud, self._on_data = path, baud, on_data
-        self._fd: int | None = None
-        self._task: asyncio.Task[None] | None = None
-
-    async def open(self) -> None:
-        """Open and configure the port, now."""
-        try:
-            self._attach()
-        except (OSError, termios.error) as error:
-            raise _cannot("serial", (self._path, self._baud), error) from None
-
-    def _attach(self) -> None:
-        speed = getattr(termios, f"B{self._baud}", None)
-        if speed is None:
-            raise OSError(0, f"no serial port has {self._baud} baud")
-        fd = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
-        try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            _set_raw(fd, speed)
-        except BaseException:
-            os.close(fd)
-            raise
-        self._fd = fd
-        asyncio.get_running_loop().add_reader(fd, self._readable)
-
-    def _readable(self) -> None:
-        assert self._fd is not None
-        try:
-            data = os.read(self._fd, 4096)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if data:
-            self._on_data(data)
-            return
-        self._detach()
-        self._task = asyncio.get_running_loop().create_task(self._reattach())
-
-    async def _reattach(self) -> None:
-        while self._fd is None:
-            await asyncio.sleep(AGAIN)
-            try:
-                self._attach()
-            except (OSError, termios.error):
-                continue
-
-    def _detach(self) -> None:
-        if self._fd is not None:
-            asyncio.get_running_loop().remove_reader(self._fd)
-            os.close(self._fd)
-            self._fd = None
-
-    def send(self, data: bytes) -> None:
-        """Into the port; when its buffer is full the packet is lost, which MAVLink survives."""
-        if self._fd is not None:
-            with suppress(OSError):
-                os.write(self._fd, data)
-
-    def close(self) -> None:
-        """Give the port back."""
-        if self._task is not None:
-            self._task.cancel()
-        self._detach()
-
-
-def _set_raw(fd: int, speed: int) -> None:
-    """8 data bits, no parity, no flow control, no translation of bytes."""
-    attributes = termios.tcgetattr(fd)
-    attributes[0] = attributes[1] = attributes[3] = 0
-    attributes[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
-    attributes[4] = attributes[5] = speed
-    termios.tcsetattr(fd, termios.TCSANOW, attributes)
 
 
 def _cannot(kind: str, address: tuple[str, int], error: Exception) -> DeviceError:

@@ -1,6 +1,8 @@
-"""ArduPilot's flight modes by vehicle kind (numbers as in HEARTBEAT.custom_mode), and what we use them for.
+"""Kinds of vehicle under each autopilot: their MAV_TYPEs, their modes, and what we use the modes for.
 
-https://ardupilot.org/copter/docs/parameters.html#fltmode1, https://ardupilot.org/rover/docs/parameters.html#mode1
+Numbers are those of HEARTBEAT.custom_mode. ArduPilot counts its modes per vehicle
+(https://ardupilot.org/copter/docs/parameters.html#fltmode1, and rover, plane, sub likewise); PX4 has one
+table of main and sub modes (https://docs.px4.io/main/en/flight_modes/, px4_custom_mode.h).
 """
 
 from __future__ import annotations
@@ -8,83 +10,209 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+#: MAV_AUTOPILOT of the two that are served.
+ARDUPILOT, PX4 = 3, 12
+STACKS: Mapping[int, str] = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
+
 
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """A kind of vehicle: its MAV_TYPEs, its modes, and the mode that is each safe state."""
+class Profile:
+    """A kind of vehicle under one autopilot.
 
-    name: str
+    `guided` is the mode for our setpoints, `arming` the one to be armed in. `hold`, `land` and `home` are the
+    safe states. `own` are modes it enters by itself when it has done what we asked, so they are nobody
+    else's doing.
+    """
+
+    autopilot: int
+    kind: str
     types: frozenset[int]
     modes: Mapping[int, str]
+    guided: str
+    arming: str
     hold: str
-    safe: Mapping[str, str]
+    land: str
+    home: str
+    own: frozenset[str] = frozenset()
+    flies: bool = True
+
+    @property
+    def stack(self) -> str:
+        """`ArduPilot`."""
+        return STACKS[self.autopilot]
+
+    @property
+    def px4(self) -> bool:
+        """Whether it is a PX4: parameters byte by byte, NaN for what is not used, streamed setpoints."""
+        return self.autopilot == PX4
+
+    def safe(self, state: str) -> str:
+        """The mode that is a safe state of the manifest."""
+        return {"land": self.land, "hold": self.hold, "return": self.home}[state]
 
     def mode_name(self, number: int) -> str:
         """`GUIDED`, or `mode 77` for one we do not know."""
         return self.modes.get(number, f"mode {number}")
 
-    def mode_number(self, name: str) -> int:
-        """The number of a mode of the table."""
-        return next(number for number, known in self.modes.items() if known == name)
+    def mode_values(self, name: str) -> tuple[float, ...] | None:
+        """Parameters 2 and on of DO_SET_MODE for a mode; None when there is none of that name."""
+        number = next((number for number, known in self.modes.items() if known == name), None)
+        if number is None:
+            return None
+        return (float(number >> 16 & 0xFF), float(number >> 24)) if self.px4 else (float(number),)
 
 
-COPTER = Kind(
-    "copter",
-    # quadrotor, coaxial, helicopter, hexarotor, octorotor, tricopter, dodecarotor
-    frozenset({2, 3, 4, 13, 14, 15, 29}),
-    {
-        0: "STABILIZE",
-        1: "ACRO",
-        2: "ALT_HOLD",
-        3: "AUTO",
-        4: "GUIDED",
-        5: "LOITER",
-        6: "RTL",
-        7: "CIRCLE",
-        9: "LAND",
-        11: "DRIFT",
-        13: "SPORT",
-        14: "FLIP",
-        15: "AUTOTUNE",
-        16: "POSHOLD",
-        17: "BRAKE",
-        18: "THROW",
-        19: "AVOID_ADSB",
-        20: "GUIDED_NOGPS",
-        21: "SMART_RTL",
-        22: "FLOWHOLD",
-        23: "FOLLOW",
-        24: "ZIGZAG",
-        25: "SYSTEMID",
-        26: "AUTOROTATE",
-        27: "AUTO_RTL",
-        28: "TURTLE",
-    },
+# MAV_TYPE: quadrotor, coaxial, helicopter, hexarotor, octorotor, tricopter, dodecarotor
+_COPTERS = frozenset({2, 3, 4, 13, 14, 15, 29})
+# ground rover, surface boat
+_ROVERS = frozenset({10, 11})
+# fixed wing, and the kinds that take off vertically
+_PLANES = frozenset({1, 19, 20, 21, 22, 23, 24, 25})
+_SUBMARINES = frozenset({12})
+
+_COPTER_MODES = {
+    0: "STABILIZE",
+    1: "ACRO",
+    2: "ALT_HOLD",
+    3: "AUTO",
+    4: "GUIDED",
+    5: "LOITER",
+    6: "RTL",
+    7: "CIRCLE",
+    9: "LAND",
+    11: "DRIFT",
+    13: "SPORT",
+    14: "FLIP",
+    15: "AUTOTUNE",
+    16: "POSHOLD",
+    17: "BRAKE",
+    18: "THROW",
+    19: "AVOID_ADSB",
+    20: "GUIDED_NOGPS",
+    21: "SMART_RTL",
+    22: "FLOWHOLD",
+    23: "FOLLOW",
+    24: "ZIGZAG",
+    25: "SYSTEMID",
+    26: "AUTOROTATE",
+    27: "AUTO_RTL",
+    28: "TURTLE",
+}
+_ROVER_MODES = {
+    0: "MANUAL",
+    1: "ACRO",
+    3: "STEERING",
+    4: "HOLD",
+    5: "LOITER",
+    6: "FOLLOW",
+    7: "SIMPLE",
+    8: "DOCK",
+    9: "CIRCLE",
+    10: "AUTO",
+    11: "RTL",
+    12: "SMART_RTL",
+    15: "GUIDED",
+    16: "INITIALISING",
+}
+_PLANE_MODES = {
+    0: "MANUAL",
+    1: "CIRCLE",
+    2: "STABILIZE",
+    3: "TRAINING",
+    4: "ACRO",
+    5: "FBWA",
+    6: "FBWB",
+    7: "CRUISE",
+    8: "AUTOTUNE",
+    10: "AUTO",
+    11: "RTL",
+    12: "LOITER",
+    13: "TAKEOFF",
+    14: "AVOID_ADSB",
+    15: "GUIDED",
+    16: "INITIALISING",
+    17: "QSTABILIZE",
+    18: "QHOVER",
+    19: "QLOITER",
+    20: "QLAND",
+    21: "QRTL",
+    22: "QAUTOTUNE",
+    23: "QACRO",
+    24: "THERMAL",
+}
+_SUBMARINE_MODES = {
+    0: "STABILIZE",
+    1: "ACRO",
+    2: "ALT_HOLD",
+    3: "AUTO",
+    4: "GUIDED",
+    7: "CIRCLE",
+    9: "SURFACE",
+    16: "POSHOLD",
+    19: "MANUAL",
+    20: "MOTOR_DETECT",
+}
+
+
+def _px4(main: int, sub: int = 0) -> int:
+    return main << 16 | sub << 24
+
+
+_PX4_MODES = {
+    _px4(1): "MANUAL",
+    _px4(2): "ALTCTL",
+    _px4(3): "POSCTL",
+    _px4(3, 1): "POSCTL.ORBIT",
+    _px4(3, 2): "POSCTL.SLOW",
+    _px4(4, 1): "AUTO.READY",
+    _px4(4, 2): "AUTO.TAKEOFF",
+    _px4(4, 3): "AUTO.LOITER",
+    _px4(4, 4): "AUTO.MISSION",
+    _px4(4, 5): "AUTO.RTL",
+    _px4(4, 6): "AUTO.LAND",
+    _px4(4, 8): "AUTO.FOLLOW_TARGET",
+    _px4(4, 9): "AUTO.PRECLAND",
+    _px4(4, 10): "AUTO.VTOL_TAKEOFF",
+    _px4(5): "ACRO",
+    _px4(6): "OFFBOARD",
+    _px4(7): "STABILIZED",
+    _px4(8): "RATTITUDE",
+    _px4(10): "TERMINATION",
+}
+_PX4_OWN = frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"})
+
+
+def _of_px4(kind: str, types: frozenset[int], land: str, *, flies: bool) -> Profile:
+    hold, home = "AUTO.LOITER", "AUTO.RTL"
+    return Profile(PX4, kind, types, _PX4_MODES, "OFFBOARD", hold, hold, land, home, _PX4_OWN, flies)
+
+
+_ALL = (
     # BRAKE and not LOITER: LOITER follows the sticks, and without a radio control there are none.
-    "BRAKE",
-    {"land": "LAND", "hold": "BRAKE", "return": "RTL"},
+    Profile(ARDUPILOT, "copter", _COPTERS, _COPTER_MODES, "GUIDED", "GUIDED", "BRAKE", "LAND", "RTL"),
+    # A rover has no landing: it stops.
+    Profile(
+        ARDUPILOT, "rover", _ROVERS, _ROVER_MODES, "GUIDED", "GUIDED", "HOLD", "HOLD", "RTL", flies=False
+    ),
+    # A plane cannot land without a runway: it returns and circles.
+    Profile(ARDUPILOT, "plane", _PLANES, _PLANE_MODES, "GUIDED", "GUIDED", "LOITER", "RTL", "RTL"),
+    Profile(
+        ARDUPILOT,
+        "submarine",
+        _SUBMARINES,
+        _SUBMARINE_MODES,
+        "GUIDED",
+        "GUIDED",
+        "POSHOLD",
+        "SURFACE",
+        "SURFACE",
+        flies=False,
+    ),
+    _of_px4("copter", _COPTERS, "AUTO.LAND", flies=True),
+    _of_px4("rover", _ROVERS, "AUTO.LOITER", flies=False),
+    _of_px4("plane", _PLANES, "AUTO.LAND", flies=True),
 )
-ROVER = Kind(
-    "rover",
-    # ground rover, surface boat
-    frozenset({10, 11}),
-    {
-        0: "MANUAL",
-        1: "ACRO",
-        3: "STEERING",
-        4: "HOLD",
-        5: "LOITER",
-        6: "FOLLOW",
-        7: "SIMPLE",
-        8: "DOCK",
-        9: "CIRCLE",
-        10: "AUTO",
-        11: "RTL",
-        12: "SMART_RTL",
-        15: "GUIDED",
-        16: "INITIALISING",
-    },
-    "HOLD",
-    {"land": "HOLD", "hold": "HOLD", "return": "RTL"},
-)
-KINDS = {kind.name: kind for kind in (COPTER, ROVER)}
+
+#: By MAV_AUTOPILOT and the `kind` of the bindings.
+PROFILES: Mapping[tuple[int, str], Profile] = {(p.autopilot, p.kind): p for p in _ALL}
+KINDS = tuple(dict.fromkeys(profile.kind for profile in _ALL))

@@ -1,0 +1,82 @@
+"""Telemetry is asked for: every message at the highest rate that the manifest names for what it brings."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from lfield_mavlink.contact import SHOWS, Contact
+from lfield_mavlink.dialect import AUTOPILOT, dialect
+from lfield_mavlink.state import SOURCES
+
+#: Seconds after which a stream that was there is asked for again.
+STALE = 3.0
+#: The stream of REQUEST_DATA_STREAM that brings a message, for autopilots that know no intervals.
+GROUPS: Mapping[int, int] = {
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: dialect.MAV_DATA_STREAM_POSITION,
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: dialect.MAV_DATA_STREAM_POSITION,
+    dialect.MAVLINK_MSG_ID_ATTITUDE: dialect.MAV_DATA_STREAM_EXTRA1,
+    dialect.MAVLINK_MSG_ID_VFR_HUD: dialect.MAV_DATA_STREAM_EXTRA2,
+}
+
+
+class Streams(Contact):
+    """Asks for the messages that bring telemetry, and asks again when one has stopped.
+
+    A stream stops when the autopilot was restarted, or when it is now heard on another link: ArduPilot has
+    the rates of each link on their own.
+    """
+
+    def _set_up(self) -> None:
+        super()._set_up()
+        rates = {quantity.name: quantity.rate for quantity in self.manifest.device.telemetry}
+        #: Message id -> Hz. Parts may add theirs.
+        self._rates = {kind: max(rates[name] for name in names) for kind, names in SOURCES.items()}
+        self._rates[dialect.MAVLINK_MSG_ID_HOME_POSITION] = 0.5
+        self._last: dict[int, float] = {}
+
+    def on_message(self, message: Any) -> None:
+        """A message of this vehicle's autopilot."""
+        if message.get_msgId() in self._rates:
+            self._last[message.get_msgId()] = self.clock.monotonic()
+        super().on_message(message)
+
+    async def _prepare(self) -> None:
+        await super()._prepare()
+        await asyncio.gather(*(self._ask_for(kind) for kind in self._rates))
+        origin = dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
+        await self._exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, origin)
+        if not await self._seen(lambda: self.state.knows_frames, SHOWS):
+            self.note("it does not tell where home is; positions are of the place where it was switched on")
+        await self._seen(lambda: not self._missing(), SHOWS)
+        if missing := self._missing():
+            self.note(f"it does not report {', '.join(missing)}")
+
+    def _missing(self) -> list[str]:
+        return sorted(name for kind, names in SOURCES.items() if kind not in self._last for name in names)
+
+    async def keep_streams(self) -> None:
+        """Ask again for what has stopped."""
+        while True:
+            await asyncio.sleep(STALE / 2)
+            now = self.clock.monotonic()
+            if self.quiet or self._lost:
+                continue
+            for kind, last in list(self._last.items()):
+                if now - last > max(STALE, 3.0 / self._rates[kind]):
+                    await self._ask_for(kind)
+
+    async def _ask_for(self, kind: int) -> None:
+        rate = self._rates[kind]
+        answer = await self._exchange.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / rate)
+        if answer.result != dialect.MAV_RESULT_ACCEPTED and kind in GROUPS:
+            self._send(
+                dialect.MAVLink_request_data_stream_message(
+                    self.system, AUTOPILOT, GROUPS[kind], math.ceil(rate), 1
+                )
+            )
