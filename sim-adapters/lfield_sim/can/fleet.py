@@ -8,11 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lfield.driver.binding import DeviceBinding
-from lfield.errors import UsageError
+from lfield.driver.binding import DeviceBinding, OptionValue
+from lfield.errors import PluginError, UsageError
 from lfield_sim.can.cia402 import Cia402Drive
 from lfield_sim.can.motor import MotorData
 from lfield_sim.can.objects402 import INCREMENTS
+from lfield_sim.can.odrive import OdriveNode
 from lfield_sim.can.troubles import Flaw
 from lfield_sim.can.world import Device
 from lfield_sim.faults import Faults
@@ -53,12 +54,18 @@ def spec_of(binding: DeviceBinding) -> str:
     """The device that a binding means, for the command line. Raises UsageError."""
     if binding.type == "CanSignals":
         text = f"dbc:{binding.option('dbc')}:{binding.name}"
+        if commands := binding.options.get("commands"):
+            text += f",commands={'+'.join(map(str, _listed(commands)))}"
     else:
         text = f"{binding.option('protocol')}:{binding.option('node')}:{binding.name}"
         if counts := binding.options.get("counts"):
             text += f",counts={counts}"
     parse(text)
     return text
+
+
+def _listed(value: OptionValue) -> list[int | str]:
+    return value if isinstance(value, list) else [str(value)]
 
 
 def build(specs: Sequence[Spec], faults: Faults) -> list[Device]:
@@ -104,4 +111,22 @@ def number(spec: Spec, key: str) -> float:
     return value
 
 
-_KINDS: Mapping[str, Callable[[Spec, Flaw], Device]] = {"cia402": _drive}
+def _odrive(spec: Spec, flaw: Flaw) -> Device:
+    watchdog = number(spec, "watchdog") if "watchdog" in spec.options else 0.0
+    data = _motor(spec, replace(MotorData(), brake=False), {"watchdog"})
+    return OdriveNode(_node(spec, 0, 63), flaw, data, watchdog=watchdog)
+
+
+def _dbc(spec: Spec, flaw: Flaw) -> Device:
+    try:
+        from lfield_sim.can.dbc import DbcDevice, load
+    except ImportError:
+        raise PluginError("a device by DBC file needs cantools: pip install 'lfield[can]'") from None
+    texts = ("node", "commands", "command", "status")
+    check_options(spec, {*texts, "lag", "timeout"})
+    data = load(spec.place, **{key: spec.options.get(key, "") for key in texts})
+    times: dict[str, Any] = {key: number(spec, key) for key in ("lag", "timeout") if key in spec.options}
+    return DbcDevice(spec.id, flaw, replace(data, **times))
+
+
+_KINDS: Mapping[str, Callable[[Spec, Flaw], Device]] = {"cia402": _drive, "odrive": _odrive, "dbc": _dbc}

@@ -1,0 +1,250 @@
+"""A device that a DBC file describes: signals of commands drive signals of its status messages. Pure.
+
+A status signal follows the command signal that is called the same but for words like Target, Command and
+Actual (TargetWidth and Width), as a first-order lag within the range of the signal. Single bits and signals
+with named values follow at once. Multiplexed and container messages are left out.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cantools
+from cantools.database.can import Message, Signal
+
+from lfield.errors import UsageError
+from lfield_sim.can.frame import Frame
+from lfield_sim.can.motor import AMBIENT, OVERHEATED
+from lfield_sim.can.troubles import Flaw
+
+#: Between two status messages whose file says nothing, in seconds.
+PERIOD = 0.1
+_COMMAND_WORDS = frozenset({"target", "command", "cmd", "set", "setpoint", "desired", "demand", "goal"})
+_STATUS_WORDS = frozenset({"actual", "status", "measured", "feedback", "present", "is"})
+_FAULT_WORDS, _HEAT_WORDS = frozenset({"fault", "error"}), frozenset({"temperature", "temp"})
+_TROUBLES = ("overcurrent", "overheat", "follow_error")
+
+#: Message and signal.
+Place = tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class DbcData:
+    """What drives what, by place; `lag` and `timeout` in seconds (0: commands do not grow old)."""
+
+    messages: Mapping[int, Message]
+    own: tuple[Message, ...]
+    links: Mapping[Place, Place]
+    lag: float = 0.3
+    timeout: float = 0.0
+
+
+class DbcDevice:
+    """The device (see `world.Device`)."""
+
+    def __init__(self, name: str, flaw: Flaw, data: DbcData) -> None:
+        self._name, self._flaw, self._data = name, flaw, data
+        self._begin()
+
+    @property
+    def id(self) -> str:
+        """The name of its file."""
+        return self._name
+
+    def power_up(self) -> list[Frame]:
+        """Start anew with the initial values."""
+        self._begin()
+        return []
+
+    def power_down(self) -> None:
+        """It stays where it is."""
+        self._commanded.clear()
+
+    def value(self, message: str, signal: str) -> float:
+        """What a status signal is now."""
+        return self._values[message, signal]
+
+    def on_frame(self, frame: Frame) -> list[Frame]:
+        """Hear a frame: a command, or a request for a status message."""
+        message = self._data.messages.get(_key(frame.identifier, frame.extended))
+        if message is None or frame.error:
+            return []
+        if frame.remote:
+            return [self._message(message)] if message in self._data.own else []
+        if message not in self._data.own and len(frame.data) >= message.length:
+            values: Any = message.decode(frame.data, decode_choices=False)
+            self._take(message.name, values)
+        return []
+
+    def step(self, dt: float) -> list[Frame]:
+        """Let time pass; the status messages that are due."""
+        self._unheard += dt
+        if self._data.timeout and self._unheard > self._data.timeout:
+            self._commanded.clear()
+        tripped = any(self._flaw(name) for name in _TROUBLES)
+        for message in self._data.own:
+            for signal in message.signals:
+                self._move((message.name, signal.name), signal, tripped, dt)
+        due = [message for message in self._data.own if self._is_due(message, dt)]
+        quiet = self._flaw("lost_tpdo") or self._flaw("lost_heartbeat")
+        return [] if quiet else [self._message(message) for message in due]
+
+    def _begin(self) -> None:
+        self._values = {(m.name, s.name): _initial(s) for m in self._data.own for s in m.signals}
+        self._since = dict.fromkeys((message.name for message in self._data.own), 0.0)
+        self._commanded: dict[Place, float] = {}
+        self._unheard = 0.0
+
+    def _take(self, message: str, values: Mapping[str, Any]) -> None:
+        for signal, value in values.items():
+            if math.isfinite(value):
+                self._commanded[message, signal] = float(value)
+                self._unheard = 0.0
+
+    def _move(self, place: Place, signal: Signal, tripped: bool, dt: float) -> None:
+        words = _words(signal.name)
+        if words & _HEAT_WORDS:
+            goal = OVERHEATED if self._flaw("overheat") else AMBIENT
+            self._values[place] = _within(signal, goal)
+        elif words & _FAULT_WORDS:
+            self._values[place] = _within(signal, float(tripped))
+        elif place in self._data.links and not self._flaw("stuck"):
+            self._follow(place, signal, tripped, dt)
+
+    def _follow(self, place: Place, signal: Signal, tripped: bool, dt: float) -> None:
+        """Towards the command; without one, or tripped, it stays, and what is a single bit goes back."""
+        command = None if tripped else self._commanded.get(self._data.links[place])
+        at_once = signal.length == 1 or bool(signal.choices)
+        if at_once:
+            self._values[place] = _within(signal, _initial(signal) if command is None else command)
+        elif command is not None:
+            goal, value = _within(signal, command), self._values[place]
+            self._values[place] = value + (goal - value) * -math.expm1(-dt / self._data.lag)
+
+    def _is_due(self, message: Message, dt: float) -> bool:
+        period = (message.cycle_time or 0) / 1000.0 or PERIOD
+        self._since[message.name] += dt
+        if self._since[message.name] < period - 1e-9:
+            return False
+        self._since[message.name] = 0.0
+        return True
+
+    def _message(self, message: Message) -> Frame:
+        raw = {
+            signal.name: _raw(signal, self._values[message.name, signal.name]) for signal in message.signals
+        }
+        data = message.encode(raw, scaling=False, strict=False)
+        return Frame(message.frame_id, data, extended=message.is_extended_frame, fd=message.is_fd)
+
+
+def load(file: str, *, node: str = "", commands: str = "", command: str = "", status: str = "") -> DbcData:
+    """What a DBC file describes. Raises UsageError.
+
+    The device is `node`, or all messages but `commands` (names with + between), or whoever sends the signal
+    `status` that the signal `command` drives; else the only node that sends no signal called a command.
+    """
+    try:
+        database: Any = cantools.database.load_file(file, database_format="dbc")
+    except Exception as error:  # cantools raises what its parsers raise
+        raise UsageError(f"{file} cannot be read as a DBC file: {error}") from None
+    plain = [m for m in database.messages if not m.is_multiplexed() and not m.is_container]
+    links = {_place(plain, status): _place(plain, command)} if command or status else {}
+    if commands:
+        own = [m for m in plain if m.name not in commands.split("+")]
+    else:
+        node = node or (_sender(plain, status) if links else _device(file, plain))
+        own = [m for m in plain if node in m.senders]
+    if not own:
+        raise UsageError(f"{file} has no message that the device '{node}' sends")
+    by_key = {_key(m.frame_id, m.is_extended_frame): m for m in plain}
+    return DbcData(by_key, tuple(own), links or _links(plain, own))
+
+
+def _key(identifier: int, extended: bool) -> int:
+    return identifier | extended << 31
+
+
+def _words(name: str) -> frozenset[str]:
+    """`TargetWidth` and `target_width` as words."""
+    return frozenset(word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name))
+
+
+def _links(messages: Iterable[Message], own: list[Message]) -> dict[Place, Place]:
+    """Every signal of the device with the signal to it that is called the same."""
+    commands = {
+        _words(s.name) - _COMMAND_WORDS: (m.name, s.name) for m in messages if m not in own for s in m.signals
+    }
+    places = [(m.name, s.name) for m in own for s in m.signals]
+    named = [(place, _words(place[1]) - _STATUS_WORDS) for place in places]
+    return {place: commands[words] for place, words in named if words in commands}
+
+
+def _senders(messages: Iterable[Message]) -> list[str]:
+    return sorted({sender for message in messages for sender in message.senders})
+
+
+def _device(file: str, messages: list[Message]) -> str:
+    """The only node that sends no signal called a command."""
+    commanding = {
+        sender
+        for m in messages
+        for sender in m.senders
+        if any(_words(s.name) & _COMMAND_WORDS for s in m.signals)
+    }
+    rest = [sender for sender in _senders(messages) if sender not in commanding]
+    if len(rest) != 1:
+        raise UsageError(
+            f"{file} does not tell which node is the device; say commands=MESSAGE+MESSAGE or node=NAME, one of"
+            f" {', '.join(_senders(messages)) or 'none: it names no senders'}"
+        )
+    return rest[0]
+
+
+def _sender(messages: Iterable[Message], status: str) -> str:
+    message = next(m for m in messages if m.name == status.partition(".")[0])
+    if not message.senders:
+        raise UsageError(f"nobody sends {message.name}; say node=NAME or commands=MESSAGE+MESSAGE")
+    return str(message.senders[0])
+
+
+def _place(messages: Iterable[Message], text: str) -> Place:
+    """`Message.Signal`. Raises UsageError."""
+    for message in messages:
+        for signal in message.signals:
+            if text == f"{message.name}.{signal.name}":
+                return message.name, signal.name
+    raise UsageError(f"'{text}' is no signal of the file; write command=Message.Signal,status=Message.Signal")
+
+
+def _bounds(signal: Signal) -> tuple[float, float]:
+    """What a signal can hold, in its raw numbers."""
+    if signal.is_float:
+        return -1e30, 1e30
+    bits = signal.length
+    return (-(1 << bits - 1), (1 << bits - 1) - 1) if signal.is_signed else (0, (1 << bits) - 1)
+
+
+def _raw(signal: Signal, value: float) -> float:
+    """A value as it is on the wire."""
+    low, high = _bounds(signal)
+    raw = max(low, min(high, (value - float(signal.offset)) / float(signal.scale)))
+    return raw if signal.is_float else round(raw)
+
+
+def _within(signal: Signal, value: float) -> float:
+    """A value within the range that the file gives, and within what the signal can hold."""
+    ends = [end * float(signal.scale) + float(signal.offset) for end in _bounds(signal)]
+    low, high = min(ends), max(ends)
+    least, most = signal.minimum, signal.maximum
+    if least is not None and most is not None and least < most:
+        low, high = max(low, float(least)), min(high, float(most))
+    return max(low, min(high, value))
+
+
+def _initial(signal: Signal) -> float:
+    initial: Any = signal.initial
+    return _within(signal, float(initial or 0.0))
