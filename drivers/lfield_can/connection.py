@@ -31,8 +31,8 @@ BACKLOG = 256
 #: Seconds that a server may take to answer while an interface is opened.
 ANSWER = 2.0
 #: So many empty looks within SPIN_TIME seconds, and nobody is there: a client of socketcand whose server has
-#: died finds nothing for ever, without waiting and without an error. (The answers of an slcan adapter are empty
-#: looks too, a few thousand in a second at most.)
+#: died finds nothing for ever, without waiting and without an error. (The answers of an slcan adapter are
+#: empty looks too, a few thousand in a second at most.)
 SPINS, SPIN_TIME = 2000, 0.4
 
 GONE = "the bus is lost"

@@ -96,11 +96,11 @@ class DbcFile:
         if message is None:
             return None
         try:
-            values = message.decode(frame.data, decode_choices=False)
-            # Some signals are no numbers, and some numbers are no values.
-            numbers = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
+            values = message.decode_simple(frame.data, decode_choices=False)
         except Exception:  # DecodeError, KeyError of an unknown multiplexer value, errors of bitstruct
             return None
+        # A float signal may hold what is no value.
+        numbers = {name: float(value) for name, value in values.items() if isinstance(value, int | float)}
         return message.name, {name: value for name, value in numbers.items() if math.isfinite(value)}
 
     def encode(self, name: str, values: Mapping[str, float]) -> Frame:
@@ -111,9 +111,7 @@ class DbcFile:
         try:
             wanted = message.gather_signals({**values})
             data = message.encode(wanted, scaling=True, strict=False)
-        except (
-            Exception
-        ) as error:  # EncodeError for what is missing; KeyError, OverflowError, errors of bitstruct
+        except Exception as error:  # EncodeError for what is missing, KeyError, errors of bitstruct
             missing = [s.name for s in message.signals if s.name not in values and not s.multiplexer_ids]
             reason = f"it needs {', '.join(missing)} too" if missing else str(error).strip("'\"")
             raise DbcError(f"{name} cannot be sent: {reason}") from None
@@ -125,9 +123,7 @@ class DbcFile:
         this = self.signal(message, signal)
         while this.multiplexer_signal and this.multiplexer_ids and this.multiplexer_signal not in found:
             selector = self.signal(message, this.multiplexer_signal)
-            found[selector.name] = float(
-                selector.raw_to_scaled(this.multiplexer_ids[0], decode_choices=False)
-            )  # type: ignore[arg-type]  # numbers, since choices are not decoded
+            found[selector.name] = this.multiplexer_ids[0] * float(selector.scale) + float(selector.offset)
             this = selector
         return found
 

@@ -1,4 +1,4 @@
-"""The units of one CiA 402 drive to and from SI: counts, its unit of velocity, thousandths of rated values."""
+"""The units of a CiA 402 drive to and from SI: counts, its unit of velocity, thousandths of rated values."""
 
 from __future__ import annotations
 
