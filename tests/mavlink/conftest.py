@@ -1,4 +1,4 @@
-"""A bench: the driver and the fake joined in memory, in time that jumps over every wait."""
+"""A bench: the driver and fakes joined in memory, in time that jumps over every wait."""
 
 from __future__ import annotations
 
@@ -9,32 +9,42 @@ from typing import Any
 import pytest
 
 from lfield.driver import DeviceBinding
+from lfield.errors import DeviceError
 from lfield.testing.jumping import LoopClock, run_jumping
 from lfield_mavlink import PLUGIN
 from lfield_mavlink.driver import MavlinkDriver
-from lfield_sim.autopilot import KINDS, Autopilot
-from lfield_sim.mavlink.protocol import STEP, Faults, MavlinkFake
+from lfield_sim.autopilot import FLAVOURS, Autopilot
+from lfield_sim.mavlink.protocol import STEP, MavlinkFake
+from lfield_sim.mavlink.wire import make_faults
 
 MANIFEST = PLUGIN.read_manifests()["Mavlink"]
 
 
 class MemoryLink:
-    """Packets handed over in the next turn of the loop."""
+    """One link of the driver. Packets are handed over in the next turn of the loop.
 
-    def __init__(self, bench: Bench, on_data: Callable[[bytes], None]) -> None:
-        self.bench, self.on_data = bench, on_data
+    `cut` links carry nothing, `refused` ones cannot be opened.
+    """
+
+    def __init__(self, bench: Bench, number: int, on_data: Callable[[bytes], None]) -> None:
+        self.bench, self.number, self.on_data = bench, number, on_data
+        self.cut = self.refused = False
+        self.sent: list[bytes] = []
 
     async def open(self) -> None:
-        self.bench.link = self
+        if self.refused:
+            raise DeviceError("endpoint", f"cannot open link {self.number}")
 
     def send(self, data: bytes) -> None:
+        self.sent.append(data)
         self.bench.sent.append(data)
-        if not self.bench.cut:
+        if not self.cut:
             asyncio.get_running_loop().call_soon(self._deliver, data)
 
     def _deliver(self, data: bytes) -> None:
-        for packet in self.bench.fake.receive("driver", data):
-            self.on_data(packet)
+        for fake in self.bench.fakes.values():
+            for packet in fake.receive(f"link {self.number}", data):
+                self.bench.filter(self, packet)
 
     def close(self) -> None:
         pass
@@ -43,34 +53,71 @@ class MemoryLink:
 class BenchDriver(MavlinkDriver):
     bench: Bench
 
-    def _make_link(self):
-        return MemoryLink(self.bench, self._received)
+    def _make_link(self, endpoint, on_data):
+        link = MemoryLink(self.bench, len(self.bench.links), on_data)
+        link.refused = link.number in self.bench.refused
+        self.bench.links.append(link)
+        return link
 
 
 class Bench:
-    """One fake and one driver for it; what the driver reports is kept."""
+    """Fakes and a driver for them; what the driver reports is kept."""
 
     def __init__(
-        self, *, kind="copter", faults=None, limits=None, options=None, safe_state="land", **autopilot: Any
+        self,
+        *,
+        kind: str = "copter",
+        flavour: str = "ardupilot",
+        faults: tuple[str, ...] = (),
+        limits: dict[str, float] | None = None,
+        options: dict[str, Any] | None = None,
+        safe_state: str = "land",
+        ttl: float = 0.5,
+        waivers: tuple[str, ...] = ("device_watchdog",),
+        systems: tuple[int, ...] = (1,),
+        links: int = 1,
+        **autopilot: Any,
     ) -> None:
-        self.autopilot = Autopilot(KINDS[kind], **autopilot)
-        self.fake = MavlinkFake(self.autopilot, faults=faults or Faults())
+        self.faults = make_faults(*faults, systems=systems)
+        vehicle = FLAVOURS[flavour].get(kind, FLAVOURS[flavour]["copter"])
+        self.fakes = {
+            system: MavlinkFake(Autopilot(vehicle, **autopilot), system=system, faults=self.faults)
+            for system in systems
+        }
+        self.autopilot = self.fakes[systems[0]].autopilot
         given = {"system": 1, "kind": kind, "connect": 5.0, "tolerance": 0.5, **(options or {})}
-        self.binding = DeviceBinding(
-            agent="alpha", field="fc", type="Mavlink", driver="mavlink", safe_state=safe_state,
-            endpoint="udp:127.0.0.1:1",
-            limits=limits or {}, options=given, waivers=["device_watchdog"],
-        )  # fmt: skip
+        every = {o.name: o.default for o in MANIFEST.options}
+        self.bindings = [
+            DeviceBinding(
+                agent=f"a{system}", field="fc", type="Mavlink", driver="mavlink", safe_state=safe_state,
+                endpoint=", ".join(f"udp:127.0.0.1:{port}" for port in range(1, links + 1)), ttl=ttl,
+                limits=limits or {}, options={**every, **given, "system": system}, waivers=list(waivers),
+            )
+            for system in systems
+        ]  # fmt: skip
         self.sent: list[bytes] = []
-        self.link: MemoryLink | None = None
-        self.cut = False
-        self.values: dict[str, Any] = {}
+        self.links: list[MemoryLink] = []
+        self.refused: set[int] = set()
+        self.driver: Any = None
+        self.reported: dict[str, dict[str, Any]] = {b.name: {} for b in self.bindings}
+        self.values = self.reported[self.bindings[0].name]
         self.notes: list[str] = []
         self.crashes: list[str] = []
+        #: What a packet of a fake goes through: may be replaced by a test.
+        self.filter: Callable[[MemoryLink, bytes], None] = lambda link, packet: link.on_data(packet)
+
+    @property
+    def cut(self) -> bool:
+        return all(link.cut for link in self.links)
+
+    @cut.setter
+    def cut(self, cut: bool) -> None:
+        for link in self.links:
+            link.cut = cut
 
     # the driver's reports
     def publish(self, device, values):
-        self.values.update(values)
+        self.reported[device].update(values)
 
     def heard(self, device):
         pass
@@ -81,22 +128,22 @@ class Bench:
     def crashed(self, reason):
         self.crashes.append(reason)
 
-    def run(self, mission: Callable[[Any], Awaitable[Any]], *, opened: bool = True) -> Any:
-        """Run a mission with the device, opened unless told otherwise."""
+    def run(self, mission: Callable[..., Awaitable[Any]], *, opened: bool = True) -> Any:
+        """Run a mission with the devices, opened unless told otherwise."""
 
         async def main() -> Any:
             kind = type("Driver", (BenchDriver,), {"bench": self})
-            driver = kind([self.binding], {"Mavlink": MANIFEST}, LoopClock(), self)
+            self.driver = kind(self.bindings, {"Mavlink": MANIFEST}, LoopClock(), self)
             flying = asyncio.get_running_loop().create_task(self._fly())
             try:
-                await driver.open()
-                device = driver.devices["alpha.fc"]
+                await self.driver.open()
+                devices = list(self.driver.devices.values())
                 if opened:
-                    await device.open()
-                return await mission(device)
+                    await asyncio.gather(*(device.open() for device in devices))
+                return await mission(*devices)
             finally:
                 flying.cancel()
-                await driver.close()
+                await self.driver.close()
 
         result = run_jumping(main())
         assert self.crashes == []
@@ -105,10 +152,11 @@ class Bench:
     async def _fly(self) -> None:
         while True:
             await asyncio.sleep(STEP)
-            packets = self.fake.advance(STEP)
-            if self.link is not None and not self.cut:
-                for packet in packets:
-                    self.link.on_data(packet)
+            for fake in self.fakes.values():
+                packets = fake.advance(STEP)
+                for link in self.links:
+                    for packet in packets if not link.cut else ():
+                        self.filter(link, packet)
 
 
 @pytest.fixture

@@ -13,11 +13,12 @@ from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
 from lfield_mavlink.dialect import Reader, Writer, dialect, result_words
-from lfield_mavlink.exchange import Exchange
+from lfield_mavlink.exchange import Exchange, Parameter
 from lfield_mavlink.links import make_link
-from lfield_mavlink.modes import COPTER, KINDS
+from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.state import VehicleState
 from lfield_mavlink.texts import Texts
+from lfield_mavlink.watchdog import SETTINGS
 
 
 def test_texts_are_joined_and_kept():
@@ -55,11 +56,18 @@ def test_results_in_words():
 
 
 def test_modes():
-    assert COPTER.mode_name(17) == "BRAKE"
-    assert COPTER.mode_name(99) == "mode 99"
-    for kind in KINDS.values():
-        for mode in (*kind.safe.values(), kind.hold, "GUIDED"):
-            assert kind.mode_name(kind.mode_number(mode)) == mode
+    copter = PROFILES[ARDUPILOT, "copter"]
+    assert copter.mode_name(17) == "BRAKE"
+    assert copter.mode_name(99) == "mode 99"
+    assert copter.mode_values("BRAKE") == (17.0,)
+    assert copter.mode_values("HOVER") is None
+    assert PROFILES[PX4, "copter"].mode_values("AUTO.LOITER") == (4.0, 3.0)
+    for profile in PROFILES.values():
+        names = set(profile.modes.values())
+        assert len(names) == len(profile.modes)
+        assert {profile.guided, profile.arming, profile.hold, profile.land, profile.home} <= names
+        assert profile.own <= names
+        assert (profile.autopilot, profile.kind) in SETTINGS
 
 
 class Asked:
@@ -120,17 +128,16 @@ def test_in_progress_extends_the_wait(jumping):
 
 def test_parameters(jumping):
     value = dialect.MAVLink_param_value_message(b"FS_GCS_ENABLE", 1.0, 9, 1, 0)
-    assert (
-        jumping(Asked(lambda m, count: [value] if count == 2 else []).exchange.parameter("FS_GCS_ENABLE"))
-        == 1.0
-    )
+    assert jumping(
+        Asked(lambda m, count: [value] if count == 2 else []).exchange.parameter("FS_GCS_ENABLE")
+    ) == Parameter(1.0, 9)
     assert jumping(Asked(lambda m, count: [value]).exchange.parameter("OTHER")) is None
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.binary(max_size=80), max_size=5))
 def test_malformed_bytes_never_raise_and_never_hide_what_follows(pieces):
-    reader, state = Reader(), VehicleState(COPTER)
+    reader, state = Reader(), VehicleState("copter")
     for piece in pieces:
         for message in reader.feed(piece):
             state.update(message, 1.0)
@@ -154,7 +161,7 @@ floats = st.floats(width=32)
     st.integers(0, 255),
 )
 def test_telemetry_that_makes_no_sense_is_not_published(numbers, percent, volts, landed):
-    state = VehicleState(COPTER)
+    state = VehicleState("copter")
     values: dict = {}
     for message in (
         dialect.MAVLink_local_position_ned_message(0, *numbers),
@@ -247,10 +254,10 @@ def test_serial_reads_writes_and_is_locked():
         await until(lambda: got == b"\x00\xfd\r\n\x11\x13")
         link.send(b"\n\xff\x03")
         assert os.read(master, 10) == b"\n\xff\x03"
-        with pytest.raises(DeviceError, match=f"cannot open serial:{path}:57600"):
+        with pytest.raises(DeviceError, match=f"{path} is in use by another program"):
             await make_link(f"serial:{path}:57600", got.extend).open()
         os.close(master)
-        await until(lambda: link._fd is None)
+        await until(lambda: link._port is None)
         link.send(b"lost")
         link.close()
         os.close(slave)
