@@ -27,7 +27,7 @@ from lfield_dynamixel.packets import PROTOCOLS, AnyProtocol, Status, split_fast
 from lfield_dynamixel.words import refusal
 
 #: How often a question is asked before a servo counts as silent.
-TRIES = 3
+TRIES = 5
 #: So many fast reads in a row that fail while plain ones work: some servo here does not know them.
 FAST_FAILURES = 3
 
@@ -88,18 +88,18 @@ class Chain:
         return answers[0].data
 
     async def read(
-        self, node: Node, start: int, size: int, *, urgency: int = COMMAND, tries: int = TRIES
+        self, node: Node, start: int, size: int, *, urgency: int = COMMAND
     ) -> Status:
         """`size` bytes of a control table from the address `start`. Raises NoAnswer, Refusal."""
         parameters = node.place(start, size)
-        return await self._insist(node, INST_READ, parameters, size, urgency, tries)
+        return await self._insist(node, INST_READ, parameters, size, urgency)
 
     async def write(self, node: Node, start: int, data: bytes, *, urgency: int = COMMAND) -> Status:
         """Write bytes to a control table; the servo has confirmed it. Raises NoAnswer, Refusal.
 
         What is written here can be written twice, so a lost answer is asked for by writing again.
         """
-        return await self._insist(node, INST_WRITE, node.place(start) + data, 0, urgency, TRIES)
+        return await self._insist(node, INST_WRITE, node.place(start) + data, 0, urgency)
 
     async def tell(self, node: Node, start: int, data: bytes) -> None:
         """Write without waiting for an answer: for a servo that is set to give none."""
@@ -133,7 +133,7 @@ class Chain:
             if node.number in found or not (alone or len(nodes) == 1):
                 continue
             try:
-                found[node.number] = await self.read(node, start, size, urgency=urgency, tries=1)
+                found[node.number] = await self.read(node, start, size, urgency=urgency)
             except (NoAnswer, Refusal):
                 continue
         return found
@@ -152,16 +152,17 @@ class Chain:
         if fast:
             whole = split_fast(answers[0], numbers, size) if answers else None
             self._fast_failures = 0 if whole else self._fast_failures + 1
-            answers = list(whole.values()) if whole else []
+            # It was answered under another id, so it casts no doubt on answers to come.
+            return whole or {}
         found = {answer.number: answer for answer in answers if len(answer.data) == size}
         self._doubted.update(set(numbers) - found.keys())
         return found
 
     async def _insist(
-        self, node: Node, instruction: int, parameters: bytes, size: int, urgency: int, tries: int
+        self, node: Node, instruction: int, parameters: bytes, size: int, urgency: int
     ) -> Status:
         """Ask until the servo has answered with as many bytes as were asked for."""
-        for _ in range(tries):
+        for _ in range(TRIES):
             if node.number in self._doubted and await self.ping(node, urgency=urgency) is None:
                 continue
             answers = await self._ask(node, instruction, parameters, size, urgency)

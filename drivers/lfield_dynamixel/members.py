@@ -243,7 +243,7 @@ class Members(Device):
     # -- parts ------------------------------------------------------------------------------------------
 
     async def _each(self, servos: Iterable[Servo], work: Callable[[Servo], Awaitable[T]]) -> list[T]:
-        """Do something with every servo; what failed is raised when all had their turn. Raises DeviceError."""
+        """Do something with every servo. Raises DeviceError with what failed, when all had their turn."""
         done, failed = [], []
         for servo in servos:
             try:

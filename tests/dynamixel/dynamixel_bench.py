@@ -66,11 +66,11 @@ class Bench:
     """A chain of fakes, and a driver with one device for them; what the driver reports is kept."""
 
     def __init__(
-        self, *ids: int, model: str = "XL330-M288", limits=None, safe_state="torque_hold", ttl=0.5,
+        self, *ids: int, fake: str = "XL330-M288", limits=None, safe_state="torque_hold", ttl=0.5,
         extra=(), waivers=(), **options: Any,
     ) -> None:  # fmt: skip
         numbers = ids or (1,)
-        servos = [Servo(model_named(model), START) for _ in numbers]
+        servos = [Servo(model_named(fake), START) for _ in numbers]
         for number, servo in zip(numbers, servos, strict=True):
             servo.table.put("id", number)
             servo.table.put("baud_rate", BAUDS.index(BAUD))

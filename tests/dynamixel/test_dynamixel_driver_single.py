@@ -1,0 +1,381 @@
+"""One servo: instructions, limits, modes, EEPROM, safe states, watchdog; on the fake, in jumping time."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+from dynamixel_bench import Bench, call
+
+from lfield.errors import DeviceError
+
+NAN = math.nan
+
+
+async def stiff(servo, velocity=2.0, acceleration=10.0):
+    await call(servo, "torque", True)
+    await call(servo, "setProfile", velocity, acceleration)
+
+
+def refused(bench: Bench, *instruction: object, match: str, prepare=stiff) -> None:
+    """The instruction raises with these words, and nothing has been written to the servo for it."""
+
+    async def story(servo):
+        await prepare(servo)
+        sent = len(bench.sent)
+        with pytest.raises(DeviceError, match=match):
+            await call(servo, *instruction)
+        writes = [packet for _, packet in bench.sent[sent:] if packet[7] in (0x03, 0x83)]
+        assert writes == []
+
+    bench.run(story)
+
+
+def test_opening_tells_who_it_is_and_sets_its_watchdog():
+    bench = Bench(7)
+
+    async def story(servo):
+        assert await servo.open() == "XL330-M288 7 (firmware 52, position mode)"
+        assert bench.servos[7].table["bus_watchdog"] == 50  # 20 ms each: twice the ttl
+        assert not bench.servos[7].table["torque_enable"]
+
+    bench.servos[7].table.put("firmware_version", 52)
+    bench.run(story, opened=False)
+
+
+def test_move_to_is_done_when_it_is_there():
+    bench = Bench()
+
+    async def story(servo):
+        await stiff(servo)
+        start = asyncio.get_running_loop().time()
+        await call(servo, "moveTo", 1.0)
+        assert bench.values["position"] == pytest.approx(1.0, abs=0.02)
+        assert bench.values["temperature"] == pytest.approx(30.0)
+        # 1 rad at 2 rad/s and 10 rad/s2: 0.5 s and a ramp of 0.2 s.
+        assert asyncio.get_running_loop().time() - start == pytest.approx(0.7, abs=0.1)
+
+    bench.run(story)
+
+
+@pytest.mark.parametrize("time_based", [False, True])
+def test_the_limit_of_speed_is_in_every_profile(time_based):
+    bench = Bench(limits={"speed": 1.0})
+    bench.servos[1].table.put("drive_mode", 4 if time_based else 0)
+
+    async def story(servo):
+        await call(servo, "torque", True)
+        moving = asyncio.ensure_future(call(servo, "moveTo", 1.0))
+        fastest = 0.0
+        while not moving.done():
+            await asyncio.sleep(0.05)
+            fastest = max(fastest, bench.values["velocity"])
+        await moving
+        assert 0.8 < fastest < 1.15
+
+    bench.run(story)
+
+
+def test_a_setpoint_is_sent_once():
+    bench = Bench()
+
+    async def story(servo):
+        await stiff(servo)
+        sent = len(bench.sent)
+        await call(servo, "setPosition", 0.3)
+        await asyncio.sleep(1.0)
+        goals = [p for _, p in bench.sent[sent:] if p[7] == 3]
+        assert len(goals) == 1
+        assert bench.values["position"] == pytest.approx(0.3, abs=0.02)
+
+    bench.run(story)
+
+
+def test_velocity_and_current_need_their_mode():
+    bench = Bench(limits={"speed": 3.0, "current": 0.5})
+
+    async def story(servo):
+        await stiff(servo)
+        with pytest.raises(DeviceError, match="setVelocity needs the mode velocity; servo 1 is in position"):
+            await call(servo, "setVelocity", 1.0)
+        await call(servo, "mode", "velocity")
+        assert bench.servos[1].table["operating_mode"] == 1
+        assert bench.servos[1].table["torque_enable"] == 1
+        await call(servo, "setVelocity", -2.0)
+        await asyncio.sleep(0.5)
+        assert bench.values["velocity"] == pytest.approx(-2.0, abs=0.1)
+        await servo.make_safe()
+        assert abs(bench.values["velocity"]) < 0.15
+        await call(servo, "mode", "current")
+        await call(servo, "setCurrent", 0.2)
+        assert bench.servos[1].table["goal_current"] == 200
+
+    bench.run(story)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "match"),
+    [
+        (("moveTo", NAN), "nan rad is outside"),
+        (("moveTo", 2.0), "2 rad is outside -1 to 1.5 rad"),
+        (("setPosition", math.inf), "inf rad is outside"),
+        (("setProfile", 9.0, 1.0), "9 rad/s is above the limit of 4 rad/s"),
+        (("setProfile", -1.0, 1.0), "finite numbers from 0"),
+        (("setProfile", 1.0, NAN), "finite numbers from 0"),
+        (("setVelocity", NAN), "nan rad/s is above the limit"),
+        (("setCurrent", NAN), "nan A is above the limit"),
+        (("moveUntil", 0.5, 9.0), "9 A is above the limit of 0.6 A"),
+        (("moveUntil", 0.5, 0.3), "needs the mode currentPosition"),
+        (("mode", "sideways"), "has no mode 'sideways'"),
+        (("calibrate", NAN), "finite angle"),
+        (("setRange", 1.0, -1.0), "a lower and a higher"),
+        (("setRange", -9.0, 1.0), "is below"),
+    ],
+)
+def test_what_is_refused_before_anything_is_sent(instruction, match):
+    bench = Bench(limits={"speed": 4.0, "current": 0.6}, lowest=-1.0, highest=1.5)
+    refused(bench, *instruction, match=match)
+
+
+def test_its_own_position_limits_are_told_in_words():
+    bench = Bench()
+    bench.servos[1].table.put("max_position_limit", 2500)
+    refused(bench, "moveTo", 1.0, match="only goes from -3.142 to 0.693 rad")
+
+
+def test_a_limp_servo_is_not_moved():
+    async def nothing(servo):
+        pass
+
+    refused(Bench(), "moveTo", 0.1, match=r"torque of servo 1 is off; call torque\(true\)", prepare=nothing)
+
+
+def test_a_model_without_current_says_so():
+    async def nothing(servo):
+        pass
+
+    bench = Bench(fake="XL430-W250")
+    refused(bench, "moveUntil", 0.1, 0.2, match="a XL430-W250 measures no current", prepare=nothing)
+    assert math.isnan(bench.values["current"])
+
+
+def test_something_in_the_way_ends_the_travel_and_the_pushing():
+    bench = Bench()
+
+    async def story(servo):
+        await stiff(servo)
+        bench.fault("stuck=true")
+        with pytest.raises(DeviceError, match=r"servo 1 stopped 1\.\d+ rad short"):
+            await call(servo, "moveTo", 1.2)
+        assert bench.servos[1].table["goal_position"] == pytest.approx(2048, abs=70)
+
+    bench.run(story)
+
+
+def test_overload_shuts_down_is_told_and_reboot_cures_it():
+    bench = Bench()
+
+    async def story(servo):
+        await stiff(servo)
+        bench.fault("overload=true")
+        with pytest.raises(DeviceError, match=r"overload|short"):
+            await call(servo, "moveTo", 1.2)
+        await asyncio.sleep(3.0)
+        assert bench.values["fault"] == "overload"
+        assert not bench.values["torqueOn"]
+        assert [note for note in bench.notes if "overload" in note] == [
+            "servo 1: overload; the torque is off"
+        ]
+        with pytest.raises(DeviceError, match=r"has shut down: overload; reboot\(\)"):
+            await call(servo, "torque", True)
+        bench.fault("overload=false")
+        await call(servo, "reboot")
+        assert bench.values["fault"] == ""
+        assert bench.servos[1].table["bus_watchdog"] == 50
+        await stiff(servo)
+        await call(servo, "moveTo", 0.2)
+
+    bench.run(story)
+
+
+def test_move_until_stops_at_the_force_and_keeps_it():
+    bench = Bench(limits={"speed": 2.0})
+
+    async def story(servo):
+        await call(servo, "mode", "currentPosition")
+        await stiff(servo, 1.0)
+        moving = asyncio.ensure_future(call(servo, "moveUntil", 1.0, 0.3))
+        await asyncio.sleep(0.4)
+        bench.servos[1].motion.motor.blocked = True
+        await moving
+        assert bench.values["position"] < 0.9
+        assert abs(bench.values["current"]) >= 0.25
+        await asyncio.sleep(1.0)
+        assert abs(bench.values["current"]) >= 0.25
+        bench.servos[1].motion.motor.blocked = False
+        await call(servo, "moveUntil", 0.2, 0.3)
+        assert bench.values["position"] == pytest.approx(0.2, abs=0.03)
+
+    bench.run(story)
+
+
+def test_calibration_is_kept_and_seen():
+    bench = Bench()
+
+    async def story(servo):
+        await stiff(servo)
+        await call(servo, "moveTo", 0.3)
+        await call(servo, "calibrate", 0.0)
+        await asyncio.sleep(0.2)
+        assert bench.values["position"] == pytest.approx(0.0, abs=0.01)
+        assert bench.values["torqueOn"]
+        await asyncio.sleep(0.5)
+        assert bench.values["position"] == pytest.approx(0.0, abs=0.01)
+
+    bench.run(story)
+
+
+def test_the_range_is_written_with_the_torque_off_and_restored():
+    bench = Bench()
+
+    async def story(servo):
+        await stiff(servo)
+        await call(servo, "setRange", -0.5, 0.5)
+        table = bench.servos[1].table
+        assert (table["min_position_limit"], table["max_position_limit"]) == (1722, 2374)
+        assert table["torque_enable"] == 1
+        with pytest.raises(DeviceError, match=r"only goes from -0\.500 to 0\.500"):
+            await call(servo, "moveTo", 0.6)
+
+    bench.run(story)
+
+
+def test_torque_hold_stays_where_it_is():
+    bench = Bench()
+
+    async def story(servo):
+        await stiff(servo)
+        moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
+        await asyncio.sleep(0.4)
+        moving.cancel()
+        await servo.make_safe()
+        stopped = bench.servos[1].table["goal_position"]
+        await asyncio.sleep(1.0)
+        assert bench.values["velocity"] == pytest.approx(0.0, abs=0.03)
+        assert bench.values["position"] == pytest.approx((stopped - 2048) * 2 * math.pi / 4096, abs=0.02)
+        assert bench.values["position"] < 1.2
+        assert bench.values["torqueOn"]
+
+    bench.run(story)
+
+
+def test_torque_off_is_seen_to_be_off():
+    bench = Bench(safe_state="torque_off")
+
+    async def story(servo):
+        await stiff(servo)
+        await servo.make_safe()
+        assert bench.servos[1].table["torque_enable"] == 0
+
+    bench.run(story)
+
+
+def test_a_safe_state_that_was_not_seen_is_an_error():
+    bench = Bench(safe_state="torque_off")
+
+    async def story(servo):
+        await stiff(servo)
+        bench.fault("dead=true")
+        with pytest.raises(DeviceError, match="servo 1 does not answer") as caught:
+            await servo.make_safe()
+        assert caught.value.kind == "DeviceTimeoutException"
+        bench.fault("dead=false")
+        await servo.make_safe()
+
+    bench.run(story)
+
+
+def test_a_silent_owner_lets_the_watchdog_fire_and_only_release_frees_it():
+    bench = Bench()
+
+    async def story(servo):
+        await stiff(servo)
+        await call(servo, "setProfile", 0.5, 0.0)
+        moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
+        await asyncio.sleep(0.3)
+        moving.cancel()
+        bench.driver.quiet()
+        last = len(bench.sent)
+        await asyncio.sleep(3.0)
+        assert len(bench.sent) <= last + 2
+        bench.chain.advance(asyncio.get_running_loop().time())
+        assert bench.servos[1].table["bus_watchdog"] == 255
+        await servo.make_safe()  # stopped by its watchdog is stopped
+        bench.driver.resume()
+        await asyncio.sleep(1.0)
+        assert "servo 1 was stopped by its own watchdog; release() frees it" in bench.notes
+        with pytest.raises(DeviceError, match=r"stopped by its own watchdog; call release\(\)"):
+            await call(servo, "moveTo", 0.0)
+        place = bench.values["position"]
+        await call(servo, "release")
+        await asyncio.sleep(1.0)
+        assert bench.values["position"] == pytest.approx(place, abs=0.02)
+        assert bench.servos[1].table["bus_watchdog"] == 50
+        await call(servo, "moveTo", 0.0)
+
+    bench.run(story)
+
+
+def test_a_short_ttl_is_polled_faster_than_its_watchdog():
+    bench = Bench(ttl=0.04)
+
+    async def story(servo):
+        await stiff(servo)
+        await asyncio.sleep(2.0)
+        assert bench.servos[1].table["bus_watchdog"] == 4
+        await call(servo, "moveTo", 0.3)
+
+    bench.run(story)
+
+
+def test_a_watchdog_that_cannot_be_short_enough_needs_a_waiver():
+    async def story(servo):
+        with pytest.raises(DeviceError, match=r"watchdog of 0\.02 s"):
+            await servo.open()
+
+    Bench(ttl=0.005).run(story, opened=False)
+    Bench(ttl=0.005, waivers=["device_watchdog"]).run(lambda servo: servo.open(), opened=False)
+
+
+def test_a_servo_that_answers_pings_only_is_told_to_answer():
+    bench = Bench()
+    bench.servos[1].table.put("status_return_level", 0)
+    bench.run(lambda servo: call(servo, "torque", True))
+    assert bench.servos[1].table["status_return_level"] == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"model": "XM430-W350"}, "is a XL330-M288; its binding says"),
+        ({"id": 9}, "servo 9 does not answer: is"),
+    ],
+)
+def test_who_is_not_the_one_is_not_opened(options, match):
+    async def story(servo):
+        with pytest.raises(DeviceError, match=match):
+            await servo.open()
+
+    Bench(**options).run(story, opened=False)
+
+
+def test_an_unknown_model_is_named():
+    bench = Bench()
+    bench.servos[1].table.put("model_number", 4711)
+
+    async def story(servo):
+        with pytest.raises(DeviceError, match="model number 4711, which is not in the tables"):
+            await servo.open()
+
+    bench.run(story, opened=False)
