@@ -1,159 +1,198 @@
-"""What an ArduPilot-like autopilot does with a vehicle: modes, arming, guided flight, failsafes.
+"""What an autopilot does with a vehicle: modes, arming, guided flight, missions, failsafes.
 
-Times and refusals are those measured on ArduCopter and ArduRover 4.7 (see README.md for what is not
-modelled). Pure: `step(dt)` moves time, everything else answers at once.
+Times and refusals are those measured on ArduPilot 4.7 and PX4 1.17; what tells them apart is data in
+`flavours`. Pure: `step(dt)` moves time, everything else answers at once. See README.md for what is not modelled.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import IntEnum
+from typing import Protocol
 
-from lfield_sim.vehicle import Descend, Fall, GroundVehicle, Keep, Reach, Rest, Vector, Vehicle
+from lfield_sim import ardupilot, px4
+from lfield_sim.battery import Battery
+from lfield_sim.failsafes import Failsafes
+from lfield_sim.flavours import Flavour, Kind, Result, Role, Severity
+from lfield_sim.flight import circle_ahead, fly, why_no_mission
+from lfield_sim.habits import disarm_when_idle, suffer
+from lfield_sim.mission import Mission, MissionItem
+from lfield_sim.payload import Payload
+from lfield_sim.vehicle import (
+    ZERO,
+    Circle,
+    Descend,
+    Fall,
+    Goal,
+    GroundVehicle,
+    Keep,
+    Lean,
+    Reach,
+    Rest,
+    Vector,
+    Vehicle,
+)
 
-
-class Result(IntEnum):
-    """MAV_RESULT."""
-
-    ACCEPTED = 0
-    TEMPORARILY_REJECTED = 1
-    DENIED = 2
-    UNSUPPORTED = 3
-    FAILED = 4
-
-
-class Severity(IntEnum):
-    """MAV_SEVERITY, the part that is used."""
-
-    CRITICAL = 2
-    WARNING = 4
-    INFO = 6
+#: Every vehicle there is, by flavour and kind.
+FLAVOURS: Mapping[str, Mapping[str, Kind]] = {"ardupilot": ardupilot.KINDS, "px4": px4.KINDS}
+KINDS = FLAVOURS["ardupilot"]
+#: Seconds between two setpoints that still make a stream to PX4, which does not enter OFFBOARD without one.
+STREAM_GAP = 0.5
+#: Seconds that a restart takes.
+REBOOT = 3.0
+#: Texts that are kept until somebody takes them.
+KEPT_TEXTS = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
-    """What tells a copter from a rover: MAV_TYPE, mode numbers, and where it may be armed."""
+class Setpoint:
+    """What a guided vehicle is to do; a motion and a heading, each may be left open."""
 
-    name: str
-    mav_type: int
-    modes: Mapping[str, int]
-    start: str
-    unarmable: frozenset[str]
-
-    def mode_name(self, number: int) -> str:
-        """The name of a mode number, '' for an unknown one."""
-        return next((name for name, known in self.modes.items() if known == number), "")
+    goal: Goal | None = None
+    yaw: float | None = None
+    yaw_rate: float | None = None
 
 
-COPTER = Kind(
-    "copter",
-    2,
-    {
-        "STABILIZE": 0,
-        "ALT_HOLD": 2,
-        "AUTO": 3,
-        "GUIDED": 4,
-        "LOITER": 5,
-        "RTL": 6,
-        "CIRCLE": 7,
-        "LAND": 9,
-        "POSHOLD": 16,
-        "BRAKE": 17,
-    },
-    "STABILIZE",
-    frozenset({"RTL", "CIRCLE", "LAND", "BRAKE", "AUTO"}),
-)
-ROVER = Kind(
-    "rover",
-    10,
-    {"MANUAL": 0, "ACRO": 1, "STEERING": 3, "HOLD": 4, "LOITER": 5, "AUTO": 10, "RTL": 11, "GUIDED": 15},
-    "MANUAL",
-    frozenset({"RTL"}),
-)
-KINDS = {kind.name: kind for kind in (COPTER, ROVER)}
+class Fence(Protocol):
+    """Where a vehicle may be, as far as it was uploaded."""
 
-#: The parameters it has, as ArduPilot names them: speeds in cm/s, times in s, heights in cm.
-PARAMETERS: Mapping[str, float] = {
-    "BATT_CAPACITY": 3300,
-    "BATT_LOW_MAH": 660,
-    "DISARM_DELAY": 10,
-    "FENCE_ENABLE": 0,
-    "FS_GCS_ENABLE": 0,
-    "FS_GCS_TIMEOUT": 5,
-    "GUID_TIMEOUT": 3,
-    "LAND_SPEED": 100,
-    "MAV_GCS_SYSID": 255,
-    "RTL_ALT": 1500,
-    "WPNAV_ACCEL": 250,
-    "WPNAV_SPEED": 500,
-    "WPNAV_SPEED_DN": 150,
-    "WPNAV_SPEED_UP": 250,
-}
+    def breached(self, place: Vector) -> int:
+        """A FENCE_BREACH type, 0 for none, of a place in the local frame."""
 
-#: Amperes drawn: switched on, motors turning, flying.
-IDLE_CURRENT, ARMED_CURRENT, FLYING_CURRENT = 0.5, 2.0, 18.0
-FULL_VOLTS, EMPTY_VOLTS, RESISTANCE = 16.8, 13.2, 0.02
-#: param2 of a disarm that is meant even in the air.
-FORCE = 21196
+
+class NoFence:
+    """No fence was uploaded."""
+
+    def breached(self, place: Vector) -> int:
+        """Never."""
+        return 0
 
 
 @dataclass(slots=True)
 class Autopilot:
-    """One vehicle with its autopilot. `refuse_arming` is a reason to refuse every arming, or ''."""
+    """One vehicle with its autopilot.
 
-    kind: Kind = COPTER
-    parameters: dict[str, float] = field(default_factory=lambda: dict(PARAMETERS))
-    charge: float = 1.0
+    Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `motor_failed`; `warm_up`
+    are the seconds after a start in which it is not healthy yet.
+    """
+
+    kind: Kind = KINDS["copter"]
+    battery: Battery = field(default_factory=Battery)
     refuse_arming: str = ""
+    gps_lost: bool = False
+    motor_failed: bool = False
+    warm_up: float = 0.0
+    parameters: dict[str, float] = field(init=False)
     vehicle: Vehicle = field(init=False)
+    payload: Payload = field(default_factory=Payload)
+    mission: Mission = field(default_factory=Mission)
+    fence: Fence = field(default_factory=NoFence)
+    failsafes: Failsafes = field(init=False)
     mode: str = field(init=False)
     armed: bool = False
     critical: bool = False
-    home: Vector = (0.0, 0.0, 0.0)
-    uptime: float = 0.0
-    texts: list[tuple[Severity, str]] = field(default_factory=list)
-    _gcs_seen: float | None = None
-    _gcs_lost: bool = False
-    _setpoint_at: float = 0.0
-    _armed_at: float = 0.0
-    _low_told: bool = False
+    home: Vector = ZERO
+    now: float = 0.0
+    booted: float = 0.0
+    booting_until: float = -1.0
+    boots: int = 0
+    armed_at: float = 0.0
+    landed_at: float | None = None
+    perform: Callable[[MissionItem], object] = lambda _: None
+    _texts: list[tuple[Severity, str]] = field(default_factory=list)
+    _setpoint_at: float = -math.inf
+    _takeoff_height: float | None = None
 
     def __post_init__(self) -> None:
-        self.vehicle = Vehicle() if self.kind is COPTER else GroundVehicle()
+        self.parameters = dict(self.kind.parameters)
+        self.vehicle = Vehicle() if self.kind.name == "copter" else GroundVehicle()
+        self.failsafes = Failsafes(self)
         self.mode = self.kind.start
         self.apply_parameters()
 
-    @property
-    def current(self) -> float:
-        """Amperes drawn from the battery."""
-        if self.vehicle.airborne:
-            return FLYING_CURRENT
-        return ARMED_CURRENT if self.armed else IDLE_CURRENT
+    # -- state ----------------------------------------------------------------------------------------
 
     @property
-    def volts(self) -> float:
-        """Voltage of the battery under the present load."""
-        return EMPTY_VOLTS + (FULL_VOLTS - EMPTY_VOLTS) * self.charge - RESISTANCE * self.current
+    def uptime(self) -> float:
+        """Seconds since it was switched on or restarted."""
+        return max(0.0, self.now - self.booted)
+
+    @property
+    def role(self) -> Role:
+        """What the present mode does."""
+        return self.kind.modes[self.mode].role
+
+    @property
+    def charge(self) -> float:
+        """Of the battery, 0 to 1."""
+        return self.battery.charge
+
+    @property
+    def flavour(self) -> Flavour:
+        """ArduPilot or PX4."""
+        return self.kind.flavour
+
+    @property
+    def flies(self) -> bool:
+        """Whether it is a copter."""
+        return self.kind.name == "copter"
+
+    @property
+    def booting(self) -> bool:
+        """Whether it is restarting: it says nothing and hears nothing."""
+        return self.now < self.booting_until
+
+    @property
+    def unfit(self) -> str:
+        """Why it cannot be armed now, '' when it can."""
+        if self.refuse_arming:
+            return self.refuse_arming
+        if self.gps_lost:
+            return "Need Position Estimate"
+        return "EKF not ready" if self.uptime < self.warm_up else ""
+
+    @property
+    def setpoints_over(self) -> bool:
+        """Whether the last setpoint is too old to go on with; positions of ArduPilot stay for ever."""
+        old = self.now - self._setpoint_at > self.value(self.flavour.setpoint_timeout)
+        return old and (self.flavour.needs_stream or isinstance(self.vehicle.goal, Keep | Lean))
+
+    @property
+    def return_height(self) -> float:
+        """Metres above home at which it returns."""
+        name, scale = self.kind.return_height
+        return min(self.value(name) / scale, 1000.0) if name else 0.0
+
+    @property
+    def takeoff_height(self) -> float:
+        """Metres above home to which PX4 takes off."""
+        if self._takeoff_height is not None:
+            return self._takeoff_height
+        name = self.kind.takeoff_height
+        return min(max(self.value(name), 0.5), 1000.0) if name else 2.5
+
+    def value(self, name: str) -> float:
+        """A parameter as a number one can count with: neither NaN nor below 0."""
+        number = self.parameters[name]
+        return min(number, 1e9) if number > 0.0 else 0.0
 
     def apply_parameters(self) -> None:
-        """Take the limits of motion from the parameters; a DO_CHANGE_SPEED ends here."""
+        """Take the limits of motion and the battery's size from the parameters."""
         limits = self.vehicle.limits
-        limits.cruise = self._metres("WPNAV_SPEED")
-        limits.climb = self._metres("WPNAV_SPEED_UP")
-        limits.descend = self._metres("WPNAV_SPEED_DN")
-        limits.land = self._metres("LAND_SPEED")
-        limits.acceleration = limits.vertical_acceleration = self._metres("WPNAV_ACCEL")
+        for limit, (name, scale) in self.kind.speeds.items():
+            setattr(limits, limit, min(max(self.value(name) / scale, 0.01), 100.0))
+        limits.vertical_acceleration = limits.acceleration
+        self.battery.capacity = min(max(self.value(self.flavour.capacity), 1.0), 1e6)
 
-    def _metres(self, name: str) -> float:
-        """A parameter in cm as metres, within what the model and its messages can hold."""
-        return min(max(self.parameters[name], 1.0), 10_000.0) / 100.0
+    def say(self, text: str, severity: Severity = Severity.INFO) -> None:
+        """A status text."""
+        self._texts = [*self._texts[-KEPT_TEXTS:], (severity, text)]
 
-    @property
-    def capacity(self) -> float:
-        """Of the battery, in mAh."""
-        return min(max(self.parameters["BATT_CAPACITY"], 1.0), 1e6)
+    def take_texts(self) -> list[tuple[Severity, str]]:
+        """What it had to say since the last call."""
+        texts, self._texts = self._texts, []
+        return texts
 
     # -- commands -------------------------------------------------------------------------------------
 
@@ -161,21 +200,21 @@ class Autopilot:
         """COMPONENT_ARM_DISARM 1: accepted too when it is armed already."""
         if self.armed:
             return Result.ACCEPTED
-        if self.mode in self.kind.unarmable:
-            return self._refuse(f"Arm: {self.mode} mode not armable")
-        if self.refuse_arming and not force:
-            return self._refuse(f"Arm: {self.refuse_arming}")
-        self.armed, self._armed_at = True, self.uptime
+        if not self.kind.modes[self.mode].armable:
+            return self._deny_arming(f"{self.mode} mode not armable")
+        if self.unfit and not force:
+            return self._deny_arming(self.unfit)
+        self.armed, self.armed_at, self.landed_at = True, self.now, None
         self.home = self.vehicle.place
-        self._say("Arming motors")
+        self.say(self.flavour.armed)
         return Result.ACCEPTED
 
     def disarm(self, *, force: bool = False) -> Result:
         """COMPONENT_ARM_DISARM 0: refused in the air unless forced."""
         if self.vehicle.airborne and not force:
-            return Result.FAILED
+            return self.flavour.refusal
         if self.armed:
-            self._say("Disarming motors")
+            self.say(self.flavour.disarmed)
         self.armed = False
         if self.vehicle.airborne:
             self.vehicle.goal = Fall()
@@ -187,42 +226,57 @@ class Autopilot:
         """DO_SET_MODE with a custom mode, or SET_MODE."""
         name = self.kind.mode_name(number)
         if not name:
-            self._say(f"No such mode {number}", Severity.WARNING)
+            self.say(f"No such mode {number}", Severity.WARNING)
             return Result.FAILED
-        self._enter(name)
+        return self.command_mode(name)
+
+    def command_mode(self, name: str) -> Result:
+        """A mode by name. PX4 says yes to OFFBOARD without setpoints, and does not enter it."""
+        role = self.kind.modes[name].role
+        if role is Role.MISSION and (reason := why_no_mission(self)):
+            return self.refuse(reason)
+        streams = self.now - self._setpoint_at <= STREAM_GAP
+        if role is not Role.GUIDED or streams or not self.flavour.needs_stream:
+            self.failsafes.commanded()
+            self.enter(name)
         return Result.ACCEPTED
 
-    def takeoff(self, height: float) -> Result:
-        """NAV_TAKEOFF to a height above home: only armed, in GUIDED, from the ground."""
-        if self.kind is not COPTER:
+    def command_role(self, role: Role) -> Result:
+        """The mode that has a role; UNSUPPORTED when there is none (a rover does not land)."""
+        name = self.kind.mode_for(role)
+        return self.command_mode(name) if name else Result.UNSUPPORTED
+
+    def takeoff(self, height: float | None) -> Result:
+        """NAV_TAKEOFF to a height above home; None is the one PX4 has as a parameter.
+
+        ArduPilot: only armed, in GUIDED, from the ground. PX4 enters a mode and says yes in any case.
+        """
+        if not self.flies:
             return Result.UNSUPPORTED
+        if self.flavour.takeoff_mode:
+            self._takeoff_height = height if height is not None and 0.0 < height < 1e4 else None
+            return self.command_role(Role.TAKEOFF)
         if not self.armed:
-            return self._refuse("Takeoff: not armed")
-        if self.mode != "GUIDED":
-            return self._refuse(f"Takeoff: not possible in {self.mode}")
-        if self.vehicle.airborne or not (math.isfinite(height) and height > 0.0):
+            return self.refuse("Takeoff: not armed")
+        if self.role is not Role.GUIDED:
+            return self.refuse(f"Takeoff: not possible in {self.mode}")
+        if self.vehicle.airborne or height is None or not 0.0 < height < 1e4:
             return Result.FAILED
         north, east, _ = self.vehicle.place
         self.vehicle.goal = Reach((north, east, self.home[2] - height))
         return Result.ACCEPTED
 
-    def land(self) -> Result:
-        """NAV_LAND: the mode LAND."""
-        if self.kind is not COPTER:
-            return Result.UNSUPPORTED
-        self._enter("LAND")
-        return Result.ACCEPTED
-
-    def go_home(self) -> Result:
-        """NAV_RETURN_TO_LAUNCH: the mode RTL."""
-        self._enter("RTL")
-        return Result.ACCEPTED
+    def start_mission(self, first: int | None = None) -> Result:
+        """MISSION_START: the mission mode, from an item or from where it was left."""
+        if first is not None and not self.mission.jump(first):
+            return self.refuse(f"Mission: there is no item {first}")
+        return self.command_role(Role.MISSION)
 
     def set_yaw(self, yaw: float) -> Result:
         """CONDITION_YAW to an absolute heading in radians."""
-        if self.mode not in ("GUIDED", "AUTO"):
+        if self.role not in (Role.GUIDED, Role.MISSION):
             return Result.FAILED
-        self.vehicle.yaw_goal = yaw
+        self.vehicle.yaw_goal, self.vehicle.yaw_rate_goal = yaw, None
         return Result.ACCEPTED
 
     def set_speed(self, speed: float) -> Result:
@@ -232,105 +286,111 @@ class Autopilot:
         self.vehicle.limits.cruise = speed
         return Result.ACCEPTED
 
-    def guide_to(self, place: Vector) -> None:
-        """A position setpoint; ignored, as on the real thing, when it cannot be followed."""
-        if self._guidable():
-            self.vehicle.goal = Reach(place)
+    def reposition(self, place: Vector, yaw: float | None, *, change_mode: bool) -> Result:
+        """DO_REPOSITION: ArduPilot goes there in GUIDED, PX4 holds there."""
+        if self.failsafes.fence_at(place)[0] and not self.flavour.needs_stream:
+            return Result.FAILED
+        role = Role.HOLD if self.flavour.needs_stream else Role.GUIDED
+        if self.role is not role and not change_mode:
+            return Result.DENIED
+        self.command_role(role)
+        if self.armed and (self.vehicle.airborne or not self.flies):
+            self.vehicle.goal, self.vehicle.yaw_goal = Reach(place), yaw
+        return Result.ACCEPTED
 
-    def guide_along(self, velocity: Vector) -> None:
-        """A velocity setpoint; it lasts GUID_TIMEOUT seconds."""
-        if self._guidable():
-            self.vehicle.goal, self._setpoint_at = Keep(velocity), self.uptime
+    def orbit(self, circle: Circle) -> Result:
+        """DO_ORBIT: only what flies."""
+        if not self.vehicle.airborne or circle.radius <= 0.0:
+            return self.refuse("Orbit: not possible now")
+        result = self.command_role(Role.ORBIT)
+        self.vehicle.goal = circle
+        return result
 
-    def gcs_heartbeat(self) -> None:
-        """A heartbeat of the ground station that counts (MAV_GCS_SYSID)."""
-        self._gcs_seen = self.uptime
-        if self._gcs_lost:
-            self._gcs_lost = self.critical = False
-            self._say("GCS Failsafe Cleared", Severity.WARNING)
+    def guide(self, setpoint: Setpoint) -> None:
+        """A setpoint; ignored, as on the real thing, when it cannot be followed."""
+        self._setpoint_at = self.now
+        # An ArduCopter on the ground follows no setpoint: it takes a takeoff to leave it.
+        lifted = self.vehicle.airborne or not self.flies or self.flavour.needs_stream
+        if self.role is not Role.GUIDED or not self.armed or not lifted:
+            return
+        if setpoint.goal is not None:
+            self.vehicle.goal = setpoint.goal
+        if setpoint.yaw is not None or setpoint.yaw_rate is not None:
+            self.vehicle.yaw_goal, self.vehicle.yaw_rate_goal = setpoint.yaw, setpoint.yaw_rate
 
-    def take_texts(self) -> list[tuple[Severity, str]]:
-        """What it had to say since the last call."""
-        texts, self.texts = self.texts, []
-        return texts
+    def stop_moving(self) -> None:
+        """The setpoint is over: stand still where it is."""
+        self.vehicle.goal, self.vehicle.yaw_rate_goal = Rest(), None
+
+    def go_home(self) -> Result:
+        """NAV_RETURN_TO_LAUNCH."""
+        return self.command_role(Role.RETURN)
+
+    def terminate(self) -> Result:
+        """DO_FLIGHTTERMINATION: the motors stop, wherever it is."""
+        self.critical = True
+        return self.disarm(force=True)
+
+    def reboot(self) -> Result:
+        """PREFLIGHT_REBOOT_SHUTDOWN: refused while armed; silent for a moment, then as after a start."""
+        if self.armed:
+            return Result.DENIED if self.flavour.submodes else Result.FAILED
+        self.booting_until = self.booted = self.now + REBOOT
+        self.boots += 1
+        self.failsafes = Failsafes(self)
+        self.payload, self.critical = Payload(), False
+        self.mission.jump(0)
+        self.mode, self.home = self.kind.start, ZERO
+        self._texts, self._setpoint_at = [], -math.inf
+        self.apply_parameters()
+        return Result.ACCEPTED
+
+    def refuse(self, text: str) -> Result:
+        """Say why not, with this autopilot's result for it."""
+        self.say(text, Severity.CRITICAL)
+        return self.flavour.refusal
 
     # -- time -----------------------------------------------------------------------------------------
 
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
-        self.uptime += dt
-        self._check_gcs()
-        self._drain(dt)
-        self._fly()
+        self.now += dt
+        if self.booting:
+            return
+        self.failsafes.check(dt)
+        self.payload.step(dt)
+        self.battery.step(dt, armed=self.armed, flying=self.vehicle.airborne)
+        fly(self)
+        disarm_when_idle(self)
+        suffer(self)
         if self.armed or self.vehicle.airborne:
             self.vehicle.step(dt)
 
-    def _fly(self) -> None:
-        """What the modes do as time passes."""
-        vehicle = self.vehicle
-        if self.kind is COPTER and self.mode in ("LAND", "RTL") and not vehicle.airborne and self.armed:
-            self.disarm()
-        elif self.mode == "RTL" and self.armed:
-            self._return()
-        timeout = self.parameters["GUID_TIMEOUT"]
-        if isinstance(vehicle.goal, Keep) and self.uptime - self._setpoint_at > timeout:
-            vehicle.goal = Rest()
-        delay = self.parameters["DISARM_DELAY"]
-        idle = self.kind is COPTER and self.armed and not vehicle.airborne and isinstance(vehicle.goal, Rest)
-        if idle and delay > 0 and self.uptime - self._armed_at > delay:
-            self.disarm()
-
-    def _return(self) -> None:
-        """RTL: up to RTL_ALT, over to home, down."""
-        vehicle = self.vehicle
-        north, east, down = vehicle.place
-        far = math.hypot(north - self.home[0], east - self.home[1])
-        height = -self.parameters["RTL_ALT"] / 100.0
-        if self.kind is not COPTER:
-            vehicle.goal = Reach(self.home)
-        elif far < 0.3 and math.hypot(*vehicle.velocity[:2]) < 0.5:
-            vehicle.goal = Descend()
-        elif far > 1.0 and down > height + 0.3:
-            vehicle.goal = Reach((north, east, height))
+    def fall_back(self, role: Role) -> None:
+        """What a failsafe does; a rover stops where a copter would land."""
+        if role is Role.TERMINATE:
+            self.terminate()
         else:
-            vehicle.goal = Reach((self.home[0], self.home[1], min(down, height)))
+            self.enter(self.kind.mode_for(role) or self.kind.mode_for(Role.HOLD))
 
-    def _check_gcs(self) -> None:
-        """The GCS failsafe: RTL when a ground station that was there is gone for FS_GCS_TIMEOUT."""
-        if self._gcs_seen is None or self._gcs_lost or not self.armed or not self.parameters["FS_GCS_ENABLE"]:
+    def enter(self, name: str) -> None:
+        """Enter a mode, whoever wants it."""
+        if name == self.mode:
             return
-        if self.uptime - self._gcs_seen > self.parameters["FS_GCS_TIMEOUT"]:
-            self._gcs_lost = self.critical = True
-            self._say("GCS Failsafe", Severity.WARNING)
-            self._enter("RTL")
-
-    def _drain(self, dt: float) -> None:
-        self.charge = max(0.0, self.charge - self.current * dt / (self.capacity * 3.6))
-        low = self.parameters["BATT_LOW_MAH"] / self.capacity
-        if self.charge < low and self.armed and not self._low_told:
-            self._low_told = True
-            used = (1.0 - self.charge) * self.capacity
-            self._say(f"Battery 1 is low {self.volts:.2f}V used {used:.0f} mAh", Severity.WARNING)
-        if self.charge == 0.0 and self.armed and self.kind is COPTER and self.mode != "LAND":
-            self.critical = True
-            self._say("Battery 1 is critical: landing", Severity.CRITICAL)
-            self._enter("LAND")
-
-    def _enter(self, mode: str) -> None:
-        if mode == self.mode:
-            return
-        self.mode = mode
+        self.mode = name
         self.apply_parameters()
-        self.vehicle.yaw_goal = None
-        self.vehicle.goal = Descend() if mode == "LAND" and self.armed else Rest()
+        vehicle = self.vehicle
+        vehicle.yaw_goal = vehicle.yaw_rate_goal = None
+        vehicle.goal = Descend() if self.role is Role.LAND and self.armed else Rest()
+        if self.role is Role.MISSION:
+            first = 1 if self.flavour.home_item else 0
+            self.mission.jump(max(self.mission.current, first) if self.mission.item else first)
+        if self.role is Role.ORBIT and "CIRCLE_RADIUS" in self.parameters:
+            vehicle.goal = circle_ahead(self)
+        if self.role is Role.GUIDED:
+            self.armed_at = self.now
 
-    def _guidable(self) -> bool:
-        # A copter on the ground follows no setpoint: it takes a takeoff to leave it.
-        return self.mode == "GUIDED" and self.armed and (self.vehicle.airborne or self.kind is not COPTER)
-
-    def _refuse(self, text: str) -> Result:
-        self._say(text, Severity.CRITICAL)
-        return Result.FAILED
-
-    def _say(self, text: str, severity: Severity = Severity.INFO) -> None:
-        self.texts.append((severity, text))
+    def _deny_arming(self, reason: str) -> Result:
+        for text in self.flavour.denial:
+            self.say(text.format(reason=reason), Severity.CRITICAL)
+        return self.flavour.refusal

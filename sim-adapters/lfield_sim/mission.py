@@ -21,12 +21,17 @@ class MissionItem:
 
 @dataclass(slots=True)
 class Mission:
-    """The items and how far they are flown. `begun` is the index whose flight has begun, -1 for none."""
+    """The items and how far they are flown.
+
+    `begun` is the index whose flight has begun, -1 for none; `arrived` is when its place was reached, in
+    seconds; `jumps` counts how often each DO_JUMP was taken.
+    """
 
     items: list[MissionItem] = field(default_factory=list)
     current: int = 0
     begun: int = -1
-    since: float = 0.0
+    arrived: float | None = None
+    jumps: dict[int, int] = field(default_factory=dict)
     _reached: list[int] = field(default_factory=list)
 
     @property
@@ -38,13 +43,13 @@ class Mission:
         """Make an item the current one; False when there is none of this number."""
         if not 0 <= index < len(self.items):
             return False
-        self.current, self.begun = index, -1
+        self.current, self.begun, self.arrived = index, -1, None
         return True
 
     def reach(self) -> None:
         """The current item is done; on to the next."""
         self._reached.append(self.current)
-        self.current, self.begun = self.current + 1, -1
+        self.current, self.begun, self.arrived = self.current + 1, -1, None
 
     def take_reached(self) -> list[int]:
         """Which items were reached since the last call."""

@@ -50,6 +50,24 @@ class Keep:
 
 
 @dataclass(frozen=True, slots=True)
+class Circle:
+    """Goal: fly round a place at a distance in m with a speed in m/s, clockwise when it is positive."""
+
+    centre: Vector
+    radius: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Lean:
+    """Goal: keep an acceleration north and east in m/s2, and a speed downwards."""
+
+    north: float
+    east: float
+    down: float
+
+
+@dataclass(frozen=True, slots=True)
 class Descend:
     """Goal: straight down to the ground."""
 
@@ -59,12 +77,12 @@ class Fall:
     """Goal of a copter without motors."""
 
 
-Goal = Rest | Reach | Keep | Descend | Fall
+Goal = Rest | Reach | Keep | Circle | Lean | Descend | Fall
 
 
 @dataclass(slots=True)
 class Vehicle:
-    """A copter. `yaw_goal` None turns the nose where it flies; `charge` is 0..1 of the battery."""
+    """A copter. `yaw_goal` None turns the nose where it flies; `yaw_rate_goal` (rad/s) goes before both."""
 
     limits: Limits = field(default_factory=Limits)
     place: Vector = ZERO
@@ -72,6 +90,8 @@ class Vehicle:
     acceleration: Vector = ZERO
     yaw: float = 0.0
     yaw_goal: float | None = None
+    yaw_rate_goal: float | None = None
+    yaw_rate: float = 0.0
     goal: Goal = field(default_factory=Rest)
 
     @property
@@ -94,7 +114,7 @@ class Vehicle:
     def settle(self) -> None:
         """Stand on the ground, with the motors off."""
         self.place, self.velocity, self.acceleration = (*self.place[:2], 0.0), ZERO, ZERO
-        self.goal = Rest()
+        self.goal, self.yaw_rate_goal = Rest(), None
 
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
@@ -105,7 +125,9 @@ class Vehicle:
         self.velocity = (*level, _towards(before[2], down, rate * dt))
         self._move(dt)
         self.acceleration = _scaled(_minus(self.velocity, before), 1.0 / dt)
+        heading = self.yaw
         self._turn(dt)
+        self.yaw_rate = wrap(self.yaw - heading) / dt
 
     def _wanted(self) -> Vector:
         """The velocity that serves the goal."""
@@ -114,6 +136,12 @@ class Vehicle:
                 return self._approach(place)
             case Keep(velocity):
                 return self._bounded(velocity)
+            case Circle(centre, radius, speed):
+                return self._around(centre, radius, speed)
+            case Lean(north, east, down):
+                # A second of leaning ahead: the bound on acceleration makes a lean of it.
+                ahead = (self.velocity[0] + north, self.velocity[1] + east)
+                return self._bounded((*ahead, down))
             case Descend():
                 return (0.0, 0.0, self.limits.land if self.place[2] > -10.0 else self.limits.descend)
             case Fall():
@@ -130,6 +158,15 @@ class Vehicle:
         vertical = math.copysign(_braking(abs(down), fastest, limits.vertical_acceleration), down)
         return (north * share, east * share, vertical)
 
+    def _around(self, centre: Vector, radius: float, speed: float) -> Vector:
+        """Along the circle, and towards it from where it is not."""
+        north, east, down = _minus(self.place, centre)
+        far = math.hypot(north, east)
+        out = (north / far, east / far) if far > 1e-6 else (1.0, 0.0)
+        inward = max(-self.limits.cruise, min(self.limits.cruise, radius - far))
+        along = (-out[1] * speed, out[0] * speed)
+        return self._bounded((out[0] * inward + along[0], out[1] * inward + along[1], -down))
+
     def _bounded(self, velocity: Vector) -> Vector:
         north, east, down = velocity
         speed = math.hypot(north, east)
@@ -145,6 +182,10 @@ class Vehicle:
             self.place = (north, east, down)
 
     def _turn(self, dt: float) -> None:
+        if self.yaw_rate_goal is not None:
+            rate = max(-self.limits.yaw_rate, min(self.limits.yaw_rate, self.yaw_rate_goal))
+            self.yaw = wrap(self.yaw + rate * dt)
+            return
         goal = self.yaw_goal
         if goal is None and math.hypot(*self.velocity[:2]) > 0.5 and self.airborne:
             goal = math.atan2(self.velocity[1], self.velocity[0])
@@ -167,14 +208,18 @@ class GroundVehicle(Vehicle):
 
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
-        before = self.velocity
+        before, heading = self.velocity, self.yaw
         north, east, _ = self._wanted()
         wanted = math.hypot(north, east)
         course = math.atan2(east, north) if wanted > 1e-3 else self.yaw_goal
-        if course is not None:
-            turn = self.limits.yaw_rate * dt
+        turn = self.limits.yaw_rate * dt
+        if self.yaw_rate_goal is not None:
+            # Told how fast to turn, it drives on with its nose as it is.
+            self.yaw = wrap(self.yaw + max(-turn, min(turn, self.yaw_rate_goal * dt)))
+        elif course is not None:
             self.yaw = wrap(self.yaw + max(-turn, min(turn, wrap(course - self.yaw))))
             wanted *= max(0.0, math.cos(wrap(course - self.yaw)))
+        self.yaw_rate = wrap(self.yaw - heading) / dt
         along = math.hypot(*before[:2])
         speed = _towards(along, wanted, self.limits.acceleration * dt)
         self.velocity = (speed * math.cos(self.yaw), speed * math.sin(self.yaw), 0.0)

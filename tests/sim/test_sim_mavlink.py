@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from lfield_sim.autopilot import KINDS, Autopilot
-from lfield_sim.mavlink.protocol import Faults, MavlinkFake
+from lfield_sim.battery import Battery
+from lfield_sim.mavlink.protocol import MavlinkFake
+from lfield_sim.mavlink.wire import make_faults
 
 ACCEPTED, DENIED, UNSUPPORTED, FAILED = 0, 2, 3, 4
 ARM, TAKEOFF, LAND, MODE, YAW, SPEED, RTL, STREAM, ONCE = 400, 22, 21, 176, 115, 178, 20, 511, 512
@@ -285,14 +287,15 @@ def test_parameters():
     (answer,) = c.send(dialect.MAVLink_param_set_message(1, 1, b"WPNAV_SPEED", 300, 9))
     assert answer.param_value == 300.0
     assert c.autopilot.vehicle.limits.cruise == 3.0
-    everything = c.send(dialect.MAVLink_param_request_list_message(1, 1))
+    c.send(dialect.MAVLink_param_request_list_message(1, 1))
+    everything = [m for m in c.wait(3.0) if m.get_type() == "PARAM_VALUE"]
     assert {m.param_index for m in everything} == set(range(everything[0].param_count))
     (answer,) = c.send(dialect.MAVLink_param_request_read_message(1, 1, b"", 3))
     assert answer.param_index == 3
 
 
 def test_the_battery_drains_faster_in_the_air_and_says_when_it_is_low():
-    c = Client(charge=0.21)
+    c = Client(battery=Battery(0.21))
     c.wait(60.0)
     on_ground = 0.21 - c.autopilot.charge
     c.up()
@@ -303,7 +306,7 @@ def test_the_battery_drains_faster_in_the_air_and_says_when_it_is_low():
 
 
 def test_an_empty_battery_lands():
-    c = Client(charge=0.02)
+    c = Client(battery=Battery(0.02))
     c.up(10.0)
     c.wait(60.0)
     assert c.place[2] == 0.0
@@ -334,11 +337,13 @@ def test_positions_agree():
 
 
 def test_faults():
-    c = Client(faults=Faults(loss=0.5, seed=3))
+    c = Client(faults=make_faults("loss=0.5"))
     got = sum(1 for _ in range(200) if c.command(MODE, 1, GUIDED) is not None)
     assert 20 < got < 80, "a quarter of the questions are answered"
-    c = Client(faults=Faults(silent_after=3.0))
-    assert len(c.wait(10.0)) == 3
+    c = Client()
+    assert len(c.wait(2.9)) == 3
+    c.fake.faults.apply(["silence=true"])
+    assert c.wait(3.0) == []
     assert c.command(MODE, 1, GUIDED) is None
 
 
@@ -355,7 +360,7 @@ def test_a_stream_that_never_ends_on_a_packet_does_not_grow():
     c.fake.receive("c", packet[:5])
     for _ in range(2000):
         c.fake.receive("c", packet[5:] + packet[:5])
-    assert len(c.fake._readers["c"]._parser.buf) < 10_000
+    assert len(c.fake._readers._readers["c"]._parser.buf) < 10_000
 
 
 @settings(max_examples=300, deadline=None)

@@ -79,7 +79,7 @@ def test_a_port_in_use_is_a_sentence():
 @pytest.mark.parametrize(
     ("options", "status", "words"),
     [
-        (["--listen", "udp:1"], 64, "cannot listen on 'udp:1'; write udp:HOST:PORT or tcp:HOST:PORT"),
+        (["--listen", "udp:1"], 64, "cannot listen on 'udp:1'; write udp:HOST:PORT, tcp:HOST:PORT"),
         (["--param", "NO=1"], 64, "there is no parameter 'NO'"),
         (["--param", "RTL_ALT=high"], 64, "--param RTL_ALT=high: write NAME=NUMBER"),
     ],
@@ -90,7 +90,7 @@ def test_options_that_make_no_sense(capsys, options, status, words):
 
 
 @pytest.mark.parametrize(
-    "options", [["--battery", "2"], ["--loss", "-1"], ["--system", "0"], ["--cruise", "nan"]]
+    "options", [["--battery", "2"], ["--vehicle", "1:boat"], ["--system", "0"], ["--cruise", "nan"]]
 )
 def test_numbers_out_of_range(capsys, options):
     with pytest.raises(SystemExit) as end:
@@ -118,5 +118,5 @@ def test_a_binding_makes_its_fake():
         options={"kind": "rover", "system": 9},
     )  # fmt: skip
     assert SIM.arguments([device]) == [
-        "--listen", "udp:127.0.0.1:0", "--kind", "rover", "--system", "9",
+        "--listen", "udp:127.0.0.1:0", "--vehicle", "9:rover:ardupilot:a.fc",
     ]  # fmt: skip

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import OrderedDict
+from collections.abc import Hashable, Iterator
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 #: The parser keeps what it has read until the buffer is empty, which on a stream may be never.
 KEPT = 4096
+#: At most so many peers are remembered; the one that was silent longest is forgotten.
+MAX_PEERS = 16
 
 
 class Reader:
@@ -29,14 +32,32 @@ class Reader:
             parser.buf_index = 0
 
 
+class Readers:
+    """A reader for every peer."""
+
+    def __init__(self) -> None:
+        self._readers: OrderedDict[Hashable, Reader] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._readers)
+
+    def feed(self, peer: Hashable, data: bytes) -> Iterator[Any]:
+        """The messages that these bytes of a peer complete; never raises."""
+        reader = self._readers.setdefault(peer, Reader())
+        self._readers.move_to_end(peer)
+        if len(self._readers) > MAX_PEERS:
+            self._readers.popitem(last=False)
+        return reader.feed(data)
+
+
 class Writer:
     """Messages of one component to packets, with its own sequence numbers."""
 
     def __init__(self, system: int, component: int) -> None:
-        self._mavlink: Any = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
+        self.packer: Any = dialect.MAVLink(None, srcSystem=system, srcComponent=component)
 
     def pack(self, message: Any) -> bytes:
         """One packet."""
-        data: bytes = bytes(message.pack(self._mavlink))
-        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+        data: bytes = bytes(message.pack(self.packer))
+        self.packer.seq = (self.packer.seq + 1) % 256
         return data

@@ -1,44 +1,33 @@
-"""The commands the fake knows: number -> what it does, with ArduPilot's results."""
+"""The commands every vehicle of the fake knows: number -> what it does, with the results of the real ones."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.autopilot import FORCE, Result
-from lfield_sim.mavlink.telemetry import MESSAGES
+from lfield_sim.flavours import Result, Role
+from lfield_sim.mavlink.command import Answer, Command
+from lfield_sim.mavlink.equipment_commands import EQUIPMENT
+from lfield_sim.vehicle import Circle, Vector
 
 if TYPE_CHECKING:
     from lfield_sim.mavlink.protocol import MavlinkFake
 
-
-@dataclass(frozen=True, slots=True)
-class Command:
-    """A COMMAND_LONG or COMMAND_INT: its number and seven values."""
-
-    number: int
-    values: tuple[float, ...]
-
-    def value(self, index: int) -> float:
-        """Parameter `index`, counted from 1 as in the MAVLink tables; NaN reads as 0."""
-        value = self.values[index - 1]
-        return 0.0 if math.isnan(value) else value
-
-    def whole(self, index: int) -> int:
-        """Parameter `index` as a whole number; what is not one reads as -1."""
-        value = self.value(index)
-        return int(value) if math.isfinite(value) else -1
-
-
-Answer = tuple[Result, list[Any]]
+#: param2 of an arming or disarming that is meant whatever the checks say, even in the air.
+FORCE = 21196
+#: Of an orbit, when it is not told: metres, and m/s.
+ORBIT_RADIUS, ORBIT_SPEED = 10.0, 2.0
 
 
 def answer(fake: MavlinkFake, command: Command) -> Answer:
     """Carry a command out: its result, and messages that follow the acknowledgement."""
+    if command.number in fake.autopilot.flavour.unsupported:
+        return Result.UNSUPPORTED, []
+    if command.number in EQUIPMENT:
+        return EQUIPMENT[command.number](fake.autopilot, fake.place, command)
     handler = _COMMANDS.get(command.number)
     return handler(fake, command) if handler else (Result.UNSUPPORTED, [])
 
@@ -52,11 +41,15 @@ def _arm(fake: MavlinkFake, command: Command) -> Answer:
 
 
 def _takeoff(fake: MavlinkFake, command: Command) -> Answer:
-    return fake.autopilot.takeoff(command.value(7)), []
+    """The height is above home for ArduPilot; for PX4 above mean sea level, or a parameter when it is NaN."""
+    height = command.given(7)
+    if height is not None and fake.autopilot.flavour.takeoff_mode:
+        height -= fake.place.altitude - fake.autopilot.home[2]
+    return fake.autopilot.takeoff(height), []
 
 
 def _land(fake: MavlinkFake, _: Command) -> Answer:
-    return fake.autopilot.land(), []
+    return fake.autopilot.command_role(Role.LAND), []
 
 
 def _return(fake: MavlinkFake, _: Command) -> Answer:
@@ -66,7 +59,10 @@ def _return(fake: MavlinkFake, _: Command) -> Answer:
 def _set_mode(fake: MavlinkFake, command: Command) -> Answer:
     if not command.whole(1) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return Result.DENIED, []
-    return fake.autopilot.set_mode(command.whole(2)), []
+    number = command.whole(2)
+    if fake.autopilot.flavour.submodes:
+        number = number << 16 | (command.whole(3) & 0xFF) << 24
+    return fake.autopilot.set_mode(number), []
 
 
 def _yaw(fake: MavlinkFake, command: Command) -> Answer:
@@ -84,35 +80,84 @@ def _speed(fake: MavlinkFake, command: Command) -> Answer:
     return fake.autopilot.set_speed(command.value(2)), []
 
 
+def _reposition(fake: MavlinkFake, command: Command) -> Answer:
+    place = _place(fake, command)
+    if place is None:
+        return Result.DENIED, []
+    speed, pilot = command.value(1), fake.autopilot
+    change = bool(command.whole(2) & dialect.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
+    result = pilot.reposition(place, command.given(4), change_mode=change or pilot.flavour.submodes)
+    if result is Result.ACCEPTED and speed > 0.0:
+        pilot.set_speed(speed)
+    return result, []
+
+
+def _orbit(fake: MavlinkFake, command: Command) -> Answer:
+    centre = _place(fake, command)
+    radius = command.given(1) or ORBIT_RADIUS
+    speed = command.given(2) or ORBIT_SPEED
+    if centre is None or not 1.0 <= abs(radius) <= 1000.0 or not 0.0 < speed <= 20.0:
+        return Result.DENIED, []
+    return fake.autopilot.orbit(Circle(centre, abs(radius), math.copysign(speed, radius))), []
+
+
+def _set_home(fake: MavlinkFake, command: Command) -> Answer:
+    here = fake.autopilot.vehicle.place
+    place = here if command.whole(1) == 1 else _place(fake, command)
+    if place is None:
+        return Result.DENIED, []
+    fake.autopilot.home = place
+    return Result.ACCEPTED, []
+
+
+def _reboot(fake: MavlinkFake, command: Command) -> Answer:
+    return (fake.reboot() if command.whole(1) in (1, 3) else Result.UNSUPPORTED), []
+
+
+def _terminate(fake: MavlinkFake, command: Command) -> Answer:
+    return (fake.autopilot.terminate() if command.value(1) > 0.5 else Result.ACCEPTED), []
+
+
 def _set_interval(fake: MavlinkFake, command: Command) -> Answer:
     kind, micros = command.whole(1), command.value(2)
-    if kind not in MESSAGES:
+    if not fake.can_send(kind):
         return Result.FAILED, []
     # -1 stops the stream; 0 asks for the default rate, which on ArduPilot is none.
-    fake.stream(kind, 1e6 / micros if micros > 0 else 0.0)
+    fake.stream(kind, 1e6 / micros if micros > 0 else fake.default_rate(kind) if micros == 0 else 0.0)
     return Result.ACCEPTED, []
 
 
 def _get_interval(fake: MavlinkFake, command: Command) -> Answer:
     kind = command.whole(1)
-    if kind not in MESSAGES:
+    if not fake.can_send(kind):
         return Result.FAILED, []
     micros = round(fake.interval(kind) * 1e6) or -1
     return Result.ACCEPTED, [dialect.MAVLink_message_interval_message(kind, micros)]
 
 
 def _request_message(fake: MavlinkFake, command: Command) -> Answer:
-    builder = MESSAGES.get(command.whole(1))
-    return (Result.ACCEPTED, [builder(fake.autopilot, fake.place)]) if builder else (Result.FAILED, [])
+    kind = command.whole(1)
+    if not fake.can_send(kind) or fake.withholds(kind):
+        return (Result.DENIED if fake.autopilot.flavour.submodes else Result.FAILED), []
+    return Result.ACCEPTED, [fake.build(kind)]
+
+
+def _place(fake: MavlinkFake, command: Command) -> Vector | None:
+    return command.place(fake.place, fake.autopilot.vehicle.place, fake.autopilot.home)
 
 
 _COMMANDS: Mapping[int, Callable[[MavlinkFake, Command], Answer]] = {
     dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _return,
     dialect.MAV_CMD_NAV_LAND: _land,
     dialect.MAV_CMD_NAV_TAKEOFF: _takeoff,
+    dialect.MAV_CMD_DO_ORBIT: _orbit,
     dialect.MAV_CMD_CONDITION_YAW: _yaw,
     dialect.MAV_CMD_DO_SET_MODE: _set_mode,
     dialect.MAV_CMD_DO_CHANGE_SPEED: _speed,
+    dialect.MAV_CMD_DO_SET_HOME: _set_home,
+    dialect.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
+    dialect.MAV_CMD_DO_REPOSITION: _reposition,
+    dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
     dialect.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
     dialect.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
     dialect.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,

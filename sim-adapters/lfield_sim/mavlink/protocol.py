@@ -1,15 +1,12 @@
-"""The fake at packet level: packets in, packets out, time given. Knows no sockets and no clock of its own.
+"""One vehicle of the fake at packet level: packets in, packets out, time given. No sockets and no clock.
 
-`receive` answers a packet to the peer that sent it; `advance` moves time and returns what every peer
-gets: heartbeats, the streams that were asked for, and status texts. Like ArduPilot, it streams nothing
-but heartbeats until somebody asks.
+`receive` answers a packet to the peer that sent it; `advance` moves time and returns what every peer gets:
+heartbeats, streams, what the services have to say, status texts. ArduPilot streams nothing but heartbeats
+until somebody asks, PX4 streams at once.
 """
 
 from __future__ import annotations
 
-import math
-import random
-from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any
@@ -17,34 +14,34 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from lfield_sim.autopilot import Autopilot
-from lfield_sim.mavlink.codec import Reader, Writer
-from lfield_sim.mavlink.commands import Answer, Command, answer
+from lfield_sim.faults import Faults
+from lfield_sim.flavours import Result
+from lfield_sim.mavlink.codec import Readers, Writer
+from lfield_sim.mavlink.command import Answer, Command
+from lfield_sim.mavlink.commands import answer
 from lfield_sim.mavlink.place import Place
 from lfield_sim.mavlink.services import SERVICES
-from lfield_sim.mavlink.telemetry import DATA_STREAMS, HEARTBEAT, MESSAGES
+from lfield_sim.mavlink.setpoints import attitude_target, global_target, local_target
+from lfield_sim.mavlink.signing import Signing
+from lfield_sim.mavlink.telemetry import DATA_STREAMS, HEARTBEAT, MESSAGES, POSITIONS
+from lfield_sim.mavlink.wire import KNOWN, Wire, make_faults
+from lfield_sim.mission import MissionItem
 
-#: The autopilot's component. Like ArduPilot, it takes commands for any component.
+#: The autopilot's component.
 COMPONENT = 1
 #: Length of a model step, in seconds.
 STEP = 0.02
-#: At most so many peers are remembered; the one that was silent longest is forgotten.
-MAX_PEERS = 16
 #: Nothing is streamed faster than this, in Hz.
 MAX_RATE = 100.0
 #: Characters of a STATUSTEXT; longer texts go out in chunks.
 TEXT_CHUNK = 50
-
-# type_mask bits of SET_POSITION_TARGET_LOCAL_NED: set means "ignore".
-IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW = 0x7, 0x38, 0x400
-
-
-@dataclass(frozen=True, slots=True)
-class Faults:
-    """What goes wrong on the wire: a share of packets lost both ways, silence from a time on (s)."""
-
-    loss: float = 0.0
-    silent_after: float = math.inf
-    seed: int = 1
+#: Faults that are a state of the vehicle: the attribute of the autopilot.
+STATES = {
+    "refuse_arming": "refuse_arming",
+    "gps_loss": "gps_lost",
+    "motor_failure": "motor_failed",
+    "warm_up": "warm_up",
+}
 
 
 @dataclass(slots=True)
@@ -54,7 +51,7 @@ class _Stream:
 
 
 class MavlinkFake:
-    """One autopilot on the wire."""
+    """One autopilot on the wire. `faults` may be shared with other vehicles; ours are those of `system`."""
 
     def __init__(
         self,
@@ -65,52 +62,83 @@ class MavlinkFake:
         faults: Faults | None = None,
     ) -> None:
         self.autopilot, self.system = autopilot, system
-        self.place, self.faults = place or Place(), faults or Faults()
-        self._random = random.Random(self.faults.seed)
+        self.place, self.faults = place or Place(), faults or make_faults(systems=(system,))
         self.services = [kind(autopilot, self.place) for kind in SERVICES]
+        self.gate = Signing(system, lambda: autopilot.now)
+        self.wire = Wire(self.faults, system)
         self._writer = Writer(system, COMPONENT)
-        self._readers: OrderedDict[Hashable, Reader] = OrderedDict()
-        self._streams = {HEARTBEAT: _Stream(1.0, 0.0)}
+        self._readers = Readers()
+        self._streams = self._first_streams()
+        self._late_acks: dict[int, tuple[float, Any]] = {}
         self._rest = 0.0
         self._text_id = 0
+        self._known_faults = {fault.name: fault.default for fault in KNOWN}
+        self._take_faults()
+        self.faults.watch(self._take_faults)
+        autopilot.perform = self._perform
 
     @property
     def silent(self) -> bool:
-        """Whether the fault `silent_after` has begun."""
-        return self.autopilot.uptime >= self.faults.silent_after
+        """Whether it neither hears nor says anything now."""
+        return self.wire.silent or self.autopilot.booting
 
-    def receive(self, peer: Hashable, data: bytes) -> list[bytes]:
-        """Bytes from a peer; the packets that answer them."""
-        reader = self._readers.setdefault(peer, Reader())
-        self._readers.move_to_end(peer)
-        if len(self._readers) > MAX_PEERS:
-            self._readers.popitem(last=False)
-        answers = [
-            packet
-            for message in reader.feed(data)
-            if not self.silent and not self._lost()
-            for packet in self._handle(message)
-        ]
-        return self._sent(answers)
+    def receive(self, peer: Hashable, data: bytes, *, local: bool = False) -> list[bytes]:
+        """Bytes from a peer; the packets that answer them. `local` is a peer on a serial line."""
+        messages = self._readers.feed(peer, data)
+        return [packet for message in messages for packet in self.handle(message, local=local)]
+
+    def handle(self, message: Any, *, local: bool = False) -> list[bytes]:
+        """One message from a peer; the packets that answer it."""
+        if self.silent or not self._is_meant(message) or not self.wire.hears():
+            return []
+        if not self.gate.admits(message, local=local):
+            return []
+        kind = message.get_msgId()
+        own = _HANDLERS.get(kind)
+        replies = own(self, message) if own else []
+        for service in self.services:
+            if kind in service.handles:
+                replies = [*replies, *service.handles[kind](message)]
+        return self.wire.send([self._pack(reply) for reply in replies], self.autopilot.now)
 
     def advance(self, seconds: float) -> list[bytes]:
         """Let time pass; the packets for every peer."""
-        packets: list[bytes] = []
         self._rest += seconds
+        messages: list[Any] = []
         while self._rest >= STEP:
-            self.autopilot.step(STEP)
             self._rest -= STEP
-            packets += [
-                self._pack(message)
-                for service in self.services
-                for message in service.advance(self.autopilot.uptime)
-            ]
-        packets += [self._pack(MESSAGES[kind](self.autopilot, self.place)) for kind in self._due()]
+            messages += self._step()
+        if self.autopilot.booting:
+            return []
+        messages += self._due_acks()
+        messages += [self.build(kind) for kind in self._due() if not self.withholds(kind)]
         for severity, text in self.autopilot.take_texts():
-            packets += self._text(severity, text)
-        return self._sent(packets)
+            messages += self._text(severity, text)
+        now = self.autopilot.now
+        return [*self.wire.arrived(now), *self.wire.send([self._pack(m) for m in messages], now)]
+
+    def _step(self) -> list[Any]:
+        self.autopilot.step(STEP)
+        if self.autopilot.booting:
+            return []
+        return [m for service in self.services for m in service.advance(self.autopilot.now)]
 
     # -- what the command table uses ------------------------------------------------------------------
+
+    def can_send(self, kind: int) -> bool:
+        """Whether there is such a message."""
+        return kind in MESSAGES or any(kind in service.messages for service in self.services)
+
+    def withholds(self, kind: int) -> bool:
+        """Whether it cannot tell this now: positions without GPS."""
+        return self.autopilot.gps_lost and kind in POSITIONS
+
+    def build(self, kind: int) -> Any:
+        """A message as it is now. KeyError when there is no such message."""
+        for service in self.services:
+            if kind in service.messages:
+                return service.messages[kind]()
+        return MESSAGES[kind](self.autopilot, self.place)
 
     def stream(self, kind: int, rate: float) -> None:
         """Stream a message at a rate in Hz; 0 stops it, but for the heartbeat, which goes on at 1 Hz."""
@@ -119,44 +147,60 @@ class MavlinkFake:
         if rate <= 0.0:
             self._streams.pop(kind, None)
         else:
-            self._streams[kind] = _Stream(1.0 / min(rate, MAX_RATE), self.autopilot.uptime)
+            self._streams[kind] = _Stream(1.0 / min(rate, MAX_RATE), self.autopilot.now)
 
     def interval(self, kind: int) -> float:
         """Seconds between two messages of a stream; 0 when it is not streamed."""
         return self._streams[kind].interval if kind in self._streams else 0.0
 
-    # -- packets --------------------------------------------------------------------------------------
+    def default_rate(self, kind: int) -> float:
+        """How often it is sent without being asked for, in Hz."""
+        return self.autopilot.flavour.streams.get(kind, 0.0)
 
-    def _handle(self, message: Any) -> list[bytes]:
-        target = getattr(message, "target_system", 0)
-        if target not in (0, self.system):
-            return []
-        kind = message.get_msgId()
-        own = _HANDLERS.get(kind)
-        replies = own(self, message) if own else []
-        for service in self.services:
-            if kind in service.handles:
-                replies += service.handles[kind](message)
-        return [self._pack(reply) for reply in replies]
+    def reboot(self) -> Result:
+        """Restart the autopilot, unless it is armed."""
+        result = self.autopilot.reboot()
+        if result is Result.ACCEPTED:
+            self._streams, self._late_acks = self._first_streams(), {}
+            for service in self.services:
+                service.reboot()
+        return result
+
+    # -- messages -------------------------------------------------------------------------------------
+
+    def _is_meant(self, message: Any) -> bool:
+        if getattr(message, "target_system", 0) not in (0, self.system):
+            return False
+        component = getattr(message, "target_component", 0)
+        return component in (0, COMPONENT) or self.autopilot.flavour.serves_components
 
     def _on_heartbeat(self, message: Any) -> list[Any]:
-        if message.get_srcSystem() == int(self.autopilot.parameters["MAV_GCS_SYSID"]):
-            self.autopilot.gcs_heartbeat()
+        station = message.type == dialect.MAV_TYPE_GCS
+        self.autopilot.failsafes.heartbeat(message.get_srcSystem(), station=station)
         return []
 
     def _on_command_long(self, message: Any) -> list[Any]:
         values = tuple(getattr(message, f"param{i}") for i in range(1, 8))
-        return self._on_command(message, values)
+        return self._on_command(message, Command(message.command, values))
 
     def _on_command_int(self, message: Any) -> list[Any]:
         values = (*(getattr(message, f"param{i}") for i in range(1, 5)), message.x, message.y, message.z)
-        return self._on_command(message, values)
+        return self._on_command(message, Command(message.command, values, message.frame))
 
-    def _on_command(self, message: Any, values: tuple[float, ...]) -> list[Any]:
-        command = Command(message.command, values)
-        result, replies = self._answer(command)
+    def _on_command(self, message: Any, command: Command) -> list[Any]:
         source = message.get_srcSystem(), message.get_srcComponent()
-        return [dialect.MAVLink_command_ack_message(command.number, int(result), 0, 0, *source), *replies]
+
+        def ack(result: Result) -> Any:
+            return dialect.MAVLink_command_ack_message(command.number, int(result), 0, 0, *source)
+
+        if command.number in self._late_acks:
+            return [ack(Result.IN_PROGRESS)]
+        result, replies = self._answer(command)
+        slow: float = self.faults.get("slow_acks", self.system)
+        if slow > 0.0 and result is not Result.UNSUPPORTED:
+            self._late_acks[command.number] = (self.autopilot.now + slow, ack(result))
+            return [ack(Result.IN_PROGRESS), *replies]
+        return [ack(result), *replies]
 
     def _answer(self, command: Command) -> Answer:
         for service in self.services:
@@ -164,39 +208,33 @@ class MavlinkFake:
                 return service.commands[command.number](command)
         return answer(self, command)
 
+    def _perform(self, item: MissionItem) -> None:
+        """A mission's item that is not flown but done."""
+        self._answer(Command(item.command, item.values))
+
     def _on_set_mode(self, message: Any) -> list[Any]:
         self.autopilot.set_mode(message.custom_mode)
         return []
 
-    def _on_position_target(self, message: Any) -> list[Any]:
-        mask = message.type_mask
-        offset = message.coordinate_frame in (
-            dialect.MAV_FRAME_LOCAL_OFFSET_NED,
-            dialect.MAV_FRAME_BODY_NED,
-            dialect.MAV_FRAME_BODY_OFFSET_NED,
-        )
-        if offset:
-            return []
-        place = (message.x, message.y, message.z)
-        velocity = (message.vx, message.vy, message.vz)
-        if not mask & IGNORE_YAW and math.isfinite(message.yaw):
-            self.autopilot.set_yaw(message.yaw)
-        if not mask & IGNORE_POSITION and all(map(math.isfinite, place)):
-            self.autopilot.guide_to(place)
-        elif not mask & IGNORE_VELOCITY and all(map(math.isfinite, velocity)):
-            self.autopilot.guide_along(velocity)
+    def _on_local_target(self, message: Any) -> list[Any]:
+        return self._guide(local_target(self.autopilot, message))
+
+    def _on_global_target(self, message: Any) -> list[Any]:
+        return self._guide(global_target(self.autopilot, self.place, message))
+
+    def _on_attitude_target(self, message: Any) -> list[Any]:
+        return self._guide(attitude_target(message))
+
+    def _guide(self, setpoint: Any) -> list[Any]:
+        if setpoint is not None:
+            self.autopilot.guide(setpoint)
         return []
 
     def _on_request_data_stream(self, message: Any) -> list[Any]:
-        wanted = (
-            DATA_STREAMS.values()
-            if message.req_stream_id == 0
-            else [DATA_STREAMS.get(message.req_stream_id, ())]
-        )
-        rate = float(message.req_message_rate) if message.start_stop else 0.0
-        for kinds in wanted:
-            for kind in kinds:
-                self.stream(kind, rate)
+        every = [kind for kinds in DATA_STREAMS.values() for kind in kinds]
+        wanted = DATA_STREAMS.get(message.req_stream_id, ()) if message.req_stream_id else every
+        for kind in wanted:
+            self.stream(kind, float(message.req_message_rate) if message.start_stop else 0.0)
         return []
 
     def _on_timesync(self, message: Any) -> list[Any]:
@@ -204,8 +242,36 @@ class MavlinkFake:
             return []
         return [dialect.MAVLink_timesync_message(int(self.autopilot.uptime * 1e9), message.ts1)]
 
+    def _on_ping(self, message: Any) -> list[Any]:
+        if message.target_system:
+            return []
+        source = message.get_srcSystem(), message.get_srcComponent()
+        return [dialect.MAVLink_ping_message(message.time_usec, message.seq, *source)]
+
+    # -- what goes out --------------------------------------------------------------------------------
+
+    def _first_streams(self) -> dict[int, _Stream]:
+        now = self.autopilot.now
+        rates = {HEARTBEAT: 1.0, **self.autopilot.flavour.streams}
+        return {kind: _Stream(1.0 / rate, now) for kind, rate in rates.items() if self.can_send(kind)}
+
+    def _take_faults(self) -> None:
+        """What has changed among the faults that are a state of the vehicle."""
+        known = self._known_faults
+        changed = {name: self.faults.get(name, self.system) for name in known}
+        for name in STATES:
+            if changed[name] != known[name]:
+                setattr(self.autopilot, STATES[name], changed[name])
+        if changed["battery"] != known["battery"]:
+            self.autopilot.battery.charge = changed["battery"]
+        self._known_faults = changed
+
+    def _due_acks(self) -> list[Any]:
+        due = [n for n, (at, _) in self._late_acks.items() if self.autopilot.now >= at]
+        return [self._late_acks.pop(number)[1] for number in due]
+
     def _due(self) -> list[int]:
-        now = self.autopilot.uptime
+        now = self.autopilot.now
         due = [kind for kind, stream in self._streams.items() if now >= stream.due]
         for kind in due:
             stream = self._streams[kind]
@@ -213,34 +279,32 @@ class MavlinkFake:
             stream.due = max(stream.due + stream.interval, now)
         return due
 
-    def _text(self, severity: int, text: str) -> list[bytes]:
+    def _text(self, severity: int, text: str) -> list[Any]:
         data = text.encode("ascii", "replace")
         if len(data) <= TEXT_CHUNK:
-            return [self._pack(dialect.MAVLink_statustext_message(int(severity), data))]
+            return [dialect.MAVLink_statustext_message(int(severity), data)]
         self._text_id = self._text_id % 0xFFFF + 1
         # A last chunk that is full would not end the text: an empty one must follow.
         chunks = [data[i : i + TEXT_CHUNK] for i in range(0, len(data) + 1, TEXT_CHUNK)]
         return [
-            self._pack(dialect.MAVLink_statustext_message(int(severity), chunk, self._text_id, number))
-            for number, chunk in enumerate(chunks)
+            dialect.MAVLink_statustext_message(int(severity), chunk, self._text_id, number)
+            for number, chunk in enumerate(chunks[:256])
         ]
 
     def _pack(self, message: Any) -> bytes:
+        self.gate.seal(self._writer.packer)
         return self._writer.pack(message)
-
-    def _lost(self) -> bool:
-        return self.faults.loss > 0.0 and self._random.random() < self.faults.loss
-
-    def _sent(self, packets: list[bytes]) -> list[bytes]:
-        return [] if self.silent else [packet for packet in packets if not self._lost()]
 
 
 _HANDLERS = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: MavlinkFake._on_heartbeat,
+    dialect.MAVLINK_MSG_ID_PING: MavlinkFake._on_ping,
     dialect.MAVLINK_MSG_ID_SET_MODE: MavlinkFake._on_set_mode,
     dialect.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: MavlinkFake._on_request_data_stream,
     dialect.MAVLINK_MSG_ID_COMMAND_INT: MavlinkFake._on_command_int,
     dialect.MAVLINK_MSG_ID_COMMAND_LONG: MavlinkFake._on_command_long,
-    dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: MavlinkFake._on_position_target,
+    dialect.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: MavlinkFake._on_attitude_target,
+    dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: MavlinkFake._on_local_target,
+    dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: MavlinkFake._on_global_target,
     dialect.MAVLINK_MSG_ID_TIMESYNC: MavlinkFake._on_timesync,
 }

@@ -1,118 +1,170 @@
-"""Serves a fake over UDP or TCP in real time, until it is told to end."""
+"""Serves vehicles over UDP, TCP or a pty in real time."""
 
 from __future__ import annotations
 
 import asyncio
-import signal
-import sys
-from typing import Any
+import os
+import tty
+from collections.abc import Callable, Hashable
+from typing import Any, Protocol
 
 from lfield.errors import AddressError
-from lfield_sim.mavlink.protocol import MavlinkFake
+from lfield_sim.mavlink.link import MavlinkLink
 
 #: How often the model moves and packets are sent, in seconds.
 TICK = 0.02
+#: After a pause of the process (s) the model does not catch up with more than this.
+LONGEST_TICK = 1.0
+#: Peers that are sent to at most; the one that was silent longest is forgotten.
+MAX_PEERS = 16
+#: Bytes that wait for a slow reader at most; what is more is lost, as on a radio.
+MAX_WAITING = 1 << 16
+#: The baud rate of the pty in its endpoint; a pty has none of its own.
+BAUD = 57600
+
+Send = Callable[[bytes], None]
 
 
-class _Server:
-    """Peers and the fake; a peer is anything with `send`."""
+class Server:
+    """The link and its peers, by whatever tells them apart; a peer is known by how it is sent to."""
 
-    def __init__(self, fake: MavlinkFake) -> None:
-        self._fake = fake
+    def __init__(self, link: MavlinkLink) -> None:
+        self._link = link
         self._loop = asyncio.get_running_loop()
         self._last = self._loop.time()
-        self.peers: dict[Any, Any] = {}
+        self.peers: dict[Hashable, Send] = {}
 
-    def received(self, peer: Any, send: Any, data: bytes) -> None:
+    def received(self, peer: Hashable, send: Send, data: bytes, *, local: bool = False) -> None:
         """Bytes from a peer; answers go back to it alone."""
+        self.peers.pop(peer, None)
         self.peers[peer] = send
-        while len(self.peers) > 16:
+        while len(self.peers) > MAX_PEERS:
             del self.peers[next(iter(self.peers))]
-        for packet in self._fake.receive(peer, data):
+        for packet in self._link.receive(peer, data, local=local):
             send(packet)
 
-    def tick(self) -> None:
-        """Move the model to the present, and send what is due to every peer."""
-        now = self._loop.time()
-        packets = self._fake.advance(now - self._last)
-        self._last = now
-        for send in list(self.peers.values()):
-            for packet in packets:
-                send(packet)
+    async def tick(self) -> None:
+        """Move the model with the clock, and send what is due to every peer, until cancelled."""
+        while True:
+            await asyncio.sleep(TICK)
+            now = self._loop.time()
+            packets = self._link.advance(min(now - self._last, LONGEST_TICK))
+            self._last = now
+            for send in list(self.peers.values()):
+                for packet in packets:
+                    send(packet)
 
 
-class _Datagrams(asyncio.DatagramProtocol):
-    def __init__(self, server: _Server) -> None:
+class Door(Protocol):
+    """Where peers come in. `endpoint` is as a binding would have it."""
+
+    endpoint: str
+
+    def close(self) -> None:
+        """Let nobody in any more."""
+
+
+class UdpDoor(asyncio.DatagramProtocol):
+    """Datagrams; a peer is an address."""
+
+    def __init__(self, server: Server) -> None:
         self._server = server
+        self.endpoint = ""
 
     def connection_made(self, transport: Any) -> None:
+        """It is bound."""
         self._transport = transport
+        host, port = transport.get_extra_info("sockname")[:2]
+        self.endpoint = f"udp:{host}:{port}"
 
-    def datagram_received(self, data: bytes, addr: Any) -> None:
+    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+        """A packet of a peer."""
         self._server.received(addr, lambda packet: self._transport.sendto(packet, addr), data)
 
     def error_received(self, exc: Exception) -> None:
-        # A peer that has gone answers with "port unreachable"; it is forgotten when others come.
-        pass
+        """A peer that has gone answers with "port unreachable"; it is forgotten when others come."""
+
+    def close(self) -> None:
+        """Unbind."""
+        self._transport.close()
 
 
-class _Stream(asyncio.Protocol):
-    def __init__(self, server: _Server) -> None:
+class TcpDoor:
+    """Connections; each is a peer."""
+
+    def __init__(self, listener: asyncio.Server) -> None:
+        self._listener = listener
+        host, port = listener.sockets[0].getsockname()[:2]
+        self.endpoint = f"tcp:{host}:{port}"
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._listener.close()
+
+
+class _Connection(asyncio.Protocol):
+    def __init__(self, server: Server) -> None:
         self._server = server
 
-    def connection_made(self, transport: Any) -> None:
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
         self._transport = transport
-        self._server.peers[self] = transport.write
+        self._server.peers[self] = self._send
 
     def data_received(self, data: bytes) -> None:
-        self._server.received(self, self._transport.write, data)
+        self._server.received(self, self._send, data)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._server.peers.pop(self, None)
 
+    def _send(self, packet: bytes) -> None:
+        if self._transport.get_write_buffer_size() < MAX_WAITING:
+            self._transport.write(packet)
 
-async def serve(
-    fake: MavlinkFake, transport: str, host: str, port: int, words: str, *, until_stdin_closes: bool
-) -> int:
-    """Listen, print `ready TRANSPORT:HOST:PORT WORDS`, and serve. Raises AddressError."""
+
+class PtyDoor:
+    """A serial line: one peer, whoever has the other end open. It is the local one (channel 0)."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        # Our own descriptor of the far end stays open: without one, reading ours is an error.
+        self._fd, self._far = os.openpty()
+        tty.setraw(self._fd)
+        tty.setraw(self._far)
+        os.set_blocking(self._fd, False)
+        self.endpoint = f"serial:{os.ttyname(self._far)}:{BAUD}"
+        self._waiting = b""
+        asyncio.get_running_loop().add_reader(self._fd, self._readable)
+        server.peers[self] = self._send
+
+    def _readable(self) -> None:
+        self._server.received(self, self._send, os.read(self._fd, 4096), local=True)
+
+    def _send(self, packet: bytes) -> None:
+        if len(self._waiting) < MAX_WAITING:
+            self._waiting += packet
+        try:
+            self._waiting = self._waiting[os.write(self._fd, self._waiting) :]
+        except BlockingIOError:
+            # Nobody reads; the next packet tries again.
+            return
+
+    def close(self) -> None:
+        """Take the line away."""
+        asyncio.get_running_loop().remove_reader(self._fd)
+        os.close(self._fd)
+        os.close(self._far)
+
+
+async def open_door(server: Server, transport: str, host: str, port: int) -> Door:
+    """A door of a kind: `udp`, `tcp`, or `pty`, which has no address. Raises AddressError."""
     loop = asyncio.get_running_loop()
-    server = _Server(fake)
     try:
-        if transport == "udp":
-            endpoint, _ = await loop.create_datagram_endpoint(lambda: _Datagrams(server), (host, port))
-            bound, close = endpoint.get_extra_info("sockname")[1], endpoint.close
-        else:
-            listener = await loop.create_server(lambda: _Stream(server), host, port)
-            bound, close = listener.sockets[0].getsockname()[1], listener.close
+        if transport == "pty":
+            return PtyDoor(server)
+        if transport == "tcp":
+            return TcpDoor(await loop.create_server(lambda: _Connection(server), host, port))
+        _, door = await loop.create_datagram_endpoint(lambda: UdpDoor(server), (host, port))
+        return door
     except OSError as error:
         raise AddressError(f"{transport}:{host}:{port}", error.strerror or str(error)) from None
-    stop = asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stop.set)
-    if until_stdin_closes:
-        await loop.connect_read_pipe(lambda: _UntilEnd(stop), sys.stdin)
-    print(f"ready {transport}:{host}:{bound} {words}", flush=True)
-    ticking = loop.create_task(_tick(server))
-    await stop.wait()
-    ticking.cancel()
-    close()
-    return 0
-
-
-async def _tick(server: _Server) -> None:
-    while True:
-        await asyncio.sleep(TICK)
-        server.tick()
-
-
-class _UntilEnd(asyncio.Protocol):
-    """Sets an event when its pipe closes."""
-
-    def __init__(self, ended: asyncio.Event) -> None:
-        self._ended = ended
-
-    def eof_received(self) -> None:
-        self._ended.set()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._ended.set()

@@ -9,15 +9,17 @@ A service belongs to one vehicle and sees whole messages, never packets. Three t
 - `messages`: message id -> builder. What can be asked for with REQUEST_MESSAGE (512), SET_MESSAGE_INTERVAL
   (511) and, for PX4, is streamed.
 
-`advance(now)` is called after every step of the model (`now` is `autopilot.uptime`, seconds); what it
+`advance(now)` is called after every step of the model (`now` is `autopilot.now`, in seconds; it
+goes on over a reboot); what it
 returns goes to every peer. Long answers (a parameter list, a burst read) belong there, some per step.
 Handlers get foreign values: they never raise, and what they keep is bounded. `reboot` forgets what the
 real one would forget.
 
 What the autopilot offers to services (`lfield_sim.autopilot.Autopilot`):
 
-- `parameters`: name -> float; after a change call `apply_parameters()`. The flavour's defaults, and which
-  parameters are integers, are in `lfield_sim.flavours`.
+- `parameters`: name -> float; after a change call `apply_parameters()`. The defaults that the autopilot acts
+  by are `autopilot.kind.parameters` (`lfield_sim.ardupilot`, `lfield_sim.px4`). `flavour.name` is `ardupilot`
+  or `px4`, `kind.name` `copter` or `rover`.
 - `mission`: a `lfield_sim.mission.Mission`. Set `mission.items` (a list of `MissionItem`: MAV_CMD, seven
   values, and the place in the local frame, or None), then `autopilot.start_mission(first)` enters the
   mission mode. `mission.current` is the index that is being flown, `mission.take_reached()` gives the
@@ -30,8 +32,10 @@ What the autopilot offers to services (`lfield_sim.autopilot.Autopilot`):
 
 Places: `Place.at(north, east)` and `Place.local(latitude, longitude)` (1e-7 degrees) translate.
 
-Signing: `MavlinkFake(..., gate=...)`. A `Gate` sees every message before it is handled, and the packer
-before it sends: see `Gate`.
+Mission items that are not flown (speed, servo, camera) are carried out as the commands of that number. A
+result is a `lfield_sim.flavours.Result`, a severity a `Severity` of the same file.
+
+Signing is a `Gate`: it sees every message before it is handled, and the packer before it sends.
 """
 
 from __future__ import annotations
@@ -40,7 +44,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from lfield_sim.autopilot import Autopilot
-from lfield_sim.mavlink.commands import Answer, Command
+from lfield_sim.mavlink.command import Answer, Command
 from lfield_sim.mavlink.place import Place
 
 Handler = Callable[[Any], list[Any]]

@@ -1,0 +1,65 @@
+"""One command as it came, by COMMAND_LONG or COMMAND_INT."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from lfield_sim.flavours import Result
+from lfield_sim.mavlink.place import Place
+from lfield_sim.vehicle import Vector
+
+#: MAV_FRAMEs whose height is above home; the other global ones are above mean sea level.
+ABOVE_HOME = frozenset({3, 6, 10, 11})
+#: What an integer coordinate is when it means nothing.
+NO_COORDINATE = 0x7FFFFFFF
+#: Farther from the origin than this (m) nothing is flown to.
+FARTHEST = 1e6
+
+#: A result, and messages that follow the acknowledgement.
+Answer = tuple[Result, list[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """Its number and seven values.
+
+    `frame` is a MAV_FRAME for COMMAND_INT, whose values 5 and 6 are in 1e-7 degrees. With COMMAND_LONG (`frame`
+    None) they are in degrees, and the height is above mean sea level.
+    """
+
+    number: int
+    values: tuple[float, ...]
+    frame: int | None = None
+
+    def value(self, index: int) -> float:
+        """Parameter `index`, counted from 1 as in the MAVLink tables; NaN reads as 0."""
+        value = self.values[index - 1]
+        return 0.0 if math.isnan(value) else value
+
+    def given(self, index: int) -> float | None:
+        """Parameter `index`, None when it is NaN or infinite: left to the autopilot."""
+        value = self.values[index - 1]
+        return value if math.isfinite(value) else None
+
+    def whole(self, index: int) -> int:
+        """Parameter `index` as a whole number; what is not one reads as -1."""
+        value = self.value(index)
+        return int(value) if math.isfinite(value) else -1
+
+    def place(self, origin: Place, here: Vector, home: Vector) -> Vector | None:
+        """Where parameters 5 to 7 are, in the local frame; None when that is nowhere near.
+
+        A coordinate that is not given is the one of `here`.
+        """
+        scale = 1.0 if self.frame is not None else 1e7
+        x, y = self.given(5), self.given(6)
+        if x is None or y is None or NO_COORDINATE in (x, y):
+            north, east = here[:2]
+        else:
+            north, east = origin.local(x * scale, y * scale)
+        z = self.given(7)
+        down = here[2] if z is None else home[2] - z if self.frame in ABOVE_HOME else origin.altitude - z
+        place = (north, east, down)
+        return place if all(abs(part) < FARTHEST for part in place) else None

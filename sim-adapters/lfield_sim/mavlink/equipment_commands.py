@@ -1,0 +1,109 @@
+"""The commands for what hangs on a vehicle, by number; missions carry them out too."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from lfield_sim.autopilot import Autopilot
+from lfield_sim.flavours import Result
+from lfield_sim.mavlink.command import Answer, Command
+from lfield_sim.mavlink.equipment import camera_feedback, camera_image_captured
+from lfield_sim.mavlink.place import Place
+
+#: Microseconds that a servo takes.
+PULSES = range(0, 3001)
+
+
+def _servo(pilot: Autopilot, _: Place, command: Command) -> Answer:
+    number, pulse = command.whole(1), command.whole(2)
+    if number not in pilot.payload.servos or pulse not in PULSES:
+        return Result.FAILED, []
+    pilot.payload.servos[number] = pulse
+    return Result.ACCEPTED, []
+
+
+def _actuators(pilot: Autopilot, _: Place, command: Command) -> Answer:
+    """PX4's: six outputs at once from -1 to 1, NaN leaves one as it is; 1000 to 2000 us."""
+    for number in range(1, 7):
+        value = command.given(number)
+        if value is not None and -1.0 <= value <= 1.0:
+            pilot.payload.servos[number] = round(1500 + 500 * value)
+    return Result.ACCEPTED, []
+
+
+def _relay(pilot: Autopilot, _: Place, command: Command) -> Answer:
+    number, state = command.whole(1), command.whole(2)
+    if number not in pilot.payload.relays or state not in (0, 1):
+        return Result.FAILED, []
+    pilot.payload.relays[number] = bool(state)
+    return Result.ACCEPTED, []
+
+
+def _gripper(pilot: Autopilot, _: Place, command: Command) -> Answer:
+    action = command.whole(2)
+    if action not in (dialect.GRIPPER_ACTION_RELEASE, dialect.GRIPPER_ACTION_GRAB):
+        return Result.FAILED, []
+    pilot.payload.gripped = action == dialect.GRIPPER_ACTION_GRAB
+    pilot.say("Gripper load grabbed" if pilot.payload.gripped else "Gripper load released")
+    return Result.ACCEPTED, []
+
+
+def _winch(pilot: Autopilot, _: Place, command: Command) -> Answer:
+    action, length, rate = command.whole(2), command.given(3), command.given(4) or 0.0
+    if action == dialect.WINCH_RELAXED:
+        pilot.payload.wind(0.0)
+    elif action == dialect.WINCH_RELATIVE_LENGTH_CONTROL and length is not None:
+        pilot.payload.wind_by(length, rate)
+    elif action == dialect.WINCH_RATE_CONTROL:
+        pilot.payload.wind(rate)
+    else:
+        return Result.FAILED, []
+    return Result.ACCEPTED, []
+
+
+def _digicam(pilot: Autopilot, place: Place, command: Command) -> Answer:
+    if command.whole(5) != 1:
+        return Result.ACCEPTED, []
+    pilot.payload.pictures += 1
+    return Result.ACCEPTED, [camera_feedback(pilot, place)]
+
+
+def _capture(pilot: Autopilot, place: Place, _: Command) -> Answer:
+    pilot.payload.pictures += 1
+    return Result.ACCEPTED, [camera_image_captured(pilot, place)]
+
+
+def _gimbal(pilot: Autopilot, _: Place, command: Command) -> Answer:
+    """Angles in degrees; NaN leaves one as it is. Rates are not served."""
+    return _point(pilot, command.given(1), command.given(2))
+
+
+def _mount(pilot: Autopilot, _: Place, command: Command) -> Answer:
+    if command.whole(7) != dialect.MAV_MOUNT_MODE_MAVLINK_TARGETING:
+        return Result.DENIED, []
+    return _point(pilot, command.given(1), command.given(3))
+
+
+def _point(pilot: Autopilot, pitch: float | None, yaw: float | None) -> Answer:
+    payload = pilot.payload
+    payload.point(
+        payload.pitch_goal if pitch is None else math.radians(pitch),
+        payload.yaw_goal if yaw is None else math.radians(yaw),
+    )
+    return Result.ACCEPTED, []
+
+
+EQUIPMENT: Mapping[int, Callable[[Autopilot, Place, Command], Answer]] = {
+    dialect.MAV_CMD_DO_SET_RELAY: _relay,
+    dialect.MAV_CMD_DO_SET_SERVO: _servo,
+    dialect.MAV_CMD_DO_SET_ACTUATOR: _actuators,
+    dialect.MAV_CMD_DO_DIGICAM_CONTROL: _digicam,
+    dialect.MAV_CMD_DO_MOUNT_CONTROL: _mount,
+    dialect.MAV_CMD_DO_GRIPPER: _gripper,
+    dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _gimbal,
+    dialect.MAV_CMD_IMAGE_START_CAPTURE: _capture,
+    dialect.MAV_CMD_DO_WINCH: _winch,
+}

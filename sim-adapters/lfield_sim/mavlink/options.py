@@ -1,0 +1,107 @@
+"""The command line of the fake as data: doors, vehicles, what can be set. Imports no vendor library."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from lfield.errors import UsageError
+
+KINDS, FLAVOURS = ("copter", "rover"), ("ardupilot", "px4")
+#: Options that are a limit of motion: the option, the limit (see `flavours.Kind.speeds`), unit, meaning.
+SPEEDS = (
+    ("--cruise", "M/S", "speed over ground (5)"),
+    ("--climb", "M/S", "speed upwards (2.5)"),
+    ("--descend", "M/S", "speed downwards (1.5)"),
+    ("--land", "M/S", "speed below 10 m when landing (1)"),
+    ("--acceleration", "M/S2", "both ways (2.5)"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleOption:
+    """One vehicle of the link; `name` is what the mission's binding calls it, or ''."""
+
+    system: int
+    kind: str = "copter"
+    flavour: str = "ardupilot"
+    name: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.system}:{self.kind}:{self.flavour}" + (f":{self.name}" if self.name else "")
+
+
+def share(text: str) -> float:
+    """A number from 0 to 1."""
+    value = float(text)
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError("a share from 0 to 1")
+    return value
+
+
+def positive(text: str) -> float:
+    """A number above 0."""
+    value = float(text)
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError("a number above 0")
+    return value
+
+
+def system(text: str) -> int:
+    """A MAVLink system id."""
+    if not text.isdecimal() or not 1 <= int(text) <= 254:
+        raise argparse.ArgumentTypeError("a system id from 1 to 254")
+    return int(text)
+
+
+def vehicle(text: str) -> VehicleOption:
+    """`SYSTEM[:KIND[:FLAVOUR[:NAME]]]`."""
+    number, *rest = text.split(":", 3)
+    made = VehicleOption(system(number), *rest)
+    if made.kind not in KINDS or made.flavour not in FLAVOURS:
+        raise argparse.ArgumentTypeError(
+            f"SYSTEM[:KIND[:FLAVOUR[:NAME]]], KIND one of {', '.join(KINDS)}, "
+            f"FLAVOUR one of {', '.join(FLAVOURS)}"
+        )
+    return made
+
+
+def vehicles(args: argparse.Namespace) -> list[VehicleOption]:
+    """The vehicles of a command line. Raises UsageError when two have one system id."""
+    found: list[VehicleOption] = args.vehicle or [VehicleOption(args.system, args.kind, args.flavour)]
+    systems = [each.system for each in found]
+    if len(set(systems)) < len(systems):
+        raise UsageError("two vehicles of one link have the same system id; give each its own")
+    return found
+
+
+def parse_listen(text: str) -> tuple[str, str, int]:
+    """`udp:HOST:PORT`, `tcp:HOST:PORT` or `pty` as its parts. Raises UsageError."""
+    if text == "pty":
+        return "pty", "", 0
+    transport, _, rest = text.partition(":")
+    host, _, port = rest.rpartition(":")
+    if transport not in ("udp", "tcp") or not host or not port.isdecimal() or int(port) > 65535:
+        raise UsageError(
+            f"cannot listen on '{text}'; write udp:HOST:PORT, tcp:HOST:PORT (port 0: any free one) or pty"
+        )
+    return transport, host, int(port)
+
+
+def settings(args: argparse.Namespace) -> dict[str, float]:
+    """`--param NAME=VALUE` as names and values. Raises UsageError."""
+    found = {}
+    for text in args.param:
+        name, _, value = text.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise UsageError(f"--param {text}: write NAME=NUMBER") from None
+    return found
+
+
+def speeds(args: argparse.Namespace) -> Mapping[str, float]:
+    """The limits of motion that were given, in SI units."""
+    named = {option.removeprefix("--"): getattr(args, option.removeprefix("--")) for option, *_ in SPEEDS}
+    return {limit: value for limit, value in named.items() if value is not None}

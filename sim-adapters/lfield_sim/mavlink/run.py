@@ -1,0 +1,100 @@
+"""A command line's vehicles, made and served until somebody says that it is enough."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from lfield.errors import UsageError
+from lfield_sim.autopilot import FLAVOURS, Autopilot
+from lfield_sim.battery import Battery
+from lfield_sim.faults import Faults
+from lfield_sim.mavlink.link import MavlinkLink
+from lfield_sim.mavlink.options import VehicleOption
+from lfield_sim.mavlink.place import Place
+from lfield_sim.mavlink.protocol import MavlinkFake
+from lfield_sim.mavlink.server import Server, open_door
+from lfield_sim.mavlink.wire import KNOWN
+from lfield_sim.serving import serve_until_told
+
+#: The share of the capacity at which ArduPilot calls the battery low, when the capacity is set.
+LOW = 0.2
+#: Metres between the places where the vehicles of one link are switched on.
+APART = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """The vehicles of a link, and what is set in all of them: charge, mAh, limits (SI), parameters."""
+
+    vehicles: Sequence[VehicleOption]
+    charge: float
+    capacity: float | None
+    limits: Mapping[str, float]
+    parameters: Mapping[str, float]
+
+    @property
+    def devices(self) -> dict[str, str]:
+        """System ids with the names of their bindings."""
+        return {str(each.system): each.name for each in self.vehicles}
+
+    def faults(self, texts: Sequence[str]) -> Faults:
+        """The faults of these vehicles, with what is wrong from the start. Raises ValueError."""
+        faults = Faults(KNOWN, self.devices)
+        faults.apply(texts)
+        return faults
+
+    def link(self, faults: Faults) -> MavlinkLink:
+        """The vehicles, side by side. Raises UsageError for a parameter that none of them has."""
+        made = [self._make(number, each, faults) for number, each in enumerate(self.vehicles)]
+        known = {name for each in made for name in each.autopilot.parameters}
+        for name in self.parameters:
+            if name not in known:
+                raise UsageError(f"there is no parameter '{name}' in {self.words}")
+        return MavlinkLink(made)
+
+    @property
+    def words(self) -> str:
+        """The vehicles for people: `copter system 1`."""
+        return ", ".join(
+            f"{each.kind} system {each.system}" + ("" if each.flavour == "ardupilot" else f" {each.flavour}")
+            for each in self.vehicles
+        )
+
+    def _make(self, number: int, option: VehicleOption, faults: Faults) -> MavlinkFake:
+        kind = FLAVOURS[option.flavour][option.kind]
+        autopilot = Autopilot(kind, battery=Battery(self.charge))
+        start = Place()
+        latitude, longitude = start.at(0.0, number * APART)
+        place = Place(latitude / 1e7, longitude / 1e7, start.altitude)
+        fake = MavlinkFake(autopilot, system=option.system, place=place, faults=faults)
+        for limit, (name, scale) in kind.speeds.items():
+            if limit in self.limits:
+                autopilot.parameters[name] = self.limits[limit] * scale
+        if self.capacity is not None:
+            autopilot.parameters[kind.flavour.capacity] = self.capacity
+            for level in kind.flavour.battery[:1]:
+                if level.of_capacity:
+                    autopilot.parameters[level.threshold] = LOW * self.capacity
+        known = autopilot.parameters
+        known.update({name: value for name, value in self.parameters.items() if name in known})
+        autopilot.apply_parameters()
+        return fake
+
+
+async def serve(
+    link: MavlinkLink, where: tuple[str, str, int], setup: Setup, faults: Faults, *, until_stdin_closes: bool
+) -> None:
+    """Open the door, say so, and serve until told to end. Raises AddressError."""
+    server = Server(link)
+    door = await open_door(server, *where)
+    ticking = asyncio.get_running_loop().create_task(server.tick())
+    try:
+        await serve_until_told(
+            "mavlink", door.endpoint, setup.words, faults,
+            devices=setup.devices, until_stdin_closes=until_stdin_closes,
+        )  # fmt: skip
+    finally:
+        ticking.cancel()
+        door.close()

@@ -1,0 +1,87 @@
+"""What goes wrong between a vehicle and its peers: packets lost, broken, doubled, late, out of order."""
+
+from __future__ import annotations
+
+import random
+
+from lfield_sim.faults import Fault, Faults, share
+
+#: The faults of the fake; each can be set for one vehicle by its system id.
+KNOWN = (
+    share("loss", "packets lost, both ways"),
+    share("corrupt", "packets with a broken byte"),
+    share("duplicate", "packets sent twice"),
+    share("reorder", "packets sent after the next ones"),
+    Fault("delay", 0.0, "seconds until a packet arrives", 0.0, 60.0),
+    Fault("silence", False, "says and hears nothing"),
+    Fault("slow_acks", 0.0, "seconds of IN_PROGRESS before a command is acknowledged", 0.0, 600.0),
+    Fault("refuse_arming", "", "a reason to refuse every arming"),
+    Fault("gps_loss", False, "no position"),
+    Fault("motor_failure", False, "a motor is dead"),
+    Fault("battery", 1.0, "charge, set once; it drains on from there", 0.0, 1.0),
+    Fault("warm_up", 0.0, "seconds after a start without health", 0.0, 600.0),
+)
+#: How late a packet comes that is out of order, in seconds.
+LATE = 0.06
+#: Packets under way at most; then the oldest arrive.
+UNDER_WAY = 10_000
+
+
+def make_faults(*texts: str, systems: tuple[int, ...] = (1,)) -> Faults:
+    """The faults of vehicles with these ids, some set from the start. Raises ValueError."""
+    faults = Faults(KNOWN, [str(system) for system in systems])
+    faults.apply(texts)
+    return faults
+
+
+class Wire:
+    """The air around one vehicle. Its dice are its own: the same every run."""
+
+    def __init__(self, faults: Faults, system: int) -> None:
+        self._faults, self._system = faults, system
+        self._random = random.Random(system)
+        self._late: list[tuple[float, bytes]] = []
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing goes through at all."""
+        return bool(self._faults.get("silence", self._system))
+
+    def hears(self) -> bool:
+        """Whether the packet that came now is heard; a broken one is not."""
+        return not (self.silent or self._happens("loss") or self._happens("corrupt"))
+
+    def send(self, packets: list[bytes], now: float) -> list[bytes]:
+        """What of these packets arrives at once; `arrived` has the rest when it is time."""
+        if self.silent:
+            return []
+        passed = [self._broken(packet) for packet in packets if not self._happens("loss")]
+        passed = [copy for packet in passed for copy in [packet] * (1 + self._happens("duplicate"))]
+        delay = self._faults.get("delay", self._system)
+        at_once = []
+        for packet in passed:
+            late = delay + (LATE if self._happens("reorder") else 0.0)
+            if late:
+                self._late.append((now + late, packet))
+            else:
+                at_once.append(packet)
+        return at_once
+
+    def arrived(self, now: float) -> list[bytes]:
+        """The packets that were under way and are there now."""
+        if not self._late:
+            return []
+        surplus = len(self._late) - UNDER_WAY
+        due = [p for n, (at, p) in enumerate(self._late) if at <= now or n < surplus]
+        self._late = [entry for n, entry in enumerate(self._late) if entry[0] > now and n >= surplus]
+        return [] if self.silent else due
+
+    def _happens(self, fault: str) -> bool:
+        chance: float = self._faults.get(fault, self._system)
+        return chance > 0.0 and self._random.random() < chance
+
+    def _broken(self, packet: bytes) -> bytes:
+        if not self._happens("corrupt"):
+            return packet
+        spot = self._random.randrange(len(packet))
+        return packet[:spot] + bytes((packet[spot] ^ 1 << self._random.randrange(8),)) + packet[spot + 1 :]
