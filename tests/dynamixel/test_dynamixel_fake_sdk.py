@@ -271,9 +271,9 @@ def test_signals_end_it(number):
         (["--servo", "300:XM430-W350"], "write ID:MODEL[:NAME], with an id from 0 to 252"),
         (["--servo", "1:XM430-W350", "--servo", "1:XL330-M288"], "there is a servo 1 already"),
         (["--servo", "1:XM999"], "there is no fake of the servo 'XM999'; there are: "),
-        (["--servo", "1:XL330-M288", "--protocol", "1.0"], "a XL330-M288 does not speak protocol 1.0"),
-        (["--servo", "1:XL330-M288", "--baud", "4500000"], "a XL330-M288 is not as fast as 4500000 baud"),
-        (["--return-delay", "9000"], "write microseconds from 0 to 508"),
+        (["--servo", "1:XL330-M288", "--protocol", "1.0"], "XL330-M288 does not speak protocol 1.0"),
+        (["--servo", "1:XL330-M288", "--baud", "4500000"], "XL330-M288 does not do 4500000 baud"),
+        (["--return-delay", "9000"], "the return delay is from 0 to 508 microseconds"),
         (["--fault", "dead@7=true"], "there is no device '7'"),
         (["--listen", "/nowhere/at/all/tty"], "cannot use /nowhere/at/all/tty: No such file or directory"),
     ],
@@ -286,6 +286,15 @@ def test_options_that_make_no_sense(capsys, options, words):
 def binding(field: str, type: str, **options: object) -> DeviceBinding:
     where = {"agent": "a", "driver": "dynamixel", "endpoint": "sim:a", "safe_state": "hold"}
     return DeviceBinding(field=field, type=type, options=options, **where)
+
+
+def test_bindings_of_protocol_1_make_servos_that_speak_it():
+    assert SIM.arguments([binding("neck", "Dynamixel", id=3, protocol=1)])[2:] == [
+        "--servo",
+        "3:AX-12A:a.neck",
+    ]
+    options = SIM.arguments([binding("neck", "Dynamixel", id=3, protocol=1, model="XM430-W350")])
+    assert options[-2:] == ["--protocol", "1.0"]
 
 
 def test_bindings_make_their_chain():

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import UsageError
+from lfield_sim.dynamixel.ax import make_servo
 from lfield_sim.dynamixel.chain import Chain
 from lfield_sim.dynamixel.faults import FAULTS
 from lfield_sim.dynamixel.model import BAUDS, model_named
@@ -21,7 +22,7 @@ from lfield_sim.faults import Faults, add_fault_option
 from lfield_sim.serving import serve_until_told
 
 #: What a binding that names no model gets.
-DEFAULT_MODEL = "XM430-W350"
+DEFAULT_MODEL, DEFAULT_MODEL_1 = "XM430-W350", "AX-12A"
 #: The speed of a bus that `lfield up --sim` starts.
 FAST_BAUD = 1_000_000
 
@@ -45,7 +46,9 @@ class DynamixelSim:
             "--listen", default="", metavar="PATH", help="of the port (in a new temporary folder)"
         )
         parser.add_argument("--baud", type=int, choices=BAUDS, default=57_600, help="of the servos (57600)")
-        parser.add_argument("--protocol", choices=("1.0", "2.0"), default="2.0", help="of the servos (2.0)")
+        parser.add_argument(
+            "--protocol", choices=("1.0", "2.0"), default="2.0", help="where a model has both (2.0)"
+        )
         parser.add_argument(
             "--return-delay",
             type=int,
@@ -62,17 +65,18 @@ class DynamixelSim:
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
         """The servos of all bindings of a bus; those of a group are named GROUP.ID."""
         servos: dict[int, tuple[str, str]] = {}
+        # Groups first: a servo that is bound by itself too goes by that name.
         for device in sorted(devices, key=lambda device: "ids" not in device.options):
-            model = str(device.options.get("model") or DEFAULT_MODEL)
             group = device.options.get("ids")
             if isinstance(group, list):
-                servos.update({int(id): (model, f"{device.name}.{id}") for id in group})
+                servos.update({int(id): (_model(device), f"{device.name}.{id}") for id in group})
             else:
-                servos[int(str(device.options.get("id", 1)))] = (model, device.name)
+                servos[int(str(device.options.get("id", 1)))] = (_model(device), device.name)
         options = ["--baud", str(FAST_BAUD)]
         for id, (model, name) in sorted(servos.items()):
             options += ["--servo", f"{id}:{model}:{name}"]
-        return options
+        old = all(device.options.get("protocol") == 1 and device.options.get("model") for device in devices)
+        return [*options, "--protocol", "1.0"] if old else options
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until told to end; 0. Raises UsageError."""
@@ -86,6 +90,12 @@ class DynamixelSim:
             path = Path(folder).absolute() if args.listen else Path(folder) / "ttyDXL"
             asyncio.run(_serve(chain, path, args, names))
         return 0
+
+
+def _model(device: DeviceBinding) -> str:
+    """The model of a binding, or one that speaks its protocol."""
+    default = DEFAULT_MODEL_1 if device.options.get("protocol") == 1 else DEFAULT_MODEL
+    return str(device.options.get("model") or default)
 
 
 def _servos(args: argparse.Namespace) -> tuple[list[Servo], Mapping[str, str]]:
@@ -104,23 +114,9 @@ def _servos(args: argparse.Namespace) -> tuple[list[Servo], Mapping[str, str]]:
 
 
 def _servo(number: int, model: str, args: argparse.Namespace) -> Servo:
-    servo = Servo(model_named(model), time.monotonic())
-    protocol = servo.model.items["protocol_type"]
-    wanted = 1 if args.protocol == "1.0" else 2
-    if not protocol.low <= wanted <= protocol.high:
-        raise UsageError(f"a {servo.model.name} does not speak protocol {args.protocol}")
-    if not 0 <= args.return_delay <= 508:
-        raise UsageError(f"--return-delay {args.return_delay}: write microseconds from 0 to 508")
-    if BAUDS.index(args.baud) > servo.model.items["baud_rate"].high:
-        raise UsageError(f"a {servo.model.name} is not as fast as {args.baud} baud")
-    settings = {
-        "id": number,
-        "baud_rate": BAUDS.index(args.baud),
-        "return_delay_time": args.return_delay // 2,
-        "protocol_type": wanted,
-    }
-    for name, value in settings.items():
-        servo.table.put(name, value)
+    servo = make_servo(model_named(model), time.monotonic())
+    protocol = 1 if args.protocol == "1.0" else servo.model.protocol
+    servo.start_with(number, args.baud, protocol, args.return_delay * 1e-6)
     return servo
 
 

@@ -21,7 +21,7 @@ PAUSE = 0.1
 TOLERANCE = 0.03
 #: A wire that has more than this still to carry takes no more, in seconds.
 BACKLOG = 1.0
-#: Protocol 1.0 has a bit for each error, and no alert.
+#: Protocol 1.0 has a bit for each error.
 _ERRORS_1 = {
     0: 0x00,
     Refusal.RESULT_FAIL: 0x40,
@@ -29,7 +29,7 @@ _ERRORS_1 = {
     Refusal.CRC: 0x10,
     Refusal.RANGE: 0x08,
     Refusal.LENGTH: 0x08,
-    Refusal.LIMIT: 0x08,
+    Refusal.LIMIT: 0x02,
     Refusal.ACCESS: 0x08,
 }
 
@@ -124,9 +124,8 @@ class Chain:
         """The packet of an answer; empty when it is lost."""
         if self._happens("lose", answer.servo):
             return b""
-        alert = answer.servo.alert if protocol == 2 else 0
         error = answer.error if protocol == 2 else _ERRORS_1[answer.error]
-        return self._codecs[protocol].status(self._id(answer), error | alert, answer.data)
+        return self._codecs[protocol].status(self._id(answer), error | answer.servo.alert, answer.data)
 
     def _reply(self, answer: Answer, data: bytes) -> Reply:
         servo = answer.servo

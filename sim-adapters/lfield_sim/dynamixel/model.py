@@ -20,6 +20,7 @@ CURRENT, VELOCITY, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
 #: Reverse (1), time-based profile (4) and torque on by goal update (8), as Drive Mode has them.
 DRIVE_MODES = (0, 1, 4, 5, 8, 9, 12, 13)
 
+_MANUAL = "https://emanual.robotis.com/docs/en/dxl/"
 _RPM = math.tau / 60.0
 
 
@@ -137,14 +138,16 @@ class Strength:
 class Model:
     """A servo model: its registers by name, its strength, and its page in the manual.
 
-    `indirect` are blocks of (first address register, first data register, count).
+    `indirect` are blocks of (first address register, first data register, count). `protocol` is 1 for a model
+    that speaks only that.
     """
 
     name: str
     page: str
     items: Mapping[str, Item]
     strength: Strength
-    indirect: Sequence[tuple[int, int, int]]
+    indirect: Sequence[tuple[int, int, int]] = ()
+    protocol: int = 2
 
     @property
     def number(self) -> int:
@@ -260,12 +263,56 @@ def _indirect_items(blocks: Sequence[tuple[int, int, int]]) -> dict[str, Item]:
 
 def _model(name: str, row: _Row) -> Model:
     items = MappingProxyType(_items(row))
-    return Model(
-        name, f"https://emanual.robotis.com/docs/en/dxl/{row.page}", items, row.strength, _indirect(row.wide)
-    )
+    return Model(name, f"{_MANUAL}{row.page}", items, row.strength, _indirect(row.wide))
 
 
-MODELS: Mapping[str, Model] = MappingProxyType({name: _model(name, row) for name, row in _ROWS.items()})
+#: AX-12A: protocol 1.0 only, another table, no modes and no profiles.
+AX_SERIES = (
+    _seen(0, 2, "model_number", 12),
+    _seen(2, 1, "firmware_version", 24),
+    _rom(3, 1, "id", 1, 0, 253),
+    _rom(4, 1, "baud_rate", 1, 0, 254),
+    _rom(5, 1, "return_delay_time", 250, 0, 254),
+    _rom(6, 2, "cw_angle_limit", 0, 0, 1_023),
+    _rom(8, 2, "ccw_angle_limit", 1_023, 0, 1_023),
+    _rom(11, 1, "temperature_limit", 70, 0, 150),
+    _rom(12, 1, "min_voltage_limit", 60, 50, 250),
+    _rom(13, 1, "max_voltage_limit", 140, 50, 250),
+    _rom(14, 2, "max_torque", 1_023, 0, 1_023),
+    _rom(16, 1, "status_return_level", 2, 0, 2),
+    _rom(17, 1, "alarm_led", 36, 0, 127),
+    _rom(18, 1, "shutdown", 36, 0, 127),
+    _ram(24, 1, "torque_enable", 0, 0, 1),
+    _ram(25, 1, "led", 0, 0, 1),
+    _ram(26, 1, "cw_compliance_margin", 1, 0, 255),
+    _ram(27, 1, "ccw_compliance_margin", 1, 0, 255),
+    _ram(28, 1, "cw_compliance_slope", 32, 0, 255),
+    _ram(29, 1, "ccw_compliance_slope", 32, 0, 255),
+    _ram(30, 2, "goal_position", 512, 0, 1_023),
+    _ram(32, 2, "moving_speed", 0, 0, 2_047),
+    _ram(34, 2, "torque_limit", 1_023, 0, 1_023),
+    _seen(36, 2, "present_position", 512),
+    _seen(38, 2, "present_speed"),
+    _seen(40, 2, "present_load"),
+    _seen(42, 1, "present_voltage", 120),
+    _seen(43, 1, "present_temperature", 30),
+    _seen(44, 1, "registered_instruction"),
+    _seen(46, 1, "moving"),
+    _ram(47, 1, "lock", 0, 0, 1),
+    _ram(48, 2, "punch", 32, 0, 1_023),
+)
+
+_AX_12A = Model(
+    "AX-12A",
+    f"{_MANUAL}ax/ax-12a/",
+    MappingProxyType({item.name: replace(item, eeprom=item.address < 24) for item in AX_SERIES}),
+    Strength(1.5, 1.5, 59 * _RPM, 12.0, 0.0),
+    protocol=1,
+)
+
+MODELS: Mapping[str, Model] = MappingProxyType(
+    {**{name: _model(name, row) for name, row in _ROWS.items()}, _AX_12A.name: _AX_12A}
+)
 
 
 def model_named(name: str) -> Model:

@@ -40,6 +40,14 @@ GAIN = 40.0
 SMALL_OFFSET = 1024
 
 
+def catch_up(error: float, motor: Motor) -> float:
+    """The speed, in rad/s, that mends an error of place, in rad.
+
+    No faster than it can brake again, so that a far goal without a profile is not overshot.
+    """
+    return math.copysign(min(GAIN * abs(error), math.sqrt(2.0 * motor.hardest * abs(error))), error)
+
+
 class Motion:
     """How one servo moves. `resting` means that nothing changes until something is written."""
 
@@ -178,10 +186,7 @@ class Motion:
     def _follow(self) -> float:
         """The speed in rad/s that keeps to the profile."""
         self._trajectory, self._pace = self._profile.at(self._clock)
-        error = (self._trajectory - self.place) / COUNTS
-        # No faster than it can brake again, so that a far goal without a profile is not overshot.
-        catch_up = min(GAIN * abs(error), math.sqrt(2.0 * self.motor.hardest * abs(error)))
-        return self._pace / COUNTS + math.copysign(catch_up, error)
+        return self._pace / COUNTS + catch_up((self._trajectory - self.place) / COUNTS, self.motor)
 
     def _ramp(self, dt: float) -> float:
         """The speed in rad/s, in the register's direction, on the way to the goal velocity."""

@@ -5,6 +5,7 @@ Pure: time is given to it, in seconds. https://emanual.robotis.com/docs/en/dxl/p
 
 from __future__ import annotations
 
+from lfield.errors import UsageError
 from lfield_sim.dynamixel.model import BAUDS, POSITION, Item, Model
 from lfield_sim.dynamixel.motion import Motion
 from lfield_sim.dynamixel.table import ControlTable, Refusal, Refused
@@ -20,7 +21,9 @@ VOLTAGE_TIME = 0.2
 
 #: Bits of Hardware Error Status and Shutdown.
 VOLTAGE_ERROR, OVERHEATING, ENCODER_ERROR, OVERLOAD = 0x01, 0x04, 0x08, 0x20
-ALERT = 0x80
+ALERT, ERRORS_1 = 0x80, 0x25
+#: Of Return Delay Time, in seconds.
+DELAY_UNIT = 2e-6
 #: Bus Watchdog when it has bitten, and its unit in seconds.
 BITTEN, WATCHDOG_UNIT = 255, 0.02
 #: Bits of Startup Configuration and Drive Mode.
@@ -41,7 +44,7 @@ class Servo:
     def __init__(self, model: Model, now: float = 0.0) -> None:
         self.model = model
         self.table = ControlTable(model)
-        self.motion = Motion(model, self.table)
+        self.motion = self._mechanics()
         self.encoder_fault = False
         self._time = self._born = self._heard = now
         self._awake = now
@@ -50,6 +53,9 @@ class Servo:
         self._strained = self._starved = 0.0
         self._stale = True
         self.motion.reset_goals()
+
+    def _mechanics(self) -> Motion:
+        return Motion(self.model, self.table)
 
     @property
     def id(self) -> int:
@@ -60,6 +66,24 @@ class Servo:
     def baud(self) -> int:
         """Bits per second."""
         return BAUDS[self.table["baud_rate"]]
+
+    def start_with(self, id: int, baud: int, protocol: int, return_delay: float) -> None:
+        """Set how it is spoken to; the delay is in seconds. Raises UsageError if the model cannot."""
+        protocols = self.model.items["protocol_type"]
+        if not protocols.low <= protocol <= protocols.high:
+            raise UsageError(f"{self.model.name} does not speak protocol {protocol}.0")
+        if baud not in BAUDS[: self.model.items["baud_rate"].high + 1]:
+            raise UsageError(f"{self.model.name} does not do {baud} baud")
+        self.table.put("protocol_type", protocol)
+        self.table.put("baud_rate", BAUDS.index(baud))
+        self._start_with(id, return_delay)
+
+    def _start_with(self, id: int, return_delay: float) -> None:
+        delay = self.model.items["return_delay_time"]
+        if not delay.low <= round(return_delay / DELAY_UNIT) <= delay.high:
+            raise UsageError(f"the return delay is from 0 to {delay.high * DELAY_UNIT * 1e6:g} microseconds")
+        self.table.put("id", id)
+        self.table.put("return_delay_time", round(return_delay / DELAY_UNIT))
 
     @property
     def protocol(self) -> int:
@@ -74,7 +98,7 @@ class Servo:
     @property
     def return_delay(self) -> float:
         """How long it waits before it answers, in seconds."""
-        return self.table["return_delay_time"] * 2e-6
+        return self.table["return_delay_time"] * DELAY_UNIT
 
     @property
     def secondary(self) -> int | None:
@@ -84,8 +108,9 @@ class Servo:
 
     @property
     def alert(self) -> int:
-        """What its error bytes have in addition while its hardware error status is not 0."""
-        return ALERT if self.table["hardware_error_status"] else 0
+        """What its error bytes have in addition while something is wrong; protocol 1.0 says what."""
+        errors = self.table["hardware_error_status"]
+        return (ALERT if errors else 0) if self.protocol == 2 else errors & ERRORS_1
 
     # ---- time ---------------------------------------------------------------------------------------
 
@@ -113,6 +138,15 @@ class Servo:
 
     def _protect(self, dt: float) -> None:
         """Note what is wrong, and give way if Shutdown says so."""
+        found, table = self._errors(dt), self.table
+        if found:
+            table.put("hardware_error_status", table["hardware_error_status"] | found)
+            if found & table["shutdown"]:
+                self._shut = True
+                table.put("torque_enable", 0)
+
+    def _errors(self, dt: float) -> int:
+        """What is wrong now, as bits of the hardware error status."""
         table, motor = self.table, self.motion.motor
         strained = abs(motor.current) > OVERLOAD_SHARE * motor.strength.stall_current
         self._strained = self._strained + dt if strained else 0.0
@@ -121,12 +155,7 @@ class Servo:
         found = OVERLOAD if self._strained > OVERLOAD_TIME else 0
         found |= VOLTAGE_ERROR if self._starved > VOLTAGE_TIME else 0
         found |= OVERHEATING if motor.temperature > table["temperature_limit"] else 0
-        found |= ENCODER_ERROR if self.encoder_fault else 0
-        if found:
-            table.put("hardware_error_status", table["hardware_error_status"] | found)
-            if found & table["shutdown"]:
-                self._shut = True
-                table.put("torque_enable", 0)
+        return found | (ENCODER_ERROR if self.encoder_fault else 0)
 
     # ---- instructions -------------------------------------------------------------------------------
 
@@ -160,13 +189,17 @@ class Servo:
     def reboot(self) -> None:
         """Start anew: the RAM area as it was delivered, errors forgotten (they come back if they must)."""
         self.table.reset(eeprom=False)
-        self._shut, self._registered = False, []
+        self._shut = False
+        self._restart()
+        if self.table["startup_configuration"] & STARTUP_TORQUE:
+            self.table.put("torque_enable", 1)
+
+    def _restart(self) -> None:
+        self._registered = []
         self._strained = self._starved = 0.0
         self._awake = self._time + BOOT
         self.motion.single_turn()
         self.motion.reset_goals()
-        if "startup_configuration" in self.table and self.table["startup_configuration"] & STARTUP_TORQUE:
-            self.table.put("torque_enable", 1)
         self._stale = True
 
     def factory_reset(self, option: int) -> None:

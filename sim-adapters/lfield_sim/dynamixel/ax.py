@@ -1,0 +1,181 @@
+"""The AX series: protocol 1.0, 300 degrees in 1023 counts, joint and wheel mode.
+
+https://emanual.robotis.com/docs/en/dxl/ax/ax-12a/
+"""
+
+from __future__ import annotations
+
+import math
+
+from lfield.errors import UsageError
+from lfield_sim.dynamixel.model import Item, Model
+from lfield_sim.dynamixel.motion import Motion, catch_up
+from lfield_sim.dynamixel.profile import Profile
+from lfield_sim.dynamixel.servo import ERRORS_1, Servo
+from lfield_sim.dynamixel.table import ControlTable, Refusal, Refused
+
+#: Counts in a radian, and where the middle is.
+COUNTS, MIDDLE = 1023.0 / math.radians(300.0), 512
+#: rad/s in a count of speed (0.111 rev/min).
+SPEED_UNIT = 0.111 * math.tau / 60.0
+#: The greatest share of torque, and of speed in wheel mode; the bit above it means clockwise.
+FULL, CLOCKWISE = 1023, 0x400
+#: Bits per second, times the register Baud Rate plus one.
+BAUD_BASE = 2_000_000
+
+
+class AxMotion(Motion):
+    """How an AX moves: at a constant speed to its goal, or as a wheel when both angle limits are 0."""
+
+    def __init__(self, model: Model, table: ControlTable) -> None:
+        super().__init__(model, table)
+        self.motor.angle = MIDDLE / COUNTS
+
+    @property
+    def wheel(self) -> bool:
+        """Whether it turns without end."""
+        return self._table["cw_angle_limit"] == self._table["ccw_angle_limit"] == 0
+
+    @property
+    def place(self) -> float:
+        """Where the shaft is, in counts."""
+        return self.motor.angle * COUNTS
+
+    @property
+    def moving(self) -> bool:
+        """On the way to a goal."""
+        return self._ongoing or abs(self.motor.speed) > SPEED_UNIT
+
+    @property
+    def _ongoing(self) -> bool:
+        return bool(self._table["torque_enable"]) and not self.wheel and self._clock < self._profile.duration
+
+    def reset_goals(self) -> None:
+        """The goals of a servo that has just started."""
+        self._table.put("moving_speed", 0)
+        self._table.put("torque_limit", self._table["max_torque"])
+        self.hold()
+
+    def approach(self) -> None:
+        """Plan the way to the goal position, from where it is now."""
+        speed = self._table["moving_speed"] % CLOCKWISE * SPEED_UNIT * COUNTS
+        goal = float(self._table["goal_position"])
+        self._profile = Profile(self.place, 0.0, goal, speed or math.inf, math.inf)
+        self._clock, self.resting = 0.0, False
+
+    def step(self, dt: float) -> None:
+        """Let `dt` seconds pass."""
+        motor, share = self.motor, self._table["torque_limit"] / FULL
+        if self.resting or not self._table["torque_enable"]:
+            motor.rest(dt)
+            self.resting = motor.speed == 0.0
+            return
+        self._clock += dt
+        if self.wheel:
+            motor.drive(motor.torque_at(self._wheel_share()), share, math.inf, dt)
+        else:
+            self._trajectory, self._pace = self._profile.at(self._clock)
+            speed = self._pace / COUNTS + catch_up((self._trajectory - self.place) / COUNTS, motor)
+            motor.drive(motor.torque_for(speed, dt), share, math.inf, dt)
+        self.resting = self._settled()
+
+    def _wheel_share(self) -> float:
+        speed = self._table["moving_speed"]
+        return (speed % CLOCKWISE) / FULL * (-1.0 if speed & CLOCKWISE else 1.0)
+
+    def _settled(self) -> bool:
+        return super()._settled() and not (self.wheel and self._table["moving_speed"] % CLOCKWISE)
+
+    def publish(self, time: float) -> None:
+        """Write what is to the registers of what is present."""
+        motor, put = self.motor, self._table.put
+        put("present_position", round(min(1023.0, max(0.0, self.place % (math.tau * COUNTS)))))
+        put("present_speed", _directed(motor.speed / SPEED_UNIT))
+        put("present_load", _directed(motor.current / motor.strength.stall_current * FULL))
+        put("present_voltage", round(motor.voltage * 10.0))
+        put("present_temperature", round(min(255.0, motor.temperature)))
+        put("moving", int(self.moving))
+
+
+def _directed(value: float) -> int:
+    """Size, and a bit for its direction."""
+    return min(FULL, abs(round(value))) | (CLOCKWISE if value <= -0.5 else 0)
+
+
+class AxServo(Servo):
+    """An AX: it says in every answer what is wrong now, and after a shutdown it gives no torque."""
+
+    def __init__(self, model: Model, now: float = 0.0) -> None:
+        self._wrong = 0
+        super().__init__(model, now)
+
+    def _mechanics(self) -> Motion:
+        return AxMotion(self.model, self.table)
+
+    @property
+    def baud(self) -> int:
+        """Bits per second."""
+        return round(BAUD_BASE / (self.table["baud_rate"] + 1))
+
+    @property
+    def protocol(self) -> int:
+        """1."""
+        return 1
+
+    @property
+    def secondary(self) -> int | None:
+        """It has none."""
+        return None
+
+    @property
+    def alert(self) -> int:
+        """What is wrong now."""
+        return self._wrong & ERRORS_1
+
+    def start_with(self, id: int, baud: int, protocol: int, return_delay: float) -> None:
+        """Set how it is spoken to. Raises UsageError if the model cannot."""
+        if protocol != 1 or not BAUD_BASE / 255 <= baud <= BAUD_BASE / 2:
+            raise UsageError(f"{self.model.name} does not speak protocol {protocol}.0 at {baud} baud")
+        self.table.put("baud_rate", round(BAUD_BASE / baud) - 1)
+        self._start_with(id, return_delay)
+
+    def _watch(self) -> None:
+        """It has no bus watchdog."""
+
+    def _protect(self, dt: float) -> None:
+        self._wrong = self._errors(dt)
+        if self._wrong & self.table["shutdown"]:
+            self.table.put("torque_enable", 0)
+            self.table.put("torque_limit", 0)
+
+    def reboot(self) -> None:
+        """As after its power came back; no instruction does that, but the factory reset."""
+        self.table.reset(eeprom=False)
+        self._restart()
+
+    def _check(self, item: Item, value: int, secondary: bool) -> None:
+        if not item.writable or (item.eeprom and self.table["lock"]):
+            raise Refused(Refusal.ACCESS)
+        if not item.low <= value <= item.high or (item.name == "lock" and value < self.table["lock"]):
+            raise Refused(Refusal.RANGE)
+        if item.name == "goal_position" and not self._within(value):
+            raise Refused(Refusal.LIMIT)
+
+    def _within(self, place: int) -> bool:
+        table = self.table
+        wheel = table["cw_angle_limit"] == table["ccw_angle_limit"] == 0
+        return wheel or table["cw_angle_limit"] <= place <= table["ccw_angle_limit"]
+
+    def _follow_up(self, name: str, before: int, value: int) -> None:
+        if name == "torque_enable" and value and not before:
+            self.motion.hold()
+        elif name == "goal_position":
+            self.table.put("torque_enable", 1)
+            self.motion.approach()
+        elif name == "moving_speed" and self.motion.moving:
+            self.motion.approach()
+
+
+def make_servo(model: Model, now: float = 0.0) -> Servo:
+    """A servo of that model."""
+    return AxServo(model, now) if model.protocol == 1 else Servo(model, now)
