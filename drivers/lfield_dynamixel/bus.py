@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from itertools import count
 
 from lfield_dynamixel.packets import AnyProtocol, Reader, Status
-from lfield_dynamixel.port import MakePort
+from lfield_dynamixel.port import MakePort, Port
 
 #: Seconds that a servo and this computer may take beyond what the wire needs.
 SLACK = 0.025
@@ -56,7 +56,8 @@ class Bus:
     def __init__(
         self, make_port: MakePort, on_lost: Callable[[str], None], on_back: Callable[[], None]
     ) -> None:
-        self._port = make_port(self)
+        self._make_port = make_port
+        self._port: Port | None = None
         self._on_lost, self._on_back = on_lost, on_back
         self._waiting: list[tuple[int, int, Exchange]] = []
         self._order = count()
@@ -65,12 +66,14 @@ class Bus:
         self.gone = ""
 
     def open(self) -> None:
-        """Open the port. Raises DeviceError."""
+        """Make the port and open it. Raises DeviceError."""
+        self._port = self._make_port(self)
         self._port.open()
 
     def close(self) -> None:
         """Give the port back; whoever waits gets no answers."""
-        self._port.close()
+        if self._port is not None:
+            self._port.close()
         self._abandon()
 
     async def exchange(
@@ -87,6 +90,7 @@ class Bus:
         `numbers` are the ids that are to answer; the broadcast id stands for the one packet that answers a
         fast sync read. Raises nothing: a port that is gone gives no answers.
         """
+        assert self._port is not None, "the bus is opened first"
         loop = asyncio.get_running_loop()
         answer = (protocol.overhead + size) * len(numbers)
         on_wire = 10.0 * (len(packet) + answer) / self._port.baud
@@ -133,10 +137,12 @@ class Bus:
             if exchange.done.done():
                 continue
             self._current = exchange
-            seconds = exchange.seconds if self._port.write(exchange.packet) else 0.0
+            sent = self._port is not None and self._port.write(exchange.packet)
             # A port that fails while it is written has abandoned this exchange already.
             if self._current is exchange:
-                self._timer = asyncio.get_running_loop().call_later(seconds, self._finish)
+                self._timer = asyncio.get_running_loop().call_later(
+                    exchange.seconds if sent else 0.0, self._finish
+                )
 
     def _finish(self) -> None:
         """The exchange is over: everyone has answered, or the time is."""

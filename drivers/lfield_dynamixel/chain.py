@@ -87,9 +87,7 @@ class Chain:
         self._doubted.discard(node.number)
         return answers[0].data
 
-    async def read(
-        self, node: Node, start: int, size: int, *, urgency: int = COMMAND
-    ) -> Status:
+    async def read(self, node: Node, start: int, size: int, *, urgency: int = COMMAND) -> Status:
         """`size` bytes of a control table from the address `start`. Raises NoAnswer, Refusal."""
         parameters = node.place(start, size)
         return await self._insist(node, INST_READ, parameters, size, urgency)
