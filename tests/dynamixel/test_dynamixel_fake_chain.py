@@ -290,6 +290,14 @@ def test_group_writes_are_never_answered():
     assert bus.read(1, LED, 1) + bus.read(2, GOAL, 4) == b"\x00" + struct.pack("<i", 777)
 
 
+def test_groups_that_cannot_be_answered():
+    bus = Bus(1, 2)
+    assert bus.send(sync_read(1, 2, 1)) == b""
+    wishes = struct.pack("<BHHBHH", 1, 0, 660, 2, 0, 660)
+    assert bus.send(encode(BROADCAST, Instruction.FAST_BULK_READ, wishes)) == b""
+    assert len(bus.ask(BROADCAST, Instruction.BULK_READ, wishes)) == 2
+
+
 # ---- time -------------------------------------------------------------------------------------------
 
 
@@ -348,6 +356,7 @@ def test_protocol_1():
     assert bus.send(encode1(1, 0x77))[4] == 0x40
     assert bus.send(encode1(BROADCAST, Instruction.SYNC_WRITE, b"\x41\x01\x01\x01")) == b""
     assert bus.send(encode1(BROADCAST, Instruction.BULK_READ, b"\x00\x01\x01\x41"))[5] == 1
+    assert bus.send(encode1(1, READ, b"\x00\xfe"))[4] == 0x08, "longer than an answer can be"
     raw = bytearray(encode1(1, PING))
     raw[-1] ^= 1
     assert bus.send(bytes(raw))[4] == 0x10

@@ -9,7 +9,7 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from lfield_sim.dynamixel.packets import BROADCAST, Instruction, Packet
+from lfield_sim.dynamixel.packets import BROADCAST, MAX_PACKET, Instruction, Packet
 from lfield_sim.dynamixel.servo import Servo
 from lfield_sim.dynamixel.table import Refusal, Refused
 
@@ -21,6 +21,8 @@ _RESET_ALL = 0xFF
 #: What a block of a fast read has beside its data: error, id, check sum.
 _FAST_FRAME = 4
 _STATUS = 0x55
+#: The most data that an answer of protocol 1.0 has room for.
+_LONGEST_1 = 253
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +88,9 @@ def carry_out(packet: Packet, protocol: int, servos: Sequence[Servo]) -> Outcome
             case Instruction.BULK_WRITE if protocol == 2:
                 _bulk_write(cursor, servos)
             case Instruction.SYNC_READ | Instruction.FAST_SYNC_READ if protocol == 2:
-                return _group(packet, servos, _sync_list(cursor))
+                return _group(packet, protocol, servos, _sync_list(cursor))
             case Instruction.BULK_READ | Instruction.FAST_BULK_READ:
-                return _group(packet, servos, _bulk_list(cursor))
+                return _group(packet, protocol, servos, _bulk_list(cursor))
             case _:
                 return _each(packet, protocol, servos)
     except Refused:
@@ -132,7 +134,7 @@ def _perform(servo: Servo, packet: Packet, protocol: int, secondary: bool) -> by
         case Instruction.PING:
             return servo.ping() if protocol == 2 else b""
         case Instruction.READ:
-            return servo.read(cursor.number(), cursor.number())
+            return _read(servo, cursor.number(), cursor.number(), protocol)
         case Instruction.WRITE:
             servo.write(cursor.number(), cursor.rest, secondary=secondary)
         case Instruction.REG_WRITE:
@@ -148,6 +150,12 @@ def _perform(servo: Servo, packet: Packet, protocol: int, secondary: bool) -> by
         case _:
             raise Refused(Refusal.INSTRUCTION)
     return b""
+
+
+def _read(servo: Servo, address: int, length: int, protocol: int) -> bytes:
+    if protocol == 1 and length > _LONGEST_1:
+        raise Refused(Refusal.LENGTH)
+    return servo.read(address, length)
 
 
 def _factory_reset(servo: Servo, packet: Packet, option: int) -> None:
@@ -203,21 +211,26 @@ def _bulk_wishes_1(cursor: _Cursor) -> Iterator[Wish]:
         yield id, address, length
 
 
-def _group(packet: Packet, servos: Sequence[Servo], wishes: Sequence[Wish]) -> Outcome:
-    """Each answers after the one before it in the list; one that does not answer stops all that follow."""
-    if packet.id != BROADCAST:
-        return Outcome()
-    by_id = {servo.id: servo for servo in servos}
+def _group(packet: Packet, protocol: int, servos: Sequence[Servo], wishes: Sequence[Wish]) -> Outcome:
+    """Each answers after the one before it in the list; one that does not answer stops all that follow.
+
+    Nobody answers to a list that has an id twice, or that a shared packet has no room for.
+    """
     fast = packet.instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
+    size = sum(length + _FAST_FRAME for _, _, length in wishes)
+    by_id = {servo.id: servo for servo in servos}
+    twice = len({id for id, _, _ in wishes}) < len(wishes)
+    if packet.id != BROADCAST or twice or (fast and size > MAX_PACKET):
+        return Outcome()
     answers = []
     for id, address, length in wishes:
         servo = by_id.get(id)
         if servo is None or servo.table["status_return_level"] < _READ_LEVEL:
             break
         try:
-            error, data = 0, servo.read(address, length)
+            error, data = 0, _read(servo, address, length, protocol)
         except Refused as refused:
             # In a packet that is shared every block has its size, whatever is in it.
             error, data = refused.reason, bytes(length) if fast else b""
         answers.append(Answer(servo, id, servo.baud, error, data))
-    return Outcome(answers, sum(length + _FAST_FRAME for _, _, length in wishes) if fast else 0)
+    return Outcome(answers, size if fast else 0)
