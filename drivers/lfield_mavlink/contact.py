@@ -180,21 +180,28 @@ class Contact(Device):
         number: int,
         *values: float | None,
         place: Place | None = None,
+        once: bool = False,
+        optional: bool = False,
         taken: Callable[[], bool] = lambda: False,
-    ) -> None:
+    ) -> bool:
         """Have a command accepted. Raises DeviceError with the result and the autopilot's own reason.
 
+        With `optional`, false when the autopilot does not know the command: there is another one to try.
+
         `taken` is a state that shows that it was: when the first copy was taken and its answer lost, the
-        second copy may be refused, as a takeoff is in the air.
+        second copy may be refused, as a takeoff is in the air. `once` is for what must not be done twice.
         """
         start = self.clock.monotonic()
-        answer = await self._exchange.command(number, *values, place=place)
+        answer = await self._exchange.command(number, *values, place=place, once=once)
         if answer.result == dialect.MAV_RESULT_ACCEPTED:
-            return
+            return True
         if answer.attempts > 1 and await self._seen(taken, EXPLAINS):
-            return
+            return True
+        if optional and answer.result == dialect.MAV_RESULT_UNSUPPORTED:
+            return False
         if answer.result is None:
-            raise self.error(f"{what}: the autopilot did not answer", timeout=True)
+            perhaps = "; it may have been done all the same" if once else ""
+            raise self.error(f"{what}: the autopilot did not answer{perhaps}", timeout=True)
         await self._seen(lambda: bool(self._texts.since(start)), EXPLAINS)
         raise self.error(f"{what} refused: {result_words(answer.result)}{self._reasons(start)}")
 

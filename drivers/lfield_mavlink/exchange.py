@@ -57,16 +57,20 @@ class Exchange:
         self._acks: dict[int, asyncio.Queue[int]] = {}
         self._parameters: defaultdict[str, list[asyncio.Future[Parameter]]] = defaultdict(list)
 
-    async def command(self, number: int, *values: float | None, place: Place | None = None) -> Answer:
+    async def command(
+        self, number: int, *values: float | None, place: Place | None = None, once: bool = False
+    ) -> Answer:
         """Send a command until it is answered, RETRIES + 1 times at most.
 
         `values` are its parameters from the first on, None for one that is not used. With a `place` it goes
-        out as a COMMAND_INT, which has the precision for it, and the place is parameters 5 to 7.
+        out as a COMMAND_INT, which has the precision for it, and the place is parameters 5 to 7. `once` is
+        for a command that would act twice if only its answer was lost.
         """
+        attempts = 1 if once else RETRIES + 1
         async with self._locks[number]:
             acks = self._acks[number] = asyncio.Queue()
             try:
-                for confirmation in range(RETRIES + 1):
+                for confirmation in range(attempts):
                     if place is None:
                         self._send(self._command_long(number, confirmation, values))
                     else:
@@ -74,7 +78,7 @@ class Exchange:
                     result = await _final(acks)
                     if result is not None:
                         return Answer(result, confirmation + 1)
-                return Answer(None, RETRIES + 1)
+                return Answer(None, attempts)
             finally:
                 del self._acks[number]
 

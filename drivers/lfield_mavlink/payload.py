@@ -61,7 +61,7 @@ class Payload(Contact):
             raise self.error("winch needs a finite length and a speed above 0")
         before = await self._ask(WINCH)
         relative = float(dialect.WINCH_RELATIVE_LENGTH_CONTROL)
-        await self._command("winch", dialect.MAV_CMD_DO_WINCH, 1.0, relative, length, speed)
+        await self._command("winch", dialect.MAV_CMD_DO_WINCH, 1.0, relative, length, speed, once=True)
         if before is not None:
             goal, bound = before.line_length + length, abs(length) / speed + WINDING
             await self._shows(
@@ -104,26 +104,21 @@ class Payload(Contact):
 
     async def do_trigger_camera(self) -> None:
         """One picture: the camera protocol's command, or the older one."""
-        answer = await self._exchange.command(dialect.MAV_CMD_IMAGE_START_CAPTURE, 0.0, 0.0, 1.0)
-        if answer.result != dialect.MAV_RESULT_ACCEPTED:
-            number, shoot = dialect.MAV_CMD_DO_DIGICAM_CONTROL, 1.0
-            await self._command("triggerCamera", number, 0.0, 0.0, 0.0, 0.0, shoot)
+        capture, older = dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL
+        if not await self._command("triggerCamera", capture, 0.0, 0.0, 1.0, once=True, optional=True):
+            await self._command("triggerCamera", older, 0.0, 0.0, 0.0, 0.0, 1.0, once=True)
 
     async def do_point_gimbal(self, pitch: float, yaw: float) -> None:
         """Radians; pitch above the horizon, yaw clockwise from the nose."""
         if not (abs(pitch) <= math.pi and abs(yaw) <= math.pi):
             raise self.error("pointGimbal needs angles from -pi to pi")
         degrees = (math.degrees(pitch), math.degrees(yaw))
-        number = dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW
-        answer = await self._exchange.command(number, *degrees, None, None, 0.0, None, 0.0)
-        if answer.result == dialect.MAV_RESULT_UNSUPPORTED:
-            number, targeting = (
-                dialect.MAV_CMD_DO_MOUNT_CONTROL,
-                float(dialect.MAV_MOUNT_MODE_MAVLINK_TARGETING),
-            )
-            await self._command("pointGimbal", number, degrees[0], 0.0, degrees[1], 0.0, 0.0, 0.0, targeting)
-        elif answer.result != dialect.MAV_RESULT_ACCEPTED:
-            await self._command("pointGimbal", number, *degrees, None, None, 0.0, None, 0.0)
+        manager, mount = dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, dialect.MAV_CMD_DO_MOUNT_CONTROL
+        values = (*degrees, None, None, 0.0, None, 0.0)
+        if not await self._command("pointGimbal", manager, *values, optional=True):
+            targeting = float(dialect.MAV_MOUNT_MODE_MAVLINK_TARGETING)
+            older = (degrees[0], 0.0, degrees[1], 0.0, 0.0, 0.0, targeting)
+            await self._command("pointGimbal", mount, *older)
         await self._shows("pointGimbal", GIMBAL, lambda now: _points(now.q, pitch, yaw))
 
     # -- what shows it --------------------------------------------------------------------------------

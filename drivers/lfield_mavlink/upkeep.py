@@ -102,7 +102,7 @@ class Upkeep(Contact):
             raise self.error("command needs a number from 0 to 65535 and at most 7 parameters")
         if not all(math.isfinite(value) and abs(value) < 3.4e38 for value in parameters):
             raise self.error("command needs finite parameters")
-        answer = await self._exchange.command(number, *parameters)
+        answer = await self._exchange.command(number, *parameters, once=True)
         if answer.result is None:
             raise self.error(f"command {number}: the autopilot did not answer", timeout=True)
         return answer.result
