@@ -11,7 +11,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_mavlink.signing import Signing
+from lfield_mavlink.signing import LinkSigning
 
 __all__ = ["AUTOPILOT", "COMPONENT", "SYSTEM", "Reader", "Writer", "dialect", "result_words"]
 
@@ -33,7 +33,7 @@ class Reader:
     believe are left out too; it counts them itself.
     """
 
-    def __init__(self, signing: Signing | None = None) -> None:
+    def __init__(self, signing: LinkSigning | None = None) -> None:
         self._parser: Any = dialect.MAVLink(None)
         # Without it one wrong checksum raises.
         self._parser.robust_parsing = True
@@ -57,7 +57,7 @@ class Reader:
 class Writer:
     """Messages to packets, numbered, and signed where there is a key."""
 
-    def __init__(self, signing: Signing | None = None) -> None:
+    def __init__(self, signing: LinkSigning | None = None) -> None:
         self._mavlink: Any = dialect.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
         self._signing = signing
 

@@ -11,8 +11,10 @@ from typing import Any
 from lfield.driver import DeviceBinding, Driver
 from lfield.errors import DeviceError
 from lfield_mavlink.dialect import AUTOPILOT, Reader, Writer, dialect
+from lfield_mavlink.link_health import LinkCounts
 from lfield_mavlink.links import AGAIN, Link, make_link, split_endpoint
 from lfield_mavlink.routes import Route
+from lfield_mavlink.signing import LinkSigning, open_signing, sign_link
 from lfield_mavlink.vehicle import MavlinkVehicle
 
 #: Seconds between our own heartbeats: several within the shortest failsafe (2 s), since some are lost.
@@ -24,7 +26,9 @@ class Port:
     """One link with what writes its packets."""
 
     link: Link
+    reader: Reader
     writer: Writer
+    signing: LinkSigning | None
 
     def send(self, message: Any) -> None:
         """One message as one packet."""
@@ -47,17 +51,20 @@ class MavlinkDriver(Driver):
             if device.system in self._vehicles:
                 raise device.error(f"two devices are system {device.system} on {self.endpoint}")
             self._vehicles[device.system] = device
+        self._bindings = [device.binding for device in self.devices.values()]
+        self._signing = open_signing(self._bindings, self.clock)
         endpoints = split_endpoint(self.endpoint)
         self._routes = {system: Route(len(endpoints)) for system in self._vehicles}
-        for number, endpoint in enumerate(endpoints):
-            reader, writer = self._make_codec(endpoint)
-            link = self._make_link(endpoint, partial(self._received, number, reader))
-            self._ports.append(Port(link, writer))
+        self._ports += [self._make_port(number, endpoint) for number, endpoint in enumerate(endpoints)]
         await self._open_links()
         self.spawn(self._beat())
+        if self._signing is not None:
+            self.spawn(self._signing.keep_ahead(next(iter(self._vehicles.values())).note))
         for vehicle in self._vehicles.values():
+            vehicle.counts = self._counts
             self.spawn(vehicle.watch())
             self.spawn(vehicle.keep_streams())
+            self.spawn(vehicle.keep_link())
 
     async def _close(self) -> None:
         for vehicle in self._vehicles.values():
@@ -82,9 +89,20 @@ class MavlinkDriver(Driver):
     def _make_link(self, endpoint: str, on_data: Callable[[bytes], None]) -> Link:
         return make_link(endpoint, on_data)
 
-    def _make_codec(self, endpoint: str) -> tuple[Reader, Writer]:
-        """What reads and writes the packets of one link."""
-        return Reader(), Writer()
+    def _make_port(self, number: int, endpoint: str) -> Port:
+        signing = sign_link(self._signing, self._bindings, number, endpoint)
+        reader, writer = Reader(signing), Writer(signing)
+        link = self._make_link(endpoint, partial(self._received, number, reader))
+        return Port(link, reader, writer, signing)
+
+    def _counts(self) -> LinkCounts:
+        """Over all links."""
+        return LinkCounts(
+            broken=sum(port.reader.broken for port in self._ports),
+            good_signatures=self._signing.good if self._signing else 0,
+            bad_signatures=self._signing.bad if self._signing else 0,
+            unsigned=sum(port.signing.unsigned for port in self._ports if port.signing),
+        )
 
     async def _open_links(self) -> None:
         """Open them all. One that cannot be opened is tried again, as long as there is another."""

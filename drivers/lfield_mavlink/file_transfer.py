@@ -49,15 +49,15 @@ class FileTransfer:
             found = await self._list(Opcode.LIST_WITH_TIME, path)
             return found if found is not None else await self._list(Opcode.LIST, path) or []
 
-    async def read(self, path: str) -> bytes:
-        """The bytes of a file, MAX_FILE at most, compared with its checksum if the vehicle tells one.
+    async def read(self, path: str, most: int = MAX_FILE) -> bytes:
+        """The bytes of a file, if they are not more than `most`, and as its checksum says if there is one.
 
         Raises DeviceError.
         """
         what = f"reading {path}"
         async with self._transfer(path) as name:
             async with self._session(what, Opcode.OPEN_READ, name) as opened:
-                data = await self._read(what, opened.session, opened.number)
+                data = await self._read(what, opened.session, opened.number, most)
             await self._check(path, name, data)
         return data
 
@@ -136,12 +136,12 @@ class FileTransfer:
             if place > MAX_ENTRIES:
                 raise self._peer.error(f"listing {path}: it has more than {MAX_ENTRIES} entries")
 
-    async def _read(self, what: str, session: int, size: int | None) -> bytes:
+    async def _read(self, what: str, session: int, size: int | None, most: int) -> bytes:
         """The whole of an open file: in bursts to its end, then one by one what the bursts have left out."""
         if size is None:
             raise self._peer.error(f"{what}: the autopilot does not tell its size")
-        if size > MAX_FILE:
-            raise self._peer.error(f"{what}: its {size} bytes are more than the {MAX_FILE} that may be")
+        if size > most:
+            raise self._peer.error(f"{what}: its {size} bytes are more than the {most} that may be")
         file = Pieces(size)
         while file.reached < size and await self._burst(file, session):
             pass

@@ -72,6 +72,11 @@ class Item:
         )  # fmt: skip
 
     @property
+    def above_sea(self) -> bool:
+        """Whether `z` is a height above mean sea level."""
+        return bool(_TWINS.get(self.frame, self.frame) == dialect.MAV_FRAME_GLOBAL)
+
+    @property
     def above_home(self) -> bool:
         """Whether `z` is a height above home."""
         return bool(_TWINS.get(self.frame, self.frame) == dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT)

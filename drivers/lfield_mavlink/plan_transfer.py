@@ -39,8 +39,8 @@ _ITEM = dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT
 _REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
 _ACCEPTED = dialect.MAV_MISSION_ACCEPTED
 _CANCELLED = dialect.MAV_MISSION_OPERATION_CANCELLED
-#: Ends of an upload that another attempt may mend: packets out of turn, a vehicle that waited too long.
-_AGAIN = (dialect.MAV_MISSION_INVALID_SEQUENCE, _CANCELLED)
+#: Said by ArduPilot of an item that it did not ask for, as when a packet came twice; the upload goes on.
+_OUT_OF_TURN = dialect.MAV_MISSION_INVALID_SEQUENCE
 
 
 class PlanTransfer:
@@ -124,18 +124,18 @@ class PlanTransfer:
                     handed[message.seq] = now()
                     self._peer.send(wire[message.seq].message(self._peer.system, message.seq, kind))
             elif message.get_msgId() == _ACK:
-                if message.type in _AGAIN:
-                    return f"it ended with {mission_result_words(message.type)}"
+                if message.type == _CANCELLED:
+                    return "it did not get the next item in time"
                 self._check_accepted(kind, message.type)
                 # An acknowledgement before the last item is one of an earlier upload that comes late.
-                if len(handed) == len(wire):
+                if len(handed) == len(wire) and message.type == _ACCEPTED:
                     break
         if wire and not handed:
             raise self._peer.error(f"uploading the {kind.word}: the autopilot did not answer", timeout=True)
         return "" if len(handed) == len(wire) else f"it asked for {len(handed)} of {len(wire)} items only"
 
     def _check_accepted(self, kind: PlanKind, result: int) -> None:
-        if result != _ACCEPTED:
+        if result not in (_ACCEPTED, _OUT_OF_TURN):
             raise self._peer.error(f"the autopilot refuses the {kind.word}: {mission_result_words(result)}")
 
     # -- download and clear -----------------------------------------------------------------------------

@@ -1,0 +1,171 @@
+"""Missions: waypoints that the autopilot flies by itself, uploaded, seen to be there, started, followed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from lfield_mavlink.dialect import AUTOPILOT, dialect
+from lfield_mavlink.geo import Place
+from lfield_mavlink.guidance import Guidance
+from lfield_mavlink.plan_items import WAYPOINT, Item, PlanKind, command_name, coordinates, waypoints
+from lfield_mavlink.services import Services
+
+#: Seconds to wait until the current item is the one that was set, and how often it is set.
+PATIENCE, QUESTIONS = 0.5, 6
+#: How often the current item is wanted, in Hz.
+RATE = 2.0
+
+#: Items with a place that the vehicle goes to, which the limits of the binding hold for.
+_FLOWN = frozenset(
+    {
+        dialect.MAV_CMD_NAV_WAYPOINT,
+        dialect.MAV_CMD_NAV_LOITER_UNLIM,
+        dialect.MAV_CMD_NAV_LOITER_TURNS,
+        dialect.MAV_CMD_NAV_LOITER_TIME,
+        dialect.MAV_CMD_NAV_LAND,
+        dialect.MAV_CMD_NAV_TAKEOFF,
+        dialect.MAV_CMD_NAV_SPLINE_WAYPOINT,
+    }
+)
+_CURRENT = dialect.MAVLINK_MSG_ID_MISSION_CURRENT
+
+
+class Missions(Guidance, Services):
+    """Waypoints are numbered from 0 here, also for ArduPilot, whose own numbers begin with home."""
+
+    def _set_up(self) -> None:
+        super()._set_up()
+        self._rates[_CURRENT] = RATE
+        self._count = 0
+        self._current = self._reached = -1
+        self._on(_CURRENT, self._on_current)
+        self._on(dialect.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, self._on_reached)
+
+    @property
+    def _mission_mode(self) -> str:
+        return "AUTO.MISSION" if self.profile.px4 else "AUTO"
+
+    @property
+    def _first(self) -> int:
+        """The autopilot's number of waypoint 0."""
+        return 0 if self.profile.px4 else 1
+
+    # -- instructions ---------------------------------------------------------------------------------
+
+    async def do_upload_mission(self, values: list[float]) -> None:
+        """{latitude, longitude, height above home} for each waypoint, in place of what was there."""
+        try:
+            items = waypoints(values, yaw=math.nan if self.profile.px4 else 0.0)
+        except ValueError as error:
+            raise self.error(f"uploadMission: {error}") from None
+        self._check_route("uploadMission", items)
+        self._check_not_flown("uploadMission")
+        await self._plans.upload(PlanKind.MISSION, items)
+        self._count, self._reached = len(items), -1
+        await self._make_current("uploadMission", 0)
+
+    async def do_mission_waypoints(self) -> list[float]:
+        """The waypoints that the vehicle holds, as uploadMission takes them."""
+        try:
+            return coordinates(await self._plans.download(PlanKind.MISSION), WAYPOINT)
+        except ValueError as error:
+            raise self.error(f"its mission is not made of waypoints alone: {error}") from None
+
+    async def do_start_mission(self) -> None:
+        """Fly the mission that the vehicle holds, on from its current waypoint. Done when it has begun."""
+        self._begin("startMission")
+        if not self.state.armed:
+            raise self.error("startMission refused: the vehicle is not armed; call arm() first")
+        items = await self._plans.download(PlanKind.MISSION)
+        if not items:
+            raise self.error("startMission refused: the vehicle holds no mission; call uploadMission() first")
+        self._check_route("startMission", items)
+        if self.profile.flies and self.state.landed and items[0].command != dialect.MAV_CMD_NAV_TAKEOFF:
+            raise self.error("startMission refused: it stands on the ground; call takeoff() first")
+        self._count = len(items)
+        mode = self._mission_mode
+        self._commanded = frozenset({mode})
+        await self._achieve(
+            "startMission", lambda: self.state.mode == mode, dialect.MAV_CMD_MISSION_START, 0.0, 0.0
+        )
+        await self._keep_speed()
+
+    async def do_pause_mission(self) -> None:
+        """Stop and stay; startMission goes on from here."""
+        self._begin("pauseMission")
+        if self.state.mode != self._mission_mode:
+            raise self.error(f"pauseMission: no mission is being flown, the vehicle is in {self.state.mode}")
+        await self._set_mode(self.profile.hold)
+
+    async def do_set_mission_item(self, number: int) -> None:
+        """The waypoint that is flown to next."""
+        if not 0 <= number < 0xFFFF:
+            raise self.error(f"setMissionItem: there is no waypoint {number}")
+        await self._make_current("setMissionItem", number)
+
+    async def do_clear_mission(self) -> None:
+        """Leave the vehicle without a mission."""
+        self._check_not_flown("clearMission")
+        await self._plans.clear(PlanKind.MISSION)
+        self._count, self._reached = 0, -1
+
+    # -- parts ----------------------------------------------------------------------------------------
+
+    async def _make_current(self, what: str, number: int) -> None:
+        """Set the current item and see that it is. Raises DeviceError."""
+        wanted = number + self._first
+        message = dialect.MAVLink_mission_set_current_message(self.system, AUTOPILOT, wanted)
+        for _ in range(QUESTIONS):
+            self._send(message)
+            if await self._expect(lambda m: m.get_msgId() == _CURRENT and m.seq == wanted, PATIENCE):
+                return
+        raise self.error(f"{what}: waypoint {number} did not become the current one", timeout=True)
+
+    def _check_not_flown(self, what: str) -> None:
+        if self.state.armed and self.state.mode == self._mission_mode:
+            raise self.error(f"{what} refused: a mission is being flown; call pauseMission() first")
+
+    def _check_route(self, what: str, items: Sequence[Item]) -> None:
+        """Refuse a mission that leaves the limits of the binding, whoever made it. Raises DeviceError."""
+        limits = self.binding.limits
+        for number, item in enumerate(items):
+            if item.command == dialect.MAV_CMD_DO_CHANGE_SPEED:
+                self._check_speed(f"{what}: item {number}", item.parameters[1])
+            elif item.command in _FLOWN and ("altitude" in limits or "radius" in limits):
+                self._check_goal(f"{what}: waypoint {number}", self._goal(what, number, item))
+
+    def _goal(self, what: str, number: int, item: Item) -> tuple[float, float, float]:
+        """Where an item leads, about home. Raises DeviceError when that is not known."""
+        home = self.state.home
+        if home is None or not self.state.knows_frames:
+            raise self.error(f"{what} needs to know where home is, and the vehicle has not told")
+        if not (item.above_home or item.above_sea):
+            raise self.error(
+                f"{what}: the height of item {number}, {command_name(item.command)}, is not known"
+            )
+        height = item.z if item.above_home else item.z - home.altitude
+        if not (item.x or item.y):  # where the vehicle then is
+            return (0.0, 0.0, -height)
+        north, east, _ = home.to(Place(item.x / 1e7, item.y / 1e7, home.altitude))
+        return (north, east, -height)
+
+    # -- telemetry ------------------------------------------------------------------------------------
+
+    def _on_current(self, message: Any) -> None:
+        before, self._current = self._current, max(message.seq - self._first, -1)
+        # The word that an item was reached comes once and may be lost.
+        if self.state.profile is not None and self.state.mode == self._mission_mode:
+            if self._current == before + 1:
+                self._reached = max(self._reached, before)
+            if message.mission_state == dialect.MISSION_STATE_COMPLETE:
+                self._reached = max(self._reached, self._count - 1)
+        self._tell_mission()
+
+    def _on_reached(self, message: Any) -> None:
+        self._reached = max(message.seq - self._first, -1)
+        self._tell_mission()
+
+    def _tell_mission(self) -> None:
+        self.publish(missionItem=self._current, missionReached=self._reached)
