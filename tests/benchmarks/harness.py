@@ -158,6 +158,18 @@ class Child:
         line, _, self._unread = self._unread.partition(b"\n")
         return line.decode()
 
+    def lines(self) -> list[str]:
+        """The lines of its stdout that are there already; does not wait."""
+        assert self._process.stdout is not None
+        descriptor = self._process.stdout.fileno()
+        while select.select([descriptor], [], [], 0.0)[0]:
+            data = os.read(descriptor, 1 << 16)
+            if not data:
+                break
+            self._unread += data
+        *lines, self._unread = self._unread.split(b"\n")
+        return [line.decode() for line in lines]
+
     def pause(self) -> None:
         """Stop it where it stands, so that it costs nothing while others are measured."""
         os.kill(self.pid, signal.SIGSTOP)

@@ -13,6 +13,7 @@ from importlib.util import find_spec
 
 import agreement
 import collector
+import deadman
 import engine
 import footprint
 import local
@@ -30,6 +31,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "collector": collector.figure,
     "agreement": agreement.figure,
     "footprint": footprint.figure,
+    "deadman": deadman.figure,
 }
 #: What the extra `bench` brings.
 LIBRARIES = ("Pyro5", "rpyc", "grpc")
