@@ -71,10 +71,14 @@ class Server:
         os.close(slave)
 
     def _follow(self) -> None:
+        """Be where the faults say. Raises ValueError, which whoever sets them is told."""
         if self._chain.faults.get("unplug"):
             self.unplug()
-        else:
+            return
+        try:
             self.plug()
+        except AddressError as error:
+            raise ValueError(str(error)) from None
 
     def _read(self) -> None:
         assert self._ends is not None
