@@ -211,10 +211,14 @@ class Members(Device):
         await self._each(servos, self._be_still)
 
     def _places(self, seen: Seen) -> dict[Servo, Present]:
-        """Where each member is; one that is silent now, but may hear, is where it was a moment ago."""
+        """Where each member is to stay; one that is silent now, but may hear, where it was a moment ago.
+
+        One that holds something by its force stays by going on.
+        """
         now = self.clock.monotonic()
         fresh = {n: value for n, (at, value) in self._seen.items() if now - at <= FRESH}
-        return {self.servos[number]: value for number, value in (fresh | seen).items()}
+        places = {self.servos[number]: value for number, value in (fresh | seen).items()}
+        return {servo: value for servo, value in places.items() if not servo.pushing}
 
     async def _send(self, writes: dict[Servo, tuple[int, bytes]], urgency: int = SAFETY) -> None:
         """Write to several at once, one packet for each address; it reaches those that cannot answer too."""
@@ -226,7 +230,7 @@ class Members(Device):
     async def _be_still(self, servo: Servo) -> None:
         """See that a servo has stopped and stays: its goal is where it is, or it cannot turn by itself."""
         now = await servo.condition(urgency=SAFETY)
-        if now.torque and now.watchdog != FIRED:
+        if now.torque and now.watchdog != FIRED and not servo.pushing:
             name, place = servo.here(await servo.present(urgency=SAFETY))
             # A goal that is a moment old is as good; one that is far off never reached the servo.
             near = STILL / servo.model.position if name == "goal_position" else 0.0

@@ -58,6 +58,7 @@ class Movers(Members):
         for number, angle in angles.items():
             part = ways[number] / longest if longest > 0.0 else 1.0
             servo = self.servos[number]
+            servo.pushing = False
             writes[servo] = servo.motion(angle, ways[number], speed * part, self.profile[1] * part)
         return writes
 

@@ -82,7 +82,8 @@ class Servo:
     """One servo on a chain. `open` comes first; everything else needs its model.
 
     `mode` is its operating mode by name, `reach` the least and greatest angle (rad) that it accepts in
-    position mode, `top_speed` its own limit (rad/s).
+    position mode, `top_speed` its own limit (rad/s). `pushing` says that it holds something by the force
+    that it was given: to stay, it must go on.
     """
 
     model: Model
@@ -93,6 +94,7 @@ class Servo:
         self.time_based = False
         self.reach = (-math.inf, math.inf)
         self.top_speed = math.inf
+        self.pushing = False
 
     async def open(self, wanted: str = "") -> str:
         """Find it and read how it is set; its identity in words. Raises DeviceError, also when it is not of
@@ -169,9 +171,15 @@ class Servo:
             for name, counts in values.items():
                 await self.put(name, counts)
             await self.read_settings()
-        finally:
-            if was_on:
-                await self.torque(True)
+        except DeviceError:
+            await self._stiffen(was_on)
+            raise
+        # Not when it was cancelled: what makes it safe may have switched the torque off meanwhile.
+        await self._stiffen(was_on)
+
+    async def _stiffen(self, wanted: bool) -> None:
+        if wanted:
+            await self.torque(True)
 
     # -- what it measures -------------------------------------------------------------------------------
 
@@ -187,6 +195,7 @@ class Servo:
 
     async def torque(self, on: bool) -> None:
         """Switch the torque, seen to have happened. When it goes on, its goal is first where it is."""
+        self.pushing = False
         if on:
             await self.write_here(await self.present())
         await self.put("torque_enable", int(on))
@@ -209,6 +218,7 @@ class Servo:
 
     async def write_here(self, seen: Present, *, urgency: int = COMMAND) -> None:
         """Make what it does now its goal: it stays. Raises DeviceError."""
+        self.pushing = False
         name, counts = self.here(seen)
         item = self.item(name)
         await self.chain.write(self.node, item.address, item.encode(counts), urgency=urgency)

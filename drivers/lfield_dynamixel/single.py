@@ -48,6 +48,8 @@ class Dynamixel(Movers):
         number = self.servo.node.number
         self.check_angles("moveUntil", {number: angle})
         self._check_current("moveUntil", current)
+        if current <= 0.0:
+            raise self.error(f"moveUntil needs a current above 0, not {current:g} A")
         await self.look()
         self.check_ready("moveUntil", ["currentPosition"])
         await self.servo.put("goal_current", round(current / self.servo.model.current))
@@ -72,6 +74,7 @@ class Dynamixel(Movers):
             pushes = rests and abs(value.current) >= PUSHES * current
             pushes_since = min(pushes_since, now) if pushes else math.inf
             if now - pushes_since >= LASTING:
+                self.servo.pushing = True
                 return
             moved_at = moved_at if rests else now
             if now - moved_at > STUCK:

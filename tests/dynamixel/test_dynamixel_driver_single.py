@@ -127,6 +127,7 @@ def test_velocity_and_current_need_their_mode():
         (("setCurrent", NAN), "nan A is above the limit"),
         (("moveUntil", 0.5, 9.0), "9 A is above the limit of 0.6 A"),
         (("moveUntil", 0.5, 0.3), "needs the mode currentPosition"),
+        (("moveUntil", 0.5, -0.3), "a current above 0"),
         (("mode", "sideways"), "has no mode 'sideways'"),
         (("calibrate", NAN), "finite angle"),
         (("setRange", 1.0, -1.0), "a lower and a higher"),
@@ -211,6 +212,7 @@ def test_move_until_stops_at_the_force_and_keeps_it():
         await moving
         assert bench.values["position"] < 0.9
         assert abs(bench.values["current"]) >= 0.25
+        await servo.make_safe()  # what it holds would fall if it took its present place as the goal
         await asyncio.sleep(1.0)
         assert abs(bench.values["current"]) >= 0.25
         bench.servos[1].motion.motor.blocked = False
@@ -266,6 +268,22 @@ def test_torque_hold_stays_where_it_is():
         assert bench.values["position"] == pytest.approx((stopped - 2048) * 2 * math.pi / 4096, abs=0.02)
         assert bench.values["position"] < 1.2
         assert bench.values["torqueOn"]
+
+    bench.run(story)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.001, 0.002, 0.003, 0.004, 0.005])
+def test_a_change_of_mode_that_is_cut_off_leaves_it_limp(delay):
+    bench = Bench(safe_state="torque_off")
+
+    async def story(servo):
+        await stiff(servo)
+        changing = asyncio.ensure_future(call(servo, "mode", "velocity"))
+        await asyncio.sleep(delay)
+        changing.cancel()
+        await servo.make_safe()
+        await asyncio.sleep(1.0)
+        assert bench.servos[1].table["torque_enable"] == 0
 
     bench.run(story)
 
