@@ -156,6 +156,12 @@ class FtpServer:
         """The next packets of the bursts that are under way."""
         return [(key[0], packet.write()) for key in list(self._bursts) for packet in self._next_of_burst(key)]
 
+    def forget(self) -> None:
+        """Close everything."""
+        self._sessions.clear()
+        self._bursts.clear()
+        self._last.clear()
+
     def _carry_out(self, peer: Peer, request: FtpPacket) -> FtpPacket | None:
         if request.size > DATA:
             raise TreeError(FtpError.INVALID_DATA_SIZE)

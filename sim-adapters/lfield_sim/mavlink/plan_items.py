@@ -49,9 +49,9 @@ PLACED = ABOVE_SEA | ABOVE_HOME | ABOVE_TERRAIN
 #: MAV_FRAME_MISSION: the command has no place.
 UNPLACED = 2
 
-WAYPOINT = 16
+WAYPOINT, TAKEOFF = 16, 22
 #: Commands that are flown to: waypoint, the loiters, land, takeoff.
-PLACE_COMMANDS = frozenset({WAYPOINT, 17, 18, 19, 21, 22})
+PLACE_COMMANDS = frozenset({WAYPOINT, 17, 18, 19, 21, TAKEOFF})
 #: Commands that end when time or heading is reached: return, delay, condition delay, yaw.
 WAIT_COMMANDS = frozenset({20, 93, 112, 115})
 #: Commands that are done at once: jump, speed, home, region of interest, camera, gimbal, relay, servo,

@@ -111,6 +111,10 @@ class PlanProtocol:
             return [self._request(upload, now)]
         return []
 
+    def forget(self) -> None:
+        """Break off an upload, without a word."""
+        self._upload = None
+
     # -- uploads --------------------------------------------------------------------------------------
 
     def _on_count(self, message: Any, kind: PlanType, now: float) -> list[Any]:
