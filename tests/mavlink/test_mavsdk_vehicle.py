@@ -1,0 +1,176 @@
+"""The driver and a vehicle by others: MAVSDK's server plugins, over UDP, in real time."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+from mavsdk_stand_in import ALTITUDE, EAST, LATITUDE, LONGITUDE, NORTH, StandIn
+
+from lfield.clock import SystemClock
+from lfield.driver import DeviceBinding
+from lfield.errors import DeviceError
+from lfield_mavlink import PLUGIN
+from lfield_mavlink.driver import MavlinkDriver
+from lfield_mavlink.file_transfer import FileTransfer
+from lfield_mavlink.parameter_values import Encoding
+from lfield_mavlink.parameters import Parameters
+from lfield_mavlink.peer import Peer
+from lfield_mavlink.plan_items import Item, PlanKind
+from lfield_mavlink.plan_transfer import PlanTransfer
+
+pytestmark = [pytest.mark.process, pytest.mark.timeout(60)]
+
+MANIFEST = PLUGIN.read_manifests()["Mavlink"]
+#: No story may take longer, in seconds.
+LONGEST = 30.0
+
+
+class Owner:
+    """The driver's other side: keeps what it reports."""
+
+    def __init__(self):
+        self.values, self.notes, self.crashes = {}, [], []
+
+    def publish(self, device, values):
+        self.values.update(values)
+
+    def heard(self, device):
+        pass
+
+    def note(self, device, text):
+        self.notes.append(text)
+
+    def crashed(self, reason):
+        self.crashes.append(reason)
+
+
+def fly(story, *, opened=True, **stand_in):
+    """Run `story(device, vehicle, owner)` with the driver at MAVSDK's vehicle."""
+
+    async def main():
+        owner = Owner()
+        async with asyncio.timeout(LONGEST), StandIn(**stand_in) as vehicle:
+            binding = DeviceBinding(
+                agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint=vehicle.endpoint,
+                safe_state="land", options={option.name: option.default for option in MANIFEST.options},
+            )  # fmt: skip
+            driver = MavlinkDriver([binding], {"Mavlink": MANIFEST}, SystemClock(), owner)
+            try:
+                await driver.open()
+                device = driver.devices["a.fc"]
+                if opened:
+                    await device.open()
+                await story(device, vehicle, owner)
+            finally:
+                await driver.close()
+        assert owner.crashes == []
+
+    asyncio.run(main())
+
+
+def peer(device):
+    return Peer(device.system, device._send, device._on, device.error)
+
+
+def test_it_is_identified_its_telemetry_read_and_its_failsafes_set():
+    async def story(device, vehicle, owner):
+        assert await device._open() == "PX4 copter, system 1"
+        expected = {
+            "position": [NORTH, EAST, 0.0], "velocity": [0.5, 0.25, 0.0], "altitude": 0.0,
+            "globalPosition": [LATITUDE, LONGITUDE, ALTITUDE], "attitude": [0.0, 0.0, math.pi / 2],
+            "yawRate": 0.1, "groundSpeed": 0.6, "gpsFix": 3, "satellites": 14, "battery": 0.75,
+            "batteryVoltage": 12.5, "landed": True, "armed": False, "mode": "AUTO.LOITER",
+        }  # fmt: skip
+        for name, value in expected.items():
+            assert owner.values[name] == pytest.approx(value, abs=1e-5), name
+        assert await vehicle.parameters.retrieve_param_int("NAV_DLL_ACT") == 3
+        assert await vehicle.parameters.retrieve_param_int("COM_DL_LOSS_T") == 5
+        assert await vehicle.parameters.retrieve_param_float("COM_OF_LOSS_T") == 1.0
+
+    fly(story)
+
+
+def test_it_flies_and_what_it_refuses_is_told():
+    async def story(device, vehicle, owner):
+        await device.do_arm()
+        assert device.state.armed
+        await device.do_takeoff(7.0)
+        assert vehicle.height == 7.0
+        assert owner.values["altitude"] == pytest.approx(7.0, abs=0.5)
+        with pytest.raises(DeviceError, match=r"mode AUTO\.LOITER refused: TEMPORARILY_REJECTED \(1\)"):
+            await device.do_hold()
+        await device.do_set_mode("AUTO.RTL")
+        assert device.state.mode == "AUTO.RTL"
+        await device.do_set_mode("AUTO.LAND")
+        assert vehicle.height == 0.0
+        await device.do_disarm()
+        assert not device.state.armed
+
+    fly(story)
+
+
+def test_its_safe_state_is_commanded_and_seen():
+    async def story(device, vehicle, _):
+        await device.do_arm()
+        await device.do_takeoff(3.0)
+        await device.make_safe()
+        assert device.state.mode == "AUTO.LAND"
+
+    fly(story)
+
+
+def test_a_mission_is_uploaded():
+    async def story(device, vehicle, _):
+        here = (round(LATITUDE * 1e7), round(LONGITUDE * 1e7))
+        items = [Item(22, 6, *here, 10.0), Item(16, 6, here[0] + 500, here[1], 12.0, (1.0, 2.0, 0.0, 0.0))]
+        items.append(Item(20, 2, 0, 0))
+        await PlanTransfer(peer(device), home_first=False).upload(PlanKind.MISSION, items)
+        got = vehicle.missions[-1].mission_items
+        assert [(i.command, i.frame, i.x, i.y, i.z) for i in got] == [
+            (i.command, i.frame, i.x, i.y, i.z) for i in items
+        ]
+        assert (got[1].param1, got[1].param2) == (1.0, 2.0)
+
+    fly(story)
+
+
+def test_parameters_are_listed_read_and_set():
+    async def story(device, vehicle, _):
+        async def bytewise():
+            return Encoding.BYTEWISE
+
+        await vehicle.parameters.provide_param_int("BIG_INT", 123456789)
+        parameters = Parameters(peer(device), bytewise)
+        everything = await parameters.read_all()
+        assert everything["BIG_INT"] == 123456789
+        assert everything["MIS_TAKEOFF_ALT"] == 2.5
+        await parameters.write("MIS_TAKEOFF_ALT", 4.25)
+        assert await vehicle.parameters.retrieve_param_float("MIS_TAKEOFF_ALT") == 4.25
+        await parameters.write("BIG_INT", -7)
+        assert await vehicle.parameters.retrieve_param_int("BIG_INT") == -7
+
+    fly(story)
+
+
+def test_files_are_listed_read_and_written(tmp_path):
+    content = bytes(range(256)) * 20
+    (tmp_path / "log.bin").write_bytes(content)
+
+    async def story(device, vehicle, _):
+        files = FileTransfer(peer(device))
+        assert [entry.name for entry in await files.list_folder("/")] == ["log.bin"]
+        assert await files.read("/log.bin") == content
+        await files.write("/new.txt", b"hello" * 100)
+        assert (tmp_path / "new.txt").read_bytes() == b"hello" * 100
+
+    fly(story, files=str(tmp_path))
+
+
+def test_without_a_label_it_is_neither_ardupilot_nor_px4():
+    async def story(device, vehicle, _):
+        with pytest.raises(DeviceError, match=r"neither ArduPilot nor PX4 \(MAV_AUTOPILOT 0\)"):
+            await device.open()
+
+    fly(story, opened=False, label=False)
