@@ -44,9 +44,9 @@ class CanAxis(Device):
 
     # -- frames and signs of life -----------------------------------------------------------------------
 
-    async def prepare(self) -> None:
+    def prepare(self) -> None:
         """Read its files. Raises DeviceError."""
-        await self.protocol.prepare()
+        self.protocol.prepare()
 
     def listens(self) -> frozenset[int]:
         """The keys of the frames that it wants."""

@@ -42,14 +42,16 @@ class CanDriver(Driver):
     async def _open(self) -> None:
         owners: dict[int, CanDevice] = {}
         for device in self._members:
-            await device.prepare()
+            # Nothing is guarded yet: reading files may block here.
+            device.prepare()
             for key in device.listens():
                 self._listeners.setdefault(key, []).append(device)
             for key in device.commands():
                 other = owners.setdefault(key, device)
                 if other is not device:
+                    names = f"{device.binding.name} and {other.binding.name}"
                     raise device.error(
-                        f"it has the same frames as {other.binding.name} (id 0x{key & 0x1FFFFFFF:X}); "
+                        f"{names} have the same frames (id 0x{key & 0x1FFFFFFF:X}); "
                         "give every device on the bus its own id"
                     )
         await self._bus.open()

@@ -38,11 +38,11 @@ class CanSignals(Device):
 
     # -- the file and the frames ------------------------------------------------------------------------
 
-    async def prepare(self) -> None:
+    def prepare(self) -> None:
         """Read the DBC file and what the options say about it. Raises DeviceError."""
         option = self.binding.option
         try:
-            self._file = await asyncio.to_thread(DbcFile, option("dbc"))
+            self._file = DbcFile(option("dbc"))
             self._safe, self._confirm = self._file.terms(option("safe")), self._file.terms(option("confirm"))
             self._forget_setpoints()
             self._check_safe()
@@ -150,7 +150,7 @@ class CanSignals(Device):
 
     def _fits(self, term: Term, since: float) -> bool:
         at, values = self._received.get(f"{term.message}.{term.signal}", (-math.inf, {}))
-        return at >= since and abs(values[term.signal] - term.value) <= term.within
+        return at > since and abs(values[term.signal] - term.value) <= term.within
 
     def _why_not(self) -> str:
         wrong = []

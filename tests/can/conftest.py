@@ -19,7 +19,9 @@ from lfield_can.frames import Frame
 MANIFESTS = PLUGIN.read_manifests()
 
 
-def make_binding(type_name: str, *, field: str = "axis", endpoint: str = "virtual:test", **given: Any) -> DeviceBinding:
+def make_binding(
+    type_name: str, *, field: str = "axis", endpoint: str = "virtual:test", **given: Any
+) -> DeviceBinding:
     """A binding with the defaults of its manifest."""
     manifest = MANIFESTS[type_name]
     options = {o.name: o.default for o in manifest.options if o.default is not None}
@@ -125,16 +127,11 @@ class Bench(Reported):
         return result
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def binding() -> Callable[..., DeviceBinding]:
     return make_binding
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def bench() -> type[Bench]:
     return Bench
-
-
-@pytest.fixture
-def reported() -> Reported:
-    return Reported()

@@ -64,8 +64,8 @@ class AxisProtocol:
         """The ids of all frames that the device sends; no two axes may share one."""
         raise NotImplementedError
 
-    async def prepare(self) -> None:
-        """Read files, before the bus is opened. Raises DeviceError."""
+    def prepare(self) -> None:
+        """Read files, before the bus is opened; may block. Raises DeviceError."""
 
     def call(self) -> None:
         """Make a device speak that does not do so by itself."""

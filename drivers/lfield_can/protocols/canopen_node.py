@@ -71,9 +71,9 @@ class CanopenNode:
         self._network[self._id] = node
         return node
 
-    async def load(self, path: str) -> None:
+    def load(self, path: str) -> None:
         """Take the objects from an EDS file. Raises DeviceError."""
-        self._dictionary = await asyncio.to_thread(read_eds, self._name, path, self._id)
+        self._dictionary = read_eds(self._name, path, self._id)
         self._node = self._made()
 
     def ping(self) -> None:

@@ -27,6 +27,12 @@ class Cia402(AxisProtocol):
     def __init__(self, wiring: Wiring) -> None:
         super().__init__(wiring)
         option = self.binding.option
+        if self.node == 0:
+            raise wiring.error("a CANopen node id is 1 to 127; node 0 is all of them")
+        if option("counts") == 0:
+            raise wiring.error(
+                "cia402 needs 'counts' in its binding: position counts in one turn of the motor"
+            )
         self._units = Units(
             self.turns,
             option("counts"),
@@ -142,16 +148,10 @@ class Cia402(AxisProtocol):
 
     # -- setting up -------------------------------------------------------------------------------------
 
-    async def prepare(self) -> None:
-        """Check the options that only these drives need; read the EDS file."""
-        if self.node == 0:
-            raise self.wiring.error("a CANopen node id is 1 to 127; node 0 is all of them")
-        if self._units.counts == 0:
-            raise self.wiring.error(
-                "cia402 needs 'counts' in its binding: position counts in one turn of the motor"
-            )
+    def prepare(self) -> None:
+        """Read the EDS file."""
         if path := self.binding.option("eds"):
-            await self._objects.load(path)
+            self._objects.load(path)
 
     def call(self) -> None:
         """Ask for the device type: a node need not have heartbeats before it is set up."""

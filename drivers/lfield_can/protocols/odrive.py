@@ -92,7 +92,7 @@ class Odrive(AxisProtocol):
 
     # -- setting up -------------------------------------------------------------------------------------
 
-    async def prepare(self) -> None:
+    def prepare(self) -> None:
         """A node id of 6 bits; limits that only go together."""
         if self.node > 63:
             raise self.wiring.error(f"an ODrive's node id is 0 to 63, not {self.node}")
