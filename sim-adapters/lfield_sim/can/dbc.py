@@ -198,7 +198,7 @@ def _device(file: str, messages: list[Message]) -> str:
     rest = [sender for sender in _senders(messages) if sender not in commanding]
     if len(rest) != 1:
         raise UsageError(
-            f"{file} does not tell which node is the device; say commands=MESSAGE+MESSAGE or node=NAME, one of"
+            f"{file} does not tell which node is the device; say commands=MESSAGE+MESSAGE, or node=NAME of"
             f" {', '.join(_senders(messages)) or 'none: it names no senders'}"
         )
     return rest[0]

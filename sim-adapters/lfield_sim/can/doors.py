@@ -20,9 +20,9 @@ from lfield_sim.can.socketcand import GREETING, Socketcand
 MOST_WAITING = 64
 #: A client that leaves more than this unread is dropped (TCP) or misses frames (pty), in bytes.
 MOST_UNREAD = 1 << 20
-#: python-can takes the bytes after `< rawmode >` in one piece and wants `< ok >` alone in it. A client that
-#: has said nothing joins the bus this much later, in seconds.
-JOIN_AFTER = 0.05
+#: python-can takes what comes after `< rawmode >` in one piece and wants `< ok >` alone in it: a client that
+#: has said nothing since gets its first frames this much later, in seconds.
+HOLD = 0.1
 
 
 class Hub(Protocol):
@@ -54,7 +54,8 @@ class SocketcandDoor(asyncio.Protocol):
         self._hub, self._protocol = hub, Socketcand()
         self._buffer = bytearray()
         self._port = Port(self._hear)
-        self._joined = self._closed = False
+        self._held: bytearray | None = None
+        self._closed = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Greet."""
@@ -70,7 +71,7 @@ class SocketcandDoor(asyncio.Protocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Leave the bus."""
         self._closed = True
-        if self._joined:
+        if self._protocol.raw:
             self._hub.leave(self._port)
 
     def _pump(self) -> None:
@@ -90,21 +91,27 @@ class SocketcandDoor(asyncio.Protocol):
         if answer:
             self._transport.write(answer)
         if self._protocol.raw and not was_raw:
-            asyncio.get_running_loop().call_later(JOIN_AFTER, self._join)
+            self._held = bytearray()
+            self._hub.join(self._port)
+            asyncio.get_running_loop().call_later(HOLD, self._release)
         if frame:
-            self._join()
+            self._release()
             self._hub.send(self._port, frame)
 
-    def _join(self) -> None:
-        if not self._joined and not self._closed:
-            self._joined = True
-            self._hub.join(self._port)
+    def _release(self) -> None:
+        """Send what was held back."""
+        held, self._held = self._held, None
+        if held and not self._closed:
+            self._transport.write(held)
 
     def _hear(self, frame: Frame, time: float) -> None:
-        if self._transport.get_write_buffer_size() > MOST_UNREAD:
+        text = self._protocol.encode(frame, self._hub.seconds(time))
+        if self._held is not None:
+            self._held += text
+        elif self._transport.get_write_buffer_size() > MOST_UNREAD:
             self._transport.abort()
         elif not self._transport.is_closing():
-            self._transport.write(self._protocol.encode(frame, self._hub.seconds(time)))
+            self._transport.write(text)
 
 
 class SlcanDoor:

@@ -215,7 +215,8 @@ class OdriveAxis:
         home = self._home - self._zero
         self._glide(home, HOMING_SPEED, *self._trajectory[1:], dt)
         self._track(self._profile.velocity + GAIN * (self._profile.position - self.position), dt)
-        if self._profile.position == home and abs(self.position - home) < 1e-3:
+        there = self._profile.position == home and abs(self.position - home) < 1e-3
+        if there and abs(self.velocity) < 1e-3:
             self.set_place(0.0)
             self._succeed()
 

@@ -1,0 +1,122 @@
+"""A device by DBC file on given time; cantools encodes what is sent and decodes what comes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cantools
+import pytest
+from can_fake_bench import Bench
+
+import lfield_sim.can
+from lfield.errors import UsageError
+
+GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
+
+DATABASE = cantools.database.load_file(GRIPPER)
+
+
+class GripperBench(Bench):
+    def __init__(self, options: str = "") -> None:
+        super().__init__(f"dbc:{GRIPPER}:arm.grip{options}")
+
+    def command(self, width: float, force: float = 0.0, enable: int = 1) -> None:
+        values = {"TargetWidth": width, "TargetForce": force, "Enable": enable}
+        self.send(256, DATABASE.encode_message("GripperCommand", values))
+
+    @property
+    def status(self) -> dict[str, float]:
+        self.wait(0.055)
+        return DATABASE.decode_message("GripperStatus", self.last(257))
+
+
+def test_it_sends_its_status_at_the_rate_of_the_file():
+    bench = GripperBench()
+    assert [frame.identifier for frame in bench.wait(1.02)] == [257] * 20
+    assert bench.status == {"Width": 0.0, "Force": 0.0, "Enable": 0, "Fault": 0, "Temperature": 25.0}
+
+
+def test_it_follows_with_a_lag_and_saturates():
+    bench = GripperBench(",lag=0.5")
+    bench.command(0.08, 50.0)
+    bench.wait(0.5)
+    assert bench.devices[0].value("GripperStatus", "Width") == pytest.approx(0.08 * -math.expm1(-1), rel=0.02)
+    bench.wait(4.0)
+    assert bench.status["Width"] == pytest.approx(0.08, abs=2e-4)
+    assert (bench.status["Force"], bench.status["Enable"]) == (pytest.approx(50.0, abs=0.1), 1)
+    bench.send(
+        256,
+        DATABASE.encode_message(
+            "GripperCommand", {"TargetWidth": 0.5, "TargetForce": 0, "Enable": 1}, strict=False
+        ),
+    )
+    bench.wait(4.0)
+    assert bench.status["Width"] == pytest.approx(0.1, abs=2e-4)
+
+
+def test_commands_grow_old_when_asked():
+    bench = GripperBench(",timeout=0.3")
+    bench.command(0.1)
+    bench.wait(0.2)
+    assert bench.status["Enable"] == 1
+    bench.wait(0.3)
+    stopped = bench.status
+    assert stopped["Enable"] == 0
+    bench.wait(1.0)
+    assert bench.status["Width"] == stopped["Width"] < 0.1
+
+
+def test_requests_power_and_faults():
+    bench = GripperBench()
+    bench.send(257, remote=True)
+    assert [frame.identifier for frame in bench.wait()] == [257]
+    bench.command(0.1)
+    bench.fault("stuck@gripper=true", "overheat@arm.grip=true")
+    bench.wait(1.0)
+    assert bench.status == {"Width": 0.0, "Force": 0.0, "Enable": 0, "Fault": 1, "Temperature": 130.0}
+    bench.fault("lost_tpdo=true")
+    bench.wait(0.01)
+    assert bench.wait(1.0) == []
+
+
+def test_one_signal_may_be_chosen():
+    bench = GripperBench(",command=GripperCommand.TargetForce,status=GripperStatus.Width")
+    bench.command(0.0, 0.05e3)
+    bench.wait(3.0)
+    assert bench.status["Width"] == pytest.approx(0.1, abs=2e-4)
+    assert bench.status["Enable"] == 0
+
+
+@pytest.mark.parametrize("options", [",commands=GripperCommand", ",node=Gripper"])
+def test_the_device_may_be_told(options):
+    bench = GripperBench(options)
+    bench.command(0.1)
+    bench.wait(3.0)
+    assert bench.status["Width"] == pytest.approx(0.1, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("dbc:/nowhere.dbc", "cannot be read"),
+        (f"dbc:{GRIPPER},node=Nobody", "no message"),
+        (f"dbc:{GRIPPER},command=A.b,status=C.d", "no signal"),
+        (f"dbc:{GRIPPER},speed=1", "has no 'speed'"),
+        (f"dbc:{GRIPPER},lag=0", "above 0"),
+        ("cia402:128", "from 1 to 127"),
+        ("cia402:5,load=heavy", "not 'heavy'"),
+        ("odrive:x", "no node id"),
+        ("vesc:1", "is no device"),
+        ("cia402:", "is no device"),
+        ("cia402:5,load", "is no device"),
+    ],
+)
+def test_what_is_wrong_is_a_sentence(text, words):
+    with pytest.raises(UsageError, match=words):
+        Bench(text)
+
+
+def test_two_devices_are_not_one():
+    with pytest.raises(UsageError, match="same node id"):
+        Bench("cia402:5", "odrive:5")

@@ -1,0 +1,187 @@
+"""The fake as a process: python-can at both doors, faults while it runs, its line and its end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import can
+import pytest
+from can_fake_bench import running, serial, tcp
+from test_can_fake_dbc import GRIPPER
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.sims import Sim, control_folder, main
+from lfield.errors import UsageError
+from lfield_sim.can import SIM, parse_listen
+
+pytestmark = pytest.mark.process
+BOTH = ("--listen", "socketcand:127.0.0.1:0", "--listen", "slcan-pty")
+
+
+def heard(bus: can.BusABC, identifier: int, seconds: float = 10.0) -> can.Message:
+    """The next frame with an identifier."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        message = bus.recv(0.1)
+        if message is not None and message.arbitration_id == identifier and not message.is_error_frame:
+            return message
+    raise AssertionError(f"no frame {identifier:#x} in {seconds} s")
+
+
+def frame(identifier: int, data: bytes = b"", **options) -> can.Message:
+    return can.Message(arbitration_id=identifier, data=data, is_extended_id=identifier > 0x7FF, **options)
+
+
+def set_faults(process: subprocess.Popen[str], *texts: str) -> dict[str, object]:
+    with socket.socket(socket.AF_UNIX) as door:
+        door.settimeout(10)
+        door.connect(str(control_folder() / f"can-{process.pid}.sock"))
+        door.sendall(json.dumps({"set": texts}).encode() + b"\n")
+        return json.loads(door.makefile().readline())
+
+
+def test_python_can_at_both_doors():
+    with contextlib.ExitStack() as stack:
+        _, words = stack.enter_context(running(*BOTH))
+        places = (tcp(words[1]), tcp(words[1]), serial(words[2]))
+        a, b, c = (stack.enter_context(can.Bus(**place)) for place in places)
+        assert c.get_version(5.0) == (10, 13)
+        a.send(frame(0x123, b"\x01\xfe"))
+        for other in (b, c):
+            message = heard(other, 0x123)
+            assert (bytes(message.data), message.is_extended_id) == (b"\x01\xfe", False)
+        c.send(frame(0x1ABCDEF0, bytes(8)))
+        for other in (a, b):
+            assert heard(other, 0x1ABCDEF0).is_extended_id
+        assert c.get_serial_number(5.0) == "F4K3"
+
+
+def test_fd_and_remote_frames_pass_the_serial_doors():
+    with contextlib.ExitStack() as stack:
+        _, words = stack.enter_context(running("--listen", "slcan-pty", "--listen", "slcan-pty"))
+        a = stack.enter_context(can.Bus(**serial(words[1]), bitrate=1_000_000))
+        b = stack.enter_context(can.Bus(**serial(words[2])))
+        assert b.get_version(5.0) == (10, 13)
+        a.send(frame(0x123, bytes(range(48)), is_fd=True, bitrate_switch=True))
+        message = heard(b, 0x123)
+        assert (bytes(message.data), message.is_fd, message.bitrate_switch) == (bytes(range(48)), True, True)
+        a.send(can.Message(arbitration_id=0x55, is_remote_frame=True, dlc=4, is_extended_id=False))
+        message = heard(b, 0x55)
+        assert (message.is_remote_frame, message.dlc) == (True, 4)
+
+
+def test_a_dongle_with_the_wrong_bit_rate_hears_nothing():
+    with running(*BOTH, "--device", "odrive:3") as (_, words):
+        with can.Bus(**serial(words[2]), bitrate=250_000) as wrong:
+            assert wrong.recv(0.5) is None
+        with can.Bus(**serial(words[2]), bitrate=1_000_000) as right:
+            heard(right, 0x61)
+
+
+def test_clients_come_and_go_and_a_mute_one_harms_nobody():
+    with running("--device", "odrive:3") as (_, words):
+        mute = socket.create_connection(("127.0.0.1", tcp(words[1])["port"]))
+        mute.sendall(b"< open can0 >< rawmode >")
+        for _ in range(5):
+            with can.Bus(**tcp(words[1])) as bus:
+                heard(bus, 0x61)
+        mute.close()
+
+
+def test_many_frames_at_once_are_slowed_down_but_not_lost():
+    with running() as (_, words), can.Bus(**tcp(words[1])) as a, can.Bus(**tcp(words[1])) as b:
+        for n in range(3000):
+            a.send(frame(0x100, n.to_bytes(2, "big")))
+        got = [int.from_bytes(heard(b, 0x100).data, "big") for _ in range(3000)]
+    assert got == list(range(3000))
+
+
+def test_faults_while_it_runs():
+    with running("--device", "cia402:5:alpha.winch", "--fault", "lost_heartbeat@5=true") as (process, words):
+        assert words[2:] == ["cia402:5"]
+        with can.Bus(**tcp(words[1])) as bus:
+            with pytest.raises(AssertionError):
+                heard(bus, 0x705, 0.5)
+            answer = set_faults(process, "lost_heartbeat@alpha.winch=false")
+            assert answer["devices"] == {"5": "alpha.winch"}
+            assert answer["endpoint"] == words[1]
+            heard(bus, 0x705)
+            set_faults(process, "corrupt=1")
+            bus.send(frame(0x100))
+            end = time.monotonic() + 10
+            while not (message := bus.recv(1.0)) or not message.is_error_frame:
+                assert time.monotonic() < end
+            assert "error" in set_faults(process, "corrupt=2")
+
+
+def test_it_ends_with_its_stdin():
+    with running("--until-stdin-closes", *BOTH) as (process, _):
+        out, err = process.communicate(timeout=10)
+        assert (out, err, process.returncode) == ("", "", 0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signals_end_it(number):
+    with running("--device", "cia402:1") as (process, _):
+        process.send_signal(number)
+        assert process.wait(10) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "words"),
+    [
+        (("--listen", "udp:127.0.0.1:0"), 64, "cannot listen"),
+        (("--device", "cia402:5", "--device", "odrive:5"), 64, "same node id"),
+        (("--fault", "loss=2"), 64, "from 0 to 1"),
+        (("--fault", "loss@9=1", "--device", "cia402:5"), 64, "no device '9'"),
+        (("--bitrate", "7"), 2, "bit rate"),
+    ],
+)
+def test_a_wrong_command_line_is_a_sentence(options, status, words):
+    command = [sys.executable, "-m", "lfield.driver.sims", "lfield_sim.can:SIM", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20)
+    assert (done.stdout, done.returncode) == ("", status)
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_port_in_use_is_a_sentence(capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert main(["lfield_sim.can:SIM", "--listen", f"socketcand:127.0.0.1:{port}"]) == 69
+    assert "in use" in capsys.readouterr().err
+
+
+def test_the_bus_of_bindings():
+    assert isinstance(SIM, Sim)
+
+    def binding(field: str, kind: str, **options) -> DeviceBinding:
+        place = {"agent": "a", "field": field, "driver": "can", "endpoint": "e", "safe_state": "brake"}
+        return DeviceBinding(type=kind, options=options, **place)
+
+    devices = [
+        binding("winch", "CanAxis", protocol="cia402", node=5, counts=4096),
+        binding("spare", "CanAxis", protocol="cia402", node=5, counts=4096),
+        binding("wheel", "CanAxis", protocol="odrive", node=3, counts=0),
+        binding("grip", "CanSignals", dbc=str(GRIPPER), commands=["GripperCommand"]),
+    ]
+    assert SIM.arguments(devices) == [
+        *("--listen", "socketcand:127.0.0.1:0"),
+        *("--device", "cia402:5:a.winch,counts=4096"),
+        *("--device", "odrive:3:a.wheel"),
+        *("--device", f"dbc:{GRIPPER}:a.grip,commands=GripperCommand"),
+    ]
+    with running(*SIM.arguments(devices)) as (_, words):
+        assert words[2:] == ["cia402:5", "odrive:3", "dbc:gripper"]
+
+
+@pytest.mark.parametrize("text", ["", "slcan", "socketcand:127.0.0.1", "socketcand::1", "socketcand:a:99999"])
+def test_doors_that_are_none(text):
+    with pytest.raises(UsageError, match="cannot listen"):
+        parse_listen(text)
