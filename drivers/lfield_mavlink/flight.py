@@ -149,6 +149,7 @@ class Flight(Watchdog):
     def _begin(self, what: str) -> None:
         """A new motion ends the setpoints. Raises DeviceError when the vehicle is not ours to move."""
         self._check_link()
+        self._check_identity()
         if not self._ours:
             raise self.error(
                 f"{what} refused: the vehicle is in {self.state.mode}, which this program did not choose; "

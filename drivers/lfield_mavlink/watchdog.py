@@ -31,8 +31,9 @@ class Setting:
 
     `names` are its names by version, newest first. It must be `value` (or that of the binding's safe state),
     have the bits of it (`bits`), or, as a time, be at most what is wanted and at least `least`. Times of one
-    `clock` follow one another; those of different clocks run side by side. A setting that is not `needed`
-    may be missing; a time that is missing counts `otherwise` seconds.
+    `clock` follow one another, so a time leaves room for what comes `after` it; those of different clocks
+    run side by side. A setting that is not `needed` may be missing; a time that is missing counts
+    `otherwise` seconds.
     """
 
     names: tuple[str, ...]
@@ -41,13 +42,15 @@ class Setting:
     clock: Literal["", "link", "setpoint"] = ""
     is_time: bool = False
     least: float = 0.0
+    after: float = 0.0
     needed: bool = True
     otherwise: float = 0.0
 
     def wanted(self, present: float, longest: float, safe_state: str) -> float:
         """What it should be, when it is `present`."""
         if self.is_time:
-            return min(present, max(self.least, longest)) if present > 0.0 else max(self.least, longest)
+            most = max(self.least, longest - self.after)
+            return min(present, most) if present > 0.0 else most
         value = self.value[safe_state] if isinstance(self.value, Mapping) else self.value
         return float(int(present) | int(value)) if self.bits else value
 
@@ -67,9 +70,9 @@ _COPTER = (
 _ROVER = (
     Setting(("FS_GCS_ENABLE",), 1),
     Setting(("FS_ACTION",), {"land": 2, "hold": 2, "return": 1}),
-    _GCS_TIMEOUT,
-    # Versions with FS_TIMEOUT wait for it after FS_GCS_TIMEOUT.
-    Setting(("FS_TIMEOUT",), clock="link", is_time=True, least=1.0, needed=False),
+    Setting(("FS_GCS_TIMEOUT",), clock="link", is_time=True, least=2.0, after=1.0),
+    # It waits for this after FS_GCS_TIMEOUT; 1 s is the least that is documented.
+    Setting(("FS_TIMEOUT",), 1.0, clock="link", needed=False),
     _STATION,
     # A rover's own time for setpoints is 3 s and no parameter.
     Setting(("GUID_TIMEOUT",), clock="setpoint", is_time=True, least=0.1, needed=False, otherwise=3.0),

@@ -68,7 +68,7 @@ def test_a_servo_that_stays_where_it_is_is_an_error(bench):
 
     async def mission(fc):
         b.autopilot.payload.servos = Stuck(b.autopilot.payload.servos)
-        with pytest.raises(DeviceError, match="setServo was accepted but did not happen within 3.0 s"):
+        with pytest.raises(DeviceError, match="setServo was accepted but did not happen"):
             await fc.execute("setServo", [5, 0.0])
 
     b.run(mission)
