@@ -1,0 +1,292 @@
+"""The fake as PX4: what differs from ArduPilot, by raw packets and given time."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from mavlink_client import (
+    ACCEPTED,
+    ARM,
+    DENIED,
+    FAILED,
+    IN_PROGRESS,
+    MODE,
+    ONCE,
+    REJECTED,
+    RTL,
+    STREAM,
+    TAKEOFF,
+    UNSUPPORTED,
+    YAW,
+    Client,
+)
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+NAN = math.nan
+OFFBOARD, LOITER, LANDING = (6, 0), (4, 3), (4, 6)
+VELOCITY = 0x0DC7
+
+
+def px4(kind="copter", **options) -> Client:
+    return Client(kind, flavour="px4", **options)
+
+
+def up(c: Client, height=4.0) -> None:
+    c.autopilot.parameters["MIS_TAKEOFF_ALT"] = height
+    assert c.command(ARM, 1) == ACCEPTED
+    assert c.command(TAKEOFF, *[NAN] * 7) == ACCEPTED
+    c.wait(8.0)
+
+
+def offboard(c: Client, seconds=0.0, velocity=(2, 0, 0)) -> int | None:
+    """Stream a velocity for a while, having asked for the mode at its start."""
+    c.target(VELOCITY, velocity=velocity)
+    result = c.command(MODE, 1, *OFFBOARD)
+    for _ in range(round(seconds / 0.1)):
+        c.target(VELOCITY, velocity=velocity)
+        c.wait(0.1)
+    return result
+
+
+def test_it_streams_at_once():
+    heard = {m.get_type() for m in px4().wait(3.0)}
+    assert {"ATTITUDE", "GLOBAL_POSITION_INT", "SYS_STATUS", "EXTENDED_SYS_STATE", "HOME_POSITION"} <= heard
+
+
+def test_the_heartbeat_is_px4s():
+    c = px4()
+    beat = next(m for m in c.wait(1.0) if m.get_type() == "HEARTBEAT")
+    assert (beat.autopilot, beat.type) == (12, 2)
+    assert (beat.custom_mode >> 16 & 0xFF, beat.custom_mode >> 24) == LOITER
+    assert c.ask(148).capabilities & 0x10
+
+
+def test_a_default_rate_comes_back():
+    c = px4()
+    assert c.command(STREAM, 30, -1) == ACCEPTED
+    assert not [m for m in c.wait(1.0) if m.get_type() == "ATTITUDE"]
+    assert c.command(STREAM, 30, 0) == ACCEPTED
+    assert 14 <= len([m for m in c.wait(1.0) if m.get_type() == "ATTITUDE"]) <= 16
+
+
+def test_takeoff_to_the_height_of_the_parameter_then_hold():
+    c = px4()
+    up(c, 6.0)
+    assert -c.place[2] == pytest.approx(6.0, abs=0.4)
+    assert c.autopilot.mode == "AUTO.LOITER"
+
+
+def test_takeoff_while_disarmed_is_accepted_and_nothing_happens():
+    c = px4()
+    assert c.command(TAKEOFF, *[NAN] * 7) == ACCEPTED
+    c.wait(5.0)
+    assert not c.autopilot.armed
+    assert c.place[2] == 0.0
+
+
+def test_a_refused_arming_says_why_in_texts_of_more_than_one_chunk():
+    c = px4(refuse_arming="compass uncalibrated")
+    assert c.command(ARM, 1) == REJECTED
+    c.wait(0.1)
+    assert c.texts() == [
+        "Preflight Fail: compass uncalibrated",
+        "Arming denied: Resolve system health failures firs",
+        "t",
+    ]
+
+
+def test_it_needs_some_seconds_after_a_start():
+    c = px4(warm_up=10.0)
+    assert c.command(ARM, 1) == REJECTED
+    assert not c.ask(1).onboard_control_sensors_health & 0x10000000
+    c.wait(10.1)
+    assert c.command(ARM, 1) == ACCEPTED
+
+
+def test_other_components_hear_nothing():
+    assert px4().command(ARM, 1, component=42) is None
+
+
+@pytest.mark.parametrize(
+    ("number", "values", "result"),
+    [
+        (31337, (), UNSUPPORTED),
+        (YAW, (90,), UNSUPPORTED),
+        (183, (1, 1500), UNSUPPORTED),
+        (ONCE, (9999,), DENIED),
+    ],
+)
+def test_what_it_does_not_know(number, values, result):
+    assert px4().command(number, *values) == result
+
+
+def test_offboard_without_setpoints_is_accepted_and_not_entered():
+    c = px4()
+    up(c)
+    assert c.command(MODE, 1, *OFFBOARD) == ACCEPTED
+    c.wait(1.0)
+    assert c.autopilot.mode == "AUTO.LOITER"
+
+
+def test_offboard_with_setpoints_and_what_happens_when_they_end():
+    c = px4()
+    up(c)
+    assert offboard(c, 2.0) == ACCEPTED
+    assert c.autopilot.mode == "OFFBOARD"
+    assert c.autopilot.vehicle.velocity[0] == pytest.approx(2.0, abs=0.05)
+    c.heard.clear()
+    c.wait(0.8)
+    assert c.autopilot.mode == "OFFBOARD"
+    c.wait(0.4)
+    assert c.autopilot.mode == "AUTO.LOITER"
+    c.wait(1.0)
+    assert "Failsafe activated" in c.texts()
+    assert [m.system_status for m in c.heard if m.get_type() == "HEARTBEAT"][-1] == 5
+    assert c.command(MODE, 1, *LOITER) == ACCEPTED
+    c.wait(1.1)
+    assert [m.system_status for m in c.heard if m.get_type() == "HEARTBEAT"][-1] == 4
+
+
+def test_offboard_lifts_off_by_setpoints():
+    c = px4()
+    c.target(VELOCITY, velocity=(0, 0, -1))
+    c.command(MODE, 1, *OFFBOARD)
+    c.command(ARM, 1)
+    offboard(c, 3.0, (0, 0, -1))
+    assert c.place[2] < -2.0
+
+
+def test_the_data_link_failsafe_holds_then_acts():
+    c = px4()
+    c.autopilot.parameters.update({"NAV_DLL_ACT": 2, "COM_DL_LOSS_T": 5})
+    up(c)
+    c.heartbeat()
+    c.wait(4.9)
+    assert not c.autopilot.critical
+    c.wait(0.3)
+    assert c.autopilot.critical
+    assert c.autopilot.mode == "AUTO.LOITER"
+    assert "Failsafe activated: entering Hold for 5 seconds" in c.texts()
+    c.wait(5.0)
+    assert c.autopilot.mode == "AUTO.RTL"
+
+
+def test_only_ground_stations_feed_the_data_link():
+    c = px4()
+    c.autopilot.parameters.update({"NAV_DLL_ACT": 2, "COM_DL_LOSS_T": 5})
+    up(c)
+    c.heartbeat()
+    for _ in range(6):
+        c.wait(1.0)
+        c.heartbeat(kind=18)
+    assert c.autopilot.critical
+
+
+def test_the_distance_fence_holds():
+    c = px4()
+    c.autopilot.parameters["GF_MAX_HOR_DIST"] = 10
+    up(c)
+    offboard(c, 10.0, (3, 0, 0))
+    assert c.autopilot.mode == "AUTO.LOITER"
+    assert any(text.startswith("Geofence: exceeding maximum distance") for text in c.texts())
+    status = c.ask(162)
+    assert (status.breach_status, status.breach_type) == (1, 3)
+
+
+def test_orbit():
+    c = px4()
+    up(c)
+    here = c.ask(33)
+    assert c.command_int(34, 5.0, 2.0, 0, NAN, x=here.lat, y=here.lon, z=NAN, frame=5) == ACCEPTED
+    c.wait(8.0)
+    seen = []
+    for _ in range(100):
+        c.wait(0.1)
+        seen.append(math.hypot(*c.place[:2]))
+    assert min(seen) > 4.0
+    assert max(seen) < 6.0
+    assert c.autopilot.mode == "POSCTL.ORBIT"
+
+
+def test_reposition_holds_there():
+    c = px4()
+    up(c)
+    lat, lon = c.fake.place.at(10.0, 5.0)
+    assert c.command_int(192, -1, 0, 0, NAN, x=lat, y=lon, z=c.fake.place.altitude + 6) == ACCEPTED
+    c.wait(8.0)
+    assert math.dist(c.place, (10, 5, -6)) < 0.3
+    assert c.autopilot.mode == "AUTO.LOITER"
+
+
+def test_landing_and_disarming_two_seconds_later():
+    c = px4()
+    up(c)
+    c.command(MODE, 1, *LANDING)
+    while c.autopilot.vehicle.airborne:
+        c.wait(0.1)
+    c.wait(1.5)
+    assert c.autopilot.armed
+    c.wait(1.0)
+    assert not c.autopilot.armed
+
+
+def test_disarming_in_the_air_is_refused():
+    c = px4()
+    up(c)
+    assert c.command(ARM, 0) == REJECTED
+
+
+def test_a_reboot_is_silent_for_a_moment_and_forgets():
+    c = px4()
+    c.command(STREAM, 30, -1)
+    assert c.command(246, 1) == ACCEPTED
+    assert c.wait(2.5) == []
+    assert c.command(ARM, 1) is None
+    heard = c.wait(2.0)
+    assert "ATTITUDE" in {m.get_type() for m in heard}
+    assert c.ask(2).time_boot_ms < 3000
+    c.command(ARM, 1)
+    assert c.command(246, 1) == DENIED
+
+
+def test_a_slow_command_is_in_progress_first():
+    c = px4(faults=["slow_acks=2"])
+    assert c.command(RTL) == IN_PROGRESS
+    c.heard.clear()
+    c.wait(1.0)
+    assert c.command(RTL) == IN_PROGRESS, "a repetition is not carried out again"
+    c.wait(1.1)
+    (done,) = [m for m in c.heard if m.get_type() == "COMMAND_ACK" and m.result != IN_PROGRESS]
+    assert (done.command, done.result, done.target_system) == (RTL, ACCEPTED, 255)
+
+
+def test_the_battery_failsafe():
+    c = px4(faults=["battery=0.2"])
+    c.autopilot.parameters["COM_LOW_BAT_ACT"] = 3
+    up(c)
+    c.fault("battery=0.1")
+    c.wait(0.2)
+    assert "Low battery level! Return advised" in c.texts()
+    assert c.autopilot.mode == "AUTO.LOITER"
+    c.fault("battery=0.06")
+    c.wait(0.2)
+    assert c.autopilot.mode == "AUTO.RTL"
+    c.fault("battery=0.04")
+    c.wait(0.2)
+    assert c.autopilot.mode == "AUTO.LAND"
+
+
+def test_a_rover():
+    c = px4("rover")
+    assert c.command(TAKEOFF, *[NAN] * 7) == UNSUPPORTED
+    assert c.command(ARM, 1) == ACCEPTED
+    offboard(c, 3.0, (1, 0, 0))
+    assert c.place[0] > 1.5
+    assert c.ask(245).landed_state == dialect.MAV_LANDED_STATE_UNDEFINED
+
+
+def test_no_mission_no_mission_mode():
+    c = px4()
+    assert c.command(MODE, 1, 4, 4) == REJECTED
+    assert Client().command(MODE, 1, 3) == FAILED
