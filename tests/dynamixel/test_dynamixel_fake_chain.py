@@ -141,6 +141,9 @@ def test_a_wrong_check_sum_is_told_by_the_one_who_was_meant():
     raw[-1] ^= 1
     assert parse(bus.send(bytes(raw))) == [(2, BAD_CRC, b"")]
     assert bus.read(2, LED, 1) == b"\x00"
+    raw = bytearray(encode(BROADCAST, PING))
+    raw[-1] ^= 1
+    assert bus.send(bytes(raw)) == b"", "nobody was meant"
 
 
 def test_status_return_level():
@@ -340,7 +343,10 @@ def test_any_packet_on_the_bus_feeds_the_watchdog_of_all():
         bus.wait(0.15)
         bus.ask(2, PING)
     assert bus.read(1, 98, 1) == b"\x0a"
-    bus.wait(0.3)
+    broken = encode(2, PING)[:-1] + b"\x00"
+    for _ in range(2):
+        bus.wait(0.15)
+        bus.send(broken)
     assert bus.read(1, 98, 1) == b"\xff"
 
 

@@ -182,6 +182,9 @@ def test_torque_comes_on_by_a_goal_if_drive_mode_says_so():
     bench = Bench(drive_mode=8, goal_position=2500)
     assert bench["torque_enable"] == 1
     assert bench.wait(2.0)["present_position"] == 2500
+    bench["torque_enable"] = 0
+    bench["goal_position"] = 1000
+    assert bench.wait(2.0)["present_position"] == 1000
 
 
 # ---- protection -------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.sims import control_folder
 from lfield.driver.sims import main as run_sim
 from lfield_sim.dynamixel import SIM
+from lfield_sim.dynamixel.ax import make_servo
 from lfield_sim.dynamixel.chain import Chain, Reply
 from lfield_sim.dynamixel.model import model_named
 from lfield_sim.dynamixel.servo import Servo
@@ -163,6 +164,23 @@ def test_protocol_1():
     assert packets.ping(port, 1) == (1020, 0, 0)
     assert packets.write4ByteTxRx(port, 1, GOAL, 1000) == (0, 0)
     assert packets.read4ByteTxRx(port, 1, GOAL) == (1000, 0, 0)
+
+
+def test_an_ax():
+    servo = make_servo(model_named("AX-12A"))
+    servo.start_with(5, 57_600, 1, 0.0)
+    port, packets = VirtualPort(Chain([servo])), sdk.Protocol1PacketHandler()
+    assert packets.ping(port, 5) == (12, 0, 0)
+    assert packets.write2ByteTxRx(port, 5, 32, 200) == (0, 0)
+    assert packets.write2ByteTxRx(port, 5, 30, 700) == (0, 0)
+    port.wait(2.0)
+    assert packets.read2ByteTxRx(port, 5, 36) == (700, 0, 0)
+    assert packets.write2ByteTxRx(port, 5, 8, 600) == (0, 0)
+    assert packets.write2ByteTxRx(port, 5, 30, 700) == (0, 0x02), "angle limit"
+    port.chain.faults.apply(["overload=true"])
+    packets.write1ByteTxRx(port, 5, 24, 1)
+    port.wait(2.0)
+    assert packets.read1ByteTxRx(port, 5, 24) == (0, 0, 0x20), "every answer says what is wrong"
 
 
 # ---- through a terminal -----------------------------------------------------------------------------

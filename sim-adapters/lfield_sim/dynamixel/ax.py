@@ -106,7 +106,8 @@ class AxServo(Servo):
     """An AX: it says in every answer what is wrong now, and after a shutdown it gives no torque."""
 
     def __init__(self, model: Model, now: float = 0.0) -> None:
-        self._wrong = 0
+        # What is wrong now, and what ended the torque: that is told until Torque Limit is written again.
+        self._wrong = self._fatal = 0
         super().__init__(model, now)
 
     def _mechanics(self) -> Motion:
@@ -143,14 +144,17 @@ class AxServo(Servo):
         """It has no bus watchdog."""
 
     def _protect(self, dt: float) -> None:
-        self._wrong = self._errors(dt)
-        if self._wrong & self.table["shutdown"]:
+        now = self._errors(dt)
+        self._fatal |= now & self.table["shutdown"]
+        self._wrong = now | self._fatal
+        if now & self.table["shutdown"]:
             self.table.put("torque_enable", 0)
             self.table.put("torque_limit", 0)
 
     def reboot(self) -> None:
         """As after its power came back; no instruction does that, but the factory reset."""
         self.table.reset(eeprom=False)
+        self._wrong = self._fatal = 0
         self._restart()
 
     def _check(self, item: Item, value: int, secondary: bool) -> None:
@@ -169,6 +173,8 @@ class AxServo(Servo):
     def _follow_up(self, name: str, before: int, value: int) -> None:
         if name == "torque_enable" and value and not before:
             self.motion.hold()
+        elif name == "torque_limit" and value:
+            self._fatal = 0
         elif name == "goal_position":
             self.table.put("torque_enable", 1)
             self.motion.approach()

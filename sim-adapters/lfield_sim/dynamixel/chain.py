@@ -83,7 +83,7 @@ class Chain:
         for protocol in sorted({servo.protocol for servo in self.servos}):
             for packet in self._codecs[protocol].feed(data):
                 hearers = self._hearers(protocol)
-                for servo in hearers:
+                for servo in hearers if packet.sound else ():
                     servo.hear(now)
                 yield from self._say(carry_out(packet, protocol, hearers), packet, protocol, now)
 

@@ -106,10 +106,10 @@ def _each(packet: Packet, protocol: int, servos: Sequence[Servo]) -> Outcome:
         mine = servo.id == packet.id
         if not mine and packet.id != BROADCAST and servo.secondary != packet.id:
             continue
-        spoken = mine or (packet.id == BROADCAST and packet.instruction == Instruction.PING)
+        roll_call = packet.id == BROADCAST and packet.instruction == Instruction.PING and packet.sound
         level, id, baud = servo.table["status_return_level"], servo.id, servo.baud
         error, data = _execute(servo, packet, protocol, secondary=not mine and packet.id != BROADCAST)
-        if spoken and level >= _LEVELS.get(_known(packet.instruction), 2):
+        if (mine or roll_call) and level >= _LEVELS.get(_known(packet.instruction), 2):
             answers.append(Answer(servo, id, baud, error, data))
     return Outcome(answers)
 

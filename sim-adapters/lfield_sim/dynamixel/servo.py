@@ -259,19 +259,24 @@ class Servo:
             self.table.put("torque_enable", 0)
         elif name == "torque_enable" and value and not before:
             self.motion.hold()
-        elif name in ("operating_mode", "drive_mode", "homing_offset"):
-            self._changed_frame(name)
+        elif name == "operating_mode":
+            self._new_mode(value)
+        elif name in ("drive_mode", "homing_offset"):
+            self.motion.hold()
         elif name in GOALS:
-            self._new_goal(name)
+            self._new_goal(name, value)
 
-    def _changed_frame(self, name: str) -> None:
-        if name == "operating_mode" and self.table["operating_mode"] == POSITION:
+    def _new_mode(self, mode: int) -> None:
+        if mode == POSITION:
             self.motion.single_turn()
         self.motion.reset_goals()
 
-    def _new_goal(self, name: str) -> None:
-        if self.table["drive_mode"] & TORQUE_BY_GOAL and not self._shut:
+    def _new_goal(self, name: str, value: int) -> None:
+        by_goal = self.table["drive_mode"] & TORQUE_BY_GOAL and not self._shut
+        if by_goal and not self.table["torque_enable"]:
+            self.motion.hold()
             self.table.put("torque_enable", 1)
+            self.table.put(name, value)
         if name == "goal_position":
             self.motion.approach()
         elif name == "goal_velocity":
