@@ -13,12 +13,6 @@ from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
 from lfield_mavlink import PLUGIN
 from lfield_mavlink.driver import MavlinkDriver
-from lfield_mavlink.file_transfer import FileTransfer
-from lfield_mavlink.parameter_values import Encoding
-from lfield_mavlink.parameters import Parameters
-from lfield_mavlink.peer import Peer
-from lfield_mavlink.plan_items import Item, PlanKind
-from lfield_mavlink.plan_transfer import PlanTransfer
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(60)]
 
@@ -70,10 +64,6 @@ def fly(story, *, opened=True, **stand_in):
     asyncio.run(main())
 
 
-def peer(device):
-    return Peer(device.system, device._send, device._on, device.error)
-
-
 def test_it_is_identified_its_telemetry_read_and_its_failsafes_set():
     async def story(device, vehicle, owner):
         assert await device._open() == "PX4 copter, system 1"
@@ -122,48 +112,42 @@ def test_its_safe_state_is_commanded_and_seen():
 
 
 def test_a_mission_is_uploaded():
+    waypoints = [LATITUDE, LONGITUDE, 10.0, LATITUDE + 5e-5, LONGITUDE, 12.0]
+
     async def story(device, vehicle, _):
-        here = (round(LATITUDE * 1e7), round(LONGITUDE * 1e7))
-        items = [Item(22, 6, *here, 10.0), Item(16, 6, here[0] + 500, here[1], 12.0, (1.0, 2.0, 0.0, 0.0))]
-        items.append(Item(20, 2, 0, 0))
-        await PlanTransfer(peer(device), home_first=False).upload(PlanKind.MISSION, items)
-        got = vehicle.missions[-1].mission_items
-        assert [(i.command, i.frame, i.x, i.y, i.z) for i in got] == [
-            (i.command, i.frame, i.x, i.y, i.z) for i in items
-        ]
-        assert (got[1].param1, got[1].param2) == (1.0, 2.0)
+        await device.do_upload_mission(waypoints)
+        got = vehicle.missions[-1].mission_items[-2:]
+        assert [(i.command, i.x, i.z) for i in got] == [(16, 473977420, 10.0), (16, 473977920, 12.0)]
+        assert await device.do_mission_waypoints() == pytest.approx(waypoints)
 
     fly(story)
 
 
 def test_parameters_are_listed_read_and_set():
     async def story(device, vehicle, _):
-        async def bytewise():
-            return Encoding.BYTEWISE
-
         await vehicle.parameters.provide_param_int("BIG_INT", 123456789)
-        parameters = Parameters(peer(device), bytewise)
-        everything = await parameters.read_all()
-        assert everything["BIG_INT"] == 123456789
-        assert everything["MIS_TAKEOFF_ALT"] == 2.5
-        await parameters.write("MIS_TAKEOFF_ALT", 4.25)
+        everything = (await device.do_parameters()).splitlines()
+        assert {"BIG_INT 123456789", "MIS_TAKEOFF_ALT 2.5"} <= set(everything)
+        await device.do_set_parameter("MIS_TAKEOFF_ALT", 4.25)
         assert await vehicle.parameters.retrieve_param_float("MIS_TAKEOFF_ALT") == 4.25
-        await parameters.write("BIG_INT", -7)
+        await device.do_set_parameter("BIG_INT", -7.0)
         assert await vehicle.parameters.retrieve_param_int("BIG_INT") == -7
+        assert await device.do_parameter("BIG_INT") == -7.0
 
     fly(story)
 
 
 def test_files_are_listed_read_and_written(tmp_path):
-    content = bytes(range(256)) * 20
-    (tmp_path / "log.bin").write_bytes(content)
+    content = "a line of a log\n" * 400
+    (tmp_path / "log.txt").write_text(content)
 
     async def story(device, vehicle, _):
-        files = FileTransfer(peer(device))
-        assert [entry.name for entry in await files.list_folder("/")] == ["log.bin"]
-        assert await files.read("/log.bin") == content
-        await files.write("/new.txt", b"hello" * 100)
-        assert (tmp_path / "new.txt").read_bytes() == b"hello" * 100
+        assert await device.do_list_files("/") == "log.txt"
+        assert await device.do_read_file("/log.txt") == content
+        await device.do_write_file("/new.txt", "hello" * 100)
+        assert (tmp_path / "new.txt").read_text() == "hello" * 100
+        await device.do_remove_file("/log.txt")
+        assert not (tmp_path / "log.txt").exists()
 
     fly(story, files=str(tmp_path))
 
