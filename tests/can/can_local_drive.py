@@ -1,4 +1,4 @@
-"""A drive made of canopen's LocalNode: SDO server, NMT, heartbeat and process data are canopen's, the axis is ours."""
+"""A drive made of canopen's LocalNode: SDO server, NMT and heartbeat are canopen's, the axis is ours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Benches for the CAN driver: devices on a bus in memory, in jumping time or, where vendor threads run, in real time."""
+"""A bench for the CAN driver: a bus in memory, in jumping time or, where vendor threads run, in real time."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Reported:
 
 
 class MemoryBus:
-    """Frames handed over in the next turn of the loop. `device` is called with each one that the driver sends."""
+    """Frames handed over in the next turn of the loop. `device` gets each one that the driver sends."""
 
     def __init__(self, received: Callable[[Frame], None]) -> None:
         self.received = received

@@ -1,4 +1,4 @@
-"""CiA 402 through the driver, with canopen's LocalNode as the drive. Real time: canopen's SDO client has a thread."""
+"""CiA 402 with canopen's LocalNode as the drive. In real time: canopen's SDO client needs a thread."""
 
 from __future__ import annotations
 
