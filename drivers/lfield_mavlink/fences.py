@@ -78,7 +78,7 @@ class Fences(Services):
         actions = ACTIONS.get((self.profile.autopilot, self.profile.kind), {})
         if action not in actions:
             raise self.error(
-                f"fenceAction: a {self.profile.stack} {self.profile.kind} has no '{action}'; "
+                f"fenceAction: there is no '{action}' for a {self.profile.kind} with {self.profile.stack}; "
                 f"it has {', '.join(actions)}"
             )
         await self._parameters.write("GF_ACTION" if self.profile.px4 else "FENCE_ACTION", actions[action])

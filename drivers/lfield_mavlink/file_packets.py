@@ -79,7 +79,10 @@ class Packet:
 
     def encode(self) -> list[int]:
         """The payload of a FILE_TRANSFER_PROTOCOL message."""
-        head = _HEAD.pack(self.sequence, self.session, self.opcode, self.size, self.requested, 0, self.offset)
+        complete = int(self.burst_complete)
+        head = _HEAD.pack(
+            self.sequence, self.session, self.opcode, self.size, self.requested, complete, self.offset
+        )
         return list((head + self.data).ljust(PACKET, b"\0"))
 
     @property

@@ -95,7 +95,7 @@ class FileTransfer:
         if not 0 < len(name) <= MAX_PATH or b"\0" in name:
             raise self._peer.error(f"'{path}' cannot be a path: 1 to {MAX_PATH} bytes, none of them 0")
         async with self._lock:
-            with self._inbox:
+            with self._inbox.open() as self._mail:
                 if not self._reset:
                     await self._do("beginning with files", Opcode.RESET)
                     self._reset = True
@@ -249,7 +249,7 @@ class FileTransfer:
             found.append(packet)
             return True
 
-        await self._inbox.find(is_wanted, PATIENCE)
+        await self._mail.find(is_wanted, PATIENCE)
         return found[0] if found else None
 
 

@@ -20,7 +20,7 @@ from lfield_mavlink.parameter_values import (
     param_set,
     raw_value,
 )
-from lfield_mavlink.peer import Inbox, Peer
+from lfield_mavlink.peer import Inbox, Mail, Peer
 
 #: Seconds to wait for an answer, and how often to ask.
 PATIENCE, QUESTIONS = 0.5, 6
@@ -46,31 +46,29 @@ class Parameters:
         self._peer, self._find_encoding = peer, encoding
         self._encoding: Encoding | None = None
         self._inbox = Inbox(peer, dialect.MAVLINK_MSG_ID_PARAM_VALUE)
-        self._lock = asyncio.Lock()
+        self._writing = asyncio.Lock()
 
     async def read(self, name: str) -> int | float | None:
         """The value; None when nobody answered within 3 s, as for a name that does not exist.
 
         Raises DeviceError for what cannot be a name.
         """
-        async with self._lock:
-            found = await self._read(name)
+        found = await self._read(name)
         return None if found is None else found.value
 
     async def write(self, name: str, value: float) -> None:
         """Set a parameter; returns when the autopilot has told the new value. Raises DeviceError."""
-        async with self._lock:
-            found = await self._read(name)
-            if found is None:
-                raise self.unknown(name)
+        found = await self._read(name)
+        if found is None:
+            raise self.unknown(name)
+        async with self._writing:
             await self._write(found, value, await self._known_encoding())
 
     async def read_all(self) -> dict[str, int | float]:
         """Every parameter by its name; what was lost on the way is asked for again. Raises DeviceError."""
-        async with self._lock:
-            encoding = await self._known_encoding()
-            with self._inbox:
-                return await self._read_all(encoding)
+        encoding = await self._known_encoding()
+        with self._inbox.open() as mail:
+            return await self._read_all(mail, encoding)
 
     def unknown(self, name: str) -> Exception:
         """The exception for a parameter that is not answered for."""
@@ -88,12 +86,10 @@ class Parameters:
             raise self._peer.error(f"'{name}' cannot be a parameter: 1 to {NAME_LENGTH} ASCII characters")
         encoding = await self._known_encoding()
         ask = dialect.MAVLink_param_request_read_message(self._peer.system, AUTOPILOT, name.encode(), -1)
-        with self._inbox:
+        with self._inbox.open() as mail:
             for _ in range(QUESTIONS):
                 self._peer.send(ask)
-                message = await self._inbox.find(
-                    lambda m: _parameter(m, encoding, name) is not None, PATIENCE
-                )
+                message = await mail.find(lambda m: _parameter(m, encoding, name) is not None, PATIENCE)
                 if message is not None:
                     return _parameter(message, encoding, name)
         return None
@@ -112,10 +108,10 @@ class Parameters:
                 told.append(now)
             return now is not None and now.value == wanted
 
-        with self._inbox:
+        with self._inbox.open() as mail:
             for _ in range(QUESTIONS):
                 self._peer.send(param_set(self._peer.system, old.name, raw, old.kind))
-                if await self._inbox.find(is_set, PATIENCE) is not None:
+                if await mail.find(is_set, PATIENCE) is not None:
                     return
         if told:
             raise self._peer.error(
@@ -123,14 +119,14 @@ class Parameters:
             )
         raise self._peer.error(f"{old.name} was set to {value:g}; the autopilot did not answer", timeout=True)
 
-    async def _read_all(self, encoding: Encoding) -> dict[str, int | float]:
+    async def _read_all(self, mail: Mail, encoding: Encoding) -> dict[str, int | float]:
         listed: dict[int, Parameter] = {}
         count = 0
         self._peer.send(dialect.MAVLink_param_request_list_message(self._peer.system, AUTOPILOT))
         idle, now = 0, asyncio.get_running_loop().time
         end = now() + LONGEST
         while idle < ROUNDS and now() < end:
-            message = await self._inbox.next(LIST_SILENCE)
+            message = await mail.next(LIST_SILENCE)
             if message is None:
                 idle += 1
                 self._ask_for_gaps(listed, count)

@@ -79,7 +79,7 @@ class PlanTransfer:
 
     async def _guarded(self, kind: PlanKind, work: Coroutine[Any, Any, T]) -> T:
         """Do a part of the protocol; when it ends early, the vehicle is told to forget it."""
-        with self._inbox:
+        with self._inbox.open() as self._mail:
             try:
                 return await work
             except BaseException:
@@ -108,7 +108,7 @@ class PlanTransfer:
         silences = 0
         self._peer.send(self._count(kind, len(wire)))
         for _ in range(BESIDE + PER_ITEM * len(wire)):
-            message = await self._inbox.find(lambda m: _is_of(m, kind), PATIENCE)
+            message = await self._mail.find(lambda m: _is_of(m, kind), PATIENCE)
             if message is None:
                 silences += 1
                 if silences >= (SILENCES if handed else QUESTIONS):
@@ -173,7 +173,7 @@ class PlanTransfer:
 
         for _ in range(QUESTIONS):
             self._peer.send(question)
-            if (answer := await self._inbox.find(wanted, PATIENCE)) is not None:
+            if (answer := await self._mail.find(wanted, PATIENCE)) is not None:
                 return answer
         if refusal:
             words = mission_result_words(refusal[-1])

@@ -22,7 +22,7 @@ class Services(Streams):
 
     def _set_up(self) -> None:
         super()._set_up()
-        self._peer = Peer(self.system, self._send, self._on, self.error)
+        self._peer = Peer(self.system, self._send, self._on, self.error, self._check_link)
         self._parameters = Parameters(self._peer, self._parameter_encoding)
         self._files = FileTransfer(self._peer)
         self._capabilities: int | None = None

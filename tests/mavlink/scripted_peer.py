@@ -33,7 +33,15 @@ class Channel:
         self.handlers: defaultdict[int, list[Callable[[Any], None]]] = defaultdict(list)
         self.up = (Writer(), Reader())
         self.down = (dialect.MAVLink(None, srcSystem=1, srcComponent=1), Reader())
-        self.peer = Peer(1, self.send, lambda kind, handler: self.handlers[kind].append(handler), make_error)
+        #: Raises in tests where the link is lost.
+        self.check_link: Callable[[], None] = lambda: None
+        self.peer = Peer(
+            1,
+            self.send,
+            lambda kind, handler: self.handlers[kind].append(handler),
+            make_error,
+            lambda: self.check_link(),
+        )
 
     def send(self, message: Any) -> None:
         """From the service to the vehicle."""

@@ -29,7 +29,7 @@ TO_US = (255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER)
 
 
 class Vehicle:
-    """The vehicle's side of the protocol, as an autopilot does it; plans change item by item if `in_place`."""
+    """The vehicle's side of the protocol; plans change item by item if `in_place`."""
 
     def __init__(self, *, ardupilot: bool, in_place: bool = False) -> None:
         self.ardupilot, self.in_place = ardupilot, in_place
@@ -101,10 +101,12 @@ class Vehicle:
         if message.seq >= len(plan):
             return [self.ack(13, message.mission_type)]
         item = plan[message.seq]
+        # ArduPilot gives the frame of whole numbers back as the other.
+        frame = item.frame - 3 if item.frame in (5, 6) and self.ardupilot else item.frame
         return [
             dialect.MAVLink_mission_item_int_message(
-                *TO_US, message.seq, item.frame - 3 if item.frame in (5, 6) and self.ardupilot else item.frame,
-                item.command, 0, 1, *item.parameters, item.x, item.y, round(item.z, 2), message.mission_type,
+                *TO_US, message.seq, frame, item.command, 0, 1, *item.parameters,
+                item.x, item.y, round(item.z, 2), message.mission_type,
             )
         ]  # fmt: skip
 
@@ -206,8 +208,7 @@ def test_a_refusal_comes_in_words(result, words):
 
 
 def test_silence_is_an_error_within_its_bound():
-    _, transfer = joined(Vehicle(ardupilot=True))
-    transfer._peer = Channel(lambda message: []).peer
+    transfer = PlanTransfer(Channel(lambda message: []).peer, home_first=True)
     for work in (
         lambda: transfer.upload(PlanKind.MISSION, route(2)),
         lambda: transfer.download(PlanKind.FENCE),
@@ -218,13 +219,26 @@ def test_silence_is_an_error_within_its_bound():
         assert raised.value.kind == "DeviceTimeoutException"
 
 
+def test_a_lost_link_ends_a_transfer_at_once():
+    vehicle = Vehicle(ardupilot=True)
+    channel, transfer = joined(vehicle)
+    vehicle.on_mission_item_int = lambda message: []
+
+    def lost():
+        if asyncio.get_running_loop().time() > 1003.0:
+            raise DeviceError("fc", "the link is lost", kind="DeviceTimeoutException")
+
+    channel.check_link = lost
+    with pytest.raises(DeviceError, match="the link is lost"):
+        run(transfer.upload(PlanKind.MISSION, route(2)), 3.2)
+
+
 def test_a_vehicle_that_asks_for_ever_is_left():
     def mad(message):
         if message.get_type() not in ("MISSION_COUNT", "MISSION_ITEM_INT"):
             return []
         return [dialect.MAVLink_mission_request_int_message(*TO_US, 0, 0)]
 
-    _, transfer = joined(Vehicle(ardupilot=False))
     channel = Channel(mad)
     with pytest.raises(DeviceError, match="asked for 1 of 3 items only"):
         run(PlanTransfer(channel.peer, home_first=False).upload(PlanKind.MISSION, route(3)), 60.0)
@@ -281,7 +295,7 @@ def test_over_any_channel_both_hold_the_same_plan_or_it_is_an_error(
 ):
     vehicle = Vehicle(ardupilot=ardupilot, in_place=in_place)
     vehicle.asks_again = True
-    channel, transfer = joined(vehicle, seed=seed, loss=loss, repeat=repeat, overtake=overtake)
+    _, transfer = joined(vehicle, seed=seed, loss=loss, repeat=repeat, overtake=overtake)
 
     async def story():
         try:
