@@ -90,6 +90,8 @@ class Members(Device):
         await self.look()
 
     async def _reboot(self, servo: Servo) -> None:
+        if servo.node.protocol == 1:
+            raise servo.error("knows no reboot (protocol 1.0): switch its power off and on")
         await self.chain.reboot(servo.node)
         for _ in range(30):
             await asyncio.sleep(0.1)
@@ -218,7 +220,12 @@ class Members(Device):
         now = self.clock.monotonic()
         fresh = {n: value for n, (at, value) in self._seen.items() if now - at <= FRESH}
         places = {self.servos[number]: value for number, value in (fresh | seen).items()}
-        return {servo: value for servo, value in places.items() if not servo.pushing}
+        return {s: value for s, value in places.items() if not (s.pushing or self._limp(s))}
+
+    def _limp(self, servo: Servo) -> bool:
+        """Whether it is known to be limp: a goal would make an AX stiff."""
+        known = self.conditions.get(servo.node.number)
+        return known is not None and not known.torque
 
     async def _send(self, writes: dict[Servo, tuple[int, bytes]], urgency: int = SAFETY) -> None:
         """Write to several at once, one packet for each address; it reaches those that cannot answer too."""

@@ -80,7 +80,8 @@ class Movers(Members):
             seen = await self.observe()
             self._tell(seen)
             self._check_present(angles, seen)
-            await self._check_faults(what, seen)
+            if any(value.alert for value in seen.values()):
+                await self.check_shut_down(what)
             short = {number: abs(angle - seen[number].position) for number, angle in angles.items()}
             if max(short.values()) <= tolerance and all(abs(v.velocity) <= STILL for v in seen.values()):
                 return
@@ -92,6 +93,7 @@ class Movers(Members):
 
     async def _give_up(self, what: str, short: Angles, tolerance: float, seen: Seen) -> None:
         """Those that hang stay where they are instead of pushing on. Raises DeviceError."""
+        await self.check_shut_down(what)
         hanging = [number for number, left in short.items() if left > tolerance]
         await self._each([self.servos[n] for n in hanging], lambda s: s.write_here(seen[s.node.number]))
         told = ", ".join(f"servo {number} stopped {short[number]:.3f} rad short" for number in hanging)
@@ -132,8 +134,9 @@ class Movers(Members):
         now = self.conditions.get(number)
         if now is None:
             raise NoAnswer(number)
-        if now.faults and not now.torque:
-            raise self.error(f"servo {number} has shut down: {now.faults}; reboot() restarts it")
+        # An AX goes on saying what was wrong until its torque is on again: that is its cure.
+        if now.faults and not now.torque and servo.node.protocol == 2:
+            raise self.error(f"servo {number} has shut down: {now.faults}; {servo.cure}")
         if now.watchdog == FIRED:
             raise self.error(f"servo {number} was stopped by its own watchdog; call release() first")
 
@@ -143,14 +146,13 @@ class Movers(Members):
             names = ", ".join(f"servo {number}" for number in missing)
             raise self.error(f"{names} {'does' if len(missing) == 1 else 'do'} not answer", timeout=True)
 
-    async def _check_faults(self, what: str, seen: Seen) -> None:
-        """Fail at once when a servo has switched itself off on the way."""
-        if not any(value.alert for value in seen.values()):
-            return
+    async def check_shut_down(self, what: str) -> None:
+        """Fail when a servo has switched itself off on the way. An AX says why only while it is so."""
         await self.look()
         for number, now in self.conditions.items():
-            if now.faults and not now.torque:
-                raise self.error(f"{what}: servo {number} has shut down: {now.faults}; reboot() restarts it")
+            if not now.torque:
+                why, cure = now.faults or "it has switched its torque off", self.servos[number].cure
+                raise self.error(f"{what}: servo {number} has shut down: {why}; {cure}")
 
     def _check_speed(self, what: str, speed: float) -> None:
         limit = self.binding.limits.get("speed", math.inf)

@@ -194,10 +194,15 @@ class Servo:
     # -- what it does -----------------------------------------------------------------------------------
 
     async def torque(self, on: bool) -> None:
-        """Switch the torque, seen to have happened. When it goes on, its goal is first where it is."""
+        """Switch the torque, seen to have happened. When it goes on, its goal is first where it is.
+
+        An AX that has shut down has a torque limit of 0 from then on; this gives it its strength back.
+        """
         self.pushing = False
         if on:
             await self.write_here(await self.present())
+        if on and self.model.has("torque_limit"):
+            await self.put("torque_limit", await self.get("max_torque"))
         await self.put("torque_enable", int(on))
 
     async def switch(self, mode: str) -> None:
@@ -257,6 +262,13 @@ class Servo:
         seen = await self.present()
         await self.chain.write(self.node, self.item("bus_watchdog").address, b"\0")
         await self.write_here(seen)
+
+    @property
+    def cure(self) -> str:
+        """What brings it back after it has shut down, in words."""
+        if self.node.protocol == 1:
+            return "torque(true) brings it back when the cause is gone"
+        return "reboot() restarts it"
 
     def error(self, reason: str) -> DeviceError:
         """An exception about this servo."""

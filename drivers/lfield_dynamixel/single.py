@@ -66,7 +66,8 @@ class Dynamixel(Movers):
             seen = await self.observe()
             self._tell(seen)
             self._check_present({number: angle}, seen)
-            await self._check_faults("moveUntil", seen)
+            if seen[number].alert:
+                await self.check_shut_down("moveUntil")
             value, now = seen[number], self.clock.monotonic()
             rests = abs(value.velocity) <= STILL
             if rests and abs(angle - value.position) <= tolerance:

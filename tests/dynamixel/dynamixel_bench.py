@@ -9,12 +9,14 @@ from lfield.driver import DeviceBinding
 from lfield.testing.jumping import LoopClock, run_jumping
 from lfield_dynamixel import PLUGIN
 from lfield_dynamixel.driver import DynamixelDriver
+from lfield_sim.dynamixel.ax import make_servo
 from lfield_sim.dynamixel.chain import Chain
 from lfield_sim.dynamixel.model import BAUDS, model_named
-from lfield_sim.dynamixel.servo import Servo
 
 MANIFESTS = PLUGIN.read_manifests()
 BAUD = 1_000_000
+#: Its code in the register of an AX.
+AX_BAUD = 1
 START = 1000.0
 
 
@@ -70,10 +72,10 @@ class Bench:
         extra=(), waivers=(), **options: Any,
     ) -> None:  # fmt: skip
         numbers = ids or (1,)
-        servos = [Servo(model_named(fake), START) for _ in numbers]
+        servos = [make_servo(model_named(fake), START) for _ in numbers]
         for number, servo in zip(numbers, servos, strict=True):
             servo.table.put("id", number)
-            servo.table.put("baud_rate", BAUDS.index(BAUD))
+            servo.table.put("baud_rate", BAUDS.index(BAUD) if servo.protocol == 2 else AX_BAUD)
         self.servos = dict(zip(numbers, servos, strict=True))
         self.chain = Chain(servos)
         self.group = len(numbers) > 1

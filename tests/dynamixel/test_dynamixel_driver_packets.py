@@ -92,7 +92,7 @@ def test_the_vendors_sdk_reads_an_answer_as_we_do(number, error, data):
 @given(TRICKY | st.binary())
 def test_stuffing_and_back(body):
     assert unstuff(stuff(body)) == body
-    assert b"\xff\xff\xfd" not in stuff(body).replace(b"\xff\xff\xfd\xfd", b"")
+    assert stuff(body).count(b"\xff\xff\xfd") == stuff(body).count(b"\xff\xff\xfd\xfd")
 
 
 @pytest.mark.parametrize(("reader", "status"), [(Reader1, status1), (Reader2, status2)])

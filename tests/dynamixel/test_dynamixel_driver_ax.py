@@ -1,0 +1,106 @@
+"""AX-12A with protocol 1.0: no watchdog, no modes, no current, errors in every answer."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+from dynamixel_bench import Bench, call
+
+from lfield.errors import DeviceError
+
+
+def ax(*ids: int, **more) -> Bench:
+    return Bench(*ids, fake="AX-12A", protocol=1, waivers=["device_watchdog"], **more)
+
+
+def test_it_moves():
+    bench = ax(4, limits={"speed": 2.0})
+
+    async def story(servo):
+        assert "AX-12A 4" in await servo.open()
+        await call(servo, "torque", True)
+        await call(servo, "moveTo", 1.0)
+        assert bench.values["position"] == pytest.approx(1.0, abs=0.02)
+        assert math.isnan(bench.values["current"])
+        await call(servo, "moveTo", -1.0)
+        await servo.make_safe()
+
+    bench.run(story)
+
+
+def test_it_has_no_watchdog_and_the_binding_must_say_so():
+    async def story(servo):
+        with pytest.raises(DeviceError, match="no watchdog of its own"):
+            await servo.open()
+
+    Bench(4, fake="AX-12A", protocol=1).run(story, opened=False)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "match"),
+    [
+        (("mode", "velocity"), "it has no operating mode"),
+        (("setVelocity", 1.0), "needs the mode velocity"),
+        (("setCurrent", 0.1), "measures no current"),
+        (("calibrate", 0.0), "it has no homing offset"),
+        (("reboot",), "knows no reboot"),
+        (("moveTo", 2.7), "only goes from -2.62"),
+    ],
+)
+def test_what_it_cannot_do_is_said(instruction, match):
+    async def story(servo):
+        await call(servo, "torque", True)
+        with pytest.raises(DeviceError, match=match):
+            await call(servo, *instruction)
+
+    ax(1).run(story)
+
+
+def test_holding_does_not_make_it_stiff():
+    bench = ax(1)
+
+    async def story(servo):
+        await servo.make_safe()
+        await asyncio.sleep(1.0)
+        assert not bench.values["torqueOn"]
+
+    bench.run(story)
+
+
+def test_a_group_of_them_is_stopped_by_one_packet():
+    bench = ax(1, 2, 3)
+
+    async def story(group):
+        await call(group, "torque", True)
+        await call(group, "setProfile", 2.0, 0.0)
+        await call(group, "moveTo", [0.5, -0.5, 0.2])
+        assert bench.values["positions"] == pytest.approx([0.5, -0.5, 0.2], abs=0.02)
+        moving = asyncio.ensure_future(call(group, "moveTo", [-1.0, 1.0, 1.0]))
+        await asyncio.sleep(0.3)
+        moving.cancel()
+        bench.fault("dead@2=true")
+        with pytest.raises(DeviceError, match="servo 2 does not answer"):
+            await group.make_safe()
+        place = bench.values["positions"][0]
+        await asyncio.sleep(1.0)
+        assert bench.values["positions"][0] == pytest.approx(place, abs=0.15)
+
+    bench.run(story)
+
+
+def test_overload_is_told():
+    bench = ax(1)
+
+    async def story(servo):
+        await call(servo, "torque", True)
+        bench.fault("overload=true")
+        with pytest.raises(DeviceError, match=r"has shut down: .*; torque\(true\) brings it back"):
+            await call(servo, "moveTo", 1.0)
+        bench.fault("overload=false")
+        await asyncio.sleep(2.0)
+        await call(servo, "torque", True)
+        await call(servo, "moveTo", 0.5)
+
+    bench.run(story)
