@@ -18,8 +18,8 @@ from lfield_sim.can.socketcand import GREETING, Socketcand
 
 #: Frames of one client that may wait for the bus before no more is read from it.
 MOST_WAITING = 64
-#: A client that leaves more than this unread is dropped (TCP) or misses frames (pty), in bytes.
-MOST_UNREAD = 1 << 20
+#: A TCP client that leaves more than this unread is dropped, and a dongle loses lines, in bytes.
+MOST_UNREAD, MOST_UNREAD_SERIAL = 1 << 20, 1 << 16
 #: python-can takes what comes after `< rawmode >` in one piece and wants `< ok >` alone in it: a client that
 #: has said nothing since gets its first frames this much later, in seconds.
 HOLD = 0.1
@@ -163,7 +163,7 @@ class SlcanDoor:
 
     def _write(self, data: bytes) -> None:
         """Whole lines or nothing: what nobody reads is lost, as in a dongle."""
-        if len(self._unsent) > MOST_UNREAD:
+        if len(self._unsent) > MOST_UNREAD_SERIAL:
             return
         self._unsent += data
         self._flush()

@@ -133,7 +133,7 @@ def _profile(turn: int) -> dict[Key, Entry]:
         (0x607D, 0): Entry("u8", "ro", 2),
         (0x607D, 1): Entry("i32", "rw"),
         (0x607D, 2): Entry("i32", "rw"),
-        (0x607F, 0): Entry("u32", "rw", 50 * turn, 0, 50 * turn),
+        (0x607F, 0): Entry("u32", "rw", 50 * turn),
         (0x6080, 0): Entry("u32", "rw", 3000, 0, 3000, mappable=True),
         (0x6081, 0): Entry("u32", "rw", 5 * turn, mappable=True),
         (0x6083, 0): Entry("u32", "rw", 10 * turn, 1, _MAX, mappable=True),
