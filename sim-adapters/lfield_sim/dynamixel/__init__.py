@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import contextlib
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -83,11 +82,8 @@ class DynamixelSim:
         servos, names = _servos(args)
         faults = Faults(FAULTS, names)
         chain = Chain(servos, faults, seed=args.seed)
-        with contextlib.ExitStack() as stack:
-            folder = args.listen or stack.enter_context(
-                tempfile.TemporaryDirectory(prefix="lfield-dynamixel-")
-            )
-            path = Path(folder).absolute() if args.listen else Path(folder) / "ttyDXL"
+        with tempfile.TemporaryDirectory(prefix="lfield-dynamixel-") as folder:
+            path = Path(args.listen or f"{folder}/ttyDXL").absolute()
             asyncio.run(_serve(chain, path, args, names))
         return 0
 

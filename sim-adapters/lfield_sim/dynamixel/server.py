@@ -44,6 +44,8 @@ class Server:
         """Be there. Raises AddressError."""
         if self._ends is not None:
             return
+        if self._path.exists() and not self._path.is_symlink():
+            raise AddressError(str(self._path), "there is a file or a device of that name")
         # The slave's end stays open, or the master reads an error whenever no client is there.
         master, slave = self._ends = os.openpty()
         tty.setraw(master)
