@@ -1,0 +1,60 @@
+"""The stock resource types check against the manifest, and so does a mission that includes them."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.driver.device import check_methods
+from lfield.lang.frontend import check_file, check_text
+from lfield_mavlink import PLUGIN
+from lfield_mavlink.state import SOURCES
+from lfield_mavlink.vehicle import MavlinkVehicle
+
+MANIFESTS = PLUGIN.read_manifests()
+DEVICES = {name: manifest.device for name, manifest in MANIFESTS.items()}
+
+MISSION = """
+include <mavlink/copter.L>;
+include <mavlink/rover.L>;
+
+coordinator Fetch {
+    init(string[] arg) {
+        Copter copter = findCopter("alpha");
+        Rover rover = findRover("bravo");
+        rover.start();
+        copter.takeOff(5.0);
+        real[] at = copter.position();
+        rover.goTo(at[0], at[1]);
+        copter.winch(3.0, 0.5);
+        copter.release();
+        copter.move(1.0, 0.0, 0.0, 2.0);
+        copter.land();
+        print(copter.mode() + f2s(rover.battery(), 2));
+    }
+}
+"""
+
+
+@pytest.mark.parametrize("name", ["copter", "rover"])
+def test_a_stock_resource_is_a_sound_program(name):
+    path = PLUGIN.source(f"{name}.L")
+    assert path is not None
+    checked = check_file(path, devices=DEVICES)
+    assert [d.render() for d in checked.diagnostics] == []
+
+
+def test_a_mission_includes_them():
+    def find(path: str):
+        return PLUGIN.source(path.removeprefix("mavlink/"))
+
+    checked = check_text(MISSION, devices=DEVICES, find_include=find)
+    assert [d.render() for d in checked.diagnostics] == []
+
+
+def test_every_instruction_has_its_method():
+    check_methods(MavlinkVehicle, MANIFESTS["Mavlink"])
+
+
+def test_every_quantity_that_is_asked_for_has_a_rate():
+    rates = {quantity.name: quantity.rate for quantity in DEVICES["Mavlink"].telemetry}
+    assert all(rates[name] > 0.0 for names in SOURCES.values() for name in names)
