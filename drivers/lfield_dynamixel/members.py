@@ -202,15 +202,24 @@ class Members(Device):
     # -- safe states ------------------------------------------------------------------------------------
 
     async def _make_safe(self, state: str) -> None:
-        self._probe_at.clear()
-        servos = list(self.servos.values())
         if state == "torque_off":
-            await self._send({s: (s.item("torque_enable").address, b"\0") for s in servos})
-            await self._each(servos, _be_limp)
+            await self._go_limp(SAFETY)
             return
         seen = await self.observe(urgency=SAFETY, alone=False)
         await self._send({servo: _stay(servo, place) for servo, place in self._places(seen).items()})
-        await self._each(servos, self._be_still)
+        await self._each(self.servos.values(), self._be_still)
+
+    async def _go_limp(self, urgency: int) -> None:
+        """Switch every torque off by one packet, then see it of each."""
+
+        async def be_limp(servo: Servo) -> None:
+            servo.pushing = False
+            if await servo.get("torque_enable", urgency=urgency):
+                await servo.put("torque_enable", 0, urgency=urgency)
+
+        servos = self.servos.values()
+        await self._send({s: (s.item("torque_enable").address, b"\0") for s in servos}, urgency)
+        await self._each(servos, be_limp)
 
     def _places(self, seen: Seen) -> dict[Servo, Present]:
         """Where each member is to stay; one that is silent now, but may hear, where it was a moment ago.
@@ -271,8 +280,3 @@ def _stay(servo: Servo, place: Present) -> tuple[int, bytes]:
     name, counts = servo.here(place)
     item = servo.item(name)
     return item.address, item.encode(counts)
-
-
-async def _be_limp(servo: Servo) -> None:
-    if await servo.get("torque_enable", urgency=SAFETY):
-        await servo.put("torque_enable", 0, urgency=SAFETY)

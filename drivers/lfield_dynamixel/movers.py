@@ -22,11 +22,13 @@ class Movers(Members):
 
     async def do_torque(self, on: bool) -> None:
         """Stiff where they are, or limp."""
+        await self.look()
         if on:
-            await self.look()
             for servo in self.servos.values():
                 self._check_sound(servo)
-        await self._each(self.servos.values(), lambda servo: servo.torque(on))
+            await self._each(self.servos.values(), Servo.stiffen)
+        else:
+            await self._go_limp(COMMAND)
         await self.look()
 
     async def do_set_profile(self, velocity: float, acceleration: float) -> None:

@@ -172,14 +172,12 @@ class Servo:
                 await self.put(name, counts)
             await self.read_settings()
         except DeviceError:
-            await self._stiffen(was_on)
+            if was_on:
+                await self.stiffen()
             raise
         # Not when it was cancelled: what makes it safe may have switched the torque off meanwhile.
-        await self._stiffen(was_on)
-
-    async def _stiffen(self, wanted: bool) -> None:
-        if wanted:
-            await self.torque(True)
+        if was_on:
+            await self.stiffen()
 
     # -- what it measures -------------------------------------------------------------------------------
 
@@ -193,17 +191,15 @@ class Servo:
 
     # -- what it does -----------------------------------------------------------------------------------
 
-    async def torque(self, on: bool) -> None:
-        """Switch the torque, seen to have happened. When it goes on, its goal is first where it is.
+    async def stiffen(self) -> None:
+        """Switch the torque on, seen to have happened; its goal is first where it is.
 
         An AX that has shut down has a torque limit of 0 from then on; this gives it its strength back.
         """
-        self.pushing = False
-        if on:
-            await self.write_here(await self.present())
-        if on and self.model.has("torque_limit"):
+        await self.write_here(await self.present())
+        if self.model.has("torque_limit"):
             await self.put("torque_limit", await self.get("max_torque"))
-        await self.put("torque_enable", int(on))
+        await self.put("torque_enable", 1)
 
     async def switch(self, mode: str) -> None:
         """Change the operating mode. The torque goes off for it and comes back without motion."""
