@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mavlink_client import (
     ACCEPTED,
     ARM,
@@ -27,7 +25,6 @@ from mavlink_client import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.autopilot import Autopilot
 from lfield_sim.battery import Battery
 from lfield_sim.mavlink.telemetry import MESSAGES
 
@@ -301,74 +298,3 @@ def test_faults():
     c.fault("silence=true")
     assert c.wait(3.0) == []
     assert c.command(MODE, 1, GUIDED) is None
-
-
-def test_many_peers_do_not_cost_memory():
-    c = Client()
-    for number in range(1000):
-        c.fake.receive(number, b"\xfd\x09")
-    assert len(c.fake._readers) == 16
-
-
-def test_a_stream_that_never_ends_on_a_packet_does_not_grow():
-    c = Client()
-    packet = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(c.out)
-    c.fake.receive("c", packet[:5])
-    for _ in range(2000):
-        c.fake.receive("c", packet[5:] + packet[:5])
-    assert len(c.fake._readers._readers["c"]._parser.buf) < 10_000
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.lists(st.binary(max_size=80), max_size=5))
-def test_malformed_bytes_never_raise(pieces):
-    c = Client()
-    for piece in pieces:
-        c.fake.receive("c", piece)
-    assert c.command(MODE, 1, GUIDED) in (ACCEPTED, None)
-
-
-numbers = st.floats(width=32)
-
-
-@settings(max_examples=300, deadline=None)
-@given(
-    st.sampled_from([20, 21, 22, 115, 176, 178, 400, 510, 511, 512, 31337]),
-    st.lists(numbers, min_size=7, max_size=7),
-    st.booleans(),
-)
-def test_hostile_commands_never_raise(number, values, flying):
-    c = Client()
-    if flying:
-        c.up()
-    c.command(number, *values)
-    c.wait(1.0)
-    for kind in (24, 32, 33, 74, 242):
-        c.command(ONCE, kind)
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.lists(numbers, min_size=6, max_size=6), st.integers(0, 0xFFFF), st.integers(0, 12))
-def test_hostile_setpoints_never_raise(values, mask, frame):
-    c = Client()
-    c.up()
-    c.target(mask, values[:3], values[3:], frame)
-    c.wait(2.0)
-    for kind in (24, 32, 33, 74):
-        c.command(ONCE, kind)
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.sampled_from(sorted(Autopilot().parameters)), numbers, st.binary(max_size=16))
-def test_hostile_parameters_never_raise(name, value, other):
-    c = Client()
-    c.send(dialect.MAVLink_param_set_message(1, 1, name.encode(), value, 9))
-    c.send(dialect.MAVLink_param_set_message(1, 1, other, value, 9))
-    c.send(dialect.MAVLink_param_request_list_message(1, 1))
-    c.heartbeat()
-    c.command(MODE, 1, GUIDED)
-    c.command(ARM, 1)
-    c.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 5)
-    c.wait(2.0)
-    for kind in (1, 24, 33, 147):
-        c.command(ONCE, kind)

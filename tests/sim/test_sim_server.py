@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import socket
 import subprocess
 import sys
 
 import pytest
+import serial
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from lfield.driver.binding import DeviceBinding
@@ -55,6 +57,49 @@ def test_it_says_one_line_answers_and_ends_with_its_stdin(transport):
     assert (out, err, process.returncode) == ("", "", 0)
 
 
+def test_several_vehicles_on_one_link_and_faults_by_name_while_it_runs(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    process = start(
+        "--listen", "udp:127.0.0.1:0", "--vehicle", "3:rover", "--vehicle", "9:copter:px4:beta.fc",
+        "--fault", "loss@3=0.01", "--until-stdin-closes",
+    )  # fmt: skip
+    _, port, words = ready(process)
+    assert words == "rover system 3, copter system 9 px4"
+    with socket.socket(socket.AF_UNIX) as door:
+        door.connect(str(tmp_path / "lfield-sims" / f"mavlink-{process.pid}.sock"))
+        door.sendall(b'{"set": ["silence@beta.fc=true"]}\n')
+        answer = json.loads(door.makefile().readline())
+    assert answer["devices"] == {"3": "", "9": "beta.fc"}
+    assert "@9=true" in answer["faults"]["silence"]
+    assert "@3=0.01" in answer["faults"]["loss"]
+    client = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        sock.settimeout(10)
+        sock.connect(("127.0.0.1", port))
+        for system in (9, 3):
+            sock.send(dialect.MAVLink_command_long_message(system, 1, 512, 0, 1, *[0] * 6).pack(client))
+        (heard, *_) = dialect.MAVLink(None).parse_buffer(sock.recv(2048))
+    assert heard.get_srcSystem() == 3
+    assert process.communicate(timeout=10) == ("", "")
+
+
+def test_a_pty_is_a_serial_port():
+    process = start("--listen", "pty", "--flavour", "px4", "--until-stdin-closes")
+    endpoint, _, _ = ready(process)
+    kind, path, baud = endpoint.split(":")
+    assert (kind, baud) == ("serial", "57600")
+    with serial.Serial(path, int(baud), timeout=10, exclusive=True) as port:
+        reader, got = dialect.MAVLink(None), []
+        reader.robust_parsing = True
+        client = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
+        port.write(dialect.MAVLink_command_long_message(1, 1, 512, 0, 148, *[0] * 6).pack(client))
+        while not any(m.get_type() == "AUTOPILOT_VERSION" for m in got):
+            got += reader.parse_buffer(port.read(64)) or []
+    with serial.Serial(path, int(baud), timeout=10) as again:
+        assert again.read(8), "it goes on for the next one"
+    assert process.communicate(timeout=10) == ("", "")
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signals_end_it(number):
     process = start("--listen", "udp:127.0.0.1:0")
@@ -81,6 +126,10 @@ def test_a_port_in_use_is_a_sentence():
     [
         (["--listen", "udp:1"], 64, "cannot listen on 'udp:1'; write udp:HOST:PORT, tcp:HOST:PORT"),
         (["--param", "NO=1"], 64, "there is no parameter 'NO'"),
+        (["--param", "RTL_ALT=nan"], 64, "--param RTL_ALT=nan: no parameter can hold that"),
+        (["--fault", "rain=1"], 64, "there is no fault 'rain'"),
+        (["--fault", "loss@7=0.5"], 64, "there is no device '7'; there are: 1"),
+        (["--vehicle", "1", "--vehicle", "1:rover"], 64, "the same system id"),
         (["--param", "RTL_ALT=high"], 64, "--param RTL_ALT=high: write NAME=NUMBER"),
     ],
 )
@@ -112,11 +161,19 @@ def test_listen_texts():
             parse_listen(text)
 
 
-def test_a_binding_makes_its_fake():
-    device = DeviceBinding(
-        agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint="sim:a.fc", safe_state="land",
-        options={"kind": "rover", "system": 9},
+def bound(field: str, **options) -> DeviceBinding:
+    return DeviceBinding(
+        agent="a", field=field, type="Mavlink", driver="mavlink", endpoint="sim:a", safe_state="land",
+        options=options,
     )  # fmt: skip
-    assert SIM.arguments([device]) == [
-        "--listen", "udp:127.0.0.1:0", "--vehicle", "9:rover:ardupilot:a.fc",
-    ]  # fmt: skip
+
+
+def test_the_bindings_of_a_bus_make_one_fake():
+    devices = [
+        bound("fc", kind="rover", system=9),
+        bound("up", kind="copter", system=2, flavour="px4"),
+        bound("gimbal", system=2),
+    ]
+    words = SIM.arguments(devices)
+    assert words[:2] == ["--listen", "udp:127.0.0.1:0"]
+    assert words[2:] == ["--vehicle", "9:rover:ardupilot:a.fc", "--vehicle", "2:copter:px4:a.up"]

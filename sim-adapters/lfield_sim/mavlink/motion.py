@@ -150,7 +150,8 @@ def _force(autopilot: Autopilot) -> tuple[float, float, float]:
 
 def scaled_imu(autopilot: Autopilot, _: Place) -> Any:
     """SCALED_IMU 26: milli-g, mrad/s, milligauss."""
-    force = (round(a / GRAVITY * 1000) for a in _force(autopilot))
+    # An impact is more than the field can hold: the sensor saturates.
+    force = (max(-32768, min(32767, round(a / GRAVITY * 1000))) for a in _force(autopilot))
     rate = round(autopilot.vehicle.yaw_rate * 1000)
     field = (round(f * 1000) for f in FIELD)
     return dialect.MAVLink_scaled_imu_message(

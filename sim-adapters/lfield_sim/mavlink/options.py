@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 from lfield.errors import UsageError
 
+#: What an integer parameter cannot hold any more.
+LARGEST = 2.0**31
 KINDS, FLAVOURS = ("copter", "rover"), ("ardupilot", "px4")
 #: Options that are a limit of motion: the option, the limit (see `flavours.Kind.speeds`), unit, meaning.
 SPEEDS = (
@@ -98,6 +100,8 @@ def settings(args: argparse.Namespace) -> dict[str, float]:
             found[name] = float(value)
         except ValueError:
             raise UsageError(f"--param {text}: write NAME=NUMBER") from None
+        if not abs(found[name]) < LARGEST:
+            raise UsageError(f"--param {text}: no parameter can hold that")
     return found
 
 
