@@ -24,12 +24,12 @@ class SenderStats:
     def add(self, sequence: int, now: float) -> None:
         """A packet has come."""
         gap = 0 if self._next is None else (sequence - self._next) % 256
-        if sequence in self._missing and gap > LONGEST_GAP:
-            self._missing.remove(sequence)
-            self._note(now, 1, -1)
+        if gap >= 256 - LONGEST_GAP:
+            # Of the packets before the last one: it was overtaken, or it comes once more.
+            if sequence in self._missing:
+                self._missing.remove(sequence)
+                self._note(now, 1, -1)
             return
-        if gap == 255:
-            return  # the last packet, once more
         if gap > LONGEST_GAP:
             gap = 0
             self._missing.clear()
