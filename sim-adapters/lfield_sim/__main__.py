@@ -6,7 +6,7 @@ import sys
 
 from lfield.driver.sims import main
 
-FAKES = {"mavlink": "lfield_sim.mavlink:SIM"}
+FAKES = {name: f"lfield_sim.{name}:SIM" for name in ("can", "dynamixel", "mavlink")}
 
 if __name__ == "__main__":
     names = sys.argv[1:2]
