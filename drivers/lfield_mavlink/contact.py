@@ -18,8 +18,8 @@ from lfield_mavlink.modes import STACKS, Profile
 from lfield_mavlink.state import VehicleState
 from lfield_mavlink.texts import Texts
 
-#: Seconds without a heartbeat after which the link is lost; a call must fail within 3 s.
-LINK_LOST = 2.9
+#: Seconds without a heartbeat after which the link is lost: a call must fail within 3 s.
+LINK_LOST = 2.7
 #: Seconds for a state to show after it was accepted (a heartbeat comes every second at least).
 SHOWS = 3.0
 #: Seconds to wait for a text that explains a refusal.
@@ -31,7 +31,7 @@ Handler = Callable[[Any], None]
 class Contact(Device):
     """A vehicle that is heard and can be asked. What it can do is in the parts of MavlinkVehicle, which use
 
-    `state` (what is known), `_send` (a message), `_exchange` (commands, parameters), `_on` and `_expect`
+    `state` (what is known), `_send` (a message), `_exchange` (commands), `_on` and `_expect`
     (messages), `_command`, `_achieve`, `_until` and `_seen` (waiting for a state), and `_prepare`.
     """
 

@@ -1,4 +1,4 @@
-"""Questions to one vehicle that want an answer: commands and parameters, with retries.
+"""Commands to one vehicle, repeated until they are answered.
 
 An answer says that a command was taken, never that it was achieved; the caller watches the state for that.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import struct
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,10 +20,6 @@ PATIENCE, RETRIES = 0.5, 3
 #: Seconds to wait after an IN_PROGRESS, each time; and in all.
 PROGRESS, LONGEST = 5.0, 60.0
 
-#: How PX4 packs whole numbers into the float of a parameter, by MAV_PARAM_TYPE (the 8 and 16 bit types are
-#: widened to 32 bits by sign, so that they fill the four bytes).
-_INTEGERS = {1: "<I", 2: "<i", 3: "<I", 4: "<i", 5: "<I", 6: "<i"}
-
 
 @dataclass(frozen=True, slots=True)
 class Answer:
@@ -34,19 +29,10 @@ class Answer:
     attempts: int
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """A parameter's value as a number, and its MAV_PARAM_TYPE."""
-
-    value: float
-    type: int
-
-
 class Exchange:
     """The open questions to one vehicle; `send` takes a message.
 
-    `px4` is set when the autopilot is known: PX4 wants NaN for what is not used, ArduPilot 0; and PX4 packs
-    whole numbers into parameters byte by byte.
+    `px4` is set when the autopilot is known: PX4 wants NaN for what is not used, ArduPilot 0.
     """
 
     def __init__(self, system: int, send: Callable[[Any], None]) -> None:
@@ -55,7 +41,6 @@ class Exchange:
         # Acknowledgements are matched by command number, so each number has one question open at a time.
         self._locks: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._acks: dict[int, asyncio.Queue[int]] = {}
-        self._parameters: defaultdict[str, list[asyncio.Future[Parameter]]] = defaultdict(list)
 
     async def command(
         self, number: int, *values: float | None, place: Place | None = None, once: bool = False
@@ -82,52 +67,12 @@ class Exchange:
             finally:
                 del self._acks[number]
 
-    async def parameter(self, name: str) -> Parameter | None:
-        """A parameter; None when nobody answered, as for a name that does not exist."""
-        question = dialect.MAVLink_param_request_read_message(self._system, AUTOPILOT, name.encode(), -1)
-        return await self._ask_parameter(name, question)
-
-    async def set_parameter(self, name: str, value: float) -> Parameter | None:
-        """Set a parameter that was read before to know its type; what it now is, or None."""
-        present = await self.parameter(name)
-        if present is None:
-            return None
-        packed = pack_parameter(value, present.type) if self.px4 else value
-        message = dialect.MAVLink_param_set_message(
-            self._system, AUTOPILOT, name.encode(), packed, present.type
-        )
-        return await self._ask_parameter(name, message)
-
-    async def _ask_parameter(self, name: str, question: Any) -> Parameter | None:
-        future: asyncio.Future[Parameter] = asyncio.get_running_loop().create_future()
-        self._parameters[name].append(future)
-        try:
-            for _ in range(RETRIES + 1):
-                self._send(question)
-                try:
-                    async with asyncio.timeout(PATIENCE):
-                        return await asyncio.shield(future)
-                except TimeoutError:
-                    continue
-            return None
-        finally:
-            self._parameters[name].remove(future)
-
     def on_message(self, message: Any) -> None:
         """Hand an answer to whoever waits for it; answers to others are left alone."""
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
             acks = self._acks.get(message.command)
             if acks is not None and is_for_us(message):
                 acks.put_nowait(message.result)
-        elif message.get_msgId() == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
-            if message.param_id not in self._parameters:
-                return
-            value = message.param_value
-            if self.px4:
-                value = unpack_parameter(value, message.param_type)
-            for future in self._parameters[message.param_id]:
-                if not future.done():
-                    future.set_result(Parameter(value, message.param_type))
 
     def _command_long(self, number: int, confirmation: int, values: tuple[float | None, ...]) -> Any:
         padded = self._padded(values, 7)
@@ -152,21 +97,6 @@ class Exchange:
         unused = math.nan if self.px4 else 0.0
         given = [unused if value is None else value for value in values]
         return given + [unused] * (length - len(given))
-
-
-def pack_parameter(value: float, kind: int) -> float:
-    """A value as PX4 has it in the float of PARAM_SET: whole numbers as their bytes."""
-    if kind not in _INTEGERS:
-        return value
-    packed: float = struct.unpack("<f", struct.pack(_INTEGERS[kind], round(value)))[0]
-    return packed
-
-
-def unpack_parameter(value: float, kind: int) -> float:
-    """The number in the float of PX4's PARAM_VALUE."""
-    if kind not in _INTEGERS:
-        return value
-    return float(struct.unpack(_INTEGERS[kind], struct.pack("<f", value))[0])
 
 
 def is_for_us(message: Any) -> bool:

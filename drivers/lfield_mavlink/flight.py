@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
+from lfield.errors import DeviceError
 from lfield_mavlink.contact import LINK_LOST, SHOWS
 from lfield_mavlink.dialect import AUTOPILOT, dialect
 from lfield_mavlink.geo import Vector
@@ -44,6 +46,7 @@ class Flight(Watchdog):
 
     async def do_disarm(self) -> None:
         """Motors off."""
+        self._begin("disarm")
         await self._achieve("disarm", lambda: not self.state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
 
     async def do_takeoff(self, height: float) -> None:
@@ -181,8 +184,7 @@ class Flight(Watchdog):
     async def _start(self, what: str, order: Order, taken: Callable[[], bool] = lambda: False) -> None:
         """Begin an order: parameters, mode, command, and the mode it leads to."""
         for name, value in order.parameters.items():
-            if await self._exchange.set_parameter(name, value) is None:
-                raise self.error(f"{what}: the autopilot did not take {name}", timeout=True)
+            await self._parameters.write(name, value)
         if order.mode and self.state.mode != order.mode:
             await self._set_mode(order.mode)
         self._commanded = order.modes
@@ -209,11 +211,21 @@ class Flight(Watchdog):
             if left < best - CLOSER:
                 best, best_at = left, now
             if now - best_at > STUCK:
+                await self._give_up(order)
                 raise self.error(f"{what} gave up: no progress for {STUCK:g} s, {left:.1f} m from its goal")
             if order.target is not None and place is not None and now - sent_at >= order.period:
                 self._send(self._setpoint(order.target(place)))
                 sent_at = now
             await self._next_news(min(0.25, order.period))
+
+    async def _give_up(self, order: Order) -> None:
+        """Have the autopilot give up too, or the goal would be followed on when what is in its way has gone.
+
+        A landing or a return goes on: there is nothing safer to do instead.
+        """
+        if order.command is not None or order.target is not None:
+            with suppress(DeviceError):
+                await self._set_mode(self.profile.hold)
 
     def _check_underway(self, what: str, modes: frozenset[str], start: float) -> None:
         """Raise when somebody else has taken over, or the motors are off."""

@@ -45,6 +45,7 @@ class Parameters:
     def __init__(self, peer: Peer, encoding: Callable[[], Awaitable[Encoding]]) -> None:
         self._peer, self._find_encoding = peer, encoding
         self._encoding: Encoding | None = None
+        self._finding = asyncio.Lock()
         self._inbox = Inbox(peer, dialect.MAVLINK_MSG_ID_PARAM_VALUE)
         self._writing = asyncio.Lock()
 
@@ -77,9 +78,10 @@ class Parameters:
         )
 
     async def _known_encoding(self) -> Encoding:
-        if self._encoding is None:
-            self._encoding = await self._find_encoding()
-        return self._encoding
+        async with self._finding:
+            if self._encoding is None:
+                self._encoding = await self._find_encoding()
+            return self._encoding
 
     async def _read(self, name: str) -> Parameter | None:
         if not (0 < len(name) <= NAME_LENGTH and name.isascii() and name.isprintable()):
@@ -114,10 +116,8 @@ class Parameters:
                 if await mail.find(is_set, PATIENCE) is not None:
                     return
         if told:
-            raise self._peer.error(
-                f"{old.name} was set to {value:g}, but the autopilot has {told[-1].value:g}"
-            )
-        raise self._peer.error(f"{old.name} was set to {value:g}; the autopilot did not answer", timeout=True)
+            raise self._peer.error(f"{old.name} could not be set to {value:g}: it is {told[-1].value:g}")
+        raise self._peer.error(f"{old.name}: no answer to setting it to {value:g}", timeout=True)
 
     async def _read_all(self, mail: Mail, encoding: Encoding) -> dict[str, int | float]:
         listed: dict[int, Parameter] = {}

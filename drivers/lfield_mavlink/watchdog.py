@@ -19,10 +19,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from lfield_mavlink.contact import Contact
 from lfield_mavlink.dialect import SYSTEM
-from lfield_mavlink.exchange import Parameter
 from lfield_mavlink.modes import ARDUPILOT, PX4
+from lfield_mavlink.tuning import Tuning
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +107,7 @@ SETTINGS: Mapping[tuple[int, str], Sequence[Setting]] = {
 }
 
 
-class Watchdog(Contact):
+class Watchdog(Tuning):
     """Sets the failsafes that stop the vehicle when this computer is gone."""
 
     def _set_up(self) -> None:
@@ -142,20 +141,17 @@ class Watchdog(Contact):
             raise self.error(
                 f"it does not tell {name}: what it does when this computer is gone is not known", timeout=True
             )
-        wanted = setting.wanted(present.value, longest, self.binding.safe_state)
-        if math.isclose(present.value, wanted, rel_tol=1e-6):
-            return present.value
-        now = await self._exchange.set_parameter(name, wanted)
-        if now is None or not math.isclose(now.value, wanted, rel_tol=1e-6):
-            found = "" if now is None else f": it is {now.value:g}"
-            raise self.error(f"{name} could not be set to {wanted:g}{found}")
-        self.note(f"{name} was {present.value:g} and is now {now.value:g}")
-        return now.value
+        wanted = setting.wanted(present, longest, self.binding.safe_state)
+        if math.isclose(present, wanted, rel_tol=1e-6):
+            return present
+        await self._parameters.write(name, wanted)
+        self.note(f"{name} was {present:g} and is now {wanted:g}")
+        return wanted
 
-    async def _find(self, setting: Setting) -> tuple[str, Parameter | None]:
+    async def _find(self, setting: Setting) -> tuple[str, float | None]:
         """The parameter under the first of its names that the autopilot knows."""
         for name in setting.names:
-            present = await self._exchange.parameter(name)
-            if present is not None and math.isfinite(present.value):
+            present = await self._parameters.read(name)
+            if present is not None and math.isfinite(present):
                 return name, present
         return setting.names[0], None

@@ -122,7 +122,7 @@ def test_a_value_that_the_autopilot_does_not_take():
     autopilot = Autopilot(Encoding.CAST, {"MODE": (3, INT8)})
     autopilot.refuses = {"MODE"}
     _, parameters = joined(autopilot)
-    with pytest.raises(DeviceError, match="MODE was set to 5, but the autopilot has 3"):
+    with pytest.raises(DeviceError, match="MODE could not be set to 5: it is 3"):
         run(parameters.write("MODE", 5), 4.0)
 
 

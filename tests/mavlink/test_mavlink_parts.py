@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
 from lfield_mavlink.dialect import Reader, Writer, dialect, result_words
-from lfield_mavlink.exchange import Exchange, Parameter
+from lfield_mavlink.exchange import Exchange
 from lfield_mavlink.links import make_link
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.state import VehicleState
@@ -124,14 +124,6 @@ def test_in_progress_extends_the_wait(jumping):
 
     answer = jumping(ask())
     assert (answer.result, answer.attempts) == (0, 1)
-
-
-def test_parameters(jumping):
-    value = dialect.MAVLink_param_value_message(b"FS_GCS_ENABLE", 1.0, 9, 1, 0)
-    assert jumping(
-        Asked(lambda m, count: [value] if count == 2 else []).exchange.parameter("FS_GCS_ENABLE")
-    ) == Parameter(1.0, 9)
-    assert jumping(Asked(lambda m, count: [value]).exchange.parameter("OTHER")) is None
 
 
 @settings(max_examples=300, deadline=None)

@@ -179,7 +179,7 @@ def test_parameters_of_whole_numbers_are_packed_by_bytes(px4):
     b = px4()
 
     async def mission(fc):
-        found = await fc._exchange.parameter("NAV_DLL_ACT")
-        assert (found.value, found.type) == (3.0, dialect.MAV_PARAM_TYPE_INT32)
+        found = await fc._parameters.read("NAV_DLL_ACT")
+        assert (found, type(found)) == (3, int)
 
     b.run(mission)
