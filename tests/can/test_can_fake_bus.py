@@ -162,3 +162,11 @@ def test_a_world_that_was_halted_does_not_catch_up():
     bench.wait(0.5)
     bench.now += 3600.0
     assert len(bench.wait(0.1)) <= 1
+
+
+def test_a_bus_that_is_too_slow_for_its_devices_does_not_grow():
+    bench = Bench("odrive:1", "odrive:2", bitrate=10_000)
+    bench.wait(30.0)
+    bench.fault("delay=10")
+    bench.wait(20.0)
+    assert all(place._port.waiting <= 1000 for place in bench.world._places)

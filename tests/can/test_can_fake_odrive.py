@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 
 import pytest
@@ -111,7 +112,7 @@ def test_torque(bench):
     bench.closed_loop(Control.TORQUE)
     bench.command(0x0E, "<f", 0.1)
     bench.wait(0.5)
-    assert bench.axis.velocity > 2.0
+    assert bench.axis.velocity == pytest.approx(0.1 / 0.01 * 0.5 / math.tau, abs=0.05)
     assert bench.ask(0x14, "<ff")[1] == pytest.approx(0.5)
     assert bench.ask(0x1C, "<ff")[1] == pytest.approx(0.1)
 

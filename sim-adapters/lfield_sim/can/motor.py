@@ -14,7 +14,7 @@ RATED_WARMING, WARMING_TIME = 40.0, 120.0
 class MotorData:
     """A motor as its data sheet has it; `load` is a constant torque against positive motion (a weight)."""
 
-    inertia: float = 0.002
+    inertia: float = 0.01
     friction: float = 0.002
     load: float = 0.0
     rated_torque: float = 1.0

@@ -13,6 +13,8 @@ from lfield_sim.faults import Faults
 TICK = 0.005
 #: A world that was halted for longer than this does not catch up.
 LONGEST_GAP = 0.5
+#: Frames of one device that may wait for the bus; more are lost, as when a controller's buffers are full.
+MOST_WAITING = 1000
 
 
 class Device(Protocol):
@@ -109,5 +111,5 @@ class _Place:
             self._send(self._device.on_frame(frame), now)
 
     def _send(self, frames: Sequence[Frame], now: float) -> None:
-        for frame in frames:
+        for frame in frames[: max(0, MOST_WAITING - self._port.waiting)]:
             self._bus.send(self._port, frame, now)
