@@ -94,8 +94,9 @@ def test_a_mission_is_flown_item_by_item_and_returns(flavour):
     assert c.current().mission_state == dialect.MISSION_STATE_ACTIVE
     c.wait(83.0)
     assert c.reached()[:3] == [first, first + 1, first + 2]
-    changes = [m.seq for m in c.heard if m.get_type() == "MISSION_CURRENT"]
-    assert changes == sorted(changes)
+    changes = [m for m in c.heard if m.get_type() == "MISSION_CURRENT"]
+    assert [m.seq for m in changes] == sorted(m.seq for m in changes)
+    assert dialect.MISSION_STATE_ACTIVE in {m.mission_state for m in changes}
     assert (c.pilot.armed, c.pilot.vehicle.airborne) == (False, False)
     assert math.dist(c.pilot.vehicle.place, (0, 0, 0)) < 1.0
 
@@ -109,6 +110,8 @@ def test_a_mission_that_lands(flavour):
     c.wait(40.0)
     assert not c.pilot.armed
     assert c.pilot.vehicle.place == pytest.approx((8.0, 0.0, 0.0), abs=1.0)
+    told = [m for m in c.heard if m.get_type() == "MISSION_CURRENT"][-1]
+    assert told.mission_state == c.current().mission_state == dialect.MISSION_STATE_COMPLETE
 
 
 @BOTH
@@ -195,7 +198,7 @@ def test_a_restart_breaks_off_an_upload_and_keeps_the_plan():
     c.upload([c.item(TAKEOFF)])
     c.send(dialect.MAVLink_mission_count_message(1, 1, 5, 0))
     c.service.reboot()
-    assert c.wait(10.0) == []
+    assert {m.get_type() for m in c.wait(10.0)} == {"MISSION_CURRENT"}
     assert len(c.pilot.mission.items) == 2
 
 

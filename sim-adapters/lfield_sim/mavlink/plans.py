@@ -38,7 +38,7 @@ class Plans(Service):
         style = ARDUPILOT if self._home_first else PX4
         self._protocol = PlanProtocol(style, self._home, self._changed)
         self._fence = autopilot.fence = Fence()
-        self._told = 0
+        self._told = self._progress
         self.handles = dict.fromkeys(HANDLED, self._on_plan)
         self.handles[dialect.MAVLINK_MSG_ID_MISSION_SET_CURRENT] = self._on_set_current
         self.commands = {
@@ -49,13 +49,13 @@ class Plans(Service):
         self.messages = {dialect.MAVLINK_MSG_ID_MISSION_CURRENT: self._current}
 
     def advance(self, now: float) -> list[Any]:
-        """What the protocol waits for, which items were reached, and the current one when it changes."""
+        """What the protocol waits for, which items were reached, and how the mission is when that changes."""
         messages = self._protocol.advance(now)
         reached = self.autopilot.mission.take_reached()
         messages += [dialect.MAVLink_mission_item_reached_message(number) for number in reached]
-        current = self._protocol.current = self._number
-        if current != self._told:
-            self._told = current
+        self._protocol.current = self._number
+        if self._progress != self._told:
+            self._told = self._progress
             messages.append(self._current())
         return messages
 
@@ -114,11 +114,16 @@ class Plans(Service):
         return max(0, min(mission.current, len(mission.items) - 1))
 
     def _current(self) -> Any:
-        total = len(self.autopilot.mission.items)
-        return dialect.MAVLink_mission_current_message(self._number, total, self._state(total), 0)
+        return dialect.MAVLink_mission_current_message(*self._progress, 0)
 
-    def _state(self, total: int) -> int:
-        mission = self.autopilot.mission
+    @property
+    def _progress(self) -> tuple[int, int, int]:
+        """The current item, how many there are, and the MISSION_STATE."""
+        return self._number, len(self.autopilot.mission.items), self._state
+
+    @property
+    def _state(self) -> int:
+        mission, total = self.autopilot.mission, len(self.autopilot.mission.items)
         if total <= int(self._home_first):
             return int(dialect.MISSION_STATE_NO_MISSION)
         if mission.current >= total:
