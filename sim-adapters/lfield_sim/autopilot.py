@@ -1,7 +1,7 @@
 """What an autopilot does with a vehicle: modes, arming, guided flight, missions, failsafes.
 
 Times and refusals are those measured on ArduPilot 4.7 and PX4 1.17; what tells them apart is data in
-`flavours`. Pure: `step(dt)` moves time, everything else answers at once. See README.md for what is not modelled.
+`flavours`. Pure: `step(dt)` moves time, everything else answers at once.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from lfield_sim import ardupilot, px4
 from lfield_sim.battery import Battery
 from lfield_sim.failsafes import Failsafes
+from lfield_sim.fences import Fence, NoFence, fence_at
 from lfield_sim.flavours import Flavour, Kind, Result, Role, Severity
 from lfield_sim.flight import circle_ahead, fly, why_no_mission
 from lfield_sim.habits import disarm_when_idle, suffer
@@ -52,21 +52,6 @@ class Setpoint:
     goal: Goal | None = None
     yaw: float | None = None
     yaw_rate: float | None = None
-
-
-class Fence(Protocol):
-    """Where a vehicle may be, as far as it was uploaded."""
-
-    def breached(self, place: Vector) -> int:
-        """A FENCE_BREACH type, 0 for none, of a place in the local frame."""
-
-
-class NoFence:
-    """No fence was uploaded."""
-
-    def breached(self, place: Vector) -> int:
-        """Never."""
-        return 0
 
 
 @dataclass(slots=True)
@@ -288,7 +273,7 @@ class Autopilot:
 
     def reposition(self, place: Vector, yaw: float | None, *, change_mode: bool) -> Result:
         """DO_REPOSITION: ArduPilot goes there in GUIDED, PX4 holds there."""
-        if self.failsafes.fence_at(place)[0] and not self.flavour.needs_stream:
+        if fence_at(self, place)[0] and not self.flavour.needs_stream:
             return Result.FAILED
         role = Role.HOLD if self.flavour.needs_stream else Role.GUIDED
         if self.role is not role and not change_mode:

@@ -1,16 +1,15 @@
 """What an autopilot watches by itself: ground station, setpoints, battery, fence, position.
 
-The rules are data (`lfield_sim.flavours`); times and texts are those measured on the real ones. The mode that a
-failsafe chose stays until somebody commands another.
+The rules are data (`lfield_sim.flavours`); times and texts are those measured on the real ones. The mode that
+a failsafe chose stays until somebody commands another.
 """
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
+from lfield_sim.fences import NONE, fence_at
 from lfield_sim.flavours import BatteryLevel, Role, Severity
-from lfield_sim.vehicle import Vector
 
 if TYPE_CHECKING:
     from lfield_sim.autopilot import Autopilot
@@ -21,8 +20,6 @@ CONTINUE_LANDING = 0x8
 SETPOINT_ACTIONS = {3: Role.RETURN, 4: Role.LAND}
 #: Seconds without a position after which it is not trusted any more.
 POSITION_LOST = 1.0
-#: FENCE_BREACH.
-NONE, CEILING, BOUNDARY = 0, 2, 3
 
 
 class Failsafes:
@@ -136,23 +133,9 @@ class Failsafes:
 
     # -- fence -----------------------------------------------------------------------------------------
 
-    def fence_at(self, place: Vector) -> tuple[int, str]:
-        """Which fence a place is beyond (FENCE_BREACH), with what is said about it; (0, '') for none."""
-        pilot, rule = self._pilot, self._rules.fence
-        if not pilot.value(rule.enable):
-            return NONE, ""
-        radius = pilot.value(rule.radius)
-        if radius > 0 and math.dist(place[:2], pilot.home[:2]) > radius:
-            return BOUNDARY, rule.circle_text
-        ceiling = pilot.value(rule.ceiling) if rule.ceiling else 0.0
-        if ceiling > 0 and pilot.home[2] - place[2] > ceiling:
-            return CEILING, rule.ceiling_text
-        shape = pilot.fence.breached(place)
-        return (shape, rule.shape_text) if shape else (NONE, "")
-
     def _check_fence(self) -> None:
         pilot = self._pilot
-        breach, text = self.fence_at(pilot.vehicle.place)
+        breach, text = fence_at(pilot, pilot.vehicle.place)
         if breach and breach != self.breach and pilot.armed:
             self.breaches, self.breached_at = min(self.breaches + 1, 0xFFFF), pilot.now
             pilot.say(text, Severity.WARNING)

@@ -116,6 +116,8 @@ def _begin(pilot: Autopilot, item: MissionItem) -> None:
     elif item.command == TAKEOFF and pilot.flies:
         pilot.vehicle.goal = Reach((*pilot.vehicle.place[:2], place[2]))
     elif item.command == RETURN:
+        # The mission has done its part; the way home is the other mode's.
+        pilot.mission.reach()
         pilot.fall_back(Role.RETURN)
     elif item.command == JUMP:
         _jump(pilot, item)

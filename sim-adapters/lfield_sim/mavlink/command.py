@@ -25,8 +25,8 @@ Answer = tuple[Result, list[Any]]
 class Command:
     """Its number and seven values.
 
-    `frame` is a MAV_FRAME for COMMAND_INT, whose values 5 and 6 are in 1e-7 degrees. With COMMAND_LONG (`frame`
-    None) they are in degrees, and the height is above mean sea level.
+    `frame` is a MAV_FRAME for COMMAND_INT, whose values 5 and 6 are in 1e-7 degrees. With COMMAND_LONG
+    (`frame` None) they are in degrees, and the height is above mean sea level.
     """
 
     number: int

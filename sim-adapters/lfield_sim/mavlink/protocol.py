@@ -8,7 +8,6 @@ until somebody asks, PX4 streams at once.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -23,7 +22,9 @@ from lfield_sim.mavlink.place import Place
 from lfield_sim.mavlink.services import SERVICES
 from lfield_sim.mavlink.setpoints import attitude_target, global_target, local_target
 from lfield_sim.mavlink.signing import Signing
-from lfield_sim.mavlink.telemetry import DATA_STREAMS, HEARTBEAT, MESSAGES, POSITIONS
+from lfield_sim.mavlink.streams import Streams
+from lfield_sim.mavlink.telemetry import DATA_STREAMS, MESSAGES, POSITIONS
+from lfield_sim.mavlink.texts import Texts
 from lfield_sim.mavlink.wire import KNOWN, Wire, make_faults
 from lfield_sim.mission import MissionItem
 
@@ -31,10 +32,6 @@ from lfield_sim.mission import MissionItem
 COMPONENT = 1
 #: Length of a model step, in seconds.
 STEP = 0.02
-#: Nothing is streamed faster than this, in Hz.
-MAX_RATE = 100.0
-#: Characters of a STATUSTEXT; longer texts go out in chunks.
-TEXT_CHUNK = 50
 #: Faults that are a state of the vehicle: the attribute of the autopilot.
 STATES = {
     "refuse_arming": "refuse_arming",
@@ -42,12 +39,6 @@ STATES = {
     "motor_failure": "motor_failed",
     "warm_up": "warm_up",
 }
-
-
-@dataclass(slots=True)
-class _Stream:
-    interval: float
-    due: float
 
 
 class MavlinkFake:
@@ -71,7 +62,7 @@ class MavlinkFake:
         self._streams = self._first_streams()
         self._late_acks: dict[int, tuple[float, Any]] = {}
         self._rest = 0.0
-        self._text_id = 0
+        self._texts = Texts()
         self._known_faults = {fault.name: fault.default for fault in KNOWN}
         self._take_faults()
         self.faults.watch(self._take_faults)
@@ -111,10 +102,10 @@ class MavlinkFake:
         if self.autopilot.booting:
             return []
         messages += self._due_acks()
-        messages += [self.build(kind) for kind in self._due() if not self.withholds(kind)]
-        for severity, text in self.autopilot.take_texts():
-            messages += self._text(severity, text)
         now = self.autopilot.now
+        messages += [self.build(kind) for kind in self._streams.due(now) if not self.withholds(kind)]
+        for severity, text in self.autopilot.take_texts():
+            messages += self._texts.messages(severity, text)
         return [*self.wire.arrived(now), *self.wire.send([self._pack(m) for m in messages], now)]
 
     def _step(self) -> list[Any]:
@@ -142,16 +133,11 @@ class MavlinkFake:
 
     def stream(self, kind: int, rate: float) -> None:
         """Stream a message at a rate in Hz; 0 stops it, but for the heartbeat, which goes on at 1 Hz."""
-        if kind == HEARTBEAT:
-            rate = max(rate, 1.0)
-        if rate <= 0.0:
-            self._streams.pop(kind, None)
-        else:
-            self._streams[kind] = _Stream(1.0 / min(rate, MAX_RATE), self.autopilot.now)
+        self._streams.set(kind, rate, self.autopilot.now)
 
     def interval(self, kind: int) -> float:
         """Seconds between two messages of a stream; 0 when it is not streamed."""
-        return self._streams[kind].interval if kind in self._streams else 0.0
+        return self._streams.interval(kind)
 
     def default_rate(self, kind: int) -> float:
         """How often it is sent without being asked for, in Hz."""
@@ -250,10 +236,9 @@ class MavlinkFake:
 
     # -- what goes out --------------------------------------------------------------------------------
 
-    def _first_streams(self) -> dict[int, _Stream]:
-        now = self.autopilot.now
-        rates = {HEARTBEAT: 1.0, **self.autopilot.flavour.streams}
-        return {kind: _Stream(1.0 / rate, now) for kind, rate in rates.items() if self.can_send(kind)}
+    def _first_streams(self) -> Streams:
+        rates = {k: rate for k, rate in self.autopilot.flavour.streams.items() if self.can_send(k)}
+        return Streams(rates, self.autopilot.now)
 
     def _take_faults(self) -> None:
         """What has changed among the faults that are a state of the vehicle."""
@@ -269,27 +254,6 @@ class MavlinkFake:
     def _due_acks(self) -> list[Any]:
         due = [n for n, (at, _) in self._late_acks.items() if self.autopilot.now >= at]
         return [self._late_acks.pop(number)[1] for number in due]
-
-    def _due(self) -> list[int]:
-        now = self.autopilot.now
-        due = [kind for kind, stream in self._streams.items() if now >= stream.due]
-        for kind in due:
-            stream = self._streams[kind]
-            # After a pause there is one message, not the whole backlog.
-            stream.due = max(stream.due + stream.interval, now)
-        return due
-
-    def _text(self, severity: int, text: str) -> list[Any]:
-        data = text.encode("ascii", "replace")
-        if len(data) <= TEXT_CHUNK:
-            return [dialect.MAVLink_statustext_message(int(severity), data)]
-        self._text_id = self._text_id % 0xFFFF + 1
-        # A last chunk that is full would not end the text: an empty one must follow.
-        chunks = [data[i : i + TEXT_CHUNK] for i in range(0, len(data) + 1, TEXT_CHUNK)]
-        return [
-            dialect.MAVLink_statustext_message(int(severity), chunk, self._text_id, number)
-            for number, chunk in enumerate(chunks[:256])
-        ]
 
     def _pack(self, message: Any) -> bytes:
         self.gate.seal(self._writer.packer)

@@ -11,11 +11,9 @@ from lfield_sim.mavlink.place import Place
 
 Builder = Callable[[Autopilot, Place], Any]
 
-HEARTBEAT = 0
-
 #: Everything that can be asked for, once (512) or as a stream (511).
 MESSAGES: Mapping[int, Builder] = {
-    HEARTBEAT: condition.heartbeat,
+    0: condition.heartbeat,
     1: condition.sys_status,
     2: condition.system_time,
     24: motion.gps_raw_int,
