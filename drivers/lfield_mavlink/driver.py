@@ -134,7 +134,7 @@ class MavlinkDriver(Driver):
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
             if vehicle is None or message.get_srcComponent() != AUTOPILOT:
                 continue
-            if self._routes[system].heard(link, bytes(message.get_msgbuf()), self.clock.monotonic()):
+            if self._routes[system].heard(link, message.get_msgbuf(), self.clock.monotonic()):
                 vehicle.on_message(message)
 
     def _send_to(self, system: int, message: Any) -> None:

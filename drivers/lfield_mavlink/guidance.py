@@ -41,9 +41,8 @@ class Guidance(Flight):
         self._check_goal(what, goal)
         self._check_placed(what)
         self._begin(what)
-        order = self._orders.go_to(self.state, goal)
+        order = self._orders.go_to(self.state, goal, self._wanted_speed)
         await self._start(what, order)
-        await self._keep_speed()
 
         def distance(place: Vector) -> float:
             return math.dist(goal, place) if self.profile.flies else math.dist(goal[:2], place[:2])
@@ -79,8 +78,6 @@ class Guidance(Flight):
         circle = Circle((north, east, down), radius, speed, turns > 0.0)
         order = self._orders.orbit(self.state, circle)
         await self._start("orbit", order)
-        if order.command is None:
-            await self._change_speed(speed)
         await self._travel("orbit", order, Revolutions(circle, abs(turns)).left, 0.0)
         await self._set_mode(self.profile.hold)
 
@@ -123,11 +120,15 @@ class Guidance(Flight):
     async def _change_speed(self, speed: float) -> None:
         await self._command("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, speed, -1.0)
 
+    @property
+    def _wanted_speed(self) -> float | None:
+        """What was asked for last, else the limit of the binding, else the autopilot's own."""
+        return self._speed or self.binding.limits.get("speed")
+
     async def _keep_speed(self) -> None:
-        """Have the autopilot keep the speed that was asked for, or the limit of the binding."""
-        speed = self._speed or self.binding.limits.get("speed")
-        if speed is not None:
-            await self._change_speed(speed)
+        """Have the autopilot keep the wanted speed in what it flies by itself."""
+        if self._wanted_speed is not None:
+            await self._change_speed(self._wanted_speed)
 
     # -- limits ---------------------------------------------------------------------------------------
 

@@ -76,8 +76,8 @@ class Stack(Protocol):
     def take_off(self, height: float) -> Order:
         """Straight up to a height above home."""
 
-    def go_to(self, state: VehicleState, goal: Vector) -> Order:
-        """To a place, in metres of home."""
+    def go_to(self, state: VehicleState, goal: Vector, speed: float | None) -> Order:
+        """To a place, in metres of home, at a speed over ground; None leaves it to the autopilot."""
 
     def turn(self, state: VehicleState, heading: float) -> Order:
         """On the spot, to a heading."""
@@ -96,9 +96,12 @@ class ArduPilot:
         command = Command(dialect.MAV_CMD_NAV_TAKEOFF, (None,) * 6 + (height,))
         return Order(self.guided, mode="GUIDED", command=command)
 
-    def go_to(self, state: VehicleState, goal: Vector) -> Order:
-        """The goal as a setpoint, repeated since a packet may be lost."""
-        return Order(self.guided, mode="GUIDED", target=lambda _: Target(ONLY_POSITION, goal))
+    def go_to(self, state: VehicleState, goal: Vector, speed: float | None) -> Order:
+        """The goal as a setpoint, repeated since a packet may be lost; the speed by DO_CHANGE_SPEED."""
+        command = None if speed is None else _at_speed(speed)
+        return Order(
+            self.guided, mode="GUIDED", command=command, target=lambda _: Target(ONLY_POSITION, goal)
+        )
 
     def turn(self, state: VehicleState, heading: float) -> Order:
         """CONDITION_YAW, in degrees."""
@@ -115,7 +118,8 @@ class ArduPilot:
             east = centre[1] + circle.radius * math.sin(angle)
             return Target(ONLY_POSITION, (north, east, centre[2]))
 
-        return Order(self.guided, mode="GUIDED", target=ahead, period=0.2)
+        command = _at_speed(circle.speed)
+        return Order(self.guided, mode="GUIDED", command=command, target=ahead, period=0.2)
 
 
 class Px4:
@@ -129,9 +133,9 @@ class Px4:
         command = Command(dialect.MAV_CMD_NAV_TAKEOFF)
         return Order(modes, parameters={"MIS_TAKEOFF_ALT": height}, command=command)
 
-    def go_to(self, state: VehicleState, goal: Vector) -> Order:
+    def go_to(self, state: VehicleState, goal: Vector, speed: float | None) -> Order:
         """DO_REPOSITION, with the heading left as it is."""
-        return self._reposition(state, goal, None)
+        return self._reposition(state, goal, None, speed)
 
     def turn(self, state: VehicleState, heading: float) -> Order:
         """DO_REPOSITION to where it is, with the heading in radians."""
@@ -144,10 +148,17 @@ class Px4:
         command = Command(dialect.MAV_CMD_DO_ORBIT, (radius, circle.speed, None, None), place)
         return Order(frozenset({"POSCTL.ORBIT"}), command=command)
 
-    def _reposition(self, state: VehicleState, goal: Vector | None, yaw: float | None) -> Order:
-        place = _global(state, goal)
-        command = Command(dialect.MAV_CMD_DO_REPOSITION, (-1.0, _CHANGE_MODE, 0.0, yaw), place)
+    def _reposition(
+        self, state: VehicleState, goal: Vector | None, yaw: float | None, speed: float | None = None
+    ) -> Order:
+        place, speed = _global(state, goal), -1.0 if speed is None else speed
+        command = Command(dialect.MAV_CMD_DO_REPOSITION, (speed, _CHANGE_MODE, 0.0, yaw), place)
         return Order(self.hold, command=command)
+
+
+def _at_speed(speed: float) -> Command:
+    """The speed over ground, which ArduPilot forgets with every change of mode."""
+    return Command(dialect.MAV_CMD_DO_CHANGE_SPEED, (1.0, speed, -1.0))
 
 
 def _global(state: VehicleState, place: Vector | None) -> Place:

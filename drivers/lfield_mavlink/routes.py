@@ -21,11 +21,12 @@ class Route:
         self._link: int | None = None
         self._packets: OrderedDict[bytes, int] = OrderedDict()
 
-    def heard(self, link: int, packet: bytes, now: float) -> bool:
+    def heard(self, link: int, packet: bytes | bytearray, now: float) -> bool:
         """A packet came on a link; whether it is new, and not the copy of one that came on another link."""
         self._heard[link] = now
         if len(self._everywhere) == 1:
             return True
+        packet = bytes(packet)
         first = self._packets.setdefault(packet, link)
         if len(self._packets) > REMEMBERED:
             self._packets.popitem(last=False)

@@ -8,6 +8,8 @@ import math
 import pytest
 
 from lfield.errors import DeviceError
+from lfield_mavlink.dialect import Writer, dialect
+from lfield_mavlink.state import SOURCES
 from lfield_sim.autopilot import Autopilot
 
 
@@ -241,6 +243,8 @@ def test_a_stuck_vehicle_gives_up(bench):
         b.autopilot.vehicle.limits.cruise = 0.0
         with pytest.raises(DeviceError, match="goTo gave up: no progress for 10 s, 30"):
             await fc.execute("goTo", [30.0, 0.0, -5.0])
+        # It does not set out after all when what held it has gone.
+        assert b.autopilot.mode == "BRAKE"
 
     b.run(mission)
 
@@ -464,7 +468,10 @@ def test_streams_that_stopped_are_asked_for_again(bench):
     b = bench()
 
     async def mission(fc):
-        b.fakes[1]._streams = {0: b.fakes[1]._streams[0]}
+        # Another ground station on the link has stopped them.
+        for kind in SOURCES:
+            stop = dialect.MAVLink_command_long_message(1, 1, 511, 0, kind, -1, 0, 0, 0, 0, 0)
+            b.fakes[1].receive("another", Writer().pack(stop))
         b.values.clear()
         await asyncio.sleep(6.0)
         assert {"position", "attitude", "battery"} <= set(b.values)

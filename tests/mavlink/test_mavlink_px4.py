@@ -163,6 +163,21 @@ def test_orbit_and_return(px4):
     b.run(mission)
 
 
+def test_the_speed_of_the_binding_is_kept(px4):
+    b = px4(limits={"speed": 2.0})
+
+    async def mission(fc):
+        await up(fc)
+        flight = asyncio.create_task(fc.execute("goTo", [15.0, 0.0, -5.0]))
+        fastest = 0.0
+        while not flight.done():
+            await asyncio.sleep(0.1)
+            fastest = max(fastest, b.values["groundSpeed"])
+        return fastest
+
+    assert 1.8 < b.run(mission) <= 2.05
+
+
 def test_global_goals(px4):
     b = px4()
 
