@@ -57,8 +57,8 @@ class Instruction:
 class Quantity:
     """One telemetry quantity that the driver publishes and queries read.
 
-    `max_age` in seconds; `rate` in Hz is how often the driver asks the device for it, 0 when the device
-    says it by itself.
+    `max_age` in seconds; `rate` in Hz is how often the driver sees to it that the device tells it, 0 when it
+    is told only now and then, or not by every device.
     """
 
     name: str

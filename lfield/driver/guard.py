@@ -13,7 +13,7 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from lfield.clock import Clock, SystemClock
@@ -304,6 +304,16 @@ def be_prompt() -> None:
     gc.freeze()
 
 
+def _fastest_loop() -> Callable[[], asyncio.AbstractEventLoop] | None:
+    """uvloop's where it is installed, else asyncio's own (None)."""
+    try:
+        import uvloop
+    except ImportError:
+        return None
+    factory: Callable[[], asyncio.AbstractEventLoop] = uvloop.new_event_loop
+    return factory
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run the guard of the plugin `package:PLUGIN`."""
     if len(arguments) != 1:
@@ -315,7 +325,8 @@ def main(arguments: Sequence[str]) -> int:
     try:
         plugin = load_plugin(arguments[0])
         be_prompt()
-        return asyncio.run(serve(plugin, os.dup(0), output_fd))
+        with asyncio.Runner(loop_factory=_fastest_loop()) as runner:
+            return runner.run(serve(plugin, os.dup(0), output_fd))
     except LfieldError as error:
         print(error, file=sys.stderr)
         return error.exit_status

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from lfield.manifest import DeviceValue
 
@@ -11,18 +11,64 @@ INT_MIN, INT_MAX = -(1 << 63), (1 << 63) - 1
 
 def conform(value: object, type_name: str) -> DeviceValue:
     """`value` as the L type; whole numbers widen to real. Raises ValueError with a sentence."""
-    if type_name.endswith("[]"):
+    check = _CHECKS.get(type_name)
+    if check is None:
+        raise _unfit(value, type_name)
+    return check(value)
+
+
+def _unfit(value: object, type_name: str) -> ValueError:
+    return ValueError(f"{value!r} is not a {type_name}")
+
+
+def _boolean(value: object) -> DeviceValue:
+    if isinstance(value, bool):
+        return value
+    raise _unfit(value, "boolean")
+
+
+def _int(value: object) -> DeviceValue:
+    if isinstance(value, int) and not isinstance(value, bool) and INT_MIN <= value <= INT_MAX:
+        return value
+    raise _unfit(value, "int")
+
+
+def _real(value: object) -> DeviceValue:
+    # Telemetry is mostly floats, and there is a lot of it: the first look is the cheapest.
+    if type(value) is float:
+        return value
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    raise _unfit(value, "real")
+
+
+def _string(value: object) -> DeviceValue:
+    if isinstance(value, str):
+        return value
+    raise _unfit(value, "string")
+
+
+def _void(value: object) -> DeviceValue:
+    if value is None:
+        return None
+    raise _unfit(value, "void")
+
+
+def _array(item: Callable[[object], DeviceValue], type_name: str) -> Callable[[object], DeviceValue]:
+    def check(value: object) -> DeviceValue:
         if isinstance(value, str) or not isinstance(value, Sequence):
-            raise ValueError(f"{value!r} is not a {type_name}")
-        items = [conform(item, type_name[:-2]) for item in value]
-        return items  # type: ignore[return-value]  # items are all int or all float, by the line above
-    fits = {
-        "boolean": isinstance(value, bool),
-        "int": isinstance(value, int) and not isinstance(value, bool) and INT_MIN <= value <= INT_MAX,
-        "real": isinstance(value, int | float) and not isinstance(value, bool),
-        "string": isinstance(value, str),
-        "void": value is None,
-    }
-    if not fits.get(type_name, False):
-        raise ValueError(f"{value!r} is not a {type_name}")
-    return float(value) if type_name == "real" else value  # type: ignore[arg-type,return-value]  # as above
+            raise _unfit(value, type_name)
+        return [item(part) for part in value]  # type: ignore[misc,return-value]  # all int, or all float
+
+    return check
+
+
+_CHECKS: dict[str, Callable[[object], DeviceValue]] = {
+    "boolean": _boolean,
+    "int": _int,
+    "real": _real,
+    "string": _string,
+    "void": _void,
+    "real[]": _array(_real, "real[]"),
+    "int[]": _array(_int, "int[]"),
+}

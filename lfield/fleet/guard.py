@@ -235,6 +235,12 @@ class Guard(asyncio.SubprocessProtocol):
         reading.until = at + self._quantities[device, quantity].max_age
 
     @property
+    def pid(self) -> int:
+        """The id of its process, 0 while there is none."""
+        found = self._transport.get_pid() if self._transport is not None else None
+        return found or 0
+
+    @property
     def ready(self) -> bool:
         """Whether the devices are open."""
         return self._ready

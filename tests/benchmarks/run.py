@@ -17,11 +17,14 @@ import deadman
 import engine
 import footprint
 import local
+import mavlink
 import query
 import remote
 from harness import Figure
 from rich.console import Console
 from rich.table import Table
+
+import drivers
 
 FIGURES: dict[str, Callable[[], Figure]] = {
     "remote": remote.figure,
@@ -32,6 +35,8 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "agreement": agreement.figure,
     "footprint": footprint.figure,
     "deadman": deadman.figure,
+    "drivers": drivers.figure,
+    "mavlink": mavlink.figure,
 }
 #: What the extra `bench` brings.
 LIBRARIES = ("Pyro5", "rpyc", "grpc")

@@ -21,7 +21,8 @@ safe_states: [off]
 instructions:
   turn: {parameters: {angle: {type: real}}, blocking: true}
 telemetry:
-  angle: {type: real}
+  angle: {type: real, rate: 20.0}
+  heat: {type: real}
 """,
 )
 
@@ -49,8 +50,8 @@ class Pretended:
         return None
 
     def query(self, quantity):
-        if quantity == "angle" and self.breaks == "telemetry":
-            raise DeviceError("s", "has not reported angle")
+        if quantity == "heat" or (quantity == "angle" and self.breaks == "telemetry"):
+            raise DeviceError("s", f"has not reported {quantity}")
         return "north" if quantity == "angle" and self.breaks == "type" else 0.25
 
     async def until(self, condition, bound, what):
@@ -80,7 +81,7 @@ def test_a_device_that_keeps_its_promises_passes_everything():
     found = findings(Pretended())
     assert {finding.outcome for finding in found.values()} == {"passed"}
     assert found["identity"].seen == "a servo at here"
-    assert found["telemetry"].seen == "1 quantities, heard 250 ms ago"
+    assert found["telemetry"].seen == "1 quantities (not heat), heard 250 ms ago"
 
 
 @pytest.mark.parametrize(

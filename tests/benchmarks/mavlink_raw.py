@@ -1,0 +1,55 @@
+"""pymavlink's own connection, as its examples use it: the other side of the figure `drivers`.
+
+python mavlink_raw.py listen PORT RATE SECONDS SYSTEM...   CPU seconds and messages of a stream of telemetry
+python mavlink_raw.py command PORT COUNT                   seconds of each command until its acknowledgement
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from typing import Any
+
+os.environ["MAVLINK20"] = "1"
+from pymavlink import mavutil  # it chooses its dialect by the environment when it is imported
+
+#: Ten messages of telemetry.
+STREAMS = ("33", "32", "30", "31", "1", "147", "24", "74", "245", "242")
+
+
+def connect(port: str) -> Any:
+    """A ground station that the fake answers."""
+    link = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", dialect="ardupilotmega", source_system=255)
+    link.mav.heartbeat_send(6, 8, 0, 0, 4)
+    link.recv_match(type="HEARTBEAT", blocking=True, timeout=10)
+    return link
+
+
+def listen(port: str, rate: str, seconds: str, *systems: str) -> None:
+    """Ask every vehicle for so many messages a second in all, then count."""
+    link = connect(port)
+    interval = 1e6 * len(STREAMS) / float(rate)
+    for system in systems:
+        for stream in STREAMS:
+            link.mav.command_long_send(int(system), 1, 511, 0, int(stream), interval, 0, 0, 0, 0, 0)
+    print("ready", flush=True)
+    end, cpu, count = time.monotonic() + float(seconds), time.process_time(), 0
+    while time.monotonic() < end:
+        if link.recv_match(blocking=True, timeout=0.5) is not None:
+            count += 1
+    print(f"{time.process_time() - cpu:.6f} {count}", flush=True)
+
+
+def command(port: str, count: str) -> None:
+    """A command that moves nothing, again and again."""
+    link = connect(port)
+    for _ in range(int(count)):
+        start = time.perf_counter()
+        link.mav.command_long_send(1, 1, 512, 0, 148, 0, 0, 0, 0, 0, 0)
+        link.recv_match(type="COMMAND_ACK", blocking=True, timeout=2)
+        print(f"{time.perf_counter() - start:.6f}", flush=True)
+
+
+if __name__ == "__main__":
+    {"listen": listen, "command": command}[sys.argv[1]](*sys.argv[2:])
