@@ -120,6 +120,44 @@ def test_faults_while_it_runs():
             assert "error" in set_faults(process, "corrupt=2")
 
 
+def unplugged(place: dict[str, object]) -> bool:
+    """Whether a socketcand client is thrown out before it is greeted."""
+    with socket.create_connection((place["host"], place["port"]), 10) as client:
+        try:
+            return client.recv(100) == b""
+        except ConnectionResetError:
+            return True
+
+
+def test_doors_that_are_pulled_out_and_plugged_in_again(tmp_path):
+    link = tmp_path / "dongle"
+    doors = ("--listen", f"slcan-pty:{link}", "--listen", "socketcand:127.0.0.1:0")
+    with running(*doors, "--device", "odrive:3") as (process, words):
+        assert words[1] == f"slcan:{link}@115200"
+        bus = can.Bus(**serial(words[1]))
+        heard(bus, 0x61)
+        set_faults(process, "unplug=true")
+        with pytest.raises(can.CanOperationError):
+            heard(bus, 0x555)
+        with contextlib.suppress(can.CanOperationError):
+            bus.shutdown()
+        bus.serialPortOrig.close()
+        assert not link.is_symlink()
+        assert unplugged(tcp(words[2]))
+        set_faults(process, "unplug=false")
+        for place in (serial(words[1]), tcp(words[2])):
+            with can.Bus(**place) as again:
+                heard(again, 0x61)
+
+
+def test_a_link_never_replaces_a_file(tmp_path, capsys):
+    taken = tmp_path / "file"
+    taken.write_text("kept")
+    assert main(["lfield_sim.can:SIM", "--listen", f"slcan-pty:{taken}"]) == 69
+    assert taken.read_text() == "kept"
+    assert "exists" in capsys.readouterr().err
+
+
 def test_it_ends_with_its_stdin():
     with running("--until-stdin-closes", *BOTH) as (process, _):
         out, err = process.communicate(timeout=10)

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import UsageError
 from lfield_sim.faults import Faults, add_fault_option
 
-#: The kind of door that is a pty; the other kind is `socketcand:HOST:PORT`.
+#: The kind of door that is a pty (PATH is a link to it); the other kind is `socketcand:HOST:PORT`.
 _PTY = "slcan-pty"
 
 
 def parse_listen(text: str) -> tuple[str, str, int]:
-    """`socketcand:HOST:PORT` or `slcan-pty` as kind, host and port. Raises UsageError."""
-    if text == _PTY:
-        return _PTY, "", 0
+    """`socketcand:HOST:PORT` or `slcan-pty[:PATH]` as kind, host or path, and port. Raises UsageError."""
     kind, _, rest = text.partition(":")
+    if kind == _PTY:
+        return _PTY, os.path.abspath(rest) if rest else "", 0
     host, _, port = rest.rpartition(":")
     if kind != "socketcand" or not host or not port.isdecimal() or int(port) > 65535:
         raise UsageError(
-            f"cannot listen on '{text}'; write socketcand:HOST:PORT (port 0: any free one) or {_PTY}"
+            f"cannot listen on '{text}'; write socketcand:HOST:PORT (port 0: any free one) or {_PTY}[:PATH]"
         )
     return kind, host, int(port)
 
@@ -44,7 +45,7 @@ class CanSim:
         parser.add_argument(
             "--listen",
             action="append",
-            metavar="socketcand:HOST:PORT|slcan-pty",
+            metavar="socketcand:HOST:PORT|slcan-pty[:PATH]",
             help="a door, as often as wanted (socketcand:127.0.0.1:0)",
         )
         parser.add_argument(

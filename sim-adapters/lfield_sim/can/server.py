@@ -7,15 +7,12 @@ import selectors
 import time
 from collections.abc import Callable, Mapping, Sequence
 
-from lfield.errors import AddressError
 from lfield_sim.can.bus import Port
-from lfield_sim.can.doors import SlcanDoor, SocketcandDoor
+from lfield_sim.can.doors import Door, SlcanDoor, SocketcandDoor
 from lfield_sim.can.frame import Frame
 from lfield_sim.can.world import Device, World
 from lfield_sim.faults import Faults
 from lfield_sim.serving import serve_until_told
-
-CHANNEL = "can0"
 
 
 class _Hub:
@@ -83,7 +80,7 @@ def run(
 
 
 async def _serve(
-    doors: Sequence[tuple[str, str, int]],
+    places: Sequence[tuple[str, str, int]],
     devices: Sequence[Device],
     faults: Faults,
     bitrate: int,
@@ -92,31 +89,41 @@ async def _serve(
     until_stdin_closes: bool,
 ) -> None:
     hub = _Hub(devices, faults, bitrate)
-    endpoints: list[str] = []
-    closing: list[Callable[[], None]] = [hub.stop]
+    doors: list[Door] = []
     try:
-        for door in doors:
-            endpoint, close = await _open(hub, *door)
-            endpoints.append(endpoint)
-            closing.append(close)
-        others = " ".join([*endpoints[1:], words])
+        for place in places:
+            doors.append(await _door(hub, *place))
+            doors[-1].plug()
+        faults.watch(lambda: _plug(doors, out=bool(faults.get("unplug"))))
+        endpoint, *others = [door.endpoint for door in doors]
+        _plug(doors, out=bool(faults.get("unplug")))
         await serve_until_told(
-            "can", endpoints[0], others, faults, devices=names, until_stdin_closes=until_stdin_closes
+            "can",
+            endpoint,
+            " ".join([*others, words]),
+            faults,
+            devices=names,
+            until_stdin_closes=until_stdin_closes,
         )
     finally:
-        for close in closing:
-            close()
+        hub.stop()
+        for door in doors:
+            door.close()
 
 
-async def _open(hub: _Hub, kind: str, host: str, port: int) -> tuple[str, Callable[[], None]]:
-    """Open a door: the endpoint as a binding has it, and how to close it."""
+def _plug(doors: Sequence[Door], *, out: bool) -> None:
+    """Pull all doors out, or plug in those that are out."""
+    for door in doors:
+        if out:
+            door.unplug()
+        elif not door.plugged:
+            door.plug()
+
+
+async def _door(hub: _Hub, kind: str, place: str, port: int) -> Door:
+    """A door that is not plugged in yet. Raises AddressError."""
     if kind == "slcan-pty":
-        dongle = SlcanDoor(hub)
-        return f"slcan:{dongle.path}@115200", dongle.close
-    loop = asyncio.get_running_loop()
-    try:
-        listener = await loop.create_server(lambda: SocketcandDoor(hub), host, port)
-    except OSError as error:
-        raise AddressError(f"socketcand:{host}:{port}", error.strerror or str(error)) from None
-    bound = listener.sockets[0].getsockname()[1]
-    return f"socketcand:{host}:{bound}/{CHANNEL}", listener.close
+        return SlcanDoor(hub, place)
+    door = SocketcandDoor(hub)
+    await door.listen(place, port)
+    return door

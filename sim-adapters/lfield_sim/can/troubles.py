@@ -15,6 +15,7 @@ FAULTS = (
     share("corrupt", "frames end in an error frame; the sender tries again until it is bus-off"),
     Fault("delay", 0.0, "seconds that a device's frames come late", 0.0, 10.0),
     Fault("bus_off", False, "off the bus, its motor goes on; for the whole bus: nothing gets through"),
+    Fault("unplug", False, "the doors: clients are thrown out, until it is false again"),
     Fault("silence", False, "without power; when it returns it starts anew"),
     Fault("stuck", False, "the motor does not move"),
     Fault("overcurrent", False, "the power stage trips"),
