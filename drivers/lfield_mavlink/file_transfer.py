@@ -25,8 +25,9 @@ from lfield_mavlink.file_packets import (
 )
 from lfield_mavlink.peer import Inbox, Peer
 
-#: Seconds to wait for an answer, and how often to ask.
-PATIENCE, QUESTIONS = 0.5, 6
+#: Seconds to wait for an answer, and how often to ask; in the middle of a file there is somebody who
+#: answers, so it is worth while to ask for longer.
+PATIENCE, QUESTIONS, PERSISTENT = 0.5, 6, 16
 #: Bytes of the largest file, entries of the largest folder, bytes of the longest path.
 MAX_FILE, MAX_ENTRIES, MAX_PATH = 1 << 20, 5000, 200
 #: Packets of one burst that are taken in; more is a vehicle gone mad.
@@ -209,7 +210,7 @@ class FileTransfer:
         """The answer to a request, which is repeated as it is; None when nobody answers."""
         request = self._request(opcode, session=session, offset=offset, size=size, data=data)
         number = (request.sequence + 1) % 0x10000
-        for attempt in range(QUESTIONS):
+        for attempt in range(PERSISTENT if opcode in (Opcode.READ, Opcode.WRITE) else QUESTIONS):
             if attempt:
                 self._send(request)
             answer = await self._find(lambda p: p.requested == opcode and p.sequence == number)

@@ -17,30 +17,22 @@ from typing import Any, TypeVar
 from lfield_mavlink.dialect import AUTOPILOT, dialect
 from lfield_mavlink.peer import Inbox, Peer
 from lfield_mavlink.plan_items import HOME, Item, PlanKind
+from lfield_mavlink.plan_upload import QUESTIONS, REQUESTS, SILENCES, Upload
 
 T = TypeVar("T")
 
-#: Seconds to wait for an answer, and how often a question is asked that nobody answers.
-PATIENCE, QUESTIONS = 0.5, 6
-#: Silences of PATIENCE in the middle of an upload: ArduPilot repeats a question every second for 8 s.
-SILENCES = 16
-#: A question that comes again sooner than after so many seconds is the same packet twice.
-TWICE = 0.1
+#: Seconds to wait for an answer.
+PATIENCE = 0.5
 #: How often an upload is begun anew before it has failed.
 ATTEMPTS = 3
-#: Messages that an upload may take for each item, and beside them: a bound also for a vehicle gone mad.
-PER_ITEM, BESIDE = 10, 100
 #: The most items that are downloaded; a vehicle that says more is not believed.
 MAX_ITEMS = 5000
 
 _ACK = dialect.MAVLINK_MSG_ID_MISSION_ACK
 _COUNT = dialect.MAVLINK_MSG_ID_MISSION_COUNT
 _ITEM = dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT
-_REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
 _ACCEPTED = dialect.MAV_MISSION_ACCEPTED
 _CANCELLED = dialect.MAV_MISSION_OPERATION_CANCELLED
-#: Said by ArduPilot of an item that it did not ask for, as when a packet came twice; the upload goes on.
-_OUT_OF_TURN = dialect.MAV_MISSION_INVALID_SEQUENCE
 
 
 class PlanTransfer:
@@ -48,7 +40,7 @@ class PlanTransfer:
 
     def __init__(self, peer: Peer, *, home_first: bool) -> None:
         self._peer, self._home_first = peer, home_first
-        self._inbox = Inbox(peer, _ACK, _COUNT, _ITEM, *_REQUESTS)
+        self._inbox = Inbox(peer, _ACK, _COUNT, _ITEM, *REQUESTS)
         self._lock = asyncio.Lock()
 
     async def upload(self, kind: PlanKind, items: Sequence[Item]) -> None:
@@ -102,41 +94,21 @@ class PlanTransfer:
         raise self._peer.error(f"the {kind.word} could not be uploaded in {ATTEMPTS} attempts: {why}")
 
     async def _offer(self, kind: PlanKind, wire: Sequence[Item]) -> str:
-        """Hand out a plan as the vehicle asks for it. Why it failed, or '' when every item was asked for."""
-        now = asyncio.get_running_loop().time
-        handed: dict[int, float] = {}
-        silences = 0
-        self._peer.send(self._count(kind, len(wire)))
-        for _ in range(BESIDE + PER_ITEM * len(wire)):
+        """Hand out a plan. Why that failed, or '' when the vehicle has asked for every item."""
+        upload = Upload(self._peer.system, kind, wire)
+        self._peer.send(upload.last)
+        while not upload.over:
             message = await self._mail.find(lambda m: _is_of(m, kind), PATIENCE)
-            if message is None:
-                silences += 1
-                if silences >= (SILENCES if handed else QUESTIONS):
-                    break
-                if not handed:
-                    self._peer.send(self._count(kind, len(wire)))
-                continue
-            silences = 0
-            if message.get_msgId() in _REQUESTS:
-                # A repeated packet must not be answered twice: each answer brings the next question, and
-                # every later item would cross twice as well.
-                if message.seq < len(wire) and now() - handed.get(message.seq, -TWICE) >= TWICE:
-                    handed[message.seq] = now()
-                    self._peer.send(wire[message.seq].message(self._peer.system, message.seq, kind))
-            elif message.get_msgId() == _ACK:
-                if message.type == _CANCELLED:
-                    return "it did not get the next item in time"
-                self._check_accepted(kind, message.type)
-                # An acknowledgement before the last item is one of an earlier upload that comes late.
-                if len(handed) == len(wire) and message.type == _ACCEPTED:
-                    break
-        if wire and not handed:
+            now = asyncio.get_running_loop().time()
+            answer = upload.on_silence() if message is None else upload.on_message(message, now)
+            if answer is not None:
+                self._peer.send(answer)
+        if upload.refusal is not None:
+            words = mission_result_words(upload.refusal)
+            raise self._peer.error(f"the autopilot refuses the {kind.word}: {words}")
+        if upload.silent:
             raise self._peer.error(f"uploading the {kind.word}: the autopilot did not answer", timeout=True)
-        return "" if len(handed) == len(wire) else f"it asked for {len(handed)} of {len(wire)} items only"
-
-    def _check_accepted(self, kind: PlanKind, result: int) -> None:
-        if result not in (_ACCEPTED, _OUT_OF_TURN):
-            raise self._peer.error(f"the autopilot refuses the {kind.word}: {mission_result_words(result)}")
+        return upload.why
 
     # -- download and clear -----------------------------------------------------------------------------
 
@@ -152,7 +124,10 @@ class PlanTransfer:
 
     async def _item(self, kind: PlanKind, number: int) -> Item:
         ask = dialect.MAVLink_mission_request_int_message(self._peer.system, AUTOPILOT, number, int(kind))
-        return Item.of(await self._ask(kind, ask, lambda m: m.get_msgId() == _ITEM and m.seq == number))
+        # In the middle of a download there is somebody who answers, so it is worth while to ask for longer.
+        return Item.of(
+            await self._ask(kind, ask, lambda m: m.get_msgId() == _ITEM and m.seq == number, SILENCES)
+        )
 
     async def _clear(self, kind: PlanKind) -> None:
         clear = dialect.MAVLink_mission_clear_all_message(self._peer.system, AUTOPILOT, int(kind))
@@ -160,7 +135,9 @@ class PlanTransfer:
         if left := len(await self._download(kind)):
             raise self._peer.error(f"the {kind.word} was cleared, but {left} of its items are still there")
 
-    async def _ask(self, kind: PlanKind, question: Any, answers: Callable[[Any], bool]) -> Any:
+    async def _ask(
+        self, kind: PlanKind, question: Any, answers: Callable[[Any], bool], times: int = QUESTIONS
+    ) -> Any:
         """Ask until it is answered. Raises DeviceError with the refusal, when there was one."""
         refusal: list[int] = []
 
@@ -171,7 +148,7 @@ class PlanTransfer:
                 refusal.append(message.type)
             return answers(message)
 
-        for _ in range(QUESTIONS):
+        for _ in range(times):
             self._peer.send(question)
             if (answer := await self._mail.find(wanted, PATIENCE)) is not None:
                 return answer
@@ -179,9 +156,6 @@ class PlanTransfer:
             words = mission_result_words(refusal[-1])
             raise self._peer.error(f"the autopilot refuses to talk about its {kind.word}: {words}")
         raise self._peer.error(f"reading the {kind.word}: the autopilot did not answer", timeout=True)
-
-    def _count(self, kind: PlanKind, count: int) -> Any:
-        return dialect.MAVLink_mission_count_message(self._peer.system, AUTOPILOT, count, int(kind))
 
     def _ack(self, kind: PlanKind, result: int) -> Any:
         return dialect.MAVLink_mission_ack_message(self._peer.system, AUTOPILOT, result, int(kind))
