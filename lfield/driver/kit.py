@@ -12,8 +12,9 @@ async def turns(bench: Bench) -> str:
     return f"0.5 rad asked, {bench.query('angle'):.3f} rad seen"
 ```
 
-A check returns in words what it has seen; it fails by DeviceError or CheckFailed. What can move something
-says so: nothing of that kind runs unless somebody has agreed to it.
+A check returns in words what it has seen; it fails by DeviceError or CheckFailed, and says by NotTried that
+it does not apply. What can move something, or changes what a device keeps, says so: nothing of that kind
+runs unless somebody has agreed to it.
 """
 
 from __future__ import annotations
@@ -35,11 +36,17 @@ class CheckFailed(Exception):
     """Something that was promised was not seen; the sentence says what."""
 
 
+class NotTried(Exception):
+    """A check is not for a device that is bound like this; the sentence says why."""
+
+
 class Bench(Protocol):
     """One device behind its guard, as a check sees it."""
 
     binding: DeviceBinding
     manifest: Manifest
+    #: How long the host may be silent, in seconds, before the device goes safe.
+    silence: float
     #: What the guard has told since it was opened, one sentence each.
     notes: list[str]
 
@@ -142,5 +149,7 @@ async def _run(bench: Bench, check: Check) -> Finding:
         return Finding(name, check.name, "failed", error.reason)
     except CheckFailed as error:
         return Finding(name, check.name, "failed", str(error))
+    except NotTried as error:
+        return Finding(name, check.name, "not run", str(error))
     except Exception as error:  # a kit is foreign code, as a driver is
         return Finding(name, check.name, "failed", f"the check itself is broken: {error!r}")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from lfield.driver.guard_core import SILENCE
 from lfield.driver.kit import Bench, CheckFailed, Kit
 from lfield.driver.manifest_file import WATCHDOG
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
-from lfield.manifest import Instruction
+from lfield.manifest import Instruction, Quantity
 
 KIT = Kit()
 
@@ -26,7 +25,7 @@ async def identity(bench: Bench) -> str:
 @KIT.check("telemetry", moves=False)
 async def telemetry(bench: Bench) -> str:
     """Every quantity that the manifest gives a rate is reported with its type, and the device is heard."""
-    regular = [quantity for quantity in bench.manifest.device.telemetry if quantity.rate > 0.0]
+    regular = _regular(bench)
     missing = {quantity.name for quantity in regular}
 
     def complete() -> bool:
@@ -90,19 +89,34 @@ async def death(bench: Bench) -> str:
     await bench.until(lambda: bench.confirmed, SAFE, "the safe state to be confirmed")
     reason = bench.latched
     await bench.call("release")
+    await _back(bench)
     return f"'{bench.binding.safe_state}' confirmed because {reason}"
 
 
 @KIT.check("a host that hangs", moves=True)
 async def silence(bench: Bench) -> str:
     """Silence over the bound latches what was moved, and disturbs nothing that was not."""
-    await bench.fall_silent(3 * SILENCE)
-    await bench.until(lambda: _known(bench, "age"), 2.0, "the device to be heard again")
+    await bench.fall_silent(3 * bench.silence)
+    await _back(bench)
     latched = bench.latched
     if latched:
         await bench.until(lambda: bench.confirmed, SAFE, "the safe state to be confirmed")
         await bench.call("release")
     return f"latched because {latched}" if latched else "nothing had been moved, nothing was done"
+
+
+async def _back(bench: Bench) -> None:
+    """Wait until the telemetry that has a rate is there again: the bus may have been made quiet."""
+    await bench.until(
+        lambda: all(_known(bench, quantity.name) for quantity in _regular(bench)),
+        TELEMETRY,
+        "its telemetry to be back",
+    )
+
+
+def _regular(bench: Bench) -> list[Quantity]:
+    """The telemetry that comes by itself, as the manifest says."""
+    return [quantity for quantity in bench.manifest.device.telemetry if quantity.rate > 0.0]
 
 
 def _known(bench: Bench, quantity: str) -> bool:

@@ -18,8 +18,7 @@ RATE = 20.0
 class _Latest:
     """What has been published since the last snapshot, with the time of each value."""
 
-    values: dict[str, DeviceValue] = field(default_factory=dict)
-    times: dict[str, float] = field(default_factory=dict)
+    values: dict[str, tuple[DeviceValue, float]] = field(default_factory=dict)
     heard: float = 0.0
     fresh: bool = False
 
@@ -34,9 +33,9 @@ class Telemetry:
 
     def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
         """New values, true now; a value that did not change is fresh all the same."""
-        latest = self._fresh(device)
-        latest.values.update(values)
-        latest.times.update(dict.fromkeys(values, self._clock.monotonic()))
+        latest, now = self._fresh(device), self._clock.monotonic()
+        for name, value in values.items():
+            latest.values[name] = value, now
 
     def heard(self, device: str) -> None:
         """The device has shown that it is alive."""
@@ -51,15 +50,19 @@ class Telemetry:
         for device, latest in self._devices.items():
             if not latest.fresh:
                 continue
-            ages = {name: now - at for name, at in latest.times.items()}
-            self._push(Snapshot(device, dict(latest.values), ages, now - latest.heard))
+            values = {name: value for name, (value, _) in latest.values.items()}
+            ages = {name: now - at for name, (_, at) in latest.values.items()}
+            self._push(Snapshot(device, values, ages, now - latest.heard))
             latest.values.clear()
-            latest.times.clear()
             latest.fresh = False
 
     def _fresh(self, device: str) -> _Latest:
         """The record of a device, now with something to push."""
-        latest = self._devices.setdefault(device, _Latest(heard=self._clock.monotonic()))
+        latest = self._devices.get(device)
+        if latest is None:
+            latest = self._devices[device] = _Latest(heard=self._clock.monotonic())
+        if latest.fresh:
+            return latest
         latest.fresh = True
         if self._timer is None:
             self._timer = asyncio.get_running_loop().call_later(1.0 / RATE, self.flush)

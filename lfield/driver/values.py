@@ -58,7 +58,7 @@ def _array(item: Callable[[object], DeviceValue], type_name: str) -> Callable[[o
     def check(value: object) -> DeviceValue:
         if isinstance(value, str) or not isinstance(value, Sequence):
             raise _unfit(value, type_name)
-        return [item(part) for part in value]  # type: ignore[misc,return-value]  # all int, or all float
+        return [item(part) for part in value]  # type: ignore[return-value]  # all int, or all float
 
     return check
 

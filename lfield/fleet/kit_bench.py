@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.guard_core import SILENCE
 from lfield.driver.kit import CheckFailed
 from lfield.driver.manifest_file import Manifest
 from lfield.errors import DeviceError
@@ -24,8 +25,17 @@ SAFE, BACK = 20.0, 60.0
 class LiveBench:
     """A Bench (lfield.driver.kit) over the guards of this process."""
 
-    def __init__(self, guards: Guards, binding: DeviceBinding, manifest: Manifest, notes: list[str]) -> None:
+    def __init__(
+        self,
+        guards: Guards,
+        binding: DeviceBinding,
+        manifest: Manifest,
+        notes: list[str],
+        *,
+        silence: float = SILENCE,
+    ) -> None:
         self._guards, self.binding, self.manifest, self.notes = guards, binding, manifest, notes
+        self.silence = silence
 
     @property
     def _guard(self) -> Guard:

@@ -11,7 +11,7 @@ import asyncio
 import os
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from harness import Child, Children, Figure, Row, in_turns, median, microseconds, percentile, times
@@ -21,6 +21,7 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.fleet.guards import Guards
 from lfield.fleet.kit_bench import LiveBench
+from lfield.manifest import DeviceValue
 
 SYSTEMS, RATE, SECONDS = (1, 2, 3, 4), 200, 5.0
 ROUNDS, COMMANDS = 5, 200
@@ -111,10 +112,18 @@ def _cpu(guards: Guards) -> float:
 
 
 def _commands(port: str) -> Iterable[Row]:
-    names = {"pymavlink": lambda: _raw_commands(port), "guard": lambda: asyncio.run(_own_commands(port))}
+    names = {
+        "pymavlink": lambda: _raw_commands(port),
+        "driver": lambda: asyncio.run(_driver_commands(port)),
+        "guard": lambda: asyncio.run(_guard_commands(port)),
+    }
     samples = in_turns(names, ROUNDS)
     against = median(samples["pymavlink"])
-    for name, words in (("pymavlink", "pymavlink"), ("guard", "lfield_mavlink through its guard")):
+    for name, words in (
+        ("pymavlink", "pymavlink"),
+        ("driver", "lfield_mavlink, the driver alone"),
+        ("guard", "the same through its guard's pipe"),
+    ):
         own = samples[name]
         yield Row(
             "command to acknowledgement" if name == "pymavlink" else "",
@@ -122,7 +131,7 @@ def _commands(port: str) -> Iterable[Row]:
             microseconds(median(own)),
             microseconds(percentile(own, 99)),
             times(against / median(own)),
-            f"{TARGET:.2f}x" if name == "guard" else "",
+            f"{TARGET:.2f}x" if name == "driver" else "",
         )
 
 
@@ -133,7 +142,40 @@ def _raw_commands(port: str) -> list[float]:
     return samples
 
 
-async def _own_commands(port: str) -> list[float]:
+class _Nobody:
+    """Reports that nobody reads."""
+
+    def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
+        pass
+
+    def heard(self, device: str) -> None:
+        pass
+
+    def note(self, device: str, text: str) -> None:
+        pass
+
+    def crashed(self, reason: str) -> None:
+        raise RuntimeError(reason)
+
+
+async def _driver_commands(port: str) -> list[float]:
+    installed = _plugins().by_driver["mavlink"]
+    driver = installed.plugin.load()(_bindings(port, (1,)), installed.manifests, SystemClock(), _Nobody())
+    await driver.open()
+    try:
+        device = driver.devices["v1.fc"]
+        await device.open()
+        samples = []
+        for _ in range(COMMANDS):
+            start = time.perf_counter()
+            await device.execute("command", [REQUEST, [VERSION]])
+            samples.append(time.perf_counter() - start)
+        return samples
+    finally:
+        await driver.close()
+
+
+async def _guard_commands(port: str) -> list[float]:
     guards = Guards(_plugins(), SystemClock(), lambda line: None)
     (binding,) = _bindings(port, (1,))
     await guards.open([binding])
