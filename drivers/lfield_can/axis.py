@@ -149,17 +149,17 @@ class CanAxis(Device):
 
     async def do_enable(self) -> None:
         """Follow commands."""
-        self._check_heard()
+        self._check_set_up("enable")
         await self.protocol.enable()
 
     async def do_disable(self) -> None:
         """Torque off."""
-        self._check_heard()
+        self._check_set_up("disable")
         await self.protocol.disable()
 
     async def do_reset_fault(self) -> None:
         """Clear faults."""
-        self._check_heard()
+        self._check_set_up("resetFault")
         await self.protocol.reset_fault()
 
     async def do_home(self) -> None:
@@ -240,14 +240,17 @@ class CanAxis(Device):
         if self._silence() > self.protocol.silence:
             raise self.error(f"not heard for {self._silence():.1f} s", timeout=True)
 
+    def _check_set_up(self, what: str) -> None:
+        self._check_heard()
+        if self.protocol.needs_setup:
+            raise self.error(f"{what} refused: the device has restarted and is being set up again")
+
     def _check_ready(self, what: str) -> None:
         """Raise unless the device follows commands."""
-        self._check_heard()
+        self._check_set_up(what)
         state = self.protocol.state
         if state.fault:
             raise self.error(f"{what} refused: {state.fault}; resetFault() clears it")
-        if self.protocol.needs_setup:
-            raise self.error(f"{what} refused: the device has restarted and is being set up again")
         if not state.enabled:
             raise self.error(f"{what} refused: it is not enabled ({state.state}); call enable() first")
 

@@ -277,6 +277,7 @@ def test_a_device_that_vanishes_and_returns(door, drive, odrive):
                     await travel
                 assert error.value.kind == "DeviceTimeoutException"
                 assert time.monotonic() - start < 3.0
+                await t.told(f"winch.{field}: it is not heard any more")
                 t.fault(f"silence@{node}=false")
                 await t.told(f"winch.{field}: heard again")
                 await t.reads(field, "online", lambda value: value is True)

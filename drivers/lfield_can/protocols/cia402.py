@@ -191,11 +191,12 @@ class Cia402(AxisProtocol):
         self._longest = longest
         master: int = self.binding.option("master")
         beat = Frame(t.HEARTBEAT + master, bytes([t.OPERATIONAL]))
-        self.bus.post(beat)
         self._beats.start(longest / 4.0, lambda: self.bus.post(beat))
-        return await setting.set_watchdog(
-            self._objects, master, longest, self.binding.safe_state, self.wiring.note
-        )
+        note, safe_state = self.wiring.note, self.binding.safe_state
+        seconds = await setting.set_watchdog(self._objects, master, longest, safe_state, note)
+        # The drive begins to watch with the first heartbeat that it hears from now on (CiA 301, 7.2.8.2.2).
+        await self.bus.send(beat)
+        return seconds
 
     async def poll(self) -> Mapping[str, object]:
         """The supply voltage, and the cause of a fault that was not told."""
@@ -315,7 +316,7 @@ class Cia402(AxisProtocol):
         """The next frame on the way to a goal."""
         assert self._commanded is not None
         self._commanded += max(-step, min(step, goal - self._commanded))
-        return self._frame(t.POSITION, self._units.to_counts(self._commanded), 0)
+        return self._frame(t.POSITION, self._units.to_counts(self._commanded))
 
     async def set_velocity(self, velocity: float) -> None:
         """One target velocity, or with `cyclic` a stream of it."""
@@ -406,13 +407,16 @@ class Cia402(AxisProtocol):
         self._mode = mode
 
     async def _new_setpoint(self, position: float, speed: float) -> None:
-        """The handshake of the profile position mode: set, acknowledged, taken back."""
-        goal = self._frame(t.POSITION, self._units.to_counts(position), abs(self._units.to_velocity(speed)))
+        """The handshake of the profile position mode: set, acknowledged, taken back.
+
+        The goal goes by SDO: as process data it could be overtaken by the control word, whose id comes first.
+        """
+        await self._objects.write(0x6081, 0, abs(self._units.to_velocity(speed)))
+        await self._objects.write(0x607A, 0, self._units.to_counts(position))
         await self._control(t.ENABLE)
         await self.expect(
             lambda: not self._statusword & t.ACKNOWLEDGED, TAKEN, "it holds an old position goal"
         )
-        await self.bus.send(goal)
         await self._control(t.ENABLE | t.NEW_SETPOINT | t.AT_ONCE)
         await self.expect(
             lambda: bool(self._statusword & t.ACKNOWLEDGED), TAKEN, "it did not take the position"

@@ -64,7 +64,7 @@ TRANSMITTED: Mapping[int, tuple[int, ...]] = {
 }
 RECEIVED: Mapping[int, tuple[int, ...]] = {
     CONTROL: (0x60400010,),
-    POSITION: (0x607A0020, 0x60810020),
+    POSITION: (0x607A0020,),
     VELOCITY: (0x60FF0020,),
     TORQUE: (0x60710010,),
 }
@@ -77,7 +77,7 @@ LAYOUTS: Mapping[int, struct.Struct] = {
     MOTION: struct.Struct("<ii"),
     FORCE: struct.Struct("<hh"),
     CONTROL: struct.Struct("<H"),
-    POSITION: struct.Struct("<iI"),
+    POSITION: struct.Struct("<i"),
     VELOCITY: struct.Struct("<i"),
     TORQUE: struct.Struct("<h"),
     EMERGENCY: struct.Struct("<HB5x"),
