@@ -8,4 +8,5 @@ PLUGIN = Plugin(
     driver="lfield_mavlink.driver:MavlinkDriver",
     extra="mavlink",
     requires=("pymavlink", "serial"),
+    kit="lfield_mavlink.kit:KIT",
 )
