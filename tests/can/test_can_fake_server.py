@@ -196,13 +196,18 @@ def test_a_port_in_use_is_a_sentence(capsys):
     assert "in use" in capsys.readouterr().err
 
 
+def binding(field: str, kind: str, **options) -> DeviceBinding:
+    place = {"agent": "a", "field": field, "driver": "can", "endpoint": "e", "safe_state": "brake"}
+    return DeviceBinding(type=kind, options=options, **place)
+
+
+def test_a_binding_that_cannot_be_imitated_is_refused():
+    with pytest.raises(UsageError, match=r"a\.winch: .* counts per second"):
+        SIM.arguments([binding("winch", "CanAxis", protocol="cia402", node=5, velocity_unit="rpm")])
+
+
 def test_the_bus_of_bindings():
     assert isinstance(SIM, Sim)
-
-    def binding(field: str, kind: str, **options) -> DeviceBinding:
-        place = {"agent": "a", "field": field, "driver": "can", "endpoint": "e", "safe_state": "brake"}
-        return DeviceBinding(type=kind, options=options, **place)
-
     devices = [
         binding("winch", "CanAxis", protocol="cia402", node=5, counts=4096),
         binding("spare", "CanAxis", protocol="cia402", node=5, counts=4096),

@@ -1,4 +1,4 @@
-"""The CAN fake for the command line: `lfield sim can`. See README.md beside this package."""
+"""The CAN fake for the command line: `lfield sim can`. See sim-adapters/README.md."""
 
 from __future__ import annotations
 
@@ -70,9 +70,7 @@ class CanSim:
             text = spec_of(binding)
             specs.setdefault(parse(text).id, text)
         chosen = [word for text in specs.values() for word in ("--device", text)]
-        bitrates = {str(b.options["bitrate"]) for b in devices if b.options.get("bitrate")}
-        rate = ["--bitrate", bitrates.pop()] if len(bitrates) == 1 else []
-        return ["--listen", "socketcand:127.0.0.1:0", *rate, *chosen]
+        return ["--listen", "socketcand:127.0.0.1:0", *chosen]
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until told to end; 0."""

@@ -52,6 +52,8 @@ def parse(text: str) -> Spec:
 
 def spec_of(binding: DeviceBinding) -> str:
     """The device that a binding means, for the command line. Raises UsageError."""
+    if binding.options.get("velocity_unit", "counts") != "counts":
+        raise UsageError(f"{binding.name}: the fake drive has velocities in counts per second only")
     if binding.type == "CanSignals":
         text = f"dbc:{binding.option('dbc')}:{binding.name}"
         if commands := binding.options.get("commands"):
