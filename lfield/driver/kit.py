@@ -28,8 +28,8 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.manifest_file import Manifest
 from lfield.errors import DeviceError
 
-#: Seconds that one check may take.
-BOUND = 60.0
+#: Seconds that one check may take, and a safe state to be confirmed.
+BOUND, SAFE = 60.0, 20.0
 
 
 class CheckFailed(Exception):
@@ -114,6 +114,27 @@ class Kit:
             return function
 
         return add
+
+
+async def refused(bench: Bench, instruction: str, *arguments: object) -> str:
+    """The reason for which an instruction is refused. Raises CheckFailed when it is carried out."""
+    try:
+        await bench.call(instruction, *arguments)
+    except DeviceError as error:
+        return error.reason
+    told = ", ".join(map(str, arguments))
+    raise CheckFailed(f"{instruction}({told}) was carried out instead of being refused")
+
+
+async def held(bench: Bench, bound: float) -> str:
+    """Wait until the device is latched, at most `bound` seconds, and has been seen in its safe state; then
+    release it. Why it was latched. Raises CheckFailed.
+    """
+    await bench.until(lambda: bool(bench.latched), bound, "the device to go safe")
+    reason = bench.latched
+    await bench.until(lambda: bench.confirmed, SAFE, f"'{bench.binding.safe_state}' to be confirmed")
+    await bench.call("release")
+    return reason
 
 
 @dataclass(frozen=True, slots=True)

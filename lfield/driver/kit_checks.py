@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from lfield.driver.kit import Bench, CheckFailed, Kit
+from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, held, refused
 from lfield.driver.manifest_file import WATCHDOG
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
@@ -12,8 +12,8 @@ from lfield.manifest import Instruction, Quantity
 
 KIT = Kit()
 
-#: Seconds for all telemetry to be there, and for a safe state to be confirmed.
-TELEMETRY, SAFE = 10.0, 20.0
+#: Seconds for all telemetry to be there.
+TELEMETRY = 10.0
 
 
 @KIT.check("identity", moves=False)
@@ -70,13 +70,9 @@ async def latch(bench: Bench) -> str:
     acting = next((i for i in bench.manifest.device.instructions if _acts(i)), None)
     if acting is not None:
         arguments = [_zero(parameter.type) for parameter in acting.parameters]
-        try:
-            await bench.call(acting.name, *arguments)
-        except DeviceError as error:
-            if "release()" not in error.reason:
-                raise
-        else:
-            raise CheckFailed(f"{acting.name}() was carried out while the device was latched")
+        reason = await refused(bench, acting.name, *arguments)
+        if "release()" not in reason:
+            raise CheckFailed(f"latched, it refused {acting.name}() for another reason: {reason}")
     await bench.call("release")
     await bench.until(lambda: not bench.latched, 2.0, "the latch to be off")
     return f"'{bench.binding.safe_state}' confirmed, released"
@@ -86,9 +82,7 @@ async def latch(bench: Bench) -> str:
 async def death(bench: Bench) -> str:
     """After its guard's process was killed the device is held in its safe state by the next one."""
     await bench.kill_guard()
-    await bench.until(lambda: bench.confirmed, SAFE, "the safe state to be confirmed")
-    reason = bench.latched
-    await bench.call("release")
+    reason = await held(bench, SAFE)
     await _back(bench)
     return f"'{bench.binding.safe_state}' confirmed because {reason}"
 
@@ -98,11 +92,9 @@ async def silence(bench: Bench) -> str:
     """Silence over the bound latches what was moved, and disturbs nothing that was not."""
     await bench.fall_silent(3 * bench.silence)
     await _back(bench)
-    latched = bench.latched
-    if latched:
-        await bench.until(lambda: bench.confirmed, SAFE, "the safe state to be confirmed")
-        await bench.call("release")
-    return f"latched because {latched}" if latched else "nothing had been moved, nothing was done"
+    if bench.latched:
+        return f"latched because {await held(bench, 0.0)}"
+    return "nothing had been moved, nothing was done"
 
 
 async def _back(bench: Bench) -> None:
@@ -143,12 +135,7 @@ def _zero(kind: str) -> object:
 async def _refused(bench: Bench, instruction: Instruction, value: float) -> None:
     """Raise CheckFailed unless the instruction refuses the value for each of its real parameters."""
     for number, parameter in enumerate(instruction.parameters):
-        if parameter.type not in ("real", "real[]"):
-            continue
-        arguments = [_zero(p.type) for p in instruction.parameters]
-        arguments[number] = value if parameter.type == "real" else [value]
-        try:
-            await bench.call(instruction.name, *arguments)
-        except DeviceError:
-            continue
-        raise CheckFailed(f"{instruction.name}() took {value} for {parameter.name}")
+        if parameter.type in ("real", "real[]"):
+            arguments = [_zero(p.type) for p in instruction.parameters]
+            arguments[number] = value if parameter.type == "real" else [value]
+            await refused(bench, instruction.name, *arguments)

@@ -13,13 +13,14 @@ agents:
         ttl: 0.5                           # seconds that a setpoint lasts
         safe_state: land
         waivers: [device_watchdog]         # protections that are knowingly given up
+        sim: ["battery=0.5"]               # of its fake, with --sim: see `lfield sim fault`
 defaults: {heap: 1 MiB, call_depth: 500}   # limits of every agent
 unreachable_after: 10                      # seconds until UnreachableResourceException
 silence: 0.2                               # seconds without the host after which its devices go safe
 ```
 
-The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `limits`, `waivers`
-and, for those who read it, `type`; the rest are the driver's own options. What fits no agent, device,
+The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `limits`, `waivers`,
+`sim` and, for those who read it, `type`; the rest are the driver's own options. What fits no agent, device,
 driver or type is an error, all of them at once, each drawn at its place.
 """
 
@@ -163,6 +164,7 @@ class BindingsReader:
             limits=self._device_limits(fields, manifest),
             options=self._options(fields, manifest),
             waivers=self._waivers(fields, manifest),
+            sim=list(fields.texts("sim")),
         )
         fields.done()
         return binding

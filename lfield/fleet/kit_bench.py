@@ -8,7 +8,7 @@ from typing import Any
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.guard_core import SILENCE
-from lfield.driver.kit import CheckFailed
+from lfield.driver.kit import SAFE, CheckFailed
 from lfield.driver.manifest_file import Manifest
 from lfield.errors import DeviceError
 from lfield.fleet.guard import Guard
@@ -18,8 +18,8 @@ from lfield.vm.world import PENDING
 
 #: Seconds between two looks at a condition: telemetry comes 20 times a second at most.
 LOOK = 0.02
-#: Seconds for a safe state to be confirmed, and for a guard to be there again.
-SAFE, BACK = 20.0, 60.0
+#: Seconds for a guard to be there again.
+BACK = 60.0
 
 
 class LiveBench:

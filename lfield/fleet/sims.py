@@ -34,6 +34,16 @@ class Fake:
             await self.process.wait()
 
 
+def _conditions(bus: Sequence[DeviceBinding]) -> list[str]:
+    """What the bindings say of their fakes, as options: `--fault NAME@DEVICE=VALUE`."""
+    options = []
+    for device in bus:
+        for setting in device.sim:
+            name, equals, value = setting.partition("=")
+            options += ["--fault", f"{name}@{device.name}{equals}{value}" if "@" not in name else setting]
+    return options
+
+
 async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> Fake:
     """Start the fake of all devices of one bus on a free port. Raises PluginError.
 
@@ -45,7 +55,7 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> Fake:
     if sim is None:
         known = ", ".join(sorted(sims)) or "none"
         raise PluginError(f"{names}: there is no fake for driver '{driver}' (fakes installed: {known})")
-    reference, options = sims.references[sim.name], sim.arguments(bus)
+    reference, options = sims.references[sim.name], [*sim.arguments(bus), *_conditions(bus)]
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes"),
         stdin=asyncio.subprocess.PIPE,

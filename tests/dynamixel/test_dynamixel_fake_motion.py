@@ -156,6 +156,19 @@ def test_current_based_position_holds_with_the_current_it_may_use():
     assert bench["moving_status"] & 0x09 == 0x08
 
 
+def test_it_stops_at_an_obstacle_pushes_and_may_go_back():
+    servo = Bench(operating_mode=5)
+    servo["torque_enable"], servo["goal_current"] = 1, 100
+    servo.servo.motion.motor.meet(math.pi + 0.3)
+    servo["goal_position"] = 2048 + round(0.6 * COUNTS)
+    servo.wait(1.0)
+    assert servo["present_position"] == pytest.approx(2048 + 0.3 * COUNTS, abs=2)
+    assert abs(servo["present_current"]) > 80
+    servo["goal_position"] = 2048
+    servo.wait(1.0)
+    assert servo["present_position"] == pytest.approx(2048, abs=3)
+
+
 def test_reverse_and_homing_offset():
     bench = Bench(drive_mode=1, operating_mode=1, torque_enable=1, goal_velocity=50)
     before = bench["present_position"]

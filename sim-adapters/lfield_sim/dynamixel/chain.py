@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from lfield_sim.dynamixel.faults import FAULTS, HEATER
+from lfield_sim.dynamixel.faults import FAULTS, HEATER, NOTHING
 from lfield_sim.dynamixel.instructions import Answer, Outcome, carry_out
 from lfield_sim.dynamixel.packets import MAX_PACKET, Codec, Codec1, Codec2, Packet, fast_status
 from lfield_sim.dynamixel.servo import Servo
@@ -155,6 +156,8 @@ class Chain:
             motor, overload = servo.motion.motor, bool(self._fault("overload", servo))
             motor.blocked, motor.load = overload, 1.5 * motor.strength.stall_torque if overload else 0.0
             motor.slipping = bool(self._fault("stuck", servo))
+            obstacle = float(self._fault("obstacle", servo))
+            motor.meet(obstacle + math.pi if obstacle < NOTHING else None)
             motor.heater = HEATER if self._fault("hot", servo) else 0.0
             motor.sag = self._fault("sag", servo)
             servo.encoder_fault = bool(self._fault("encoder", servo))

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from lfield_sim.faults import Fault, share
 
+#: The angle of an obstacle that is not there.
+NOTHING = 1000.0
+
 FAULTS = (
     Fault("dead", False, "does not answer, and does nothing it is told"),
     share("lose", "share of its replies that get lost"),
@@ -13,6 +16,7 @@ FAULTS = (
     Fault("nonsense", False, "answers with random bytes"),
     Fault("overload", False, "more load than it can hold: it stalls and shuts down"),
     Fault("stuck", False, "a broken gear: the shaft stays while the motor turns freely"),
+    Fault("obstacle", NOTHING, "rad from its middle where something solid is; 1000: none", -10.0, NOTHING),
     Fault("hot", False, "gets hotter, 10 degrees a second"),
     Fault("sag", 0.0, "volts that its supply lacks", 0.0, 100.0),
     Fault("encoder", False, "its encoder fails"),

@@ -39,6 +39,14 @@ class Motor:
     slipping: bool = False
     sag: float = 0.0
     heater: float = 0.0
+    _obstacle: float | None = None
+    _side: float = 1.0
+
+    def meet(self, angle: float | None) -> None:
+        """Put something solid at an angle, on the side where the shaft is not; None takes it away."""
+        if angle != self._obstacle:
+            self._obstacle = angle
+            self._side = 1.0 if angle is None or self.angle >= angle else -1.0
 
     @property
     def voltage(self) -> float:
@@ -92,6 +100,8 @@ class Motor:
             if self.slipping:
                 self.current *= 0.1
         self.angle += self.speed * dt
+        if self._obstacle is not None and (self.angle - self._obstacle) * self._side < 0.0:
+            self.angle, self.speed = self._obstacle, 0.0
 
     def _heat(self, dt: float) -> None:
         share = self.current / self.strength.stall_current
