@@ -15,8 +15,8 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
 
     `ttl` is the time-to-live of a setpoint in seconds, `limits` are in the SI units that the manifest
     names, `options` are the driver's own (`system`, `kind`). An absent limit does not limit. `waivers` name
-    the protections that whoever wrote the binding has knowingly given up. `sim` are faults and conditions of its
-    fake, `NAME=VALUE`, for simulated missions. `type` is the device type in L.
+    the protections that whoever wrote the binding has knowingly given up. `sim` are faults and conditions of
+    its fake, `NAME=VALUE`, for simulated missions. `type` is the device type in L.
     """
 
     agent: str

@@ -165,7 +165,7 @@ def test_it_stops_at_an_obstacle_pushes_and_may_go_back():
     assert servo["present_position"] == pytest.approx(2048 + 0.3 * COUNTS, abs=2)
     assert abs(servo["present_current"]) > 80
     servo["goal_position"] = 2048
-    servo.wait(1.0)
+    servo.wait(4.0)
     assert servo["present_position"] == pytest.approx(2048, abs=3)
 
 
