@@ -180,7 +180,7 @@ async def until(condition):
             await asyncio.sleep(0.005)
 
 
-def test_udpin_answers_whoever_spoke_last():
+def test_udpin_answers_all_who_speak():
     async def talk():
         got = bytearray()
         loop = asyncio.get_running_loop()
@@ -201,6 +201,12 @@ def test_udpin_answers_whoever_spoke_last():
         await until(lambda: got == b"hello")
         link.send(b"you")
         assert await replies.get() == b"you"
+        other, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=("127.0.0.1", port))
+        other.sendto(b" there")
+        await until(lambda: got == b"hello there")
+        link.send(b"both")
+        assert [await replies.get(), await replies.get()] == [b"both", b"both"]
+        other.close()
         with pytest.raises(DeviceError, match=rf"cannot open udp:127.0.0.1:{port}: .*in use"):
             await make_link(f"udpin:127.0.0.1:{port}", got.extend).open()
         transport.close()
