@@ -99,6 +99,7 @@ async def watchdog(bench: Bench) -> str:
     await bench.until(lambda: any(stopped in note for note in bench.notes[told:]), 5.0, "that to be told")
     await bench.until(lambda: bench.confirmed or not bench.latched, 10.0, "its safe state to be confirmed")
     await bench.call("release")
+    await bench.until(lambda: bool(_angles(bench)), 3.0, "it to be polled again")
     await bench.call("moveTo", _goal(bench, 0.0))
     return next(note for note in bench.notes[told:] if stopped in note)
 
