@@ -86,7 +86,7 @@ class Server:
             pass  # the first look of the driver hangs up at once
 
     def stop(self) -> None:
-        with suppress(OSError):  # stopped already; a mere close would leave it listening while somebody accepts
+        with suppress(OSError):  # a mere close would let it listen on while somebody accepts
             self.listener.shutdown(socket.SHUT_RDWR)
         self.listener.close()
         for peer in self.peers:

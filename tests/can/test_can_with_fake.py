@@ -13,10 +13,10 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import can
-import lfield_sim.can
 import pytest
 from can_fake_bench import running, tcp
 
+import lfield_sim.can
 from lfield.clock import SystemClock
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import control_folder
@@ -163,7 +163,7 @@ def test_three_devices_on_one_bus(door, drive, odrive, gripper):
             async with asyncio.timeout(BOUND):
                 while abs(await t.call("gripper", "read", "GripperStatus.Width") - 0.02) > 0.005:
                     await asyncio.sleep(0.05)
-            with pytest.raises(DeviceError, match="TargetWidth cannot be 0.2 m: it is from 0 to 0.1 m"):
+            with pytest.raises(DeviceError, match=r"TargetWidth cannot be 0\.2 m: it is from 0 to 0\.1 m"):
                 await t.call("gripper", "set", "GripperCommand.TargetWidth", 0.2)
             for quantity in ("torque", "current", "voltage"):
                 await t.reads("axis", quantity, lambda value: isinstance(value, float))
@@ -231,9 +231,10 @@ def test_a_drive_stops_by_itself_when_its_guard_hangs(drive):
         with can.Bus(**tcp(endpoint)) as bus:
             while time.monotonic() < end:
                 message = bus.recv(1.0)
-                if message is not None and message.arbitration_id == 0x285:
-                    if abs(int.from_bytes(message.data[4:], "little", signed=True)) < 40:
-                        return True
+                if message is None or message.arbitration_id != 0x285:
+                    continue
+                if abs(int.from_bytes(message.data[4:], "little", signed=True)) < 40:
+                    return True
         return False
 
     async def mission():
