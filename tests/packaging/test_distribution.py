@@ -53,29 +53,32 @@ def installed(wheel, tmp_path_factory) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(folder)}
 
 
-def test_the_wheel_holds_the_three_packages_and_their_data(wheel):
+def test_the_wheel_holds_the_packages_and_their_data(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {
         "lfield/py.typed",
         "lfield/cli/main.py",
         "lfield/docs/language.md",
         "lfield/docs/bytecode.md",
+        "lfield/driver/skeleton/manifest.yaml.in",
+        "lfield_can/axis.yaml",
+        "lfield_can/L/winch.L",
+        "lfield_dynamixel/servo.yaml",
         "lfield_mavlink/__init__.py",
         "lfield_mavlink/manifest.yaml",
         "lfield_sim/__init__.py",
         "lfield_sim/mavlink/__init__.py",
     } <= names
     tops = {name.split("/")[0] for name in names if ".dist-info" not in name}
-    assert tops == {"lfield", "lfield_mavlink", "lfield_sim"}
+    assert tops == {"lfield", "lfield_can", "lfield_dynamixel", "lfield_mavlink", "lfield_sim"}
     assert not [name for name in names if "__pycache__" in name or "/tests/" in name]
 
 
 def test_everything_of_the_packages_is_in_the_wheel(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
-    for package in ("lfield", "drivers/lfield_mavlink", "sim-adapters/lfield_sim"):
-        base = ROOT / package
+    for base in (ROOT / "lfield", *(ROOT / "drivers").glob("lfield_*"), ROOT / "sim-adapters/lfield_sim"):
         for path in base.rglob("*"):
-            if path.suffix in (".py", ".yaml", ".typed"):
+            if path.suffix in (".py", ".yaml", ".typed", ".in", ".L", ".toml", ".dbc"):
                 assert f"{base.name}/{path.relative_to(base).as_posix()}" in names
 
 
@@ -90,7 +93,7 @@ def test_the_metadata_names_licence_extras_and_entry_points(wheel):
     assert metadata["Name"] == "lfield"
     assert metadata["License-Expression"] == "Apache-2.0"
     assert metadata["Requires-Python"] == ">=3.11"
-    assert {"mavlink", "fast", "all", "test", "bench"} <= set(metadata.get_all("Provides-Extra"))
+    assert {"mavlink", "can", "dynamixel", "fast", "all", "test", "bench"} <= set(metadata.get_all("Provides-Extra"))
     needed = metadata.get_all("Requires-Dist")
     core = [requirement for requirement in needed if "extra ==" not in requirement]
     assert sorted(word.split(">")[0].strip() for word in core) == ["msgspec", "pyyaml", "rich"]
@@ -98,8 +101,9 @@ def test_the_metadata_names_licence_extras_and_entry_points(wheel):
     assert "Apache License" in _metadata(wheel, "licenses/LICENSE")
     points = _metadata(wheel, "entry_points.txt")
     assert "lfield = lfield.cli.main:main" in points
-    assert "[lfield.drivers.v1]\nmavlink = lfield_mavlink:PLUGIN" in points
-    assert "[lfield.sims.v1]\nmavlink = lfield_sim.mavlink:SIM" in points
+    for name in ("can", "dynamixel", "mavlink"):
+        assert f"{name} = lfield_{name}:PLUGIN" in points
+        assert f"{name} = lfield_sim.{name}:SIM" in points
 
 
 def test_the_installed_wheel_runs(installed, tmp_path):
@@ -129,7 +133,8 @@ def test_the_installed_wheel_finds_its_plugins(installed, tmp_path):
     assert done.returncode == 0, done.stderr
     place, found = done.stdout.splitlines()
     assert place.startswith(installed["PYTHONPATH"])
-    assert found == "['Mavlink'] ['mavlink']"
+    types = "['CanAxis', 'CanSignals', 'Dynamixel', 'DynamixelGroup', 'Mavlink']"
+    assert found == f"{types} ['can', 'dynamixel', 'mavlink']"
 
 
 def test_the_editable_install_finds_its_plugins():
@@ -137,9 +142,9 @@ def test_the_editable_install_finds_its_plugins():
         "lfield.cli.main:main"
     ]
     plugins = discover()
-    assert sorted(plugins.by_driver) == ["mavlink"]
+    assert sorted(plugins.by_driver) == ["can", "dynamixel", "mavlink"]
     assert plugins.problems == []
-    assert sorted(discover_sims()) == ["mavlink"]
+    assert sorted(discover_sims()) == ["can", "dynamixel", "mavlink"]
     script = Path(sys.executable).with_name("lfield")
     done = subprocess.run([script, "--version"], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.startswith("lfield ")
