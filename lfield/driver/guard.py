@@ -203,6 +203,8 @@ class Shell(asyncio.Protocol):
         assert driver is not None
         try:
             value = await driver.devices[call.device].execute(call.instruction, call.arguments)
+            # Whoever asks when the call is done must see what it has done.
+            self._telemetry.flush()
             self._run(core.finished(call.token, value))
         except DeviceError as error:
             self._run(core.refused(call.token, error.kind, error.reason))

@@ -30,7 +30,7 @@ telemetry:
 class Pretended:
     """A device that keeps its promises unless `breaks` names one."""
 
-    identity = "a servo"
+    identity, silence = "a servo", 0.2
 
     def __init__(self, breaks: str = "") -> None:
         self.binding = DeviceBinding(
@@ -89,11 +89,11 @@ def test_a_device_that_keeps_its_promises_passes_everything():
     [
         ("telemetry", "telemetry", "it does not report angle"),
         ("type", "telemetry", "'north' is not a real"),
-        ("nan", "what is no number is refused", "turn() took nan for angle"),
-        ("latch", "the safe state is latched until release", "carried out while the device was latched"),
+        ("nan", "what is no number is refused", "turn(nan) was carried out"),
+        ("latch", "the safe state is latched until release", "turn(0.0) was carried out"),
         ("release", "the safe state is latched until release", "waited for the latch to be off"),
-        ("death", "a guard that dies comes back safe", "waited for the safe state to be confirmed"),
-        ("silence", "a host that hangs", "waited for the safe state to be confirmed"),
+        ("death", "a guard that dies comes back safe", "waited for 'off' to be confirmed"),
+        ("silence", "a host that hangs", "waited for 'off' to be confirmed"),
     ],
 )
 def test_each_broken_promise_is_told(breaks, check, words):

@@ -1,0 +1,154 @@
+"""Checks that move a vehicle: a copter climbs to 3 m, a rover stays on the ground, both go 3 m far."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused
+
+MOTION = Kit()
+
+#: Metres: how high a copter flies, and how far everything goes.
+HEIGHT, FAR = 3.0, 3.0
+#: m/s of setpoints, and above what it is seen to move and below what it stands.
+SPEED, MOVES, STANDS = 1.0, 0.3, 0.2
+#: Seconds that the guard may be late with a latch, as the host hears of it.
+LATE = 0.5
+
+
+@MOTION.check("it does not take off with its motors off", moves=True)
+async def takeoff_disarmed(bench: Bench) -> str:
+    """PX4 accepts the command all the same: only the state tells."""
+    if _kind(bench) != "copter":
+        raise NotTried(f"a {_kind(bench)} does not take off from where it stands")
+    reason = await refused(bench, "takeoff", _height(bench))
+    if bench.query("armed") or not bench.query("landed"):
+        raise CheckFailed("takeoff() was refused and it flies")
+    return reason
+
+
+@MOTION.check("motors on and off", moves=True)
+async def arming(bench: Bench) -> str:
+    """The armed bit follows."""
+    await bench.call("arm")
+    try:
+        _see(bench.query("armed"), "arm() returned and it is not armed")
+        mode = bench.query("mode")
+    finally:
+        await bench.call("disarm")
+    _see(not bench.query("armed"), "disarm() returned and it is armed")
+    return f"armed in {mode}, disarmed"
+
+
+@MOTION.check("a short trip", moves=True)
+async def trip(bench: Bench) -> str:
+    """Up, over and back, hold; goTo() returns when it is there, hold() when it is in the mode."""
+    async with _under_way(bench):
+        start = bench.query("position")
+        off = []
+        for way in (_far(bench), 0.0):
+            goal = (start[0] + way, start[1], start[2])
+            await bench.call("goTo", *goal)
+            off.append(math.dist(bench.query("position")[:2], goal[:2]))
+        _see(max(off) <= _tolerance(bench), f"goTo() returned {max(off):.2f} m from its goal")
+        await bench.call("hold")
+        await _stops(bench)
+        return (
+            f"at {bench.query('altitude'):.1f} m; {off[0]:.2f} m off when {_far(bench):g} m away, "
+            f"{off[1]:.2f} m off when back; held in {bench.query('mode')}"
+        )
+
+
+@MOTION.check("a velocity that is not renewed ends", moves=True)
+async def velocity(bench: Bench) -> str:
+    """Past its time-to-live the guard brings it into the safe state, where it does not drive on."""
+    async with _under_way(bench):
+        last = await _drive(bench, min(SPEED, bench.binding.limits.get("speed", math.inf)))
+        ttl = bench.binding.ttl
+        await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
+        ended = time.monotonic() - last
+        _see(ended <= ttl + LATE, f"it ended only after {ended:.2f} s")
+        reason = bench.latched
+        await bench.until(lambda: bench.confirmed, SAFE, f"'{bench.binding.safe_state}' to be confirmed")
+        if bench.binding.safe_state != "return":
+            await _stops(bench)
+        return f"after {ended:.2f} s because {reason}; then it was in {bench.query('mode')}"
+
+
+@MOTION.check("a host that hangs while it is under way", moves=True)
+async def hang(bench: Bench) -> str:
+    """The guard notices, and the vehicle is made safe."""
+    async with _under_way(bench):
+        await bench.fall_silent(3 * bench.silence)
+        reason = await held(bench, 1.0)
+        return f"in {bench.query('mode')} because {reason}"
+
+
+@MOTION.check("it stands at the end", moves=True)
+async def ends(bench: Bench) -> str:
+    """On the ground, motors off, free."""
+    await bench.until(
+        lambda: bench.query("landed") and not bench.query("armed"), 10.0, "it to stand, disarmed"
+    )
+    _see(not bench.latched, f"it is latched because {bench.latched}")
+    return f"in {bench.query('mode')}, motors off"
+
+
+@asynccontextmanager
+async def _under_way(bench: Bench) -> AsyncIterator[None]:
+    """Armed, a copter in the air; whatever happens, down and off again."""
+    if _kind(bench) not in ("copter", "rover"):
+        raise NotTried(f"a {_kind(bench)} is not moved by this kit")
+    try:
+        await bench.call("arm")
+        if _kind(bench) == "copter":
+            await bench.call("takeoff", _height(bench))
+        yield
+    finally:
+        if bench.latched:
+            await held(bench, 0.0)
+        await bench.call("land")
+        await bench.call("disarm")
+
+
+async def _drive(bench: Bench, speed: float) -> float:
+    """Renew a velocity to the north until it is seen to move; the time of the last one."""
+    pause = bench.binding.ttl / 4.0
+    end = time.monotonic() + 5.0
+    while time.monotonic() < end:
+        last = time.monotonic()
+        await bench.call("setVelocity", speed, 0.0, 0.0)
+        if math.hypot(*bench.query("velocity")[:2]) >= MOVES * speed:
+            return last
+        await asyncio.sleep(pause)
+    raise CheckFailed(f"setVelocity({speed:g}, 0, 0) does not move it")
+
+
+async def _stops(bench: Bench) -> None:
+    await bench.until(lambda: math.hypot(*bench.query("velocity")[:2]) < STANDS, 10.0, "it to stop")
+
+
+def _kind(bench: Bench) -> str:
+    return str(bench.binding.option("kind"))
+
+
+def _tolerance(bench: Bench) -> float:
+    """Metres; telemetry is a moment older than what the driver saw."""
+    return 2.0 * float(bench.binding.option("tolerance"))
+
+
+def _height(bench: Bench) -> float:
+    return min(HEIGHT, bench.binding.limits.get("altitude", math.inf))
+
+
+def _far(bench: Bench) -> float:
+    return min(FAR, bench.binding.limits.get("radius", math.inf) / 2)
+
+
+def _see(shown: bool, otherwise: str) -> None:
+    if not shown:
+        raise CheckFailed(otherwise)
