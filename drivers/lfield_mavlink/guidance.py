@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 
-from lfield_mavlink.dialect import dialect
+from lfield_mavlink.dialect import dialect, result_words
 from lfield_mavlink.flight import Flight
 from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Target
 
 #: How exactly a heading is reached, in radians, and how long that may take, in seconds.
 HEADING_TOLERANCE, TURNING = math.radians(4.0), 30.0
+#: Seconds after which PX4 is told again to enter OFFBOARD.
+NOTICED = 0.2
 
 
 class Guidance(Flight):
@@ -110,12 +112,34 @@ class Guidance(Flight):
         self._begin(what)
         guided = self.profile.guided
         if self.profile.px4:
-            # It enters its setpoint mode only while setpoints come.
             self._stream.start(self._setpoint(target), until)
+            try:
+                await self._enter_offboard(what, until)
+            except BaseException:
+                # Failed or called off: what nobody waits for any more is not sent any more.
+                self._stream.stop()
+                raise
+            return
         if self.state.mode != guided:
             await self._set_mode(guided)
-        if not self.profile.px4:
-            self._send(self._setpoint(target))
+        self._send(self._setpoint(target))
+
+    async def _enter_offboard(self, what: str, until: float) -> None:
+        """PX4 enters OFFBOARD when it has noticed the setpoints; before that it may just accept it."""
+        guided, start = self.profile.guided, self.clock.monotonic()
+        self._commanded = frozenset({guided})
+        values = self._mode_values(guided)
+        while self.state.mode != guided:
+            answer = await self._exchange.command(dialect.MAV_CMD_DO_SET_MODE, *values, once=True)
+            if await self._seen(lambda: self.state.mode == guided, NOTICED):
+                return
+            if self.clock.monotonic() >= until:
+                self._check_link()
+                result = "no answer" if answer.result is None else result_words(answer.result)
+                raise self.error(
+                    f"{what}: {guided} was not entered within the time-to-live of {self.binding.ttl:g} s "
+                    f"({result}){self._reasons(start)}"
+                )
 
     async def _change_speed(self, speed: float) -> None:
         await self._command("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, speed, -1.0)

@@ -60,11 +60,14 @@ class Travel(Watchdog):
     async def _set_mode(self, name: str) -> None:
         # Noted before it is known to have worked: a safe state that is tried again must count as ours.
         self._commanded = frozenset({name})
-        custom = float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+        set_mode, values = dialect.MAV_CMD_DO_SET_MODE, self._mode_values(name)
+        await self._achieve(f"mode {name}", lambda: self.state.mode == name, set_mode, *values)
+
+    def _mode_values(self, name: str) -> tuple[float, ...]:
+        """The parameters of DO_SET_MODE for a mode that there is."""
         values = self.profile.mode_values(name)
         assert values is not None, "the names are those of the table, or have been looked up in it"
-        set_mode = dialect.MAV_CMD_DO_SET_MODE
-        await self._achieve(f"mode {name}", lambda: self.state.mode == name, set_mode, custom, *values)
+        return (float(dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), *values)
 
     # -- motions --------------------------------------------------------------------------------------
 

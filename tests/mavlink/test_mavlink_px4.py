@@ -105,7 +105,7 @@ def test_an_accepted_offboard_that_is_not_entered_is_an_error(px4):
         await up(fc)
         # As measured: PX4 accepts OFFBOARD without a stream and does not enter it.
         b.driver.devices["a1.fc"]._stream.start = lambda message, until: None
-        with pytest.raises(DeviceError, match="mode OFFBOARD was accepted but did not happen"):
+        with pytest.raises(DeviceError, match=r"OFFBOARD was not entered within .* \(ACCEPTED"):
             await fc.execute("setVelocity", [1.0, 0.0, 0.0])
 
     b.run(mission)
@@ -196,5 +196,39 @@ def test_parameters_of_whole_numbers_are_packed_by_bytes(px4):
     async def mission(fc):
         found = await fc._parameters.read("NAV_DLL_ACT")
         assert (found, type(found)) == (3, int)
+
+    b.run(mission)
+
+
+def test_offboard_is_asked_for_again_when_the_setpoints_were_not_noticed_yet(px4):
+    b = px4(ttl=1.0)
+
+    async def mission(fc):
+        await up(fc)
+        start, stream = asyncio.get_running_loop().time(), fc._stream
+        begin = stream.start
+        # The first setpoints are lost, so the first request is accepted and not followed.
+        stream.start = lambda message, until: asyncio.get_running_loop().call_later(
+            0.3, begin, message, until
+        )
+        await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+        assert b.values["mode"] == "OFFBOARD"
+        assert 0.3 < asyncio.get_running_loop().time() - start < 0.9
+
+    b.run(mission)
+
+
+def test_a_setpoint_that_is_called_off_is_not_streamed_on(px4):
+    b = px4()
+
+    async def mission(fc):
+        await up(fc)
+        call = asyncio.create_task(fc.execute("setVelocity", [1.0, 0.0, 0.0]))
+        await asyncio.sleep(0.03)
+        call.cancel()
+        await asyncio.gather(call, return_exceptions=True)
+        before = len(b.sent)
+        await asyncio.sleep(0.5)
+        assert sent(b, TARGET, before) == []
 
     b.run(mission)
