@@ -101,6 +101,9 @@ class CanAxis(Device):
             else:
                 # Nobody knows what it did meanwhile: it comes back standing.
                 await self.make_safe()
+        if self.protocol.state.enabled and self._runs_out:
+            self.note("it was leaving its bounds and is stopped")
+            await self._make_safe("brake")
         if silent or self._quiet:
             return
         if self.protocol.needs_setup:
@@ -227,6 +230,16 @@ class CanAxis(Device):
     def _still(self) -> bool:
         velocity = self.protocol.state.velocity
         return velocity is not None and abs(velocity) <= self.binding.option("standstill")
+
+    @property
+    def _runs_out(self) -> bool:
+        """Whether it is outside its bounds and on its way farther out, as velocities may lead it."""
+        position, velocity = self.protocol.state.position, self.protocol.state.velocity
+        if position is None or velocity is None or self._still:
+            return False
+        margin = self.binding.option("tolerance")
+        below = position < self.binding.option("lowest") - margin and velocity < 0.0
+        return below or (position > self.binding.option("highest") + margin and velocity > 0.0)
 
     def _silence(self) -> float:
         return math.inf if self._heard_at is None else self.clock.monotonic() - self._heard_at

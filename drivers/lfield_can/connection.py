@@ -35,6 +35,8 @@ ANSWER = 2.0
 #: empty looks too, a few thousand in a second at most.)
 SPINS, SPIN_TIME = 2000, 0.4
 
+#: Bytes of one line of an adapter; a frame of CAN FD takes 140.
+LONGEST_LINE = 4096
 GONE = "the bus is lost"
 
 # They log every trouble with a traceback; ours is told in sentences by the driver's notes.
@@ -157,6 +159,10 @@ class Connection:
                 empty = 0
                 self._on_message(message)
                 continue
+            # slcan keeps what has no end of line, however long it gets.
+            if len(getattr(self._bus, "_buffer", b"")) > LONGEST_LINE:
+                self._fail("what comes in are no frames")
+                return
             if empty == 0:
                 since = time.monotonic()
             empty += 1

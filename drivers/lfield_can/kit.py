@@ -56,12 +56,17 @@ async def moves(bench: Bench) -> str:
     goal = start + WAY if start + WAY <= highest else start - WAY
     if not lowest <= goal <= highest or not lowest <= start <= highest:
         return f"at {start:.3f} rad it has no room to move in"
+    there = await _travel(bench, goal, speed)
+    back = await _travel(bench, start, speed)
+    return f"{goal:.3f} rad asked, {there:.3f} rad seen, and back at {back:.3f} rad"
+
+
+async def _travel(bench: Bench, goal: float, speed: float) -> float:
+    """Where it is seen to be after moveTo; telemetry may come a moment later than the answer."""
+    near = 2.0 * bench.binding.option("tolerance")
     await bench.call("moveTo", goal, speed)
-    there = bench.query("position")
-    await bench.call("moveTo", start, speed)
-    if abs(there - goal) > WAY / 2.0:
-        raise CheckFailed(f"moveTo({goal:.3f}) returned at {there:.3f} rad")
-    return f"{goal:.3f} rad asked, {there:.3f} rad seen, and back at {bench.query('position'):.3f} rad"
+    await bench.until(lambda: abs(bench.query("position") - goal) <= near, 1.0, f"it to be at {goal:.3f} rad")
+    return float(bench.query("position"))
 
 
 @KIT.check("stands after its quick stop", moves=True, types=AXIS)
@@ -70,10 +75,9 @@ async def stops(bench: Bench) -> str:
     await bench.call("enable")
     await bench.call("setVelocity", min(0.2, bench.binding.limits.get("speed", 0.2)))
     await bench.call("stop")
-    speed = abs(bench.query("velocity"))
-    if speed > 2.0 * bench.binding.option("standstill"):
-        raise CheckFailed(f"it turns at {speed:.3f} rad/s after stop()")
-    return f"{bench.query('state')}, {speed:.3f} rad/s"
+    slow = 2.0 * bench.binding.option("standstill")
+    await bench.until(lambda: abs(bench.query("velocity")) <= slow, 1.0, "it to stand")
+    return f"{bench.query('state')}, {bench.query('velocity'):.3f} rad/s"
 
 
 @KIT.check("is heard", moves=False, types=SIGNALS)

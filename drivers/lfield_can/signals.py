@@ -7,6 +7,7 @@ import math
 
 from lfield.clock import Clock
 from lfield.driver import Device, DeviceBinding, Manifest, Reports
+from lfield.errors import DeviceError
 from lfield_can.bus import Bus
 from lfield_can.dbc import DbcError, DbcFile, Term
 from lfield_can.frames import Frame
@@ -97,9 +98,19 @@ class CanSignals(Device):
                 continue
             silent = self._silence() > self._patience
             self.publish(online=not silent, malformed=self._malformed)
-            if silent != self._lost:
-                self._lost = silent
-                self.note("it is not heard any more" if silent else "heard again")
+            if silent == self._lost:
+                continue
+            self._lost = silent
+            self.note("it is not heard any more" if silent else "heard again")
+            if not silent:
+                await self._come_back()
+
+    async def _come_back(self) -> None:
+        """Nobody knows what it did meanwhile: it starts from its safe state."""
+        try:
+            await self.make_safe()
+        except DeviceError as error:
+            self.note(error.reason)
 
     def quiet(self, on: bool) -> None:
         """Nothing is sent but what the program sets."""

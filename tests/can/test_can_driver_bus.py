@@ -349,6 +349,17 @@ def test_a_serial_port_has_one_owner(adapter):
     run(f"slcan:{path}", lambda told: asyncio.sleep(0))
 
 
+def test_an_adapter_that_never_ends_a_line_is_given_up(adapter, monkeypatch):
+    monkeypatch.setattr(connection, "LONGEST_LINE", 64)
+    master, path, _ = adapter
+
+    async def story(told):
+        os.write(master, b"t" * 100)
+        await told.until(lambda: told.noted("is lost: what comes in are no frames"))
+
+    run(f"slcan:{path}", story)
+
+
 def test_an_adapter_speaks_and_is_pulled_out(adapter):
     master, path, slave = adapter
 

@@ -151,6 +151,23 @@ def test_limits_are_set_and_kept_before_anything_is_sent(rig):
     assert struct.unpack("<ff", limits[0]) == pytest.approx((5.0 / math.tau, 10.0))
 
 
+def test_a_velocity_that_leads_out_of_the_bounds_is_stopped(rig):
+    b = rig(options={"lowest": -1.0, "highest": 2.0})
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("setVelocity", [2.0])
+        await asyncio.sleep(3.0)
+        assert b.values["position"] < 2.5
+        assert b.axis.rate == 0.0
+        await axis.execute("setVelocity", [-2.0])
+        await asyncio.sleep(0.5)
+        assert b.values["position"] < 2.0
+
+    b.run(mission)
+    assert b.notes.count("it was leaving its bounds and is stopped") == 1
+
+
 def test_nothing_moves_that_is_not_enabled(rig):
     b = rig()
 

@@ -181,6 +181,7 @@ def test_old_values_are_not_answers(rig):
         asyncio.get_running_loop().call_later(0.5, setattr, b.pump, "silent", False)
         assert await pump.execute("read", ["Status.speed"]) == 0.0
         await asyncio.sleep(0.2)
+        assert carried(b.bus.sent[-1])["speed"] == 0.0  # it comes back into its safe state
 
     b.run(mission)
     assert [note for note in b.notes if "heard" in note] == ["it is not heard any more", "heard again"]
