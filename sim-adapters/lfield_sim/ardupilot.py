@@ -69,6 +69,7 @@ COPTER_FLAVOUR = Flavour(
         circle_text="Circle fence breached",
         ceiling_text="Max Alt fence breached",
         shape_text="Polygon fence breached",
+        blind_text="Fence enabled, need position estimate",
     ),
     position_lost="EKF Failsafe: changed to LAND Mode",
     capacity="BATT_CAPACITY",

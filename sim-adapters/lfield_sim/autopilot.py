@@ -134,7 +134,9 @@ class Autopilot:
         if self.refuse_arming:
             return self.refuse_arming
         if self.gps_lost:
-            return "Need Position Estimate"
+            fence = self.flavour.fence
+            fenced = fence.blind_text and self.parameters[fence.enable]
+            return fence.blind_text if fenced else "Need Position Estimate"
         return "EKF not ready" if self.uptime < self.warm_up else ""
 
     @property

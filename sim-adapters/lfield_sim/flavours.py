@@ -85,7 +85,10 @@ class BatteryLevel:
 
 @dataclass(frozen=True, slots=True)
 class FenceRule:
-    """The fence failsafe; the texts are for circle, ceiling and what was uploaded."""
+    """The fence failsafe; the texts are for circle, ceiling and what was uploaded.
+
+    `blind_text` is why nobody arms behind a fence without a position ('' where that has no text of its own).
+    """
 
     enable: str
     action: str
@@ -95,6 +98,7 @@ class FenceRule:
     circle_text: str
     ceiling_text: str
     shape_text: str
+    blind_text: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,7 @@ pytestmark = [pytest.mark.process, pytest.mark.timeout(60)]
 LONGEST = 10.0
 #: A nimble vehicle, so that a flight takes seconds.
 QUICK = ["--climb", "10", "--descend", "10", "--land", "8", "--acceleration", "10", "--cruise", "15"]
+SOON_DISARMED = {"ardupilot": [], "px4": ["--param", "COM_DISARM_LAND=0.2"]}
 TRANSPORTS = {"ardupilot": "udp", "px4": "tcp"}
 BOTH = pytest.mark.parametrize("flavour", list(TRANSPORTS))
 LATITUDE, LONGITUDE, ALTITUDE = 47.3977420, 8.5455940, 488.0
@@ -92,7 +93,7 @@ async def client(flavour, *options):
     """A fake as a process, and MAVSDK connected to it."""
     transport = TRANSPORTS[flavour]
     command = [sys.executable, "-m", "lfield_sim", "mavlink", "--listen", f"{transport}:127.0.0.1:0"]
-    command += ["--flavour", flavour, "--until-stdin-closes", *QUICK, *options]
+    command += ["--flavour", flavour, "--until-stdin-closes", *QUICK, *SOON_DISARMED[flavour], *options]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         loop = asyncio.get_running_loop()

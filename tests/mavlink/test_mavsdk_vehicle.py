@@ -82,7 +82,7 @@ def test_it_is_identified_its_telemetry_read_and_its_failsafes_set():
     fly(story)
 
 
-def test_it_flies_and_what_it_refuses_is_told():
+def test_it_flies_goes_safe_and_what_it_refuses_is_told():
     async def story(device, vehicle, owner):
         await device.do_arm()
         assert device.state.armed
@@ -93,20 +93,11 @@ def test_it_flies_and_what_it_refuses_is_told():
             await device.do_hold()
         await device.do_set_mode("AUTO.RTL")
         assert device.state.mode == "AUTO.RTL"
-        await device.do_set_mode("AUTO.LAND")
+        await device.make_safe()
+        assert device.state.mode == "AUTO.LAND"
         assert vehicle.height == 0.0
         await device.do_disarm()
         assert not device.state.armed
-
-    fly(story)
-
-
-def test_its_safe_state_is_commanded_and_seen():
-    async def story(device, vehicle, _):
-        await device.do_arm()
-        await device.do_takeoff(3.0)
-        await device.make_safe()
-        assert device.state.mode == "AUTO.LAND"
 
     fly(story)
 

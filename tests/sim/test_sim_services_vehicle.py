@@ -193,6 +193,20 @@ def test_an_uploaded_fence_is_kept(flavour):
     assert c.pilot.fence.breached((1e4, 0.0, 0.0)) == 0
 
 
+def test_the_fence_is_switched_and_wants_a_position():
+    c = Craft(Plans)
+    assert c.command(207, 1) is Result.ACCEPTED
+    assert c.pilot.parameters["FENCE_ENABLE"] == 1.0
+    c.pilot.gps_lost = True
+    assert c.pilot.arm() is Result.FAILED
+    assert c.pilot.take_texts()[-1][1] == "Arm: Fence enabled, need position estimate"
+    assert c.command(207, 0) is Result.ACCEPTED
+    assert c.pilot.arm() is Result.FAILED
+    assert c.pilot.take_texts()[-1][1] == "Arm: Need Position Estimate"
+    assert c.command(207, 7) is Result.FAILED
+    assert Craft(Plans, "px4").command(207, 1) is Result.UNSUPPORTED
+
+
 def test_a_restart_breaks_off_an_upload_and_keeps_the_plan():
     c = Craft(Plans)
     c.upload([c.item(TAKEOFF)])

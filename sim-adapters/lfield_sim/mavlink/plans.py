@@ -45,6 +45,7 @@ class Plans(Service):
             dialect.MAV_CMD_DO_SET_MISSION_CURRENT: self._jump,
             dialect.MAV_CMD_MISSION_START: self._start,
             dialect.MAV_CMD_DO_PAUSE_CONTINUE: self._pause_or_go_on,
+            dialect.MAV_CMD_DO_FENCE_ENABLE: self._enable_fence,
         }
         self.messages = {dialect.MAVLINK_MSG_ID_MISSION_CURRENT: self._current}
 
@@ -152,3 +153,12 @@ class Plans(Service):
         if wanted:
             return self.autopilot.start_mission(None), []
         return self.autopilot.command_role(Role.HOLD), []
+
+    def _enable_fence(self, command: Command) -> Answer:
+        """ArduPilot's way to switch its fence; PX4 has none but the parameter of its action."""
+        if not self._home_first:
+            return Result.UNSUPPORTED, []
+        if command.whole(1) not in (0, 1):
+            return Result.FAILED, []
+        self.autopilot.parameters["FENCE_ENABLE"] = float(command.whole(1))
+        return Result.ACCEPTED, []
