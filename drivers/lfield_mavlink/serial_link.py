@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import termios
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -31,9 +32,9 @@ class SerialLink:
             raise DeviceError(
                 "endpoint", f"serial port {self._path} is in use by another program or another binding"
             ) from None
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise DeviceError("endpoint", f"cannot open serial:{self._path}:{self._baud}: {reason}") from None
+        except (OSError, ValueError, termios.error) as error:
+            place = f"serial:{self._path}:{self._baud}"
+            raise DeviceError("endpoint", f"cannot open {place}: {_reason(error)}") from None
 
     def _attach(self) -> None:
         try:
@@ -64,7 +65,7 @@ class SerialLink:
     async def _reattach(self) -> None:
         while self._port is None:
             await asyncio.sleep(AGAIN)
-            with suppress(OSError, ValueError):
+            with suppress(OSError, ValueError, termios.error):
                 self._attach()
 
     def _detach(self) -> None:
@@ -85,3 +86,11 @@ class SerialLink:
         if self._task is not None:
             self._task.cancel()
         self._detach()
+
+
+def _reason(error: Exception) -> str:
+    """Why a port cannot be opened; pyserial hides the system's word in its own."""
+    number = getattr(error, "errno", None)
+    if number:
+        return os.strerror(number)
+    return "it is no serial port" if "configure" in str(error) else str(error)

@@ -69,17 +69,23 @@ class Plugin:
 
     def _load(self, path: str) -> Any:
         module, _, name = path.partition(":")
-        try:
-            for vendor in self.requires:
-                importlib.import_module(vendor)
-        except ImportError:
+        missing = [vendor for vendor in self.requires if not _importable(vendor)]
+        if missing:
             raise PluginError(
-                f"driver '{self.name}' needs {', '.join(self.requires)}: pip install 'lfield[{self.extra}]'"
-            ) from None
+                f"driver '{self.name}' needs {', '.join(missing)}: pip install 'lfield[{self.extra}]'"
+            )
         try:
             return getattr(importlib.import_module(module), name)
         except Exception as error:  # a plugin is foreign code: whatever it raises on import is its fault
             raise PluginError(f"driver '{self.name}' cannot be loaded from {path}: {error}") from error
+
+
+def _importable(vendor: str) -> bool:
+    try:
+        importlib.import_module(vendor)
+    except ImportError:
+        return False
+    return True
 
 
 def load_plugin(reference: str) -> Plugin:

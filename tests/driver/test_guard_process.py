@@ -275,7 +275,7 @@ def test_all_that_cannot_be_opened_is_told_at_once():
     [
         ("tcp:127.0.0.1:9", "cannot open tcp:127.0.0.1:9"),
         ("serial:/dev/does-not-exist:57600", "cannot open serial:/dev/does-not-exist:57600: No such file"),
-        ("serial:/dev/null:12345", "no serial port has 12345 baud"),
+        ("serial:/dev/null:12345", "cannot open serial:/dev/null:12345: it is no serial port"),
         ("udp:127.0.0.1:99999", "has no port from 1 to 65535"),
         ("nonsense", "is not an endpoint"),
     ],
