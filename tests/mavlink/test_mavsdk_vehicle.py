@@ -66,7 +66,7 @@ def fly(story, *, opened=True, **stand_in):
 
 def test_it_is_identified_its_telemetry_read_and_its_failsafes_set():
     async def story(device, vehicle, owner):
-        assert await device._open() == "PX4 copter, system 1"
+        assert await device.open() == "PX4 copter, system 1"
         expected = {
             "position": [NORTH, EAST, 0.0], "velocity": [0.5, 0.25, 0.0], "altitude": 0.0,
             "globalPosition": [LATITUDE, LONGITUDE, ALTITUDE], "attitude": [0.0, 0.0, math.pi / 2],
@@ -79,7 +79,7 @@ def test_it_is_identified_its_telemetry_read_and_its_failsafes_set():
         assert await vehicle.parameters.retrieve_param_int("COM_DL_LOSS_T") == 5
         assert await vehicle.parameters.retrieve_param_float("COM_OF_LOSS_T") == 1.0
 
-    fly(story)
+    fly(story, opened=False)
 
 
 def test_it_flies_goes_safe_and_what_it_refuses_is_told():
