@@ -37,6 +37,9 @@ class Flight(Travel):
         if height <= 0.0:
             raise self.error(f"takeoff needs a height above 0, not {height:g}")
         self._begin("takeoff")
+        if not self.state.armed:
+            # PX4 would accept it, and fly off when it is armed later.
+            raise self.error("takeoff refused: the motors are off; call arm() first")
         stood = self.state.landed
 
         def climbing() -> bool:

@@ -63,7 +63,7 @@ def test_takeoff_while_disarmed_is_refused_in_words(bench):
 
     kind, reason = bench().run(mission)
     assert kind == "DeviceException"
-    assert reason == "takeoff refused: FAILED (4), Takeoff: not armed"
+    assert reason == "takeoff refused: the motors are off; call arm() first"
 
 
 def test_a_long_reason_is_joined_from_its_chunks(bench):

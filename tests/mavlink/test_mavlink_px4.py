@@ -111,12 +111,15 @@ def test_an_accepted_offboard_that_is_not_entered_is_an_error(px4):
     b.run(mission)
 
 
-def test_takeoff_while_disarmed_is_accepted_by_px4_and_an_error_here(px4):
-    async def mission(fc):
-        with pytest.raises(DeviceError, match="takeoff ended early: the motors are off"):
-            await fc.execute("takeoff", [5.0])
+def test_a_takeoff_while_disarmed_is_not_left_with_px4_for_later(px4):
+    b = px4()
 
-    px4().run(mission)
+    async def mission(fc):
+        with pytest.raises(DeviceError, match="the motors are off"):
+            await fc.execute("takeoff", [5.0])
+        assert b.autopilot.mode == "AUTO.LOITER"
+
+    b.run(mission)
 
 
 def test_a_refused_arming_has_the_reason(px4):
