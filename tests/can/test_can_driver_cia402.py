@@ -121,6 +121,37 @@ def test_setpoints_are_sent_once(rig):
     b.run_real(mission)
 
 
+def test_a_drive_that_only_positions(rig):
+    b = rig(LocalDrive(without={0x1402, 0x1602, 0x60FF}))
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("moveTo", [1.0, 10.0])
+        with pytest.raises(DeviceError, match="the drive does not take velocities"):
+            await axis.execute("setVelocity", [1.0])
+
+    b.run_real(mission)
+    assert any("it does not take velocities" in note for note in b.notes)
+
+
+def test_the_drive_hears_a_heartbeat_as_soon_as_it_watches_for_it(rig):
+    """It begins to watch with the first one: a guard that dies before it would never be missed."""
+    b = rig(ttl=5.0)
+
+    async def mission(axis):
+        await soon(lambda: b.drive.beats, 0.5)
+        watched = [
+            frame.data
+            for frame in b.bus.sent
+            if frame.id == 0x605 and frame.data[:4] == bytes.fromhex("23161001")
+        ]
+        assert watched[-1][4:] == (127 << 16 | 10_000).to_bytes(4, "little")
+        last_write = max(n for n, frame in enumerate(b.bus.sent) if frame.data == watched[-1])
+        assert any(frame.id == 0x77F for frame in b.bus.sent[last_write:])
+
+    b.run_real(mission)
+
+
 def test_a_cyclic_setpoint_is_streamed_until_its_time_is_over(rig):
     b = rig(ttl=0.2, options={"cyclic": True})
 

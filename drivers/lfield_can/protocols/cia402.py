@@ -22,7 +22,8 @@ class Cia402(Cia402Node):
 
     async def enable(self) -> None:
         """Step by step up the state machine, without a target that is left from before."""
-        await self._objects.write(0x60FF, 0, 0)
+        if t.VELOCITY in self._mapped:
+            await self._objects.write(0x60FF, 0, 0)
         await self._set_mode(t.PROFILE_POSITION)
         for _ in range(len(t.STATES)):
             state = self.state.state
@@ -174,7 +175,9 @@ class Cia402(Cia402Node):
         await self.bus.send(self._frame(t.CONTROL, word))
 
     def _frame(self, code: int, *values: int) -> Frame:
-        """Process data to the drive. Raises DeviceError when a value does not fit."""
+        """Process data to the drive. Raises DeviceError when a value does not fit, or has nowhere to go."""
+        if code in t.OPTIONAL and code not in self._mapped:
+            raise self.wiring.error(f"the drive does not {t.OPTIONAL[code]}")
         try:
             return Frame(code + self.node, t.LAYOUTS[code].pack(*values))
         except struct.error:

@@ -58,7 +58,7 @@ async def map_process_data(node: CanopenNode, number: int, note: Note) -> frozen
         except SdoRefused as refused:
             if code not in t.OPTIONAL:
                 raise
-            note(f"it does not tell torque and current: {refused.reason}")
+            note(f"it does not {t.OPTIONAL[code]}: {refused.reason}")
             continue
         done.add(code)
     return frozenset(done)

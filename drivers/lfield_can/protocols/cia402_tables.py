@@ -68,8 +68,13 @@ RECEIVED: Mapping[int, tuple[int, ...]] = {
     VELOCITY: (0x60FF0020,),
     TORQUE: (0x60710010,),
 }
-#: Process data that a drive may do without; torque and current are then not told.
-OPTIONAL = frozenset({FORCE})
+#: Process data that a drive may do without, and what it then does not do.
+OPTIONAL: Mapping[int, str] = {
+    FORCE: "tell torque and current",
+    POSITION: "take a stream of positions",
+    VELOCITY: "take velocities",
+    TORQUE: "take torques",
+}
 
 #: How they are packed.
 LAYOUTS: Mapping[int, struct.Struct] = {
