@@ -11,7 +11,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_mavlink.signing import LinkSigning
+from lfield_mavlink.signing import BLOCK, LinkSigning
 
 __all__ = ["AUTOPILOT", "COMPONENT", "SYSTEM", "Reader", "Writer", "dialect", "result_words"]
 
@@ -22,6 +22,8 @@ AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 
 #: The parser keeps what it has read until its buffer is empty, which on a stream may be never.
 _KEPT = 4096
+#: Bytes of a packet without payload and signature.
+_SHORTEST = 12
 #: What pymavlink says of a packet whose signature was not believed.
 _REFUSED = "Invalid signature"
 
@@ -44,7 +46,7 @@ class Reader:
     def feed(self, data: bytes) -> Iterator[Any]:
         """The messages that these bytes complete; never raises."""
         parser = self._parser
-        for message in parser.parse_buffer(data) or ():
+        for message in (self._one(data),) if self._is_whole(data) else parser.parse_buffer(data) or ():
             if isinstance(message, dialect.MAVLink_bad_data):
                 self.broken += message.reason != _REFUSED
             elif not isinstance(message, dialect.MAVLink_unknown):
@@ -52,6 +54,19 @@ class Reader:
         if parser.buf_index > _KEPT:
             parser.buf = parser.buf[parser.buf_index :]
             parser.buf_index = 0
+
+    def _is_whole(self, data: bytes) -> bool:
+        """Whether these bytes are one packet, as most datagrams are: it need not go through the buffer."""
+        if len(data) < _SHORTEST or data[0] != dialect.PROTOCOL_MARKER_V2 or self._parser.buf:
+            return False
+        signed = data[2] == dialect.MAVLINK_IFLAG_SIGNED
+        return (signed or not data[2]) and len(data) == _SHORTEST + data[1] + signed * BLOCK
+
+    def _one(self, data: bytes) -> Any:
+        try:
+            return self._parser.decode(bytearray(data))
+        except dialect.MAVError as error:
+            return dialect.MAVLink_bad_data(data, error.message)
 
 
 class Writer:

@@ -154,9 +154,11 @@ class Missions(Guidance, Services):
     # -- telemetry ------------------------------------------------------------------------------------
 
     def _on_current(self, message: Any) -> None:
+        if self.state.profile is None:
+            return  # from which number it counts is not known before its first heartbeat
         before, self._current = self._current, max(message.seq - self._first, -1)
         # The word that an item was reached comes once and may be lost.
-        if self.state.profile is not None and self.state.mode == self._mission_mode:
+        if self.state.mode == self._mission_mode:
             if self._current == before + 1:
                 self._reached = max(self._reached, before)
             if message.mission_state == dialect.MISSION_STATE_COMPLETE:
@@ -164,8 +166,9 @@ class Missions(Guidance, Services):
         self._tell_mission()
 
     def _on_reached(self, message: Any) -> None:
-        self._reached = max(message.seq - self._first, -1)
-        self._tell_mission()
+        if self.state.profile is not None:
+            self._reached = max(message.seq - self._first, -1)
+            self._tell_mission()
 
     def _tell_mission(self) -> None:
         self.publish(missionItem=self._current, missionReached=self._reached)

@@ -49,6 +49,8 @@ class Shell(asyncio.Protocol):
     def __init__(self, plugin: Plugin, output: asyncio.WriteTransport, clock: Clock) -> None:
         self._plugin, self._output, self._clock = plugin, output, clock
         self._loop = asyncio.get_running_loop()
+        # A driver's callback that raises (of a socket, a timer) has no task to tell of it.
+        self._loop.set_exception_handler(self._callback_raised)
         self._reader = MessageReader()
         self._core: GuardCore | None = None
         self._driver: Driver | None = None
@@ -126,6 +128,9 @@ class Shell(asyncio.Protocol):
     def note(self, device: str, text: str) -> None:
         """A sentence for the log."""
         self._tell(Note(device, text))
+
+    def _callback_raised(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        self.crashed(repr(context.get("exception") or context.get("message")))
 
     def crashed(self, reason: str) -> None:
         """The driver is broken as a whole."""
