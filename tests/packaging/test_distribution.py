@@ -93,7 +93,9 @@ def test_the_metadata_names_licence_extras_and_entry_points(wheel):
     assert metadata["Name"] == "lfield"
     assert metadata["License-Expression"] == "Apache-2.0"
     assert metadata["Requires-Python"] == ">=3.11"
-    assert {"mavlink", "can", "dynamixel", "fast", "all", "test", "bench"} <= set(metadata.get_all("Provides-Extra"))
+    assert {"mavlink", "can", "dynamixel", "fast", "all", "test", "bench"} <= set(
+        metadata.get_all("Provides-Extra")
+    )
     needed = metadata.get_all("Requires-Dist")
     core = [requirement for requirement in needed if "extra ==" not in requirement]
     assert sorted(word.split(">")[0].strip() for word in core) == ["msgspec", "pyyaml", "rich"]
