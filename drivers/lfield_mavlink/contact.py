@@ -22,6 +22,8 @@ from lfield_mavlink.texts import Texts
 LINK_LOST = 2.7
 #: Seconds for a state to show after it was accepted (a heartbeat comes every second at least).
 SHOWS = 3.0
+#: How often a command is sent in that time.
+ATTEMPTS = 3
 #: Seconds to wait for a text that explains a refusal.
 EXPLAINS = 0.3
 
@@ -208,14 +210,18 @@ class Contact(Device):
     async def _achieve(
         self, what: str, state: Callable[[], bool], number: int, *values: float | None
     ) -> None:
-        """Have a command accepted and wait until the state shows it. Raises DeviceError."""
+        """Have a command accepted and wait until the state shows it. Raises DeviceError.
+
+        It is sent again while the state does not show it: the acceptance may have been a late one of an
+        earlier command. So it must be one that may be carried out twice.
+        """
         start = self.clock.monotonic()
-        await self._command(what, number, *values, taken=state)
-        if not await self._seen(state, SHOWS):
-            self._check_link()
-            raise self.error(
-                f"{what} was accepted but did not happen within {SHOWS:g} s{self._reasons(start)}"
-            )
+        for _ in range(ATTEMPTS):
+            await self._command(what, number, *values, taken=state)
+            if await self._seen(state, SHOWS / ATTEMPTS):
+                return
+        self._check_link()
+        raise self.error(f"{what} was accepted but did not happen within {SHOWS:g} s{self._reasons(start)}")
 
     async def _until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
         """Wait until the state shows it. Raises DeviceError when it does not."""

@@ -95,9 +95,6 @@ def test_no_bytes_break_the_driver(pieces):
             fc.on_message(message)
 
 
-degrees = st.floats(-1000.0, 1000.0)
-
-
 @given(st.floats(-89.0, 89.0), st.floats(-180.0, 180.0), st.floats(-2e3, 2e3), st.floats(-2e3, 2e3))
 def test_ways_and_places_agree(latitude, longitude, north, east):
     here = Place(latitude, longitude, 100.0)
@@ -234,3 +231,32 @@ def test_it_vanishes_and_returns_not_moving(bench):
         assert math.hypot(*b.values["velocity"][:2]) < 0.1
 
     b.run(mission)
+
+
+def test_a_late_answer_to_another_mode_does_not_stand_for_the_safe_state(bench):
+    b = bench()
+    lost = []
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [4.0])
+        link = b.links[0]
+        send = link.send
+
+        def lose_the_first(data):
+            if data[7] == dialect.MAVLINK_MSG_ID_COMMAND_LONG and not lost:
+                lost.append(data)
+                # The packet is lost, and the answer to an earlier change of mode comes just now.
+                late = Writer(1, 1).pack(ack(dialect.MAV_CMD_DO_SET_MODE, 0))
+                asyncio.get_running_loop().call_soon(link.on_data, late)
+                return
+            send(data)
+
+        link.send = lose_the_first
+        start = asyncio.get_running_loop().time()
+        await fc.make_safe()
+        assert asyncio.get_running_loop().time() - start < 1.5
+        assert b.autopilot.mode == "LAND"
+
+    b.run(mission)
+    assert lost
