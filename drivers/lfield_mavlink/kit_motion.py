@@ -22,7 +22,7 @@ LATE = 0.5
 
 @MOTION.check("it does not take off with its motors off", moves=True)
 async def takeoff_disarmed(bench: Bench) -> str:
-    """PX4 accepts the command all the same: only the state tells."""
+    """PX4 would accept the command, and fly off when it is armed later."""
     if _kind(bench) != "copter":
         raise NotTried(f"a {_kind(bench)} does not take off from where it stands")
     reason = await refused(bench, "takeoff", _height(bench))
@@ -111,7 +111,7 @@ async def _under_way(bench: Bench) -> AsyncIterator[None]:
     finally:
         if bench.latched:
             await held(bench, 0.0)
-        await bench.call("land")
+        await bench.call("land" if _kind(bench) == "copter" else "hold")
         await bench.call("disarm")
 
 

@@ -1,0 +1,193 @@
+"""Checks of an axis: it follows only when enabled, stops by itself, keeps its limits."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+
+from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused
+
+AXIS = Kit()
+
+#: rad that a check turns, rad/s of it, and how far it may be off when it is not to turn.
+TURN, SPEED, NEAR = 0.2, 0.4, 0.05
+#: Homing methods of CiA 402 that take the present position and turn nothing.
+STAYING = (35, 37)
+#: Seconds that the guard may be late with a latch, as the host hears of it.
+LATE = 0.5
+_TYPES = ("CanAxis",)
+
+
+@AXIS.check("it is heard, and nothing is wrong with it", moves=False, types=_TYPES)
+async def sound(bench: Bench) -> str:
+    """No fault, and every frame makes sense."""
+    if not bench.query("online") or bench.query("fault"):
+        raise CheckFailed(bench.query("fault") or "it is not heard")
+    return f"{bench.query('state')}, at {bench.query('position'):.3f} rad"
+
+
+@AXIS.check("disabled, it follows nothing", moves=True, types=_TYPES)
+async def disabled(bench: Bench) -> str:
+    """A setpoint is refused with a sentence that says what to call."""
+    await bench.call("disable")
+    _see(not bench.query("enabled"), "disable() returned and it is enabled")
+    reason = await refused(bench, "setVelocity", 0.0)
+    _see("enable()" in reason, f"it was refused for another reason: {reason}")
+    return reason
+
+
+@AXIS.check("clearing faults does not enable it", moves=True, types=_TYPES)
+async def reset(bench: Bench) -> str:
+    """resetFault() without a fault changes nothing."""
+    await bench.call("resetFault")
+    _see(not bench.query("enabled") and not bench.query("fault"), f"it is {bench.query('state')}")
+    return str(bench.query("state"))
+
+
+@AXIS.check("enabled, it stays where it is", moves=True, types=_TYPES)
+async def enabled(bench: Bench) -> str:
+    """It becomes stiff without a jump."""
+    before = bench.query("position")
+    await bench.call("enable")
+    _see(bench.query("enabled"), "enable() returned and it is not enabled")
+    await _stands(bench)
+    moved = abs(bench.query("position") - before)
+    _see(moved <= NEAR, f"it moved by {moved:.3f} rad")
+    return f"{bench.query('state')}, moved by {moved:.4f} rad"
+
+
+@AXIS.check("homing where it stands", moves=True, types=_TYPES)
+async def homing(bench: Bench) -> str:
+    """Only by a method that turns nothing."""
+    if bench.binding.option("protocol") != "cia402" or bench.binding.option("homing_method") not in STAYING:
+        raise NotTried("homing could travel; done here only by CiA 402 'homing_method' 35 or 37")
+    await bench.call("enable")
+    before = bench.query("position")
+    await bench.call("home")
+    _see(bench.query("referenced"), "home() returned and it is not referenced")
+    return f"{before:.3f} rad is now {bench.query('position'):.3f} rad"
+
+
+@AXIS.check("turns there and back", moves=True, types=_TYPES)
+async def turns(bench: Bench) -> str:
+    """moveTo() returns when it is there and stands, not before."""
+    if not bench.query("referenced") and not bench.binding.waives("no_homing"):
+        raise NotTried("it has not been homed: home it, or add 'waivers: [no_homing]' to its binding")
+    await bench.call("enable")
+    start, way = bench.query("position"), _way(bench, TURN)
+    off = []
+    for goal in (start + way, start):
+        await bench.call("moveTo", goal, _speed(bench))
+        off.append(abs(bench.query("position") - goal))
+        _see(off[-1] <= _tolerance(bench), f"moveTo() returned {off[-1]:.4f} rad from its goal")
+    return f"{off[0]:.4f} rad off {abs(way):g} rad away, {off[1]:.4f} rad off back"
+
+
+@AXIS.check("a velocity that is not renewed ends", moves=True, types=_TYPES)
+async def velocity(bench: Bench) -> str:
+    """Past its time-to-live the guard brings it into the safe state."""
+    await bench.call("enable")
+    last = await _drive(bench, math.copysign(_speed(bench), _way(bench, TURN)))
+    ttl = bench.binding.ttl
+    await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
+    ended = time.monotonic() - last
+    _see(ended <= ttl + LATE, f"it ended only after {ended:.2f} s")
+    reason = await held(bench, 0.0)
+    await _stands(bench)
+    return f"after {ended:.2f} s because {reason}; then it was {bench.query('state')}"
+
+
+@AXIS.check("a host that hangs while it turns", moves=True, types=_TYPES)
+async def hang(bench: Bench) -> str:
+    """The guard notices, and the axis stops."""
+    await bench.call("enable")
+    await _drive(bench, math.copysign(_speed(bench), -_way(bench, TURN)))
+    await bench.fall_silent(3 * bench.silence)
+    reason = await held(bench, 1.0)
+    await _stands(bench)
+    return f"{bench.query('state')} because {reason}"
+
+
+@AXIS.check("stop", moves=True, types=_TYPES)
+async def stop(bench: Bench) -> str:
+    """It returns when the axis stands still; the setpoint is over then, and nothing is latched."""
+    await bench.call("enable")
+    await _drive(bench, math.copysign(_speed(bench), _way(bench, TURN)))
+    await bench.call("stop")
+    seen = abs(bench.query("velocity"))
+    _see(seen <= _standstill(bench), f"stop() returned and it turns at {seen:.3f} rad/s")
+    await asyncio.sleep(2.0 * bench.binding.ttl)
+    _see(not bench.latched, f"it was latched because {bench.latched}")
+    return f"{bench.query('state')}, {seen:.4f} rad/s"
+
+
+@AXIS.check("the limits of its binding are kept", moves=True, types=_TYPES)
+async def limits(bench: Bench) -> str:
+    """What is beyond is refused before anything is sent."""
+    given, option = bench.binding.limits, bench.binding.option
+    await bench.call("disable")
+    beyond: list[tuple[str, tuple[float, ...]]] = [
+        ("moveTo", (option("lowest") - 1.0, _speed(bench))),
+        ("moveTo", (option("highest") + 1.0, _speed(bench))),
+    ]
+    if "speed" in given:
+        beyond.append(("setVelocity", (2.0 * given["speed"],)))
+    if "torque" in given:
+        beyond.append(("setTorque", (2.0 * given["torque"],)))
+    for instruction, arguments in beyond:
+        reason = await refused(bench, instruction, *arguments)
+        _see("limit" in reason or "outside" in reason, f"it was refused for another reason: {reason}")
+    return f"{len(beyond)} refused, the last: {reason}"
+
+
+@AXIS.check("it is disabled at the end", moves=True, types=_TYPES)
+async def ends(bench: Bench) -> str:
+    """Torque off, free."""
+    await bench.call("disable")
+    _see(not bench.query("enabled"), "disable() returned and it is enabled")
+    _see(not bench.latched, f"it is latched because {bench.latched}")
+    return f"{bench.query('state')}, at {bench.query('position'):.3f} rad"
+
+
+async def _drive(bench: Bench, speed: float) -> float:
+    """Renew a velocity until it is seen to turn; the time of the last one."""
+    end = time.monotonic() + 3.0
+    start = bench.query("position")
+    while time.monotonic() < end:
+        last = time.monotonic()
+        await bench.call("setVelocity", speed)
+        if abs(bench.query("velocity")) >= 0.3 * abs(speed) or abs(bench.query("position") - start) >= NEAR:
+            return last
+        await asyncio.sleep(bench.binding.ttl / 10.0)
+    await bench.call("stop")
+    raise CheckFailed(f"setVelocity({speed:g}) does not turn it")
+
+
+async def _stands(bench: Bench) -> None:
+    await bench.until(lambda: abs(bench.query("velocity")) <= _standstill(bench), SAFE, "it to stand still")
+
+
+def _way(bench: Bench, turn: float) -> float:
+    """So far, towards the side where there is more room."""
+    lowest, highest = bench.binding.option("lowest"), bench.binding.option("highest")
+    here = bench.query("position")
+    return turn if highest - here >= here - lowest else -turn
+
+
+def _speed(bench: Bench) -> float:
+    return min(SPEED, bench.binding.limits.get("speed", math.inf))
+
+
+def _tolerance(bench: Bench) -> float:
+    """rad; telemetry is a moment older than what the driver saw."""
+    return 2.0 * float(bench.binding.option("tolerance"))
+
+
+def _standstill(bench: Bench) -> float:
+    return float(bench.binding.option("standstill"))
+
+
+def _see(shown: bool, otherwise: str) -> None:
+    if not shown:
+        raise CheckFailed(otherwise)
