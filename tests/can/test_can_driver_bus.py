@@ -238,13 +238,15 @@ def test_what_waited_too_long_is_never_sent_and_the_loop_does_not_wait(stub):
 
 
 def test_too_many_frames_are_refused(stub):
-    stub(lambda bus, message: time.sleep(0.2))
+    gate = threading.Event()
+    stub(lambda bus, message: gate.wait(10.0))
 
     async def story(told):
         for _ in range(connection.BACKLOG + 2):
             told.bus.post(Frame(1))
         with pytest.raises(DeviceError, match="too many frames wait to be sent"):
             await told.bus.send(Frame(2))
+        gate.set()
 
     run("virtual:x", story)
 
