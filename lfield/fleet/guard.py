@@ -9,7 +9,6 @@ from typing import Any, cast
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.manifest_file import AGE
 from lfield.driver.messages import (
     Allow,
     Beat,
@@ -33,9 +32,8 @@ from lfield.driver.messages import (
 from lfield.driver.plugins import Installed
 from lfield.driver.values import conform
 from lfield.errors import DeviceError, WireError
+from lfield.fleet.snapshots import Snapshots
 from lfield.manifest import DeviceValue, Instruction
-from lfield.vm.readings import Reading
-from lfield.vm.values import word_of
 
 #: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
 BEAT = 0.05
@@ -64,11 +62,7 @@ class Guard(asyncio.SubprocessProtocol):
     ) -> None:
         self._installed, self._clock, self._note, self._silence = installed, clock, note, silence
         self._devices = {device.name: device for device in devices}
-        self._quantities = {
-            (device.name, quantity.name): quantity
-            for device in devices
-            for quantity in installed.manifests[device.type].device.telemetry
-        }
+        self.snapshots = Snapshots(installed, devices, clock)
         self._reader = MessageReader()
         self._transport: asyncio.SubprocessTransport | None = None
         self._pipe: asyncio.WriteTransport | None = None
@@ -79,9 +73,6 @@ class Guard(asyncio.SubprocessProtocol):
         self._ready = self._stopping = False
         self._tokens = self._unanswered = 0
         self._calls: dict[int, tuple[DeviceBinding, Instruction, Answered]] = {}
-        self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}
-        self._readings: dict[tuple[str, str], Reading] = {}
-        self._heard: dict[str, float] = {}
         self._unsafe: list[str] = []
         self._barred = ""
         #: Who the devices are, in their driver's words, once they are open.
@@ -201,39 +192,6 @@ class Guard(asyncio.SubprocessProtocol):
         sent = self._clock.monotonic()
         self._send(Call(self._tokens, device, instruction.name, list(arguments), sent))
 
-    def query(self, device: str, quantity: str) -> DeviceValue:
-        """The last value of a telemetry quantity. Raises DeviceError when there is none or it is too old."""
-        binding, now = self._devices[device], self._clock.monotonic()
-        if quantity == AGE.name:
-            if device not in self._heard:
-                raise DeviceError(binding.field, "has not been heard yet", kind="DeviceTimeoutException")
-            return now - self._heard[device]
-        found = self._values.get((device, quantity))
-        if found is None:
-            raise DeviceError(binding.field, f"has not reported {quantity}", kind="DeviceTimeoutException")
-        value, at = found
-        age, longest = now - at, self._quantities[device, quantity].max_age
-        if age > longest:
-            reason = f"the last {quantity} is {age:.1f} s old (at most {longest:g} s)"
-            raise DeviceError(binding.field, reason, kind="DeviceTimeoutException")
-        return value
-
-    def reading(self, device: str, quantity: str) -> Reading | None:
-        """A reading that every snapshot keeps up to date, None for text, arrays and `age`."""
-        declared = self._quantities.get((device, quantity))
-        if declared is None or declared.type not in ("boolean", "int", "real"):
-            return None
-        known = self._readings.get((device, quantity))
-        if known is None:
-            known = self._readings[device, quantity] = Reading()
-            self._update(known, device, quantity)
-        return known
-
-    def _update(self, reading: Reading, device: str, quantity: str) -> None:
-        value, at = self._values[device, quantity]
-        reading.word = word_of(value) if isinstance(value, float) else int(cast("int", value))
-        reading.until = at + self._quantities[device, quantity].max_age
-
     @property
     def pid(self) -> int:
         """The id of its process, 0 while there is none."""
@@ -249,20 +207,6 @@ class Guard(asyncio.SubprocessProtocol):
     def names(self) -> tuple[str, ...]:
         """The devices of this bus."""
         return tuple(self._devices)
-
-    @property
-    def silences(self) -> dict[str, float]:
-        """For how many seconds each device has not been heard."""
-        now = self._clock.monotonic()
-        return {name: now - self._heard[name] for name in self._devices if name in self._heard}
-
-    @property
-    def telemetry(self) -> dict[str, dict[str, DeviceValue]]:
-        """The last values known, by device and quantity, however old."""
-        shown: dict[str, dict[str, DeviceValue]] = {name: {} for name in self._devices}
-        for (device, quantity), (value, _) in self._values.items():
-            shown[device][quantity] = value
-        return shown
 
     # -- the process ----------------------------------------------------------------------------------
 
@@ -315,7 +259,7 @@ class Guard(asyncio.SubprocessProtocol):
     def _receive(self, message: Message) -> None:
         match message:
             case Snapshot():
-                self._on_snapshot(message)
+                self.snapshots.take(message)
             case Done(token, value):
                 self._on_done(token, value)
             case Refused(token, kind, reason):
@@ -345,15 +289,6 @@ class Guard(asyncio.SubprocessProtocol):
 
     def _sentence(self, device: str, _: str, reason: str) -> str:
         return f"{device or ', '.join(self._devices)}: {reason}"
-
-    def _on_snapshot(self, snapshot: Snapshot) -> None:
-        now = self._clock.monotonic()
-        self._heard[snapshot.device] = now - snapshot.heard
-        for name, value in snapshot.values.items():
-            known = conform(value, self._quantities[snapshot.device, name].type)
-            self._values[snapshot.device, name] = (known, now - snapshot.ages[name])
-            if (reading := self._readings.get((snapshot.device, name))) is not None:
-                self._update(reading, snapshot.device, name)
 
     def _on_done(self, token: int, value: Any) -> None:
         binding, instruction, answered = self._calls.pop(token)

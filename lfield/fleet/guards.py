@@ -104,13 +104,13 @@ class Guards:
         if declared is None:
             raise DeviceError(field, f"has no instruction '{instruction}'")
         if declared.effect == "query" and not declared.blocking:
-            return guard.query(f"{agent}.{field}", instruction)
+            return guard.snapshots.query(f"{agent}.{field}", instruction)
         guard.call(f"{agent}.{field}", declared, arguments, answered)
         return PENDING
 
     def reading(self, agent: str, field: str, quantity: str) -> Reading | None:
         """The reading of a telemetry quantity, None for what is no plain quantity."""
-        return self.guard_of(f"{agent}.{field}").reading(f"{agent}.{field}", quantity)
+        return self.guard_of(f"{agent}.{field}").snapshots.reading(f"{agent}.{field}", quantity)
 
     def guard_of(self, device: str) -> Guard:
         """The guard of a device by its name."""
@@ -147,12 +147,12 @@ class Guards:
     @property
     def silences(self) -> Mapping[str, float]:
         """For how many seconds each device has not been heard."""
-        return {name: seconds for guard in self._guards for name, seconds in guard.silences.items()}
+        return {name: seconds for guard in self._guards for name, seconds in guard.snapshots.silences.items()}
 
     @property
     def telemetry(self) -> Mapping[str, Mapping[str, DeviceValue]]:
         """The last values known, by device and quantity."""
-        return {name: values for guard in self._guards for name, values in guard.telemetry.items()}
+        return {name: values for guard in self._guards for name, values in guard.snapshots.telemetry.items()}
 
     async def close(self) -> None:
         """Make every device safe, end the guards, then the fakes; bounded."""

@@ -74,7 +74,7 @@ class LiveBench:
 
     def query(self, quantity: str) -> Any:
         """The present value of a telemetry quantity. Raises DeviceError when there is none."""
-        return self._guard.query(self.binding.name, quantity)
+        return self._guard.snapshots.query(self.binding.name, quantity)
 
     async def until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
         """Wait until the condition holds. Raises CheckFailed."""

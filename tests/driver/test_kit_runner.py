@@ -1,4 +1,4 @@
-"""The kit's runner and its standard checks, on a bench that only pretends: good devices pass, bad ones fail."""
+"""The runner of the kit and its standard checks, on a bench that only pretends."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def test_a_question_that_nobody_answers_ends(fleet):
         transport = team.network.transport("desk")
         await transport.listen("silent:1", lambda link: Silent())
         await transport.listen("rude:1", lambda link: Rude())
-        with pytest.raises(AddressError, match="no status within 2 s"):
+        with pytest.raises(AddressError, match="no answer within 2 s"):
             await ask(transport, "silent:1")
         with pytest.raises(GreetingError, match="without an answer"):
             await ask(transport, "rude:1")
