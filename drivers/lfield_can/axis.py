@@ -36,6 +36,7 @@ class CanAxis(AxisContact):
         """Find the zero."""
         self._check_ready("home")
         await self.protocol.home()
+        self.publish(referenced=self.protocol.state.referenced)
 
     async def do_stop(self) -> None:
         """Quick stop."""

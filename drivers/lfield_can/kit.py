@@ -1,6 +1,6 @@
 """The conformance kit of CAN devices: axes of any protocol, and devices by DBC file.
 
-An axis turns by 0.2 rad at most, from where it stands and back; at the end it is disabled. A device by
+An axis turns by less than 0.5 rad from where it stands; at the end it is disabled. A device by
 DBC file is sent nothing but its own safe state.
 """
 

@@ -5,10 +5,12 @@ What moves turns by 0.2 rad at most, from where the servo stands and back; at th
 
 from __future__ import annotations
 
+import asyncio
 import math
+import time
 
-from lfield.driver.kit import Bench, CheckFailed, Kit
-from lfield.errors import DeviceError
+from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused
+from lfield.driver.manifest_file import WATCHDOG
 
 KIT = Kit()
 
@@ -16,6 +18,8 @@ KIT = Kit()
 TURN, NEAR = 0.2, 0.05
 #: rad/s and rad/s2 of what moves here.
 PROFILE = (1.0, 5.0)
+#: Seconds that the guard may be late with a latch, as the host hears of it.
+LATE = 0.5
 
 
 @KIT.check("supply and temperature are plausible", moves=False, types=("Dynamixel",))
@@ -49,13 +53,10 @@ async def whole(bench: Bench) -> str:
 async def limp(bench: Bench) -> str:
     """With the torque off, a goal is refused with a sentence that says what to call."""
     await bench.call("torque", False)
-    try:
-        await bench.call("moveTo", _goal(bench, 0.0))
-    except DeviceError as error:
-        if "torque" not in error.reason:
-            raise
-        return error.reason
-    raise CheckFailed("moveTo() was carried out with the torque off")
+    reason = await refused(bench, "moveTo", _goal(bench, 0.0))
+    if "torque" not in reason:
+        raise CheckFailed(f"it was refused for another reason: {reason}")
+    return reason
 
 
 @KIT.check("torque on does not move it", moves=True)
@@ -73,12 +74,11 @@ async def stiff(bench: Bench) -> str:
 @KIT.check("turns there and back", moves=True)
 async def turns(bench: Bench) -> str:
     """moveTo returns when it is there, not before."""
-    await bench.call("setProfile", *PROFILE)
+    await _get_ready(bench)
     start = _angles(bench)
-    inwards = -TURN if start[0] > 0.0 else TURN
     seen = []
-    for way in (inwards, 0.0):
-        goal = [angle + way for angle in start]
+    for way in (_inwards(start), [0.0] * len(start)):
+        goal = [angle + turn for angle, turn in zip(start, way, strict=True)]
         await bench.call("moveTo", goal if _is_group(bench) else goal[0])
         off = max(abs(now - wanted) for now, wanted in zip(_angles(bench), goal, strict=True))
         if off > NEAR:
@@ -87,21 +87,64 @@ async def turns(bench: Bench) -> str:
     return f"within {' and '.join(seen)} rad"
 
 
+@KIT.check("angles that it may not go to are refused", moves=True)
+async def limits(bench: Bench) -> str:
+    """Beyond the bounds of the binding; for a group, also a goal for another number of members."""
+    await _get_ready(bench)
+    start = _angles(bench)
+    for edge, beyond in (("lowest", -1.0), ("highest", 1.0)):
+        goal = [bench.binding.option(edge) + beyond] * len(start)
+        reason = await refused(bench, "moveTo", goal if _is_group(bench) else goal[0])
+    if _is_group(bench):
+        reason = await refused(bench, "moveTo", [*start, 0.0])
+    return reason
+
+
+@KIT.check("a faster profile than its limit is refused", moves=True)
+async def speed(bench: Bench) -> str:
+    """The speed of the binding holds for profiles."""
+    limit = bench.binding.limits.get("speed")
+    if limit is None:
+        raise NotTried("its binding has no limit of speed")
+    return await refused(bench, "setProfile", 2.0 * limit, 0.0)
+
+
+@KIT.check("a setpoint that is not renewed ends", moves=True)
+async def ends(bench: Bench) -> str:
+    """Past its time-to-live the guard brings it into the safe state, where it stands still."""
+    await _get_ready(bench)
+    last = time.monotonic()
+    await bench.call("setPositions" if _is_group(bench) else "setPosition", _goal(bench, 0.0))
+    ttl = bench.binding.ttl
+    await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
+    ended = time.monotonic() - last
+    if ended > ttl + LATE:
+        raise CheckFailed(f"it ended only after {ended:.2f} s")
+    reason = await held(bench, 0.0)
+    before = _angles(bench)
+    await asyncio.sleep(0.2)
+    moved = max(abs(now - then) for now, then in zip(_angles(bench), before, strict=True))
+    if moved > NEAR:
+        raise CheckFailed(f"it turned on by {moved:.3f} rad in its safe state")
+    return f"after {ended:.2f} s because {reason}"
+
+
 @KIT.check("its watchdog stops it, and release() frees it", moves=True)
 async def watchdog(bench: Bench) -> str:
     """A servo that hears nothing for twice the time-to-live stops by itself; then goals are refused."""
-    if bench.binding.waives("device_watchdog"):
-        return "not tried: waived by its binding"
+    if bench.binding.waives(WATCHDOG):
+        raise NotTried("waived by its binding")
     await bench.call("torque", True)
     told = len(bench.notes)
     await bench.fall_silent(2.0 * bench.binding.ttl + 1.0)
-    stopped = "stopped by its own watchdog"
-    await bench.until(lambda: any(stopped in note for note in bench.notes[told:]), 5.0, "that to be told")
-    await bench.until(lambda: bench.confirmed or not bench.latched, 10.0, "its safe state to be confirmed")
-    await bench.call("release")
-    await bench.until(lambda: bool(_angles(bench)), 3.0, "it to be polled again")
+    await bench.until(lambda: bool(_stopped(bench, told)), 5.0, "it to stop by itself and to be told so")
+    if bench.latched:
+        await held(bench, SAFE)
+    else:
+        await bench.call("release")
+    await bench.call("torque", True)
     await bench.call("moveTo", _goal(bench, 0.0))
-    return next(note for note in bench.notes[told:] if stopped in note)
+    return _stopped(bench, told)
 
 
 @KIT.check("limp at the end", moves=True)
@@ -110,6 +153,22 @@ async def let_go(bench: Bench) -> str:
     await bench.call("torque", False)
     await bench.until(lambda: not bench.query("torqueOn"), 3.0, "the torque to be off")
     return "torque off"
+
+
+async def _get_ready(bench: Bench) -> None:
+    """Stiff, and not fast."""
+    await bench.call("setProfile", min(PROFILE[0], bench.binding.limits.get("speed", math.inf)), PROFILE[1])
+    await bench.call("torque", True)
+
+
+def _stopped(bench: Bench, told: int) -> str:
+    """The first note after so many that says that a watchdog has fired."""
+    return next((note for note in bench.notes[told:] if "stopped by its own watchdog" in note), "")
+
+
+def _inwards(angles: list[float]) -> list[float]:
+    """So far towards the middle, for each."""
+    return [-TURN if angle > 0.0 else TURN for angle in angles]
 
 
 def _is_group(bench: Bench) -> bool:

@@ -8,7 +8,7 @@ import json
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lfield.errors import UsageError
 
@@ -41,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 when nothing failed, 1 when a check did."""
     from lfield.driver.plugins import discover
+    from lfield.fleet.kit_run import checks_of, try_devices
 
     plugins = discover()
     installed = plugins.by_driver.get(args.driver)
@@ -50,9 +51,9 @@ def run(args: argparse.Namespace) -> int:
             "; ".join([f"there is no driver '{args.driver}' (installed: {known})", *plugins.problems])
         )
     devices = _devices(args, installed, plugins)
-    checks = _checks(installed)
+    checks = checks_of(installed)
     may_move = args.yes or _agreed(checks, devices)
-    findings = asyncio.run(_run(plugins, devices, checks, may_move, _printer(args.json)))
+    findings = asyncio.run(try_devices(plugins, devices, checks, may_move, _printer(args.json)))
     if not args.json:
         counts = {outcome: sum(f.outcome == outcome for f in findings) for outcome in _MARKS}
         print(", ".join(f"{count} {outcome}" for outcome, count in counts.items()))
@@ -89,37 +90,3 @@ def _printer(as_json: bool) -> Callable[[Finding], None]:
             print(f"{_MARKS[finding.outcome]} {finding.device}: {finding.check}: {finding.seen}", flush=True)
 
     return show
-
-
-def _checks(installed: Installed) -> list[Check]:
-    from lfield.driver.kit_checks import KIT
-
-    own: Any = installed.plugin.load_kit() if installed.plugin.kit else None
-    return [*KIT.checks, *(own.checks if own is not None else ())]
-
-
-async def _run(
-    plugins: Plugins,
-    devices: list[DeviceBinding],
-    checks: list[Check],
-    may_move: bool,
-    show: Callable[[Finding], None],
-) -> list[Finding]:
-    from lfield.clock import SystemClock
-    from lfield.driver.kit import run_kit
-    from lfield.fleet.guards import Guards
-    from lfield.fleet.kit_bench import LiveBench
-
-    notes: list[str] = []
-    guards = Guards(plugins, SystemClock(), notes.append)
-    findings: list[Finding] = []
-    await guards.open(devices)
-    try:
-        for device in devices:
-            manifest = plugins.by_driver[device.driver].manifests[device.type]
-            async for finding in run_kit(LiveBench(guards, device, manifest, notes), checks, may_move):
-                findings.append(finding)
-                show(finding)
-    finally:
-        await guards.close()
-    return findings

@@ -231,6 +231,7 @@ class Shell(asyncio.Protocol):
         except Exception as error:  # foreign code again; the core tries again
             self._run(core.not_safe(name, f"the driver failed: {error!r}"))
         else:
+            self._telemetry.flush()
             self._run(core.made_safe(name))
 
     def _set_timer(self) -> None:
@@ -311,7 +312,7 @@ def be_prompt() -> None:
     gc.freeze()
 
 
-def _fastest_loop() -> Callable[[], asyncio.AbstractEventLoop] | None:
+def fastest_loop() -> Callable[[], asyncio.AbstractEventLoop] | None:
     """uvloop's where it is installed, else asyncio's own (None)."""
     try:
         import uvloop
@@ -332,7 +333,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         plugin = load_plugin(arguments[0])
         be_prompt()
-        with asyncio.Runner(loop_factory=_fastest_loop()) as runner:
+        with asyncio.Runner(loop_factory=fastest_loop()) as runner:
             return runner.run(serve(plugin, os.dup(0), output_fd))
     except LfieldError as error:
         print(error, file=sys.stderr)

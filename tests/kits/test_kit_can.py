@@ -1,0 +1,62 @@
+"""The kit of CAN devices on the fake: all of it passes, and faults are seen by the checks they are for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from kit_findings import failed, not_run
+
+pytestmark = pytest.mark.process
+
+DBC = Path(__file__).parents[2] / "sim-adapters/lfield_sim/can/gripper.dbc"
+DRIVE = "type: CanAxis, protocol: cia402, counts: 10000, homing_method: 37"
+ODRIVE = "type: CanAxis, protocol: odrive, waivers: [no_homing, device_watchdog]"
+
+
+def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(fake, try_kit):
+    bus = fake("can", "--device", "cia402:5", "--device", "odrive:3", "--device", f"dbc:{DBC}")
+    found = try_kit(
+        "can",
+        {"drive": f'endpoint: "{bus.endpoint}", node: 5, {DRIVE}, limits: {{speed: 5.0, torque: 1.0}}'},
+        {"odrive": f'endpoint: "{bus.endpoint}", node: 3, {ODRIVE}, limits: {{speed: 5.0}}'},
+        {
+            "gripper": f'endpoint: "{bus.endpoint}", type: CanSignals, dbc: "{DBC}", '
+            "commands: [GripperCommand], "
+            "safe: [GripperCommand.TargetWidth=0.05, GripperCommand.TargetForce=0, GripperCommand.Enable=0], "
+            "confirm: [GripperStatus.Enable=0], waivers: [device_watchdog]"
+        },
+    )
+    assert failed(found) == []
+    assert not_run(found) == {("odrive", "homing where it stands")}
+    assert "time-to-live of 0.5 s is over" in found["drive", "a velocity that is not renewed ends"].seen
+    assert "the host was silent" in found["odrive", "a host that hangs while it turns"].seen
+    assert "GripperStatus.Width" in found["gripper", "what it sends can be read"].seen
+    assert (
+        "allow only GripperCommand" in found["gripper", "what its binding does not list cannot be sent"].seen
+    )
+
+
+def test_an_axis_that_does_not_do_it_fails(fake, try_kit):
+    axes = [word for node in (5, 6, 7) for word in ("--device", f"cia402:{node}")]
+    bus = fake("can", *axes, "--device", "odrive:3")
+    bus.fault("stuck@5=true")
+    turning, sound = "a velocity that is not renewed ends", "it is heard, and nothing is wrong with it"
+    found = try_kit(
+        "can",
+        *({f"n{node}": f'endpoint: "{bus.endpoint}", node: {node}, {DRIVE}'} for node in (5, 6, 7)),
+        {"n3": f'endpoint: "{bus.endpoint}", node: 3, {ODRIVE}'},
+        only=("enabled, it stays where it is", turning),
+    )
+    assert found["n5", turning].outcome == "failed"
+    assert "does not turn it" in found["n5", turning].seen or "blocked" in found["n5", turning].seen
+    assert found["n6", turning].outcome == "passed"
+    bus.fault("overheat@6=true", "overcurrent@3=true", "lost_tpdo@7=true")
+    found = try_kit(
+        "can",
+        {"n6": f'endpoint: "{bus.endpoint}", node: 6, {DRIVE}'},
+        {"n3": f'endpoint: "{bus.endpoint}", node: 3, {ODRIVE}'},
+        only=(sound,),
+    )
+    assert "temperature" in found["n6", sound].seen.lower()
+    assert "current" in found["n3", sound].seen.lower()

@@ -1,0 +1,53 @@
+"""The kit of Dynamixel servos on the fake: all of it passes, and faults fail the checks they are for."""
+
+from __future__ import annotations
+
+import pytest
+from kit_findings import failed
+
+pytestmark = pytest.mark.process
+
+
+def servos(fake, *specs):
+    options = [word for spec in specs for word in ("--servo", spec)]
+    return fake("dynamixel", "--baud", "1000000", *options)
+
+
+def test_a_servo_and_a_group_pass(fake, try_kit):
+    chain = servos(fake, "1:XM430-W350", "2:XL330-M288", "3:XM430-W350")
+    where = f'endpoint: "{chain.endpoint}", ttl: 0.3, limits: {{speed: 4.0}}'
+    found = try_kit(
+        "dynamixel",
+        {"servo": f"type: Dynamixel, id: 1, {where}", "group": f"type: DynamixelGroup, ids: [2, 3], {where}"},
+    )
+    assert failed(found) == []
+    assert {finding.outcome for finding in found.values()} == {"passed"}
+    for device in ("servo", "group"):
+        assert "time-to-live of 0.3 s is over" in found[device, "a setpoint that is not renewed ends"].seen
+        assert found[device, "limp at the end"].seen == "torque off"
+    assert found["group", "every member answers"].seen == "2 members"
+
+
+def test_servos_that_do_not_do_it_fail(fake, try_kit):
+    chain = servos(fake, "1:XM430-W350", "2:XL330-M288", "3:XL330-M288", "4:XM430-W350")
+    where = f'endpoint: "{chain.endpoint}", ttl: 0.3'
+    volts, turn, all_there = (
+        "supply and temperature are plausible",
+        "turns there and back",
+        "every member answers",
+    )
+    found = try_kit(
+        "dynamixel",
+        {
+            "stuck": f"type: Dynamixel, id: 1, {where}",
+            "sagging": f"type: Dynamixel, id: 4, {where}",
+            "group": f"type: DynamixelGroup, ids: [2, 3], {where}",
+        },
+        only=(volts, turn, all_there),
+        first=lambda: chain.fault("stuck@1=true", "sag@4=10", "dead@3=true"),
+        last=lambda: chain.fault("dead@3=false"),
+    )
+    assert "something is in the way" in found["stuck", turn].seen
+    assert "it says that it has" in found["sagging", volts].seen
+    assert "servo 3" in found["group", all_there].seen or "[3]" in found["group", all_there].seen
+    assert found["stuck", volts].outcome == "passed"

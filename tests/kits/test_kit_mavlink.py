@@ -1,0 +1,56 @@
+"""The kit of MAVLink vehicles on the fake: all of it passes, and faults fail the checks they are for."""
+
+from __future__ import annotations
+
+import pytest
+from kit_findings import failed, not_run
+
+pytestmark = pytest.mark.process
+
+FAST = ("--climb", "8", "--cruise", "15", "--descend", "8", "--land", "6", "--acceleration", "15")
+LIMITS = "limits: {speed: 5.0, altitude: 20.0, radius: 50.0}"
+
+
+def vehicles(fake, *specs):
+    options = [word for spec in specs for word in ("--vehicle", spec)]
+    return fake("mavlink", "--listen", "udp:127.0.0.1:0", *options, *FAST)
+
+
+def test_copters_of_both_autopilots_and_a_rover_pass(fake, try_kit):
+    link = vehicles(fake, "1:copter:ardupilot", "2:rover:ardupilot", "3:copter:px4")
+    found = try_kit(
+        "mavlink",
+        {"ardupilot": f'endpoint: "{link.endpoint}", system: 1, ttl: 1.0, {LIMITS}'},
+        {"rover": f'endpoint: "{link.endpoint}", system: 2, kind: rover, ttl: 1.5, {LIMITS}'},
+        {"px4": f'endpoint: "{link.endpoint}", system: 3, safe_state: hold'},
+    )
+    assert failed(found) == []
+    assert not_run(found) == {
+        ("rover", "it does not take off with its motors off"),
+        ("px4", "the limits of its binding are kept"),
+    }
+    assert found["ardupilot", "motors on and off"].seen == "armed in GUIDED, disarmed"
+    assert "then it was in LAND" in found["ardupilot", "a velocity that is not renewed ends"].seen
+    assert "then it was in HOLD" in found["rover", "a velocity that is not renewed ends"].seen
+    assert "then it was in AUTO.LOITER" in found["px4", "a velocity that is not renewed ends"].seen
+    for vehicle in ("ardupilot", "rover", "px4"):
+        assert "motors off" in found[vehicle, "it stands at the end"].seen
+
+
+def test_a_vehicle_that_does_not_do_it_fails(fake, try_kit):
+    link = vehicles(fake, "1", "2", "3")
+    link.fault("refuse_arming@1=compass not calibrated", "motor_failure@2=true", "gps_loss@3=true")
+    waived = "waivers: [device_watchdog]"
+    checks = ("telemetry", "motors on and off", "a short trip", "files")
+    found = try_kit(
+        "mavlink",
+        *({f"v{system}": f'endpoint: "{link.endpoint}", system: {system}, {waived}'} for system in (1, 2, 3)),
+        only=checks,
+    )
+    assert "compass not calibrated" in found["v1", "motors on and off"].seen
+    assert found["v1", "a short trip"].outcome == "failed"
+    assert found["v1", "files"].outcome == "passed"
+    assert found["v2", "motors on and off"].outcome == "passed"
+    assert "takeoff" in found["v2", "a short trip"].seen
+    assert "does not report" in found["v3", "telemetry"].seen
+    assert "position" in found["v3", "telemetry"].seen
