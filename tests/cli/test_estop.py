@@ -1,0 +1,100 @@
+"""`lfield estop` on a mission that flies: who is safe, who has not confirmed, who was not reached."""
+
+from __future__ import annotations
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+#: Each copter takes off, and from then on takes itself back whenever it may.
+PROGRAM = """
+resource Copter {
+    Mavlink fc;
+    init(string[] arg) {
+        fc.arm();
+        fc.takeoff(2.0);
+        write("flies\\n");
+        while (true) {
+            sleep(0.2);
+            try { fc.hold(); }
+            catch (DeviceException stopped) { again(); }
+        }
+    }
+    private void again() {
+        try {
+            fc.release();
+            write("released\\n");
+        } catch (DeviceException e) {
+            write("not released: " + e.message() + "\\n");
+        }
+    }
+}
+coordinator Nobody { init(string[] arg) { sleep(1000.0); } }
+"""
+DEPLOYMENT = "//Copter:lead@alpha\n//Copter:wing@bravo\n//Nobody:one@alpha\n"
+COPTER = "driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_watchdog]"
+DEVICES = f"""
+silence: 2.0
+agents:
+  lead: {{devices: {{fc: {{{COPTER}, system: 1}}}}}}
+  wing: {{devices: {{fc: {{{COPTER}, system: 2}}}}}}
+"""
+
+
+class Team:
+    """Two hosts in processes of their own; `words` are the options that say which deployment, and where."""
+
+    def __init__(self, lfield):
+        deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
+        self.words = ("--deploy", deployment, *lfield.maps(["alpha", "bravo"]))
+        self.hosts = {
+            name: lfield.start("up", *self.words, "--host", name, "--sim") for name in ("alpha", "bravo")
+        }
+        for host in self.hosts.values():
+            host.wait_for("flies")
+
+
+@pytest.fixture
+def team(lfield):
+    return Team(lfield)
+
+
+def test_every_device_is_safe_and_is_not_released_before_the_stop_is_lifted(lfield, team):
+    pressed = lfield("estop", *team.words, "--reason", "a child on the field")
+    assert lfield.status(pressed) == 0, pressed.said
+    assert sorted(pressed.out) == ["alpha: lead.fc: safe", "bravo: wing.fc: safe"]
+    for host in team.hosts.values():
+        host.wait_for(r"safe state 'land': the emergency stop was pressed: a child on the field")
+        host.wait_for(r"not released: .*'lfield estop --lift' must come first")
+        assert not any("| released" in line or line.endswith("released") for line in host.out)
+    lifted = lfield("estop", *team.words, "--lift")
+    assert lfield.status(lifted) == 0, lifted.said
+    assert sorted(lifted.out) == ["alpha: lead.fc: may be released", "bravo: wing.fc: may be released"]
+    for host in team.hosts.values():
+        host.wait_for(r"^(?!.*not).*released$")
+
+
+def test_who_does_not_confirm_and_who_is_not_reached_is_named(lfield, team):
+    silenced = lfield("sim", "fault", "wing.fc", "silence=true")
+    assert lfield.status(silenced) == 0, silenced.said
+    pressed = lfield("estop", *team.words)
+    assert lfield.status(pressed) == 69, pressed.said
+    assert pressed.out == ["alpha: lead.fc: safe"]
+    assert pressed.err == [
+        "bravo: wing.fc: NOT CONFIRMED: its safe state was not confirmed in 5 s",
+    ]
+    team.hosts["bravo"].popen.kill()
+    team.hosts["bravo"].popen.wait()
+    again = lfield("estop", *team.words)
+    assert lfield.status(again) == 69, again.said
+    assert again.out == ["alpha: lead.fc: safe"]
+    (line,) = again.err
+    assert line.startswith("bravo: NOT REACHED, its devices have not confirmed: ")
+
+
+def test_a_mission_that_does_not_run_is_not_reached(lfield):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
+    pressed = lfield("estop", "--deploy", deployment, *lfield.maps(["alpha", "bravo"]))
+    assert lfield.status(pressed) == 69
+    assert len(pressed.err) == 2
+    assert all("NOT REACHED" in line for line in pressed.err)
