@@ -7,7 +7,7 @@ happens to receive, and its `recv_match` throws away every message it was not as
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -28,6 +28,15 @@ _SHORTEST = 12
 _REFUSED = "Invalid signature"
 
 
+class Header(NamedTuple):
+    """The ids of a packet's sender, its kind and its number."""
+
+    system: int
+    component: int
+    kind: int
+    sequence: int
+
+
 class Reader:
     """Bytes of a link to messages; broken packets and unknown messages are left out.
 
@@ -39,6 +48,7 @@ class Reader:
         self._parser: Any = dialect.MAVLink(None)
         # Without it one wrong checksum raises.
         self._parser.robust_parsing = True
+        self._signed = signing is not None
         if signing is not None:
             signing.attach_reader(self._parser)
         self.broken = 0
@@ -54,6 +64,12 @@ class Reader:
         if parser.buf_index > _KEPT:
             parser.buf = parser.buf[parser.buf_index :]
             parser.buf_index = 0
+
+    def peek(self, data: bytes) -> Header | None:
+        """Who sent what, unchecked, when these bytes are one packet whose sender need not be proven."""
+        if self._signed or not self._is_whole(data):
+            return None
+        return Header(data[5], data[6], data[7] | data[8] << 8 | data[9] << 16, data[4])
 
     def _is_whole(self, data: bytes) -> bool:
         """Whether these bytes are one packet, as most datagrams are: it need not go through the buffer."""

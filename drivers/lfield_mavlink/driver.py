@@ -10,7 +10,7 @@ from typing import Any
 
 from lfield.driver import DeviceBinding, Driver
 from lfield.errors import DeviceError
-from lfield_mavlink.dialect import AUTOPILOT, Reader, Writer, dialect
+from lfield_mavlink.dialect import AUTOPILOT, Header, Reader, Writer, dialect
 from lfield_mavlink.link_health import LinkCounts
 from lfield_mavlink.links import AGAIN, Link, make_link, split_endpoint
 from lfield_mavlink.routes import Route
@@ -128,6 +128,9 @@ class MavlinkDriver(Driver):
     # -- messages -------------------------------------------------------------------------------------
 
     def _received(self, link: int, reader: Reader, data: bytes) -> None:
+        header = reader.peek(data)
+        if header is not None and self._is_spare(link, header):
+            return
         for message in reader.feed(data):
             system = message.get_srcSystem()
             vehicle = self._vehicles.get(system)
@@ -136,6 +139,16 @@ class MavlinkDriver(Driver):
                 continue
             if self._routes[system].heard(link, message.get_msgbuf(), self.clock.monotonic()):
                 vehicle.on_message(message)
+
+    def _is_spare(self, link: int, header: Header) -> bool:
+        """Whether a packet need not be decoded: of nobody here, or telemetry that comes faster than wanted.
+
+        It does when a ground station on the same link asks for more; to decode it is most of the work then.
+        """
+        vehicle = self._vehicles.get(header.system)
+        if vehicle is None or header.component != AUTOPILOT:
+            return True
+        return len(self._ports) == 1 and vehicle.is_spare(header.kind, header.sequence)
 
     def _send_to(self, system: int, message: Any) -> None:
         for number in self._routes[system].links(self.clock.monotonic()):

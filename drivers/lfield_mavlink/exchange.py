@@ -40,7 +40,7 @@ class Exchange:
         self._system, self._send = system, send
         # Acknowledgements are matched by command number, so each number has one question open at a time.
         self._locks: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
-        self._acks: dict[int, asyncio.Queue[int]] = {}
+        self._questions: dict[int, _Question] = {}
 
     async def command(
         self, number: int, *values: float | None, place: Place | None = None, once: bool = False
@@ -53,26 +53,32 @@ class Exchange:
         """
         attempts = 1 if once else RETRIES + 1
         async with self._locks[number]:
-            acks = self._acks[number] = asyncio.Queue()
-            try:
-                for confirmation in range(attempts):
-                    if place is None:
-                        self._send(self._command_long(number, confirmation, values))
-                    else:
-                        self._send(self._command_int(number, values, place))
-                    result = await _final(acks)
-                    if result is not None:
-                        return Answer(result, confirmation + 1)
-                return Answer(None, attempts)
-            finally:
-                del self._acks[number]
+            for confirmation in range(attempts):
+                if place is None:
+                    message = self._command_long(number, confirmation, values)
+                else:
+                    message = self._command_int(number, values, place)
+                result = await self._ask(number, message)
+                if result is not None:
+                    return Answer(result, confirmation + 1)
+            return Answer(None, attempts)
+
+    async def _ask(self, number: int, message: Any) -> int | None:
+        """The result that ends a command; None when it is time to ask again."""
+        question = self._questions[number] = _Question()
+        try:
+            self._send(message)
+            return await question.result
+        finally:
+            question.close()
+            del self._questions[number]
 
     def on_message(self, message: Any) -> None:
         """Hand an answer to whoever waits for it; answers to others are left alone."""
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
-            acks = self._acks.get(message.command)
-            if acks is not None and is_for_us(message):
-                acks.put_nowait(message.result)
+            question = self._questions.get(message.command)
+            if question is not None and is_for_us(message):
+                question.answer(message.result)
 
     def _command_long(self, number: int, confirmation: int, values: tuple[float | None, ...]) -> Any:
         padded = self._padded(values, 7)
@@ -105,16 +111,30 @@ def is_for_us(message: Any) -> bool:
     return system in (0, SYSTEM) and component in (0, COMPONENT)
 
 
-async def _final(acks: asyncio.Queue[int]) -> int | None:
-    """The result that ends a command; None when it is time to ask again."""
-    patience = PATIENCE
-    try:
-        async with asyncio.timeout(LONGEST):
-            while True:
-                async with asyncio.timeout(patience):
-                    result = await acks.get()
-                if result != dialect.MAV_RESULT_IN_PROGRESS:
-                    return result
-                patience = PROGRESS
-    except TimeoutError:
-        return None
+class _Question:
+    """A command that waits for its answer; `result` is None when that has taken too long.
+
+    One future and one timer: a command must not take longer than the wire needs.
+    """
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self.result: asyncio.Future[int | None] = self._loop.create_future()
+        self._latest = self._loop.time() + LONGEST
+        self._timer = self._loop.call_later(PATIENCE, self._finish, None)
+
+    def answer(self, result: int) -> None:
+        """An answer has come; IN_PROGRESS only gives it more time."""
+        if result != dialect.MAV_RESULT_IN_PROGRESS:
+            self._finish(result)
+            return
+        self._timer.cancel()
+        self._timer = self._loop.call_at(min(self._loop.time() + PROGRESS, self._latest), self._finish, None)
+
+    def close(self) -> None:
+        """Nobody waits any more."""
+        self._timer.cancel()
+
+    def _finish(self, result: int | None) -> None:
+        if not self.result.done():
+            self.result.set_result(result)

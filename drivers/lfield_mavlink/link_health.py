@@ -42,6 +42,13 @@ class LinkHealth(Streams):
         self._sender.add(message.get_seq(), self.clock.monotonic())
         super().on_message(message)
 
+    def is_spare(self, kind: int, sequence: int) -> bool:
+        """As above; what is not read is counted all the same."""
+        spare = super().is_spare(kind, sequence)
+        if spare:
+            self._sender.add(sequence, self.clock.monotonic())
+        return spare
+
     async def keep_link(self) -> None:
         """Report and measure until cancelled."""
         while True:

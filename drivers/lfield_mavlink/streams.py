@@ -13,6 +13,27 @@ from lfield_mavlink.state import SOURCES
 
 #: Seconds after which a stream that was there is asked for again.
 STALE = 3.0
+#: Telemetry that ground stations ask for on the same link, and this driver makes no use of.
+UNUSED = frozenset(
+    {
+        dialect.MAVLINK_MSG_ID_SCALED_IMU,
+        dialect.MAVLINK_MSG_ID_RAW_IMU,
+        dialect.MAVLINK_MSG_ID_SCALED_PRESSURE,
+        dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        dialect.MAVLINK_MSG_ID_RC_CHANNELS_RAW,
+        dialect.MAVLINK_MSG_ID_RC_CHANNELS,
+        dialect.MAVLINK_MSG_ID_ATTITUDE_TARGET,
+        dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+        dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+        dialect.MAVLINK_MSG_ID_HIGHRES_IMU,
+        dialect.MAVLINK_MSG_ID_ALTITUDE,
+        dialect.MAVLINK_MSG_ID_BATTERY_STATUS,
+        dialect.MAVLINK_MSG_ID_VIBRATION,
+        dialect.MAVLINK_MSG_ID_ODOMETRY,
+    }
+)
+#: The share of its period after which a message is read; what comes sooner nobody has asked for.
+EARLY = 0.6
 #: The stream of REQUEST_DATA_STREAM that brings a message, for autopilots that know no intervals.
 GROUPS: Mapping[int, int] = {
     dialect.MAVLINK_MSG_ID_SYS_STATUS: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
@@ -39,12 +60,30 @@ class Streams(Contact):
         self._rates = {kind: max(rates[name] for name in names) for kind, names in SOURCES.items()}
         self._rates[dialect.MAVLINK_MSG_ID_HOME_POSITION] = 0.5
         self._last: dict[int, float] = {}
+        self._read: dict[int, float] = {}
 
     def on_message(self, message: Any) -> None:
         """A message of this vehicle's autopilot."""
         if message.get_msgId() in self._rates:
-            self._last[message.get_msgId()] = self.clock.monotonic()
+            now = self.clock.monotonic()
+            self._last[message.get_msgId()] = self._read[message.get_msgId()] = now
         super().on_message(message)
+
+    def is_spare(self, kind: int, sequence: int) -> bool:
+        """Whether a message need not be read, since nobody here uses it, or it comes too soon after the last.
+
+        Such a message counts as heard.
+        """
+        if kind in UNUSED:
+            return kind not in self._handlers
+        # What other parts have asked for may also be told when it changes; a heartbeat is a sign of life.
+        if kind not in SOURCES or kind == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            return False
+        now = self.clock.monotonic()
+        if now - self._read.get(kind, -math.inf) > EARLY / self._rates[kind]:
+            return False
+        self._last[kind] = now
+        return True
 
     async def _prepare(self) -> None:
         await super()._prepare()

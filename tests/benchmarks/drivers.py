@@ -18,6 +18,7 @@ import can
 import dynamixel_sdk
 from harness import Children, Figure, Row, in_turns, median, microseconds, percentile, times
 
+from lfield.driver.guard import fastest_loop
 from lfield_can.bus import Bus as CanBus
 from lfield_can.frames import Frame
 from lfield_dynamixel.bus import Bus as ServoBus
@@ -123,7 +124,8 @@ def _own_echoes(endpoint: str) -> list[float]:
         finally:
             await bus.close()
 
-    return asyncio.run(main())
+    with asyncio.Runner(loop_factory=fastest_loop()) as runner:
+        return runner.run(main())
 
 
 # --- Dynamixel ----------------------------------------------------------------------------------------
@@ -177,4 +179,5 @@ def _own_reads(endpoint: str) -> list[float]:
         finally:
             bus.close()
 
-    return asyncio.run(main())
+    with asyncio.Runner(loop_factory=fastest_loop()) as runner:
+        return runner.run(main())

@@ -459,7 +459,7 @@ def test_a_call_that_is_given_up_in_the_middle_leaves_the_next_one_free(bench):
                 await climb
         await fc.execute("goTo", [5.0, 0.0, -5.0])
         assert fc._expected == {}
-        assert fc._exchange._acks == {}
+        assert fc._exchange._questions == {}
 
     b.run(mission)
 
