@@ -136,7 +136,8 @@ async def watchdog(bench: Bench) -> str:
         raise NotTried("waived by its binding")
     await bench.call("torque", True)
     told = len(bench.notes)
-    await bench.fall_silent(2.0 * bench.binding.ttl + 1.0)
+    # The guard needs a moment for the safe state before it makes the bus quiet.
+    await bench.fall_silent(bench.silence + 2.0 * bench.binding.ttl + 1.2)
     await bench.until(lambda: bool(_stopped(bench, told)), 5.0, "it to stop by itself and to be told so")
     if bench.latched:
         await held(bench, SAFE)

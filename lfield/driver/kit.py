@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
@@ -156,7 +157,12 @@ async def run_kit(bench: Bench, checks: Iterable[Check], may_move: bool) -> Asyn
         if check.moves and not may_move:
             yield Finding(name, check.name, "not run", "it would move the device, and nobody agreed to that")
             continue
-        yield await _run(bench, check)
+        finding = await _run(bench, check)
+        if finding.outcome == "failed" and bench.confirmed:
+            # The checks that follow are not to fail for the same reason.
+            with suppress(DeviceError):
+                await bench.call("release")
+        yield finding
 
 
 async def _run(bench: Bench, check: Check) -> Finding:

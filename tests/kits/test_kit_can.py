@@ -38,7 +38,7 @@ def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(fake, try_kit):
 
 
 def test_an_axis_that_does_not_do_it_fails(fake, try_kit):
-    axes = [word for node in (5, 6) for word in ("--device", f"cia402:{node}")]
+    axes = [word for node in (5, 6, 7) for word in ("--device", f"cia402:{node}")]
     bus = fake("can", *axes, "--device", "odrive:3")
     bus.fault("stuck@5=true")
     turning, sound = "a velocity that is not renewed ends", "it is heard, and nothing is wrong with it"
@@ -51,12 +51,12 @@ def test_an_axis_that_does_not_do_it_fails(fake, try_kit):
     assert found["n5", turning].outcome == "failed"
     assert "does not turn it" in found["n5", turning].seen or "blocked" in found["n5", turning].seen
     assert found["n6", turning].outcome == "passed"
-    bus.fault("overheat@6=true", "overcurrent@3=true")
+    bus.fault("overheat@7=true", "overcurrent@3=true")
     found = try_kit(
         "can",
-        {"n6": f'endpoint: "{bus.endpoint}", node: 6, {DRIVE}'},
+        {"n7": f'endpoint: "{bus.endpoint}", node: 7, {DRIVE}'},
         {"n3": f'endpoint: "{bus.endpoint}", node: 3, {ODRIVE}'},
         only=(sound,),
     )
-    assert "too hot" in found["n6", sound].seen
+    assert "too hot" in found["n7", sound].seen
     assert "current" in found["n3", sound].seen.lower()
