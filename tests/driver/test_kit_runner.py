@@ -129,3 +129,20 @@ def test_a_drivers_own_checks_run_for_their_types_and_a_broken_one_is_told():
     assert list(found) == ["mine", "broken"]
     assert found["mine"].seen == "seen"
     assert "the check itself is broken: ZeroDivisionError" in found["broken"].seen
+
+
+def test_a_failed_check_leaves_the_device_free_for_the_next():
+    kit, bench = Kit(), Pretended()
+
+    @kit.check("fails while it is latched", moves=True)
+    async def fails(bench):
+        await bench.make_safe()
+        raise CheckFailed("something else")
+
+    @kit.check("turns", moves=True)
+    async def turns(bench):
+        await bench.call("turn", 0.1)
+        return "turned"
+
+    found = findings(bench, kit.checks)
+    assert [f.outcome for f in found.values()] == ["failed", "passed"]
