@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import uuid
@@ -215,3 +216,11 @@ def shared_lfield(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lfield]:
     made = Lfield(tmp_path_factory.mktemp("shared"))
     yield made
     made.end()
+
+
+@pytest.fixture
+def alone() -> Iterator[dict[str, str]]:
+    """The environment of commands that see no fakes and teams but each other."""
+    # Not pytest's folder: the path of a socket may have 107 bytes.
+    with tempfile.TemporaryDirectory(prefix="lf-") as folder:
+        yield {"XDG_RUNTIME_DIR": folder}

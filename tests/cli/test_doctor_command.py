@@ -18,10 +18,10 @@ def deployment(lfield):
     """Two copters on a link where only the first one answers."""
     fake = lfield.start("sim", "mavlink", "--listen", "udp:127.0.0.1:0", "--until-stdin-closes", stdin=True)
     endpoint = fake.wait_for(r"^ready (\S+)")[1]
-    copter = f"driver: mavlink, endpoint: '{endpoint}', waivers: [device_watchdog], connect: 0.5"
+    copter = f"driver: mavlink, endpoint: '{endpoint}', waivers: [device_watchdog]"
     devices = (
         f"agents:\n  lead: {{devices: {{fc: {{{copter}, system: 1}}}}}}\n"
-        f"  wing: {{devices: {{fc: {{{copter}, system: 9}}}}}}\n"
+        f"  wing: {{devices: {{fc: {{{copter}, system: 9, connect: 0.5}}}}}}\n"
     )
     return lfield.mission(PROGRAM, DEPLOYMENT, devices)
 

@@ -44,19 +44,21 @@ agents:
 class Team:
     """Two hosts in processes of their own; `words` are the options that say which deployment, and where."""
 
-    def __init__(self, lfield):
+    def __init__(self, lfield, environment):
         deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
         self.words = ("--deploy", deployment, *lfield.maps(["alpha", "bravo"]))
         self.hosts = {
-            name: lfield.start("up", *self.words, "--host", name, "--sim") for name in ("alpha", "bravo")
+            name: lfield.start("up", *self.words, "--host", name, "--sim", env=environment)
+            for name in ("alpha", "bravo")
         }
         for host in self.hosts.values():
             host.wait_for("flies")
 
 
 @pytest.fixture
-def team(lfield):
-    return Team(lfield)
+def team(alone, lfield):
+    yield Team(lfield, alone)
+    lfield.end()
 
 
 def test_every_device_is_safe_and_is_not_released_before_the_stop_is_lifted(lfield, team):
@@ -74,8 +76,8 @@ def test_every_device_is_safe_and_is_not_released_before_the_stop_is_lifted(lfie
         host.wait_for(r"^(?!.*not).*released$")
 
 
-def test_who_does_not_confirm_and_who_is_not_reached_is_named(lfield, team):
-    silenced = lfield("sim", "fault", "wing.fc", "silence=true")
+def test_who_does_not_confirm_and_who_is_not_reached_is_named(lfield, team, alone):
+    silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
     assert lfield.status(silenced) == 0, silenced.said
     pressed = lfield("estop", *team.words)
     assert lfield.status(pressed) == 69, pressed.said
