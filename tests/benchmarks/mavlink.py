@@ -11,7 +11,7 @@ import asyncio
 import os
 import sys
 import time
-from collections.abc import Coroutine, Iterable, Mapping
+from collections.abc import Coroutine, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from lfield.driver.guard import fastest_loop
 from lfield.driver.plugins import Plugins
 from lfield.fleet.guards import Guards
 from lfield.fleet.kit_bench import LiveBench
-from lfield.manifest import DeviceValue
+from lfield.testing.reports import KeptReports
 
 SYSTEMS, RATE, SECONDS = (1, 2, 3, 4), 200, 5.0
 ROUNDS, COMMANDS = 5, 200
@@ -149,25 +149,9 @@ def _as_guards_run(work: Coroutine[Any, Any, list[float]]) -> list[float]:
         return runner.run(work)
 
 
-class _Nobody:
-    """Reports that nobody reads."""
-
-    def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
-        pass
-
-    def heard(self, device: str) -> None:
-        pass
-
-    def note(self, device: str, text: str) -> None:
-        pass
-
-    def crashed(self, reason: str) -> None:
-        raise RuntimeError(reason)
-
-
 async def _driver_commands(port: str) -> list[float]:
     installed = _plugins().by_driver["mavlink"]
-    driver = installed.plugin.load()(_bindings(port, (1,)), installed.manifests, SystemClock(), _Nobody())
+    driver = installed.plugin.load()(_bindings(port, (1,)), installed.manifests, SystemClock(), KeptReports())
     await driver.open()
     try:
         device = driver.devices["v1.fc"]

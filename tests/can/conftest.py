@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
@@ -12,6 +12,7 @@ from lfield.clock import SystemClock
 from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
 from lfield.testing.jumping import LoopClock, run_jumping
+from lfield.testing.reports import KeptReports
 from lfield_can import PLUGIN
 from lfield_can.driver import CanDriver
 from lfield_can.frames import Frame
@@ -33,27 +34,6 @@ def make_binding(
         options={**options, **given.get("options", {})},
         waivers=given.get("waivers", []),
     )  # fmt: skip
-
-
-class Reported:
-    """What a driver reports is kept."""
-
-    def __init__(self) -> None:
-        self.values: dict[str, Any] = {}
-        self.notes: list[str] = []
-        self.crashes: list[str] = []
-
-    def publish(self, device: str, values: Mapping[str, Any]) -> None:
-        self.values.update(values)
-
-    def heard(self, device: str) -> None:
-        pass
-
-    def note(self, device: str, text: str) -> None:
-        self.notes.append(text)
-
-    def crashed(self, reason: str) -> None:
-        self.crashes.append(reason)
 
 
 class MemoryBus:
@@ -87,7 +67,7 @@ class MemoryBus:
             self.received(Frame(identifier, data, extended))
 
 
-class Bench(Reported):
+class Bench(KeptReports):
     """The driver on a bus in memory."""
 
     def __init__(self, *bindings: DeviceBinding) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from lfield.driver import DeviceBinding
 from lfield.testing.jumping import LoopClock, run_jumping
+from lfield.testing.reports import KeptReports
 from lfield_dynamixel import PLUGIN
 from lfield_dynamixel.driver import DynamixelDriver
 from lfield_sim.dynamixel.ax import make_servo
@@ -64,13 +65,14 @@ class BenchDriver(DynamixelDriver):
         return MemoryPort(self.bench, events)
 
 
-class Bench:
+class Bench(KeptReports):
     """A chain of fakes, and a driver with one device for them; what the driver reports is kept."""
 
     def __init__(
         self, *ids: int, fake: str = "XL330-M288", limits=None, safe_state="torque_hold", ttl=0.5,
         extra=(), waivers=(), **options: Any,
     ) -> None:  # fmt: skip
+        super().__init__()
         numbers = ids or (1,)
         servos = [make_servo(model_named(fake), START) for _ in numbers]
         for number, servo in zip(numbers, servos, strict=True):
@@ -89,24 +91,8 @@ class Bench:
         )  # fmt: skip
         self.bindings = [self.binding, *extra]
         self.sent: list[tuple[float, bytes]] = []
-        self.values: dict[str, Any] = {}
-        self.notes: list[str] = []
-        self.crashes: list[str] = []
         self.port: MemoryPort = None  # type: ignore[assignment]  # there when the driver has opened it
         self.driver: BenchDriver = None  # type: ignore[assignment]  # there while a story runs
-
-    # the driver's reports
-    def publish(self, device, values):
-        self.values.update(values)
-
-    def heard(self, device):
-        pass
-
-    def note(self, device, text):
-        self.notes.append(text)
-
-    def crashed(self, reason):
-        self.crashes.append(reason)
 
     def fault(self, *texts: str) -> None:
         self.chain.faults.apply(texts)

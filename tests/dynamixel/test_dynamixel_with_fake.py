@@ -19,6 +19,7 @@ from lfield.clock import SystemClock
 from lfield.driver import DeviceBinding
 from lfield.driver.sims import control_folder
 from lfield.errors import DeviceError
+from lfield.testing.reports import KeptReports
 from lfield_dynamixel import PLUGIN
 from lfield_dynamixel.driver import DynamixelDriver
 
@@ -58,25 +59,8 @@ def fake_chain(*servos: str) -> Iterator[Fake]:
         process.communicate(timeout=10)
 
 
-class Seen:
+class Seen(KeptReports):
     """What a driver reports."""
-
-    def __init__(self) -> None:
-        self.values: dict[str, Any] = {}
-        self.notes: list[str] = []
-        self.crashes: list[str] = []
-
-    def publish(self, device, values):
-        self.values.update(values)
-
-    def heard(self, device):
-        pass
-
-    def note(self, device, text):
-        self.notes.append(text)
-
-    def crashed(self, reason):
-        self.crashes.append(reason)
 
     async def until(self, condition, bound: float = 10.0) -> None:
         """Look again and again; a condition that never holds fails the test."""

@@ -11,6 +11,7 @@ from mavsdk_stand_in import ALTITUDE, EAST, LATITUDE, LONGITUDE, NORTH, StandIn
 from lfield.clock import SystemClock
 from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
+from lfield.testing.reports import KeptReports
 from lfield_mavlink import PLUGIN
 from lfield_mavlink.driver import MavlinkDriver
 
@@ -21,30 +22,11 @@ MANIFEST = PLUGIN.read_manifests()["Mavlink"]
 LONGEST = 30.0
 
 
-class Owner:
-    """The driver's other side: keeps what it reports."""
-
-    def __init__(self):
-        self.values, self.notes, self.crashes = {}, [], []
-
-    def publish(self, device, values):
-        self.values.update(values)
-
-    def heard(self, device):
-        pass
-
-    def note(self, device, text):
-        self.notes.append(text)
-
-    def crashed(self, reason):
-        self.crashes.append(reason)
-
-
 def fly(story, *, opened=True, **stand_in):
     """Run `story(device, vehicle, owner)` with the driver at MAVSDK's vehicle."""
 
     async def main():
-        owner = Owner()
+        owner = KeptReports()
         async with asyncio.timeout(LONGEST), StandIn(**stand_in) as vehicle:
             binding = DeviceBinding(
                 agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint=vehicle.endpoint,
