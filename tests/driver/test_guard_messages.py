@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -76,3 +78,11 @@ def test_values_get_their_type(value, kind, result):
 def test_values_of_another_type_are_refused(value, kind):
     with pytest.raises(ValueError, match="is not a"):
         conform(value, kind)
+
+
+def test_a_member_without_a_number_survives_the_pipe():
+    snapshot = Snapshot("arm.joints", {"positions": [0.5, math.nan], "missing": [2]}, {}, 0.0)
+    (arrived,) = MessageReader().feed(encode(snapshot))
+    assert arrived.values["missing"] == [2]
+    assert arrived.values["positions"][0] == 0.5
+    assert math.isnan(arrived.values["positions"][1])
