@@ -34,7 +34,7 @@ class Fake:
             await self.process.wait()
 
 
-def _conditions(bus: Sequence[DeviceBinding]) -> list[str]:
+def conditions(bus: Sequence[DeviceBinding]) -> list[str]:
     """What the bindings say of their fakes, as options: `--fault NAME@DEVICE=VALUE`."""
     options = []
     for device in bus:
@@ -55,7 +55,7 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> Fake:
     if sim is None:
         known = ", ".join(sorted(sims)) or "none"
         raise PluginError(f"{names}: there is no fake for driver '{driver}' (fakes installed: {known})")
-    reference, options = sims.references[sim.name], [*sim.arguments(bus), *_conditions(bus)]
+    reference, options = sims.references[sim.name], [*sim.arguments(bus), *conditions(bus)]
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes"),
         stdin=asyncio.subprocess.PIPE,
