@@ -55,9 +55,8 @@ def test_a_devices_file_says_what_its_fake_is_like(plugins, tmp_path):
 
 def test_a_waiver_that_nobody_knows_is_an_error(plugins, tmp_path):
     path = tmp_path / "m.devices.yaml"
-    path.write_text(
-        "agents:\n  arm: {devices: {wrist: {driver: dynamixel, endpoint: 'serial:/dev/x:1', waivers: [care]}}}\n"
-    )
+    device = "{driver: dynamixel, endpoint: 'serial:/dev/x:1', waivers: [care]}"
+    path.write_text(f"agents: {{arm: {{devices: {{wrist: {device}}}}}}}\n")
     with pytest.raises(Exception, match="there is nothing called 'care' to waive"):
         read_bindings(path, {"arm": {"wrist": "Dynamixel"}}, plugins)
 
@@ -78,8 +77,7 @@ def test_a_file_that_an_option_names_is_seen_from_the_devices_file(plugins, tmp_
 
 def test_a_device_type_of_a_driver_with_several(plugins, tmp_path):
     path = tmp_path / "m.devices.yaml"
-    path.write_text(
-        "agents:\n  arm: {devices: {joints: {driver: dynamixel, type: Dynamixel, endpoint: 'serial:/dev/x:1'}}}\n"
-    )
+    device = "{driver: dynamixel, type: Dynamixel, endpoint: 'serial:/dev/x:1'}"
+    path.write_text(f"agents: {{arm: {{devices: {{joints: {device}}}}}}}\n")
     with pytest.raises(Exception, match="'type' is one of DynamixelGroup"):
         read_bindings(path, {"arm": {"joints": "DynamixelGroup"}}, plugins)
