@@ -124,8 +124,9 @@ class Flight(Travel):
 
     async def _leave_for(self, what: str, mode: str, command: int) -> None:
         """Enter the mode of a command that has one of its own, such as NAV_LAND."""
-        self._commanded = frozenset({mode})
+        self._commanded |= {mode}
         await self._achieve(what, lambda: self.state.mode == mode or self._down, command)
+        self._commanded = frozenset({mode})
 
 
 class _Way:

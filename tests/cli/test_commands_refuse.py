@@ -64,7 +64,7 @@ def refused(lfield, monkeypatch, capfd):
         (["ps", "--deploy", "mission.dL", "--map", "alhpa=localhost:1"], "did you mean 'alpha'"),
         (["up", "--deploy", "mission.dL", "--host", "alhpa"], "did you mean 'alpha'"),
         (["up", "--deploy", "mission.dL"], "name one with --host, or run all of them here with --all"),
-        (["sim"], "which fake? installed: mavlink"),
+        (["sim"], "which fake? installed: can, dynamixel, mavlink"),
         (["sim", "mavlink", "--listen", "pigeon:1"], "write udp:HOST:PORT"),
         (["check"], "required: FILE.L"),
     ],

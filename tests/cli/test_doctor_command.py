@@ -21,7 +21,7 @@ def deployment(lfield):
     copter = f"driver: mavlink, endpoint: '{endpoint}', waivers: [device_watchdog]"
     devices = (
         f"agents:\n  lead: {{devices: {{fc: {{{copter}, system: 1}}}}}}\n"
-        f"  wing: {{devices: {{fc: {{{copter}, system: 9, connect: 0.5}}}}}}\n"
+        f"  wing: {{devices: {{fc: {{{copter}, system: 9, connect: 3.0}}}}}}\n"
     )
     return lfield.mission(PROGRAM, DEPLOYMENT, devices)
 
