@@ -130,12 +130,21 @@ class Shell(asyncio.Protocol):
         self._tell(Note(device, text))
 
     def _callback_raised(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        self.crashed(repr(context.get("exception") or context.get("message")))
+        reason = repr(context.get("exception") or context.get("message"))
+        if "future" in context or "task" in context:
+            # Somebody has stopped waiting for what then failed: no reason to stop a vehicle.
+            self.note("the driver", f"nobody was told of {reason}")
+        else:
+            self.crashed(reason)
 
     def crashed(self, reason: str) -> None:
         """The driver is broken as a whole."""
+        told = f"the driver failed: {reason}"
         if self._core is not None:
-            self._run(self._core.safe("", f"the driver failed: {reason}"))
+            self._run(self._core.safe("", told))
+        elif not self.exit.done():
+            self._tell(Failed([("", "DeviceException", told)]))
+            self._finish(1)
 
     # -- opening --------------------------------------------------------------------------------------
 
