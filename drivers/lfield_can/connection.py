@@ -28,6 +28,8 @@ FRESH = 0.05
 AGAIN = 0.002
 #: Frames that may wait to be sent.
 BACKLOG = 256
+#: How often an interface is opened whose answers and frames run together.
+OPENINGS = 5
 #: Seconds that a server may take to answer while an interface is opened.
 ANSWER = 2.0
 #: So many empty looks within SPIN_TIME seconds, and nobody is there: a client of socketcand whose server has
@@ -61,12 +63,35 @@ def open_interface(place: Place) -> can.BusABC:
             socket.create_connection(place.server, ANSWER).close()
         # The interface sets no bound on the server's answers; this one is for the sockets it now makes.
         socket.setdefaulttimeout(ANSWER)
-        arguments: dict[str, Any] = dict(place.arguments)
-        return can.Bus(ignore_config=True, **arguments)
+        return _open(dict(place.arguments))
     except Exception as error:  # every interface raises its own kinds, and some none of python-can's
         raise DeviceError("endpoint", f"cannot open {place.text}: {_words(error)}") from None
     finally:
         socket.setdefaulttimeout(None)
+
+
+def _open(arguments: dict[str, Any]) -> can.BusABC:
+    """A client of socketcand takes an answer that comes together with the first frame for a wrong one.
+
+    On a busy bus that happens now and then, and goes well the next time.
+    """
+    for _ in range(OPENINGS - 1):
+        with suppress(_Together):
+            return _open_once(arguments)
+    return _open_once(arguments)
+
+
+class _Together(can.CanError):
+    """An answer and a frame in one."""
+
+
+def _open_once(arguments: dict[str, Any]) -> can.BusABC:
+    try:
+        return can.Bus(ignore_config=True, **arguments)
+    except can.CanError as error:
+        if "got: '< ok >< frame" in str(error):
+            raise _Together(str(error)) from None
+        raise
 
 
 def lock_tty(path: str) -> int:

@@ -18,6 +18,7 @@ import pytest
 from lfield.errors import DeviceError
 from lfield_can import connection
 from lfield_can.bus import Bus
+from lfield_can.endpoint import parse_endpoint
 from lfield_can.frames import Frame
 
 # python-can leaves the socket of an opening that failed to the garbage collector.
@@ -295,6 +296,22 @@ def test_frames_that_make_no_sense_do_not_end_it(server):
         await told.until(lambda: told.frames)
 
     run(server.endpoint, story)
+
+
+def test_an_answer_that_comes_together_with_a_frame_is_asked_for_again(monkeypatch):
+    """What python-can says of a busy bus, and not of any other trouble."""
+    outcomes = ["Expected '< ok >' got: '< ok >< frame 5 1.2 00 >'"] * 2 + [""]
+
+    def make(**_):
+        if told := outcomes.pop(0):
+            raise can.CanError(told)
+        return Stub(lambda bus, message: None)
+
+    monkeypatch.setattr(connection.can, "Bus", make)
+    connection.open_interface(parse_endpoint("virtual:busy")).shutdown()
+    outcomes[:] = ["Expected '< hi >' got: '< no >'"]
+    with pytest.raises(DeviceError, match="got: '< no >'"):
+        connection.open_interface(parse_endpoint("virtual:busy"))
 
 
 def test_a_server_that_says_nothing_is_an_error_within_its_bound(monkeypatch):
