@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     Answers = dict[str, dict[str, Any] | LfieldError]
 
+#: So many quantities of a device are shown, the first of its manifest; `--json` has all.
+SHOWN = 8
 #: A device that has not been heard for longer (seconds) is shown as silent: its telemetry is old.
 SILENT = 3.0
 
@@ -82,7 +84,8 @@ def _devices(answers: Answers) -> Table:
             continue
         for name, values in answer["devices"].items():
             state = _device_state(name, answer)
-            words = (f"{quantity} {_value(value)}" for quantity, value in values.items())
+            words = [f"{quantity} {_value(value)}" for quantity, value in list(values.items())[:SHOWN]]
+            words += [f"and {len(values) - SHOWN} more"] if len(values) > SHOWN else []
             shown.add_row(host, name, state, ", ".join(words))
     return shown
 

@@ -82,8 +82,9 @@ class Snapshots:
 
     @property
     def telemetry(self) -> dict[str, dict[str, DeviceValue]]:
-        """The last values known, by device and quantity, however old."""
+        """The last values known, by device and quantity in the order of the manifest, however old."""
         shown: dict[str, dict[str, DeviceValue]] = {name: {} for name in self._devices}
-        for (device, quantity), (value, _) in self._values.items():
-            shown[device][quantity] = value
+        for device, quantity in self._quantities:
+            if (device, quantity) in self._values:
+                shown[device][quantity] = self._values[device, quantity][0]
         return shown
