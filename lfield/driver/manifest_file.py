@@ -68,6 +68,7 @@ OPTION_TYPES = ("boolean", "int", "real", "string", "path", "int[]", "string[]")
 _NAME = re.compile(r"[a-z][A-Za-z0-9]*")
 #: Keys of bindings are no names in L, so they look like the other keys of that file.
 _KEY = re.compile(r"[a-z][A-Za-z0-9_]*")
+_DOTTED = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 
@@ -131,6 +132,13 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
     limits = tuple(_limit(name, fields) for name, fields in _named(top, "limits"))
     waivers = ((WATCHDOG, "it has no watchdog of its own, or a slow one"), *_waivers(top))
     capabilities = top.texts("capabilities")
+    for capability in capabilities:
+        if not _DOTTED.fullmatch(capability):
+            span, hint = (
+                top.value_span("capabilities"),
+                "small words and dots, as in perception.spatial.position",
+            )
+            top.report("Y113", f"'{capability}' cannot be a capability", span, hint)
     instructions = [_instruction(name, fields) for name, fields in _named(top, "instructions")]
     telemetry = tuple(_quantity(name, fields) for name, fields in _named(top, "telemetry"))
     _check_names_differ(top, {instruction.name for instruction in instructions})
