@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, cast
 
 from lfield.clock import Clock
@@ -129,8 +132,11 @@ class Guard(asyncio.SubprocessProtocol):
 
     def kill(self) -> None:
         """End the process by force; unless this end is wanted, the next one makes the devices safe."""
-        if self._transport is not None and self._transport.get_returncode() is None:
-            self._transport.kill()
+        running = self._transport is not None and self._transport.get_returncode() is None
+        if running and self.pid:
+            # Not by the transport: it would reap a process that has just ended, behind the loop's back.
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
 
     def _beat(self) -> None:
         if self._pipe is None or self._pipe.is_closing():
