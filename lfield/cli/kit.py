@@ -34,8 +34,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE",
         help="a key of its binding: --set id=3 --set 'limits={speed: 1}'",
     )
+    parser.add_argument(
+        "--silence",
+        type=_seconds,
+        default=0.2,
+        metavar="S",
+        help="seconds this computer may stall before the device goes safe (0.2; more on a busy desk)",
+    )
     parser.add_argument("--yes", action="store_true", help="run what moves the device without asking")
     parser.add_argument("--json", action="store_true", help="print the findings as JSON, one on each line")
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.1 <= value <= 10.0:
+        raise argparse.ArgumentTypeError("from 0.1 to 10 s")
+    return value
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,7 +67,8 @@ def run(args: argparse.Namespace) -> int:
     devices = _devices(args, installed, plugins)
     checks = checks_of(installed)
     may_move = args.yes or _agreed(checks, devices)
-    findings = asyncio.run(try_devices(plugins, devices, checks, may_move, _printer(args.json)))
+    show = _printer(args.json)
+    findings = asyncio.run(try_devices(plugins, devices, checks, may_move, show, silence=args.silence))
     if not args.json:
         counts = {outcome: sum(f.outcome == outcome for f in findings) for outcome in _MARKS}
         print(", ".join(f"{count} {outcome}" for outcome, count in counts.items()))

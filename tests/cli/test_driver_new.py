@@ -54,7 +54,7 @@ def endpoint(site):
 
 
 def test_it_passes_the_kit_on_its_own_fake(site, endpoint):
-    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes")
+    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--silence", "2")
     said, _ = kit.communicate(timeout=60)
     assert kit.returncode == 0, said
     assert "9 passed, 0 failed, 0 not run" in said
@@ -63,7 +63,7 @@ def test_it_passes_the_kit_on_its_own_fake(site, endpoint):
 def test_the_kit_sees_what_is_wrong_with_it(site, endpoint):
     fault = lfield(site, "sim", "fault", endpoint, "stuck=true")
     assert "stuck = true" in fault.communicate(timeout=30)[0]
-    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--set", "ttl=0.2")
+    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--set", "ttl=0.2", "--silence", "2")
     said, _ = kit.communicate(timeout=90)
     assert kit.returncode == 1, said
     assert "FAILED  kit.device: moves and says where it is" in said

@@ -33,7 +33,7 @@ def bus(lfield):
     ],
 )
 def test_what_is_wrong_is_a_sentence(lfield, words, status, sentence):
-    kit = lfield("kit", *words)
+    kit = lfield("kit", *words, "--silence", "2")
     assert lfield.status(kit) == status, kit.said
     assert sentence in "\n".join(kit.err)
     assert kit.out == []
@@ -46,7 +46,7 @@ def test_nothing_there_is_one_sentence(lfield):
         ("can", "--type", "CanAxis", "--endpoint", "socketcand:127.0.0.1:1/can0", *axis),
         ("dynamixel", "--type", "Dynamixel", "--endpoint", "serial:/dev/there-is-none:57600"),
     ):
-        kit = lfield("kit", *words)
+        kit = lfield("kit", *words, "--silence", "2")
         assert lfield.status(kit) == 69, kit.said
         assert kit.out == []
         assert kit.err[0].startswith("kit.device: ")
@@ -59,7 +59,7 @@ def test_the_devices_of_a_file_as_json_without_agreement(lfield, bus):
         "crane.yaml",
         f"agents:\n  crane: {{devices: {{hoist: {{{axis}, node: 5}}, trolley: {{{axis}, node: 6}}}}}}\n",
     )
-    kit = lfield("kit", "can", "--devices", "crane.yaml", "--json")
+    kit = lfield("kit", "can", "--devices", "crane.yaml", "--json", "--silence", "2")
     assert lfield.status(kit) == 0, kit.said
     findings = [json.loads(line) for line in kit.out]
     assert all(set(finding) == {"device", "check", "outcome", "seen"} for finding in findings)
@@ -77,7 +77,7 @@ def test_an_endpoint_on_the_command_line_stands_for_those_of_the_file(lfield, bu
         "agents: {crane: {devices: {hoist: {driver: can, endpoint: 'socketcan:can7', type: CanAxis, "
         "protocol: cia402, counts: 10000, node: 5}}}}\n",
     )
-    kit = lfield("kit", "can", "--devices", "crane.yaml", "--endpoint", bus)
+    kit = lfield("kit", "can", "--devices", "crane.yaml", "--endpoint", bus, "--silence", "2")
     assert lfield.status(kit) == 0, kit.said
     assert kit.out[0].startswith("ok      crane.hoist: identity: CiA 402 drive, node 5")
     assert kit.out[-1].startswith("4 passed, 0 failed, ")
