@@ -150,3 +150,25 @@ def test_first_flight(lfield):
     assert hops
     assert int(hops[1]) >= 11
     assert lfield.left() == []
+
+
+@pytest.mark.timeout(240)
+def test_mixed_team(lfield):
+    """Three drivers on three hosts: a parcel goes from a copter to a gripper, under the hook of a winch."""
+    team = lfield.start(
+        "up", "--deploy", EXAMPLES / "03-mixed-team" / "mission.dL", "--all", "--sim", "--until-done"
+    )
+    team.wait_for("handed over in")
+    assert team.wait() == 0, team.said
+    steps = re.findall(r"^(\w+) +\| courier: (.*)$", team.said, re.M)
+    assert [(host, text.split(",")[0].split(" at ")[0]) for host, text in steps[:4]] == [
+        ("sky", "the copter has the parcel"),
+        ("dock", "the hook is"),
+        ("sky", "the hand has the parcel; the copter may land"),
+        ("dock", "the hook is back"),
+    ]
+    assert "at 1.20 m" in steps[1][1]
+    assert "closed on nothing" not in team.said
+    for device, state in (("carrier.fc", "land"), ("hoist.axis", "brake"), ("hand.motor", "torque_hold")):
+        assert f"{device}: is in its safe state '{state}': the host is stopping" in team.said
+    assert lfield.left() == []
