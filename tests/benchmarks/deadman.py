@@ -17,7 +17,6 @@ import argparse
 import os
 import random
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -28,7 +27,7 @@ from harness import ChildError, Children, Figure, Row, milliseconds, percentile,
 from rich.progress import Progress
 
 TTL, GRACE, LATE = 0.5, 0.050, 0.010
-VEHICLES, BUSY = 4, 4
+VEHICLES, BUSY = 8, 4
 FEW = 12
 
 _HERE = Path(__file__).parent
@@ -207,7 +206,9 @@ WAYS = {"expire": expire, "stop": stop, "kill": kill}
 def measure(trials: int, names: Sequence[str] = tuple(WAYS)) -> dict[str, Trials]:
     """All ways, so many trials each."""
     found = {}
-    with Progress(transient=True) as shown, _busy():
+    with Progress(transient=True) as shown, Children() as busy:
+        for _ in range(BUSY):
+            busy.start(sys.executable, "-c", "while True: pass")
         for name in names:
             task = shown.add_task(name, total=trials)
             with Children() as children:
@@ -216,18 +217,6 @@ def measure(trials: int, names: Sequence[str] = tuple(WAYS)) -> dict[str, Trials
                 WAYS[name](children, bench, wire, trials)
                 found[name] = bench.trials
     return found
-
-
-class _busy:
-    """Other processes that want all the time there is."""
-
-    def __enter__(self) -> None:
-        self._processes = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(BUSY)]
-
-    def __exit__(self, *_: object) -> None:
-        for process in self._processes:
-            process.kill()
-            process.wait()
 
 
 def figure(trials: int = FEW) -> Figure:
