@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 
-from lfield.clock import Clock
-from lfield.driver import DeviceBinding, Driver, Manifest, Reports
+from lfield.driver import DeviceBinding, Driver
 from lfield_can.axis import CanAxis
 from lfield_can.bus import Bus
 from lfield_can.frames import Frame
@@ -17,18 +16,11 @@ CanDevice = CanAxis | CanSignals
 class CanDriver(Driver):
     """One CAN bus with the axes and the devices of DBC files on it."""
 
-    def __init__(
-        self,
-        bindings: Sequence[DeviceBinding],
-        manifests: Mapping[str, Manifest],
-        clock: Clock,
-        reports: Reports,
-    ) -> None:
-        first = bindings[0]
-        self._bus = self._make_bus(first.endpoint, lambda text: reports.note(first.name, text))
+    def _set_up(self) -> None:
+        first = self.bindings[0].name
+        self._bus = self._make_bus(self.endpoint, lambda text: self.reports.note(first, text))
         self._members: list[CanDevice] = []
         self._listeners: dict[int, list[CanDevice]] = {}
-        super().__init__(bindings, manifests, clock, reports)
 
     def _make_bus(self, endpoint: str, note: Callable[[str], None]) -> Bus:
         return Bus(endpoint, self._received, note)

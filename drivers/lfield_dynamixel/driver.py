@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
 
-from lfield.clock import Clock
-from lfield.driver import DeviceBinding, Driver, Manifest, Reports
+from lfield.driver import DeviceBinding, Driver
 from lfield_dynamixel.bus import Bus
 from lfield_dynamixel.chain import Chain
 from lfield_dynamixel.group import DynamixelGroup
@@ -23,19 +21,12 @@ _TYPES: dict[str, type[Members]] = {"Dynamixel": Dynamixel, "DynamixelGroup": Dy
 class DynamixelDriver(Driver):
     """One serial port with the servos on it."""
 
-    def __init__(
-        self,
-        bindings: Sequence[DeviceBinding],
-        manifests: Mapping[str, Manifest],
-        clock: Clock,
-        reports: Reports,
-    ) -> None:
+    def _set_up(self) -> None:
         self._bus = Bus(self._make_port, self._lost, self._back)
         self._chain = Chain(self._bus)
         # Cleared while the owner is silent: a servo that is polled never sees that it is alone.
         self._awake = asyncio.Event()
         self._awake.set()
-        super().__init__(bindings, manifests, clock, reports)
 
     def _device(self, binding: DeviceBinding) -> Members:
         kind = _TYPES[binding.type]

@@ -51,8 +51,7 @@ class MavlinkDriver(Driver):
             if device.system in self._vehicles:
                 raise device.error(f"two devices are system {device.system} on {self.endpoint}")
             self._vehicles[device.system] = device
-        self._bindings = [device.binding for device in self.devices.values()]
-        self._signing = open_signing(self._bindings, self.clock)
+        self._signing = open_signing(self.bindings, self.clock)
         endpoints = split_endpoint(self.endpoint)
         self._routes = {system: Route(len(endpoints)) for system in self._vehicles}
         self._ports += [self._make_port(number, endpoint) for number, endpoint in enumerate(endpoints)]
@@ -90,7 +89,7 @@ class MavlinkDriver(Driver):
         return make_link(endpoint, on_data)
 
     def _make_port(self, number: int, endpoint: str) -> Port:
-        signing = sign_link(self._signing, self._bindings, number, endpoint)
+        signing = sign_link(self._signing, self.bindings, number, endpoint)
         reader, writer = Reader(signing), Writer(signing)
         link = self._make_link(endpoint, partial(self._received, number, reader))
         return Port(link, reader, writer, signing)

@@ -58,8 +58,8 @@ class Travel(Watchdog):
         self._stream.stop()
 
     async def _set_mode(self, name: str) -> None:
-        # Noted before it is known to have worked: a safe state that is tried again must count as ours. So must
-        # the mode that it is still in when the new one is refused.
+        # Noted before it is known to have worked: a safe state that is tried again must count as ours, and so
+        # must the mode that it is still in when the new one is refused.
         self._commanded |= {name}
         set_mode, values = dialect.MAV_CMD_DO_SET_MODE, self._mode_values(name)
         await self._achieve(f"mode {name}", lambda: self.state.mode == name, set_mode, *values)

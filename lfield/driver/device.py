@@ -129,8 +129,11 @@ class Device:
 
 
 class Driver:
-    """One bus with its devices. Authors override `_open`, `_close`, `_device`, and for a bus that is polled
-    or needs signs of life `_quiet` and `_resume`."""
+    """One bus with its devices.
+
+    Authors override `_open`, `_close`, `_device`, where devices share something `_set_up`, and for a bus that
+    is polled or needs signs of life `_quiet` and `_resume`.
+    """
 
     def __init__(
         self,
@@ -139,13 +142,10 @@ class Driver:
         clock: Clock,
         reports: Reports,
     ) -> None:
-        self.endpoint, self.manifests, self.clock, self.reports = (
-            bindings[0].endpoint,
-            manifests,
-            clock,
-            reports,
-        )
+        self.bindings, self.endpoint = tuple(bindings), bindings[0].endpoint
+        self.manifests, self.clock, self.reports = manifests, clock, reports
         self._tasks: set[asyncio.Task[None]] = set()
+        self._set_up()
         self.devices = {binding.name: self._device(binding) for binding in bindings}
 
     async def open(self) -> None:
@@ -176,6 +176,9 @@ class Driver:
         self._tasks.discard(task)
         if not task.cancelled() and task.exception() is not None:
             self.reports.crashed(repr(task.exception()))
+
+    def _set_up(self) -> None:
+        """Make what the devices share, before they are made."""
 
     def _device(self, binding: DeviceBinding) -> Device:
         raise NotImplementedError
