@@ -232,7 +232,7 @@ class Servo:
             ramp = speed / acceleration if acceleration else 0.0
             seconds = (distance / speed if speed else 0.0) + ramp
             span = values["profile_velocity"] = _counts(seconds, 0.001, _LONGEST_PROFILE)
-            values["profile_acceleration"] = min(round(ramp * 1000.0), span // 2)
+            values["profile_acceleration"] = round(min(ramp * 1000.0, span // 2))
         else:
             values["profile_velocity"] = _counts(speed, model.velocity, model.fastest)
             if acceleration and model.acceleration:

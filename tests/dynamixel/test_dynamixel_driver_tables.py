@@ -6,7 +6,7 @@ import math
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from lfield_dynamixel.chain import Chain, Node
@@ -78,6 +78,7 @@ def test_any_bytes_are_some_state(model: Model, data, error):
     st.floats(-2.0, 2.0), st.floats(0.0, 4.0), st.floats(0.0, 50.0), st.floats(0.0, 500.0), st.booleans(),
     st.sampled_from([X, AX]),
 )  # fmt: skip
+@example(0.0, 0.0, 1.0, 5e-324, True, X)
 def test_any_motion_fits_into_the_table(angle, distance, speed, acceleration, time_based, model):
     servo = Servo(Chain(None), Node(1))  # type: ignore[arg-type]  # nothing is sent here
     servo.model, servo.time_based = model, time_based and model is X
