@@ -128,7 +128,7 @@ class MavlinkDriver(Driver):
 
     def _received(self, link: int, reader: Reader, data: bytes) -> None:
         header = reader.peek(data)
-        if header is not None and self._is_spare(link, header):
+        if header is not None and self._is_spare(header):
             return
         for message in reader.feed(data):
             system = message.get_srcSystem()
@@ -139,7 +139,7 @@ class MavlinkDriver(Driver):
             if self._routes[system].heard(link, message.get_msgbuf(), self.clock.monotonic()):
                 vehicle.on_message(message)
 
-    def _is_spare(self, link: int, header: Header) -> bool:
+    def _is_spare(self, header: Header) -> bool:
         """Whether a packet need not be decoded: of nobody here, or telemetry that comes faster than wanted.
 
         It does when a ground station on the same link asks for more; to decode it is most of the work then.

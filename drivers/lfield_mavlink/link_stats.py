@@ -6,6 +6,8 @@ from collections import deque
 
 #: Seconds that the quality looks back over.
 WINDOW = 10.0
+#: Packets within so many seconds share an entry, so that a flood costs no memory.
+TOGETHER = 0.1
 #: The longest gap that is taken for lost packets; a longer one is a sender that has started again.
 LONGEST_GAP = 64
 
@@ -18,11 +20,16 @@ class SenderStats:
         self._next: int | None = None
         # Numbers that were passed over; a packet that was only overtaken is taken out again.
         self._missing: deque[int] = deque(maxlen=LONGEST_GAP)
-        # (time, received, lost) of the packets in the window.
-        self._recent: deque[tuple[float, int, int]] = deque()
+        # [time, received, lost] of the packets in the window.
+        self._recent: deque[list[float]] = deque()
 
     def add(self, sequence: int, now: float) -> None:
         """A packet has come."""
+        if sequence == self._next and self._recent and now - self._recent[-1][0] < TOGETHER:
+            # Nearly always; a busy link has hundreds a second.
+            self._recent[-1][1] += 1
+            self._next = (sequence + 1) % 256
+            return
         gap = 0 if self._next is None else (sequence - self._next) % 256
         if gap >= 256 - LONGEST_GAP:
             # Of the packets before the last one: it was overtaken, or it comes once more.
@@ -47,12 +54,11 @@ class SenderStats:
     def _note(self, now: float, received: int, lost: int) -> None:
         self.lost += lost
         self._forget(now)
-        # Packets of one instant share an entry, so that a flood costs no memory.
-        if self._recent and now - self._recent[-1][0] < 0.1:
-            at, before, missed = self._recent.pop()
-            self._recent.append((at, before + received, missed + lost))
+        if self._recent and now - self._recent[-1][0] < TOGETHER:
+            self._recent[-1][1] += received
+            self._recent[-1][2] += lost
         else:
-            self._recent.append((now, received, lost))
+            self._recent.append([now, received, lost])
 
     def _forget(self, now: float) -> None:
         while self._recent and now - self._recent[0][0] > WINDOW:
