@@ -84,7 +84,11 @@ class DeviceManifest:
     meaning: str = ""
     bindings: dict[str, str] = field(default_factory=dict)
     capabilities: tuple[str, ...] = ()
+    _by_name: dict[str, Instruction] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_by_name", {i.name: i for i in self.instructions})
 
     def instruction(self, name: str) -> Instruction | None:
         """The instruction of that name, or None. A device type never overloads a name."""
-        return next((i for i in self.instructions if i.name == name), None)
+        return self._by_name.get(name)
