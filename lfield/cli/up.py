@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import sys
-from collections.abc import Coroutine
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from lfield.fleet.deploy import Mission
@@ -73,23 +71,14 @@ def run(args: argparse.Namespace) -> int:
     return _run_one(mission, args)
 
 
-def _run_loop(work: Coroutine[Any, Any, int]) -> int:
-    """On uvloop where it is installed, else on asyncio's own loop."""
-    try:
-        import uvloop
-    except ImportError:
-        return asyncio.run(work)
-    status: int = uvloop.run(work)
-    return status
-
-
 def _run_one(mission: Mission, args: argparse.Namespace) -> int:
+    from lfield import loop
     from lfield.fleet.run import run_host
     from lfield.lang.deployment import lookup_host
     from lfield.net.local import own_host
 
     name = lookup_host(mission.deployment, args.host) if args.host else own_host(mission.deployment.hosts)
-    return _run_loop(
+    return loop.run(
         run_host(
             mission,
             name,

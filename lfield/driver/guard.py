@@ -13,9 +13,10 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Coroutine, Mapping, Sequence
 from typing import Any
 
+from lfield import loop
 from lfield.clock import Clock, SystemClock
 from lfield.driver.device import Device, Driver, check_methods
 from lfield.driver.guard_core import Cancel, Effect, Execute, Exit, GuardCore, MakeSafe, Quiet, Tell
@@ -292,13 +293,13 @@ async def _open_all(devices: Sequence[Device]) -> tuple[dict[str, str], list[tup
 
 async def serve(plugin: Plugin, input_fd: int, output_fd: int) -> int:
     """Guard one bus until the host says stop or is gone; the exit status."""
-    loop = asyncio.get_running_loop()
-    output, _ = await loop.connect_write_pipe(asyncio.BaseProtocol, os.fdopen(output_fd, "wb", 0))
+    running = asyncio.get_running_loop()
+    output, _ = await running.connect_write_pipe(asyncio.BaseProtocol, os.fdopen(output_fd, "wb", 0))
     shell = Shell(plugin, output, SystemClock())
-    source, _ = await loop.connect_read_pipe(lambda: shell, os.fdopen(input_fd, "rb", 0))
-    loop.add_signal_handler(signal.SIGTERM, shell.gone, "the guard was told to end (SIGTERM)")
+    source, _ = await running.connect_read_pipe(lambda: shell, os.fdopen(input_fd, "rb", 0))
+    running.add_signal_handler(signal.SIGTERM, shell.gone, "the guard was told to end (SIGTERM)")
     # Ctrl-C reaches the whole process group; the host decides what it means and stops its guards in order.
-    loop.add_signal_handler(signal.SIGINT, lambda: None)
+    running.add_signal_handler(signal.SIGINT, lambda: None)
     try:
         return await shell.exit
     finally:
@@ -321,16 +322,6 @@ def be_prompt() -> None:
     gc.freeze()
 
 
-def fastest_loop() -> Callable[[], asyncio.AbstractEventLoop] | None:
-    """uvloop's where it is installed, else asyncio's own (None)."""
-    try:
-        import uvloop
-    except ImportError:
-        return None
-    factory: Callable[[], asyncio.AbstractEventLoop] = uvloop.new_event_loop
-    return factory
-
-
 def main(arguments: Sequence[str]) -> int:
     """Run the guard of the plugin `package:PLUGIN`."""
     if len(arguments) != 1:
@@ -342,8 +333,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         plugin = load_plugin(arguments[0])
         be_prompt()
-        with asyncio.Runner(loop_factory=fastest_loop()) as runner:
-            return runner.run(serve(plugin, os.dup(0), output_fd))
+        return loop.run(serve(plugin, os.dup(0), output_fd))
     except LfieldError as error:
         print(error, file=sys.stderr)
         return error.exit_status

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import sys
 import time
-from collections.abc import Awaitable, Callable, Coroutine, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import can
 import dynamixel_sdk
 from harness import Children, Figure, Row, in_turns, median, microseconds, percentile, timed, times
 
-from lfield.driver.guard import fastest_loop
+from lfield import loop
 from lfield_can.bus import Bus as CanBus
 from lfield_can.frames import Frame
 from lfield_dynamixel.bus import Bus as ServoBus
@@ -160,7 +160,7 @@ def _own_echoes(endpoint: str) -> list[float]:
         finally:
             await bus.close()
 
-    return _as_guards_run(main())
+    return loop.run(main())
 
 
 def _own_flood(endpoint: str) -> list[float]:
@@ -191,12 +191,7 @@ def _own_flood(endpoint: str) -> list[float]:
         await bus.close()
         return samples
 
-    return _as_guards_run(main())
-
-
-def _as_guards_run(work: Coroutine[Any, Any, list[float]]) -> list[float]:
-    with asyncio.Runner(loop_factory=fastest_loop()) as runner:
-        return runner.run(work)
+    return loop.run(main())
 
 
 # --- Dynamixel ----------------------------------------------------------------------------------------
@@ -251,4 +246,4 @@ def _own_reads(endpoint: str) -> list[float]:
         finally:
             bus.close()
 
-    return _as_guards_run(main())
+    return loop.run(main())

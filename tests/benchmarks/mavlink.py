@@ -11,15 +11,14 @@ import asyncio
 import os
 import sys
 import time
-from collections.abc import Coroutine, Iterable
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from harness import Child, Children, Figure, Row, in_turns, median, microseconds, percentile, times
 
+from lfield import loop
 from lfield.clock import SystemClock
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.guard import fastest_loop
 from lfield.driver.plugins import Plugins
 from lfield.fleet.guards import Guards
 from lfield.fleet.kit_bench import LiveBench
@@ -116,7 +115,7 @@ def _cpu(guards: Guards) -> float:
 def _commands(port: str) -> Iterable[Row]:
     names = {
         "pymavlink": lambda: _raw_commands(port),
-        "driver": lambda: _as_guards_run(_driver_commands(port)),
+        "driver": lambda: loop.run(_driver_commands(port)),
         "guard": lambda: asyncio.run(_guard_commands(port)),
     }
     samples = in_turns(names, ROUNDS)
@@ -142,11 +141,6 @@ def _raw_commands(port: str) -> list[float]:
     samples = [float(child.line()) for _ in range(COMMANDS)]
     child.wait()
     return samples
-
-
-def _as_guards_run(work: Coroutine[Any, Any, list[float]]) -> list[float]:
-    with asyncio.Runner(loop_factory=fastest_loop()) as runner:
-        return runner.run(work)
 
 
 async def _driver_commands(port: str) -> list[float]:
