@@ -5,6 +5,7 @@
     ├── ProgramError              an L program or a deployment has errors (diagnostics)       65
     ├── BindingError              a devices file is wrong, or a device is missing             65
     │   └── DevicesError          devices that cannot be opened: no library, port or answer   69
+    ├── ConstraintError           a condition over attributes that cannot be judged           65
     ├── ProgramFileError          not a program file, or one the verifier refused             65
     ├── BlockError                bytes that are not a sound block of this program            65
     ├── InputFileError            a file cannot be read                                       66
@@ -66,6 +67,16 @@ class DevicesError(BindingError):
     """Devices that are bound well and cannot be opened now; `problems` lists all of them."""
 
     exit_status = 69
+
+
+class ConstraintError(LfieldError):
+    """A condition over attributes with mistakes; `problems` lists everything found wrong, a sentence each."""
+
+    exit_status = 65
+
+    def __init__(self, text: str, problems: Sequence[str]) -> None:
+        self.text, self.problems = text, tuple(problems)
+        super().__init__(f'{"; ".join(self.problems)} (in "{text}")')
 
 
 class ProgramFileError(LfieldError):

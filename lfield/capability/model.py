@@ -1,0 +1,237 @@
+"""The registry as plain data: what the YAML of `capabilities/` and of a mission says, joined and checked.
+
+    Term            a node of the taxonomy: `skill.material_handling.lifting`
+    Attribute       what an offer may state: `payload`, in kg, the more the better
+    Primitive       a term that can be called: the L type `Lift` with its portals
+    Provider        a resource type that serves primitives, with the portals and attributes it has
+    Equivalence     one-to-one: whoever climbs can also lift, with some loss
+    Composition     one-to-many: a grip and a climb together lift, by the L class that says how
+
+Everything is in SI units here; other units end in the reader.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from lfield.capability.expression import Expression
+from lfield.manifest import Effect, Parameter
+from lfield.source import Span
+
+AttributeType = Literal["real", "int", "boolean", "text", "set"]
+Better = Literal["more", "less", "none"]
+
+#: What an attribute can be worth: a number, a truth, a text, or the members of a set.
+Value = float | int | bool | str | frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """A node of the taxonomy. `id` is dotted, its parent is what stands before the last dot.
+
+    `name` is the thesis' word for it where it has one. `aliases` are other ids that mean the same; a term
+    that is out of use says in `deprecated` what to write instead.
+    """
+
+    id: str
+    name: str
+    meaning: str
+    span: Span
+    aliases: tuple[str, ...] = ()
+    deprecated: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Attribute:
+    """Something offers differ in.
+
+    `better` says what a coordinator would rather have; `typical` is a usual amount, against which fitness is
+    measured (in the attribute's unit). `values` are all members a set or a text may have, () for any.
+    A `live` one changes while the team works: it comes from telemetry, and counts for `max_age` seconds.
+    """
+
+    name: str
+    type: AttributeType
+    span: Span
+    unit: str = ""
+    better: Better = "none"
+    typical: float = 1.0
+    values: tuple[str, ...] = ()
+    live: bool = False
+    max_age: float = 10.0
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Portal:
+    """The canonical signature of a primitive's portal. `result` is an L type or 'void', units are SI."""
+
+    name: str
+    parameters: tuple[Parameter, ...] = ()
+    result: str = "void"
+    unit: str = ""
+    effect: Effect = "actuate"
+    raises: tuple[str, ...] = ()
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Primitive:
+    """A capability that can be called: `name` is its type in L, `id` its place in the taxonomy."""
+
+    name: str
+    id: str
+    portals: Mapping[str, Portal]
+    span: Span
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Argument:
+    """One argument of a mapped call: a parameter of the canonical portal, or a constant.
+
+    What arrives is `parameter * factor + offset`, in the unit of the portal that is called. For a result
+    the same is read the other way: it is `value * factor + offset` in the canonical unit, where `parameter`
+    is ''; or else the caller gets the parameter it gave, or the constant.
+    """
+
+    parameter: str = ""
+    constant: float | int | bool | str | None = None
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PortalMap:
+    """How one canonical portal is served: by the portal `target`, with `arguments` in its order.
+
+    `result` says what becomes of what the target emits; None when nothing is emitted or nothing changes.
+    """
+
+    portal: str
+    target: str
+    arguments: tuple[Argument, ...]
+    span: Span
+    result: Argument | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Live:
+    """An attribute that is a device's telemetry: `value * factor + offset` of `device.quantity`."""
+
+    attribute: str
+    device: str
+    quantity: str
+    span: Span
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """A primitive as one resource type serves it; its `attributes` count before those of the type."""
+
+    primitive: str
+    portals: Mapping[str, PortalMap]
+    span: Span
+    attributes: Mapping[str, Value] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Provider:
+    """A resource type of L with what it serves, by primitive."""
+
+    type: str
+    serves: Mapping[str, Served]
+    span: Span
+    include: str = ""
+    meaning: str = ""
+    attributes: Mapping[str, Value] = field(default_factory=dict)
+    live: Mapping[str, Live] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Equivalence:
+    """One-to-one: every offer of `by` that fulfils `when` also serves `serves`, mapped.
+
+    `loss` from 0 (as good as the real thing) up to 1 is what the detour costs. Those that follow from the
+    taxonomy (the specific serves the general) are made by the registry, with a loss of 0.
+    """
+
+    name: str
+    serves: str
+    by: str
+    portals: Mapping[str, PortalMap]
+    span: Span
+    when: Expression | None = None
+    loss: float = 0.0
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """One part of a composition: any offer of a primitive that fulfils `when`."""
+
+    name: str
+    primitive: str
+    span: Span
+    when: Expression | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Composition:
+    """One-to-many: the parts together serve `serves`, by the L class `through`.
+
+    The class is `coordinator specific`, has the portals of the primitive as public methods, and takes the
+    parts in its constructor in the order of `needs`. `where` are conditions over the parts (`grip.robot !=
+    climb.robot`); `attributes` are expressions over them for what the whole is worth (`min(grip.payload,
+    climb.payload)`).
+    """
+
+    name: str
+    serves: str
+    needs: Mapping[str, Need]
+    through: str
+    source: Path
+    span: Span
+    where: tuple[Expression, ...] = ()
+    attributes: Mapping[str, Expression] = field(default_factory=dict)
+    loss: float = 0.0
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """What the parts of a cost count (ranking.py has the formula); a mission may set its own.
+
+    `attributes` weighs single attributes within the fitness; one that is not there counts 1.
+    """
+
+    fitness: float = 1.0
+    loss: float = 2.0
+    part: float = 0.5
+    hop: float = 0.1
+    age: float = 0.2
+    attributes: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Registry:
+    """Everything together. Made by `reader.read_registry`, which checks that all of it fits.
+
+    `agents` are the attribute values of single agents of a mission, which count before all others.
+    `digest` changes with anything that would change an answer: hosts of one mission must agree on it.
+    """
+
+    terms: Mapping[str, Term]
+    attributes: Mapping[str, Attribute]
+    primitives: Mapping[str, Primitive]
+    providers: Mapping[str, Provider]
+    equivalences: Mapping[str, Equivalence]
+    compositions: Mapping[str, Composition]
+    agents: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
+    weights: Weights = field(default_factory=Weights)
+    digest: bytes = b""
