@@ -120,7 +120,10 @@ class PortalMap:
 
 @dataclass(frozen=True, slots=True)
 class Live:
-    """An attribute that is a device's telemetry: `value * factor + offset` of `device.quantity`."""
+    """An attribute that is a device's telemetry: `value * factor + offset` of `device.quantity`.
+
+    Of a quantity that is an array, `index` says which element: `fc.position[0]` is how far north.
+    """
 
     attribute: str
     device: str
@@ -128,16 +131,22 @@ class Live:
     span: Span
     factor: float = 1.0
     offset: float = 0.0
+    index: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Served:
-    """A primitive as one resource type serves it; its `attributes` count before those of the type."""
+    """A primitive as one resource type serves it; its `attributes` count before those of the type.
+
+    `when` is a condition on the agent, for what not every one of the type has: a copter grips only when
+    `tools == gripper`.
+    """
 
     primitive: str
     portals: Mapping[str, PortalMap]
     span: Span
     attributes: Mapping[str, Value] = field(default_factory=dict)
+    when: Expression | None = None
 
 
 @dataclass(frozen=True, slots=True)
