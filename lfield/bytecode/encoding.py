@@ -18,7 +18,7 @@ from lfield.bytecode.verify import verify
 from lfield.errors import ProgramFileError
 
 MAGIC = b"LFLP"
-VERSION = 1
+VERSION = 2
 #: A larger file is refused unread.
 MAX_SIZE = 16 << 20
 

@@ -201,6 +201,23 @@ TABLE: tuple[Opcode, ...] = (
     # J.10 find
     _head(1300, "find", "string->ref", "A proxy by id; UnknownResourceException.", "C", True),
     _head(1301, "findall", "->ref", "An array of proxies for all resources of a type.", "C", True),
+    _head(
+        1302,
+        "offers",
+        "string->ref",
+        "An array of what offers a capability and fulfils the condition (null: any), best first; "
+        "ConstraintException.",
+        "C",
+        True,
+    ),
+    _head(
+        1303,
+        "explain",
+        "string->string",
+        "Why others do not offer a capability on that condition (null: none); ConstraintException.",
+        "C",
+        True,
+    ),
     _quad(1400, "throw", "V:ref", "Throws an object; NullException when it is null."),
     _quad(1401, "noreturn", "", "Throws: a method with a result came to its end without a return."),
     _head(1500, "device", "", "An instruction of a device of this resource.", "I", True),

@@ -34,8 +34,14 @@ BUILTIN_CLASSES = (
     "LimitException",
     "DeviceException",
     "DeviceTimeoutException",
+    "ConstraintException",
 )
 MESSAGE, SOURCE, TRACE = 0, 1, 2
+
+#: What every offer tells about itself: the fields of the class that a capability's first field, `facts`, has.
+#: `names`, `numbers`, `texts` and `ages` have one element for each attribute.
+FACTS = "facts"
+FACT_FIELDS = ("agentId", "hostName", "wayText", "points", "names", "numbers", "texts", "ages")
 
 UnitKind = Literal["class", "resource", "coordinator"]
 
@@ -73,7 +79,11 @@ class DeviceField(msgspec.Struct, frozen=True, array_like=True):
 
 
 class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
-    """A class, resource or coordinator. `init` is a method index, -1 for classes."""
+    """A class, resource or coordinator. `init` is a method index, -1 for classes.
+
+    The objects of a `capability` are offers, which only the machine makes: its first field is FACTS, each
+    other one stands for a way in which it can be served.
+    """
 
     name: str
     kind: UnitKind
@@ -81,6 +91,7 @@ class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
     fields: tuple[FieldRecord, ...] = ()
     init: int = -1
     devices: tuple[DeviceField, ...] = ()
+    capability: bool = False
 
 
 class Handler(msgspec.Struct, frozen=True, array_like=True):

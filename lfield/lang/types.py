@@ -60,6 +60,7 @@ BUILTIN_EXCEPTIONS = (
     "LimitException",
     "DeviceException",
     "DeviceTimeoutException",
+    "ConstraintException",
 )
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final, Protocol
 
 from lfield.bytecode.program import DeviceCall
 from lfield.manifest import DeviceValue
 from lfield.vm.agent import Agent, Member
+from lfield.vm.offers import Found
 from lfield.vm.readings import Reading
 
 
@@ -38,6 +40,15 @@ class World(Protocol):
 
     def reading(self, agent: Agent, call: DeviceCall) -> Reading | None:
         """The reading behind a query that was answered at once; None when it has to be asked each time."""
+
+    def offers(self, agent: Agent, capability: str, constraint: str | None) -> Sequence[Found]:
+        """Who offers a capability now and fulfils the condition, best first.
+
+        Only by ways that the program was built with (`offers.ways`). Raises ConstraintError.
+        """
+
+    def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
+        """Why everybody else does not, a line each; '' when there is nobody else. Raises ConstraintError."""
 
     def ended(self, agent: Agent) -> None:
         """A coordinator came to its end, or an agent died of an uncaught exception (`agent.report`)."""
