@@ -14,13 +14,16 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 2
+PROTOCOL = 3
 
 #: Longest name of an agent or host, in characters.
 MAX_NAME = 128
 
 #: Longest sentence or traceback that travels, in characters; `clip` cuts to it.
 MAX_TEXT = 2048
+
+#: Longest text of a fact or of a reason in a report, in characters: reports are many.
+MAX_LABEL = 256
 
 #: Bytes of a program or deployment hash.
 HASH_SIZE = 32
@@ -30,6 +33,9 @@ MaybeName = Annotated[str, Meta(max_length=MAX_NAME)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
+Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
+Label = Annotated[str, Meta(max_length=MAX_LABEL)]
+Age = Annotated[float, Meta(ge=0.0, le=1e9)]
 
 #: Where a host's copy of a coordinator stands; see `lfield/docs/mobility.md`.
 CopyState = Literal["RUN", "FROZEN", "PREPARED", "IN DOUBT", "MOVED", "EXITED"]
@@ -44,9 +50,9 @@ NEVER_ARRIVED = "never arrived"
 SUPERSEDED = "superseded"
 
 
-def clip(text: str) -> str:
+def clip(text: str, longest: int = MAX_TEXT) -> str:
     """The text cut to what a message may carry."""
-    return text if len(text) <= MAX_TEXT else text[: MAX_TEXT - 4] + " ..."
+    return text if len(text) <= longest else text[: longest - 4] + " ..."
 
 
 class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -197,6 +203,45 @@ class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fiel
     devices: dict[str, Text]
 
 
+class FactReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The value of a live attribute, `age` seconds old when it was sent.
+
+    `attribute` is its place among the live attributes of the agent's type, by name. `kept`: the sender keeps
+    it up to date, so it ages only while nothing is heard from the sender.
+    """
+
+    attribute: Index
+    value: bool | int | float | Label
+    age: Age
+    kept: bool
+
+
+class AgentReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What has changed about one agent; `agent` is its place in the deployment.
+
+    `trouble` is why it cannot be called, '' when it can, and `lasting` for how many seconds already, where
+    that is told. `unknown` are live attributes that have no value, each with the reason.
+    """
+
+    agent: Index
+    trouble: Label
+    lasting: Age | None
+    facts: Annotated[list[FactReport], Meta(max_length=1024)]
+    unknown: Annotated[list[tuple[Index, Label]], Meta(max_length=1024)]
+
+
+class Report(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=12):
+    """How the agents of a host are: what has changed since its report number `since`, 0 for everything.
+
+    `life` is the sender's incarnation. Every report of a life has a higher `sequence` than those before.
+    """
+
+    life: Count
+    since: Count
+    sequence: Count
+    agents: Annotated[list[AgentReport], Meta(max_length=4096)]
+
+
 #: Messages that share the control frame.
 Control = (
     Accepted
@@ -210,6 +255,7 @@ Control = (
     | Pong
     | EmergencyStop
     | EmergencyStopped
+    | Report
 )
 
 #: Every message without a block.

@@ -1,5 +1,6 @@
 """Messages as bytes: there and back, bounds, and garbage."""
 
+import math
 from contextlib import suppress
 
 import pytest
@@ -21,11 +22,14 @@ from lfield.wire.codec import (
     frame_decoder,
 )
 from lfield.wire.messages import (
+    MAX_LABEL,
     MAX_NAME,
     MAX_TEXT,
     Accepted,
+    AgentReport,
     Ended,
     EndedAck,
+    FactReport,
     ForeignHello,
     Hello,
     Inquire,
@@ -34,6 +38,7 @@ from lfield.wire.messages import (
     Pong,
     Refuse,
     Refused,
+    Report,
     Status,
     StatusRequest,
     Transfer,
@@ -58,7 +63,15 @@ MESSAGES = [
     Status({"agents": [{"id": "Tour:one", "heap": 12, "load": 0.5, "on": None, "up": True}]}),
     Ping(1),
     Pong(1),
+    Report(1, 0, 1, [AgentReport(3, "fc: not heard", 3.5, [FactReport(0, 0.75, 0.5, True)], [(1, "…")])]),
+    Report(2**63 - 1, 6, 7, [AgentReport(0, "", None, [], [])]),
 ]
+
+
+def report(agent=0, trouble="", lasting=None, facts=(), unknown=(), since=0):
+    return Report(1, since, 1, [AgentReport(agent, trouble, lasting, list(facts), list(unknown))])
+
+
 TRANSFER_HEADER = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5)
 
 
@@ -89,7 +102,7 @@ def test_the_largest_transfer_header_fits():
 
 def test_the_start_of_a_greeting_never_changes():
     kind, payload = parts(encode(HELLO_MESSAGE))
-    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x02")
+    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x03")
     assert parts(encode(Refuse("no"))) == (REFUSE, b"no")
 
 
@@ -103,7 +116,7 @@ def test_a_greeting_of_the_future_shows_its_version():
         (HELLO, b"", "too short"),
         (HELLO, b"lfl", "too short"),
         (HELLO, b"http/1", "does not begin with 'lfld'"),
-        (HELLO, b"lfld\x00\x02", "cannot be read"),
+        (HELLO, b"lfld\x00\x03", "cannot be read"),
         (CONTROL, b"", "cannot be read"),
         (CONTROL, b"\xc1", "cannot be read"),
         (CONTROL, b"\x92\x63\x01", "cannot be read"),
@@ -135,6 +148,22 @@ def test_garbage_is_a_wire_error(kind, payload, words):
         Hello("host", "a", 1, b"h" * 33),
         Hello("king", "a", 1),
         Hello("host", "a", 1, coordinators=[Known("Tour:one", 1, 1, 1, "RUN")] * 4097),
+        report(agent=-1),
+        report(agent=2**16),
+        report(since=-1),
+        report(trouble="x" * (MAX_LABEL + 1)),
+        report(lasting=math.nan),
+        report(lasting=-1.0),
+        report(facts=[FactReport(0, 1.0, math.nan, True)]),
+        report(facts=[FactReport(0, 1.0, math.inf, True)]),
+        report(facts=[FactReport(0, 1.0, -0.5, True)]),
+        report(facts=[FactReport(0, None, 0.0, True)]),
+        report(facts=[FactReport(0, [1], 0.0, True)]),
+        report(facts=[FactReport(0, "x" * (MAX_LABEL + 1), 0.0, True)]),
+        report(facts=[FactReport(0, 1, 0.0, 1)]),
+        report(facts=[FactReport(0, 1, 0.0, True)] * 1025),
+        report(unknown=[(0, "x" * (MAX_LABEL + 1))]),
+        Report(1, 0, 1, [AgentReport(0, "", None, [], [])] * 4097),
     ],
 )
 def test_what_is_over_its_bounds_is_a_wire_error(message):
@@ -190,4 +219,5 @@ def test_an_oversize_transfer_with_a_bad_header_is_a_wire_error():
 def test_long_text_is_clipped_to_what_travels():
     assert clip("short") == "short"
     assert len(clip("x" * 5000)) == MAX_TEXT
+    assert len(clip("x" * 5000, MAX_LABEL)) == MAX_LABEL
     assert len(decode(*parts(encode(Refuse("x" * 5000)))).reason) == MAX_TEXT
