@@ -1,0 +1,207 @@
+"""What one host knows of all agents of its mission: what each is worth now, and whether it can be called.
+
+The agents and their own values come from the deployment and the registry. How its own agents are, the host
+tells its directory (`own`); how the others are, their hosts tell in news (`take`). Nothing else happens here:
+a question is answered from what is known.
+
+A live value of another host is as old as that host said, and older by the time since something was last
+heard from it: while the link lives and nothing is told, nothing has changed. A value that its host has
+stopped renewing, and all values of a host that was away until it has told everything again, just grow older.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from lfield.capability.model import Registry
+from lfield.capability.news import SILENCE, Announcer, Condition, News, Sample, Trouble
+from lfield.capability.offer import Candidate, Fact
+from lfield.clock import Clock
+
+
+class Deployed(Protocol):
+    """An agent as the deployment has it."""
+
+    @property
+    def id(self) -> str:
+        """Its name in the mission."""
+
+    @property
+    def type(self) -> str:
+        """Its type in L."""
+
+    @property
+    def host(self) -> str:
+        """Where it lives."""
+
+
+class Links(Protocol):
+    """What is known of the links to the other hosts, by host; times are on the monotonic clock."""
+
+    @property
+    def away(self) -> Mapping[str, float]:
+        """Since when each host without a link has had none."""
+
+    def last_heard(self, host: str) -> float | None:
+        """When something last came from a host; None when nothing ever did."""
+
+
+@dataclass(slots=True)
+class _Remote:
+    """What another host has told in its life `life`.
+
+    `in_step` when nothing that it told since is missing here; else its values were kept up to `kept_until`.
+    """
+
+    life: int = 0
+    sequence: int = 0
+    in_step: bool = False
+    kept_until: float = 0.0
+    conditions: dict[str, Condition] = field(default_factory=dict)
+
+
+class Directory:
+    """The agents of a mission as the host `here` knows them; `life` tells this run of it from the next.
+
+    Implements `offer.Team`. Only agents whose type is a provider of the registry are in it.
+    """
+
+    def __init__(
+        self,
+        registry: Registry,
+        agents: Sequence[Deployed],
+        here: str,
+        links: Links,
+        clock: Clock,
+        life: int = 1,
+    ) -> None:
+        self._registry, self._here, self._links, self._clock = registry, here, links, clock
+        self._agents: dict[str, Deployed] = {a.id: a for a in agents if a.type in registry.providers}
+        self._by_type: dict[str, list[Deployed]] = {}
+        for agent in self._agents.values():
+            self._by_type.setdefault(agent.type, []).append(agent)
+        self._values: dict[str, dict[str, Fact]] = {
+            id: {name: Fact(value) for name, value in registry.agents.get(id, {}).items()}
+            for id in self._agents
+        }
+        self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
+        self._own: dict[str, Condition] = {}
+        self._announcer = Announcer(registry.attributes, life)
+        self._remotes = {agent.host: _Remote() for agent in self._agents.values() if agent.host != here}
+
+    # --- this host's agents ---------------------------------------------------------------------------
+
+    @property
+    def own_agents(self) -> list[str]:
+        """The agents of this host, whose conditions `own` wants."""
+        return [agent.id for agent in self._agents.values() if agent.host == self._here]
+
+    def live(self, agent: str) -> tuple[str, ...]:
+        """The live attributes of an agent."""
+        return self._live[agent]
+
+    def own(self, agent: str, condition: Condition) -> None:
+        """How an agent of this host is now."""
+        self._own[agent] = condition
+
+    def news(self) -> News | None:
+        """What every other host has to be told now, None when nothing has changed."""
+        return self._announcer.changes(self._own)
+
+    def everything(self) -> News | None:
+        """What a host has to be told that was away; None when nothing was ever told."""
+        return self._announcer.everything()
+
+    # --- the other hosts ------------------------------------------------------------------------------
+
+    def linked(self, host: str, life: int) -> None:
+        """A link to a host is there; its values count as kept again when it has told everything."""
+        remote = self._remotes.get(host)
+        if remote is None:
+            return
+        self._out_of_step(remote)
+        if remote.life != life:
+            self._remotes[host] = _Remote(life)
+
+    def unlinked(self, host: str) -> None:
+        """The link to a host is gone."""
+        remote = self._remotes.get(host)
+        if remote is not None:
+            self._out_of_step(remote, self._links.last_heard(host))
+
+    def take(self, host: str, news: News) -> None:
+        """Take in what a host tells. What is late, comes twice or does not connect is left out."""
+        remote = self._remotes.get(host)
+        if remote is None or news.life != remote.life or news.sequence <= remote.sequence:
+            return
+        if news.since > remote.sequence or (news.since and not remote.in_step):
+            self._out_of_step(remote)
+            return
+        if not news.since:
+            remote.conditions.clear()
+        for agent, change in news.agents.items():
+            remote.conditions[agent] = remote.conditions.get(agent, SILENCE).updated(change)
+        remote.sequence, remote.in_step, remote.kept_until = news.sequence, True, self._clock.monotonic()
+
+    def _out_of_step(self, remote: _Remote, heard: float | None = None) -> None:
+        if remote.in_step:
+            remote.in_step, remote.kept_until = False, max(remote.kept_until, heard or 0.0)
+
+    # --- Team -----------------------------------------------------------------------------------------
+
+    def candidates(self, resource: str) -> list[Candidate]:
+        """The agents of a resource type as they are now, in the order of the deployment."""
+        now = self._clock.monotonic()
+        return [self._candidate(agent, now) for agent in self._by_type.get(resource, ())]
+
+    def everybody(self) -> list[Candidate]:
+        """All agents as they are now, in the order of the deployment."""
+        now = self._clock.monotonic()
+        return [self._candidate(agent, now) for agent in self._agents.values()]
+
+    def _candidate(self, agent: Deployed, now: float) -> Candidate:
+        here, id = agent.host == self._here, agent.id
+        condition = self._own.get(id, SILENCE) if here else self._told(agent)
+        facts, unknown = self._values[id], condition.unknown
+        live = self._live[id]
+        if live:
+            age = _age_here if here else self._age_there(agent.host, now)
+            facts = facts | {name: Fact(s.value, age(s, now)) for name, s in condition.samples.items()}
+            untold = {name: self._untold(agent) for name in live if name not in facts and name not in unknown}
+            unknown = {**unknown, **untold} if untold else unknown
+        trouble = self._trouble(agent, condition)
+        refusal = trouble.sentence(now) if trouble else ""
+        return Candidate(id, agent.type, agent.host, 0 if here else 1, refusal, facts, unknown)
+
+    def _told(self, agent: Deployed) -> Condition:
+        return self._remotes[agent.host].conditions.get(agent.id, SILENCE)
+
+    def _trouble(self, agent: Deployed, condition: Condition) -> Trouble | None:
+        since = self._links.away.get(agent.host) if agent.host != self._here else None
+        return condition.trouble if since is None else Trouble("unreachable", since)
+
+    def _untold(self, agent: Deployed) -> str:
+        return "it was not asked yet" if agent.host == self._here else f"{agent.host} has not told it yet"
+
+    def _age_there(self, host: str, now: float) -> Callable[[Sample, float], float]:
+        """How old the values of another host are."""
+        remote = self._remotes[host]
+        heard = self._links.last_heard(host) if remote.in_step else None
+        until = max(remote.kept_until, heard or 0.0)
+
+        def age(sample: Sample, now: float) -> float:
+            return sample.age + now - (until if sample.kept else sample.at)
+
+        return age
+
+
+def live_attributes(registry: Registry, agent: Deployed) -> tuple[str, ...]:
+    """The attributes of an agent that come from its devices, by name; its own values count before them."""
+    stated = registry.agents.get(agent.id, {})
+    return tuple(sorted(name for name in registry.providers[agent.type].live if name not in stated))
+
+
+def _age_here(sample: Sample, now: float) -> float:
+    return sample.age + now - sample.at

@@ -1,0 +1,142 @@
+"""What a host tells the others of its agents: only what changed, numbered so that nothing counts twice.
+
+All times are on the monotonic clock of the host that holds the data; what travels are ages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from lfield.capability.model import Attribute, Value
+
+#: A real value has changed when it differs by more than this part of what is typical of its attribute.
+NOTABLE = 0.005
+#: A value is kept up to date while it is younger than this part of its attribute's `max_age`.
+KEPT = 0.5
+#: The begin of a trouble, and the time when a value was true, have changed beyond so many seconds.
+JITTER = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Why an agent cannot be called, and `since` when, where that is told: `unreachable`, `died of ...`."""
+
+    reason: str
+    since: float | None = None
+
+    def sentence(self, now: float) -> str:
+        """`axis: not heard for 3.2 s`."""
+        if self.since is None:
+            return self.reason
+        seconds = max(0.0, now - self.since)
+        return f"{self.reason} for {seconds:.{0 if seconds >= 10 else 1}f} s"
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A live value that was `age` seconds old at the time `at`.
+
+    One that is `kept` is up to date as long as something is heard from the host that has it.
+    """
+
+    value: Value
+    age: float
+    at: float
+    kept: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """How an agent is, or what changed about it: `trouble` is always told, the others by attribute.
+
+    An attribute is among `samples`, or it is `unknown` with the reason, or nothing was said of it.
+    """
+
+    trouble: Trouble | None = None
+    samples: Mapping[str, Sample] = field(default_factory=dict)
+    unknown: Mapping[str, str] = field(default_factory=dict)
+
+    def updated(self, change: Condition) -> Condition:
+        """This with what has changed."""
+        samples = {name: s for name, s in self.samples.items() if name not in change.unknown}
+        unknown = {name: why for name, why in self.unknown.items() if name not in change.samples}
+        return Condition(change.trouble, samples | change.samples, unknown | change.unknown)
+
+
+#: An agent of which nothing was said.
+SILENCE = Condition()
+
+
+@dataclass(frozen=True, slots=True)
+class News:
+    """What changed in the agents of a host since its news number `since`; 0 is everything there is.
+
+    `life` tells one run of the host from the next, `sequence` grows within it.
+    """
+
+    life: int
+    since: int
+    sequence: int
+    agents: Mapping[str, Condition]
+
+
+class Announcer:
+    """What one host has told of its agents, and what it has to tell next."""
+
+    def __init__(self, attributes: Mapping[str, Attribute], life: int) -> None:
+        self._attributes, self._life = attributes, life
+        self._told: dict[str, Condition] = {}
+        self._sequence = self._last_changes = 0
+
+    def changes(self, conditions: Mapping[str, Condition]) -> News | None:
+        """News for every host, None when there is nothing new."""
+        found = {agent: self._change(agent, condition) for agent, condition in conditions.items()}
+        changed = {agent: change for agent, change in found.items() if change is not None}
+        if not changed:
+            return None
+        for agent, change in changed.items():
+            self._told[agent] = self._told.get(agent, SILENCE).updated(change)
+        since, self._last_changes = self._last_changes, self._sequence + 1
+        return self._news(since, changed)
+
+    def everything(self) -> News | None:
+        """All that was told so far, for a host that was away; None when that is nothing."""
+        # Not what is true now: the next changes are counted from what was told to all.
+        return self._news(0, dict(self._told)) if self._told else None
+
+    def _news(self, since: int, agents: Mapping[str, Condition]) -> News:
+        self._sequence += 1
+        return News(self._life, since, self._sequence, agents)
+
+    def _change(self, agent: str, now: Condition) -> Condition | None:
+        told = self._told.get(agent, SILENCE)
+        samples = {
+            name: marked
+            for name, sample in now.samples.items()
+            if self._differs(told.samples.get(name), marked := self._marked(name, sample), name)
+        }
+        unknown = {name: why for name, why in now.unknown.items() if told.unknown.get(name) != why}
+        if samples or unknown or _another(told.trouble, now.trouble):
+            return Condition(now.trouble, samples, unknown)
+        return None
+
+    def _marked(self, name: str, sample: Sample) -> Sample:
+        return replace(sample, kept=sample.age <= KEPT * self._attributes[name].max_age)
+
+    def _differs(self, told: Sample | None, now: Sample, name: str) -> bool:
+        if told is None or told.kept != now.kept:
+            return True
+        if not now.kept and abs((now.at - now.age) - (told.at - told.age)) > JITTER:
+            return True
+        if isinstance(now.value, float) and isinstance(told.value, float):
+            return abs(now.value - told.value) > NOTABLE * abs(self._attributes[name].typical)
+        return now.value != told.value
+
+
+def _another(told: Trouble | None, now: Trouble | None) -> bool:
+    if told is None or now is None:
+        return told is not now
+    if told.reason != now.reason or (told.since is None) != (now.since is None):
+        return True
+    return told.since is not None and now.since is not None and abs(told.since - now.since) > JITTER
