@@ -58,7 +58,8 @@ class Shell(asyncio.Protocol):
         self._telemetry = Telemetry(clock, self._tell_snapshot)
         self._calls: dict[int, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[Any]] = set()
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: asyncio.Handle | None = None
+        self._timer_at = 0.0
         self._answered = 0.0
         self.exit: asyncio.Future[int] = self._loop.create_future()
 
@@ -247,11 +248,12 @@ class Shell(asyncio.Protocol):
     def _set_timer(self) -> None:
         """Be awake when the core next needs it; a timer that is early enough is left alone."""
         due = self._core.due() if self._core is not None else None
-        if due is None or (self._timer is not None and self._timer.when() <= due):
+        if due is None or (self._timer is not None and self._timer_at <= due):
             return
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = self._loop.call_at(due, self._on_timer)
+        # Kept here: uvloop's handle of a timer that is due within half a millisecond cannot say when.
+        self._timer, self._timer_at = self._loop.call_at(due, self._on_timer), due
 
     def _on_timer(self) -> None:
         self._timer = None

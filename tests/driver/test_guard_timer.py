@@ -1,0 +1,105 @@
+"""The timer of a guard's process on a loop whose timers are as coarse as uvloop's."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.device import Device, Driver
+from lfield.driver.guard import Shell
+from lfield.driver.messages import Beat, Call, Latched, MessageReader, Open, encode
+from lfield.manifest import DeviceManifest, Instruction
+from lfield.testing.jumping import JumpingLoop, LoopClock
+
+SILENCE = 0.2
+
+
+class CoarseLoop(JumpingLoop):
+    """Timers in whole milliseconds; what is due sooner runs at once, by a handle that knows no time.
+
+    A little time passes whenever somebody looks at it: without that none would while handles run.
+    """
+
+    def time(self):
+        self._jumps.now += 1e-6
+        return super().time()
+
+    def call_at(self, when, callback, *args, context=None):
+        delay = round((when - self.time()) * 1000.0) / 1000.0
+        if delay <= 0.0:
+            return self.call_soon(callback, *args, context=context)
+        return super().call_at(self.time() + delay, callback, *args, context=context)
+
+
+class Thing(Device):
+    async def _open(self):
+        return "a thing"
+
+    async def _make_safe(self, state):
+        pass
+
+    async def do_go(self):
+        pass
+
+
+class Bus(Driver):
+    def _device(self, binding):
+        return Thing(binding, self.manifests[binding.type], self.clock, self.reports)
+
+    async def _open(self):
+        pass
+
+    async def _close(self):
+        pass
+
+
+class Output:
+    """The pipe to the host: keeps what is told."""
+
+    def __init__(self):
+        self._reader, self.told = MessageReader(), []
+
+    def write(self, data):
+        self.told += self._reader.feed(data)
+
+    def is_closing(self):
+        return False
+
+    def get_write_buffer_size(self):
+        return 0
+
+
+def guard_of_a_thing(output):
+    """A guard with one device that may go; its driver has no watchdog to set."""
+    go = Instruction("go", (), effect="actuate", blocking=True)
+    manifest = SimpleNamespace(device=DeviceManifest("Thing", "thing", (go,)))
+    plugin = SimpleNamespace(load=lambda: Bus, read_manifests=lambda: {"Thing": manifest})
+    return Shell(plugin, output, LoopClock())
+
+
+def test_what_comes_when_the_timer_is_almost_due_breaks_nothing():
+    binding = DeviceBinding(
+        agent="alpha", field="thing", type="Thing", driver="thing", endpoint="here", safe_state="off",
+        ttl=0.5, limits={}, options={}, waivers=["device_watchdog"],
+    )  # fmt: skip
+
+    async def story():
+        clock, output = LoopClock(), Output()
+        shell = guard_of_a_thing(output)
+        shell.data_received(encode(Open([binding], "", SILENCE)))
+        await asyncio.sleep(0.01)
+        start = clock.monotonic()
+        shell.data_received(encode(Call(1, "alpha.thing", "go", [], start)))
+        await asyncio.sleep(SILENCE - 0.002)
+        while clock.monotonic() < start + SILENCE - 0.0003:
+            await asyncio.sleep(0)
+        for _ in range(3):
+            shell.data_received(encode(Beat(start)))
+        while not any(isinstance(message, Latched) for message in output.told):
+            assert clock.monotonic() < start + SILENCE + 0.001
+            await asyncio.sleep(0)
+        await shell.close()
+
+    with asyncio.Runner(loop_factory=CoarseLoop) as runner:
+        runner.run(story())
