@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lfield.bytecode.encoding import MAX_SIZE, decode
 from lfield.bytecode.program import Program, UnitKind
+from lfield.capability.model import Registry
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import InputFileError, ProgramError, ProgramFileError
 from lfield.files import read_head, reason
@@ -28,6 +29,7 @@ class Mission:
     bindings: Bindings
     plugins: Plugins
     warnings: tuple[Diagnostic, ...] = ()
+    registry: Registry | None = None
 
     @property
     def max_block(self) -> int:
