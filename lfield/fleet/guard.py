@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, cast
 
+from lfield.capability.news import Trouble
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.messages import (
@@ -208,6 +209,16 @@ class Guard(asyncio.SubprocessProtocol):
     def ready(self) -> bool:
         """Whether the devices are open."""
         return self._ready
+
+    def trouble(self, device: str) -> Trouble | None:
+        """Why the device cannot be called now; None when it can."""
+        binding = self._devices[device]
+        if not self._ready:
+            return Trouble(f"{binding.field}: its guard has died and is being started again")
+        if device in self.latched:
+            return Trouble(f"{binding.field}: in its safe state {binding.safe_state}: {self.latched[device]}")
+        lost = self.snapshots.lost_since(device)
+        return None if lost is None else Trouble(f"{binding.field}: not heard", lost)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from lfield.capability.news import Trouble
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.guard_core import SILENCE
@@ -111,6 +112,16 @@ class Guards:
     def reading(self, agent: str, field: str, quantity: str) -> Reading | None:
         """The reading of a telemetry quantity, None for what is no plain quantity."""
         return self.guard_of(f"{agent}.{field}").snapshots.reading(f"{agent}.{field}", quantity)
+
+    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
+        """The last value of a telemetry quantity and its age in seconds, however old; None for none yet."""
+        found = self._by_device.get(device)
+        return found[0].snapshots.last(device, quantity) if found else None
+
+    def trouble(self, device: str) -> Trouble | None:
+        """Why a device cannot be called now, by its name; None when it can."""
+        found = self._by_device.get(device)
+        return found[0].trouble(device) if found else Trouble(f"{device}: not open on this host")
 
     def guard_of(self, device: str) -> Guard:
         """The guard of a device by its name."""

@@ -77,6 +77,8 @@ class Peers:
         self._unheard = {host for i, host in enumerate(hosts) if i != here}
         self._all_heard = asyncio.Event()
         self._met: set[str] = set()
+        #: When each host that has no link any more was last heard.
+        self._last_heard: dict[str, float] = {}
         #: Since when each host without a link has had none, on the monotonic clock.
         self.away: dict[str, float] = {}
 
@@ -84,6 +86,11 @@ class Peers:
     def incarnations(self) -> dict[str, int]:
         """The hosts that are linked now, with their incarnations."""
         return {host: s.hello.incarnation for host, s in self._links.items() if s.hello}
+
+    def last_heard(self, host: str) -> float | None:
+        """When something last came from a host, on the monotonic clock; None when nothing ever did."""
+        session = self._links.get(host)
+        return session.heard if session else self._last_heard.get(host)
 
     def gone_for(self, seconds: float, unmet: float) -> set[str]:
         """The hosts that have not been linked for so long; one that was never met has `unmet` seconds."""
@@ -209,6 +216,7 @@ class Peers:
         if self._links.get(host) is session:
             del self._links[host]
             self.away[host] = self._clock.monotonic()
+            self._last_heard[host] = session.heard
             self._owner.unlinked(host)
 
     def heard(self, session: Session, message: Control) -> None:

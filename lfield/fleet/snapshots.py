@@ -16,6 +16,9 @@ from lfield.manifest import DeviceValue
 from lfield.vm.readings import Reading
 from lfield.vm.values import word_of
 
+#: A device that was heard before is lost after so many seconds of silence, at least.
+LOST_AFTER = 3.0
+
 
 class Snapshots:
     """Values with the time when they were true; what is too old is refused, never given."""
@@ -28,6 +31,9 @@ class Snapshots:
             for device in self._devices.values()
             for quantity in installed.manifests[device.type].device.telemetry
         }
+        self._patience = dict.fromkeys(self._devices, LOST_AFTER)
+        for (name, _), declared in self._quantities.items():
+            self._patience[name] = max(self._patience[name], declared.max_age)
         self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}
         self._readings: dict[tuple[str, str], Reading] = {}
         self._heard: dict[str, float] = {}
@@ -58,6 +64,25 @@ class Snapshots:
             reason = f"the last {quantity} is {age:.1f} s old (at most {longest:g} s)"
             raise DeviceError(binding.field, reason, kind="DeviceTimeoutException")
         return value
+
+    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
+        """The last value of a telemetry quantity and its age in seconds, however old; None for none yet."""
+        now = self._clock.monotonic()
+        if quantity == AGE.name and device in self._heard:
+            return now - self._heard[device], 0.0
+        found = self._values.get((device, quantity))
+        return None if found is None else (found[0], now - found[1])
+
+    def lost_since(self, device: str) -> float | None:
+        """Since when a device has not been heard, if that is longer than it should take; None if not.
+
+        It should take as long as its slowest quantity may be old, and LOST_AFTER at least. A device that has
+        never said anything is not lost: not every one has something to say.
+        """
+        heard = self._heard.get(device)
+        if heard is None or self._clock.monotonic() - heard <= self._patience[device]:
+            return None
+        return heard
 
     def reading(self, device: str, quantity: str) -> Reading | None:
         """A reading that every snapshot keeps up to date, None for text, arrays and `age`."""
