@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried
 from lfield.errors import DeviceError
@@ -16,24 +18,26 @@ FAR, HEIGHT, FENCE = 20.0, 5.0, 500.0
 DEGREES, METRES = 1e-6, 0.1
 
 
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """A list of points {latitude, longitude, metres}: what they are called, and the instructions for it."""
+
+    points: str
+    read: str
+    write: str
+    clear: str
+
+
+_MISSION = _Plan("waypoints", "missionWaypoints", "uploadMission", "clearMission")
+_RALLY = _Plan("rally points", "rallyPoints", "setRallyPoints", "clearRallyPoints")
+
+
 @PLANS.check("a mission is uploaded, read back and cleared", moves=True)
 async def mission(bench: Bench) -> str:
     """Three waypoints around where it stands."""
-    before = await _kept(bench, "missionWaypoints")
     limits = bench.binding.limits
     far, height = min(FAR, limits.get("radius", math.inf) / 2), min(HEIGHT, limits.get("altitude", math.inf))
-    wanted = [value for corner in _around(bench, far, 3) for value in (*corner, height)]
-    await bench.call("uploadMission", wanted)
-    try:
-        _same(wanted, await bench.call("missionWaypoints"), "waypoints")
-    finally:
-        await bench.call("clearMission")
-    left = await bench.call("missionWaypoints")
-    if before:
-        await bench.call("uploadMission", before)
-    if left:
-        raise CheckFailed(f"{len(left) // 3} waypoints were left after clearMission()")
-    return f"3 waypoints; now it holds {len(before) // 3}, as before"
+    return await _tried(bench, _MISSION, [(*corner, height) for corner in _around(bench, far, 3)])
 
 
 @PLANS.check("a fence is set, read back and cleared", moves=True)
@@ -71,30 +75,52 @@ async def fence(bench: Bench) -> str:
 @PLANS.check("rally points are set, read back and cleared", moves=True)
 async def rally(bench: Bench) -> str:
     """Two, near where it stands."""
-    before = await _kept(bench, "rallyPoints")
-    wanted = [value for corner in _around(bench, FAR, 2) for value in (*corner, HEIGHT)]
-    await bench.call("setRallyPoints", wanted)
+    return await _tried(bench, _RALLY, [(*corner, HEIGHT) for corner in _around(bench, FAR, 2)])
+
+
+async def _tried(bench: Bench, plan: _Plan, points: Sequence[tuple[float, float, float]]) -> str:
+    """Write a plan, read it back and clear it; then the vehicle has its own again, whatever has happened."""
+    before = await _kept(bench, plan)
+    wanted = [value for point in points for value in point]
     try:
-        _same(wanted, await bench.call("rallyPoints"), "rally points")
+        await bench.call(plan.write, wanted)
+        _same(wanted, await bench.call(plan.read), plan.points)
+        await bench.call(plan.clear)
+        left = await bench.call(plan.read)
+        if left:
+            raise CheckFailed(f"{len(left) // 3} {plan.points} were left after {plan.clear}()")
     finally:
-        await bench.call("clearRallyPoints")
-    left = await bench.call("rallyPoints")
-    if before:
-        await bench.call("setRallyPoints", before)
-    if left:
-        raise CheckFailed(f"{len(left) // 3} rally points were left after clearRallyPoints()")
-    return f"2 points; now it holds {len(before) // 3}, as before"
+        await _give_back(bench, plan, before)
+    return f"{len(points)} {plan.points}; now it holds {len(before) // 3}, as before"
 
 
-async def _kept(bench: Bench, query: str) -> list[float]:
-    """What the vehicle holds, to be given back to it. Raises NotTried for what could not be."""
+async def _kept(bench: Bench, plan: _Plan) -> list[float]:
+    """What the vehicle holds, to be given back to it. Raises NotTried for what could not be.
+
+    That it can be is tried while nothing is lost yet: a limit of the binding may forbid a plan that the
+    vehicle has from elsewhere.
+    """
     try:
-        kept: list[float] = await bench.call(query)
+        kept: list[float] = await bench.call(plan.read)
+        if kept:
+            await bench.call(plan.write, kept)
     except DeviceError as error:
         if error.kind == "DeviceTimeoutException":
             raise
         raise NotTried(f"what it holds would be lost: {error.reason}") from None
     return kept
+
+
+async def _give_back(bench: Bench, plan: _Plan, before: list[float]) -> None:
+    """Have it hold what it held. Raises CheckFailed: that this failed matters more than why it was tried."""
+    try:
+        if before:
+            await bench.call(plan.write, before)
+        else:
+            await bench.call(plan.clear)
+    except DeviceError as error:
+        held = f"its {len(before) // 3} {plan.points} were" if before else "its empty plan was"
+        raise CheckFailed(f"{held} not given back: {error.reason}") from error
 
 
 async def _switches(bench: Bench) -> dict[str, float]:

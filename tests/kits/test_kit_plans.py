@@ -1,0 +1,130 @@
+"""The checks of plans leave a vehicle with the plan that it had, whatever happens to their own."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.kit import run_kit
+from lfield.errors import DeviceError
+from lfield_mavlink.kit_plans import PLANS
+
+#: The name of a check, and the instructions by which it reads, writes and clears its plan.
+MISSION = (
+    "a mission is uploaded, read back and cleared",
+    *("missionWaypoints", "uploadMission", "clearMission"),
+)
+RALLY = (
+    "rally points are set, read back and cleared",
+    *("rallyPoints", "setRallyPoints", "clearRallyPoints"),
+)
+HELD = [47.0, 8.0, 30.0, 47.001, 8.0, 40.0]
+
+
+class Vehicle:
+    """A bench with a vehicle that holds one plan. `fault` is what is wrong with it, `written` what came."""
+
+    binding = DeviceBinding(
+        agent="alpha", field="fc", type="Copter", driver="mavlink", endpoint="here", safe_state="hold"
+    )
+    confirmed = False
+
+    def __init__(self, plan, held, fault=""):
+        _, self.read, self.write, self.clear = plan
+        self.held, self.fault = list(held), fault
+        self.written = []
+
+    def query(self, quantity):
+        assert quantity == "globalPosition"
+        return [47.5, 8.5, 400.0]
+
+    async def call(self, instruction, *arguments):
+        if instruction == self.read:
+            shifted = self.fault == "differs" and self.held != HELD
+            return [value + 0.5 for value in self.held] if shifted else list(self.held)
+        if instruction == self.clear:
+            self.held = self.held if self.fault == "keeps" else []
+        elif instruction == self.write:
+            await self._take(*arguments)
+        else:
+            raise AssertionError(f"nobody may call {instruction}()")
+        return None
+
+    async def _take(self, values):
+        if self.fault == "limits" and values == HELD:
+            raise DeviceError("fc", "waypoint 0 is above the limit")
+        if self.fault == "forgets" and self.written and values == HELD and self.held != HELD:
+            raise DeviceError("fc", "no room")
+        self.written.append(values)
+        self.held = list(values)
+        if self.fault == "hangs" and values != HELD:
+            await asyncio.Event().wait()
+
+
+def tried(plan, vehicle, *, cancelled=False):
+    """The finding of the check of a plan; None when it was cancelled as soon as it waited."""
+    checks = [check for check in PLANS.checks if check.name == plan[0]]
+
+    async def check():
+        return [finding async for finding in run_kit(vehicle, checks, True)]
+
+    async def story():
+        running = asyncio.ensure_future(check())
+        for _ in range(10):
+            await asyncio.sleep(0)
+        if cancelled:
+            running.cancel()
+            await asyncio.wait([running])
+            assert running.cancelled()
+            return None
+        (finding,) = await running
+        return finding
+
+    return asyncio.run(story())
+
+
+@pytest.mark.parametrize("plan", [MISSION, RALLY])
+@pytest.mark.parametrize("held", [HELD, []])
+def test_a_plan_that_comes_back_passes(plan, held):
+    vehicle = Vehicle(plan, held)
+    finding = tried(plan, vehicle)
+    assert finding.outcome == "passed"
+    assert f"now it holds {len(held) // 3}, as before" in finding.seen
+    assert vehicle.held == held
+
+
+@pytest.mark.parametrize("plan", [MISSION, RALLY])
+@pytest.mark.parametrize("held", [HELD, []])
+@pytest.mark.parametrize(("fault", "words"), [("differs", "came back as"), ("keeps", "were left after")])
+def test_what_was_there_is_back_when_the_check_fails(plan, held, fault, words):
+    vehicle = Vehicle(plan, held, fault)
+    finding = tried(plan, vehicle)
+    assert finding.outcome == "failed"
+    assert words in finding.seen
+    if held or fault != "keeps":
+        assert vehicle.held == held
+
+
+@pytest.mark.parametrize("plan", [MISSION, RALLY])
+def test_what_was_there_is_back_when_the_check_is_cancelled(plan):
+    vehicle = Vehicle(plan, HELD, "hangs")
+    assert tried(plan, vehicle, cancelled=True) is None
+    assert len(vehicle.written) == 3
+    assert vehicle.held == HELD
+
+
+def test_a_plan_that_could_not_be_given_back_is_not_touched():
+    vehicle = Vehicle(MISSION, HELD, "limits")
+    finding = tried(MISSION, vehicle)
+    assert finding.outcome == "not run"
+    assert finding.seen == "what it holds would be lost: waypoint 0 is above the limit"
+    assert vehicle.written == []
+    assert vehicle.held == HELD
+
+
+def test_a_plan_that_was_not_given_back_is_told():
+    finding = tried(MISSION, Vehicle(MISSION, HELD, "forgets"))
+    assert finding.outcome == "failed"
+    assert finding.seen == "its 2 waypoints were not given back: no room"
