@@ -65,7 +65,8 @@ def _plain_name(program: Program, record: TypeRecord) -> str:
 def _class_lines(program: Program, index: int) -> Iterator[str]:
     record = program.core.classes[index]
     usage = f" {record.usage} specific" if record.kind == "class" and record.usage != "global" else ""
-    yield f"{record.kind} {record.name}{usage}"
+    word = "capability" if record.capability else record.kind
+    yield f"{word} {record.name}{usage}"
     devices = {device.name: device.type for device in record.devices}
     for number, field in enumerate(record.fields):
         kind = devices.get(field.name) or type_name(program, field.type)

@@ -38,10 +38,10 @@ BUILTIN_CLASSES = (
 )
 MESSAGE, SOURCE, TRACE = 0, 1, 2
 
-#: What every offer tells about itself: the fields of the class that a capability's first field, `facts`, has.
-#: `names`, `numbers`, `texts` and `ages` have one element for each attribute.
+#: The first field of a capability, and the fields of its class: what every offer tells about itself. `names`,
+#: `numbers`, `texts` and `ages` have one element for each attribute.
 FACTS = "facts"
-FACT_FIELDS = ("agentId", "hostName", "wayText", "points", "names", "numbers", "texts", "ages")
+FACT_FIELDS = ("agent", "host", "way", "score", "names", "numbers", "texts", "ages")
 
 UnitKind = Literal["class", "resource", "coordinator"]
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lfield.compiler.frame import Evaluator, Frame
-from lfield.lang.tree import Call, DeviceCall, Expr, Find, Library, PortalCall
-from lfield.lang.types import Type
+from lfield.lang.tree import Call, DeviceCall, Expr, Find, Library, Literal_, PortalCall, Query
+from lfield.lang.types import NULL, Type
 
 
 class Calls:
@@ -41,6 +41,10 @@ class Calls:
                 self._evaluated("findall", [], tables.class_index(expr.resource.name))
             case Find(id=Expr() as name):
                 self._evaluated("find", [name], tables.class_index(expr.resource.name))
+            case Query():
+                head = "offers" if expr.verb == "find" else "explain"
+                constraint = expr.constraint or Literal_(expr.span, NULL, None)
+                self._evaluated(head, [constraint], tables.class_index(expr.capability.name))
             case Library():
                 self._evaluated(expr.operation, expr.arguments)
             case DeviceCall():

@@ -20,6 +20,7 @@ from lfield.lang.tree import (
     NewArray,
     Not,
     PortalCall,
+    Query,
     ToReal,
 )
 
@@ -56,6 +57,6 @@ def _parts(expr: Expr) -> list[Expr]:
             return expr.arguments
         case NewArray():
             return expr.lengths
-        case Find(id=Expr() as name):
-            return [name]
+        case Find(id=Expr() as argument) | Query(constraint=Expr() as argument):
+            return [argument]
     return []

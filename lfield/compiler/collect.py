@@ -124,4 +124,5 @@ class Tables:
             tuple(FieldRecord(field.name, self.type_index(field.type)) for field in unit.fields),
             next(inits, -1),
             tuple(DeviceField(f.name, f.type.name) for f in unit.fields if isinstance(f.type, DeviceType)),
+            unit.capability,
         )

@@ -32,6 +32,7 @@ from lfield.lang.tree import (
     NewArray,
     Not,
     PortalCall,
+    Query,
     This,
     ToReal,
 )
@@ -116,7 +117,7 @@ class Expressions:
                 return self._objects.new(expr, wanted)
             case NewArray():
                 return self._objects.new_array(expr, wanted)
-            case Call() | PortalCall() | Find() | Library() | DeviceCall():
+            case Call() | PortalCall() | Find() | Query() | Library() | DeviceCall():
                 return self._calls.value(expr, wanted)
         raise AssertionError(f"there is no value of a {type(expr).__name__}")
 

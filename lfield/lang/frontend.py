@@ -8,8 +8,11 @@ from pathlib import Path
 
 from lfield.errors import ProgramError
 from lfield.files import read_bytes
+from lfield.lang.capabilities import Capabilities, Generated, unknown_names
 from lfield.lang.checker import check
+from lfield.lang.checker.symbols import BUILTIN_TYPES
 from lfield.lang.includes import FileSet, FindInclude
+from lfield.lang.parser import parse
 from lfield.lang.reading import MAX_BYTES
 from lfield.lang.tree import CheckedProgram
 from lfield.manifest import DeviceManifest
@@ -41,19 +44,23 @@ def no_include(path: str) -> Path | None:
 
 
 def check_file(
-    path: Path, *, devices: Mapping[str, DeviceManifest] | None = None, find_include: FindInclude = no_include
+    path: Path,
+    *,
+    devices: Mapping[str, DeviceManifest] | None = None,
+    find_include: FindInclude = no_include,
+    capabilities: Capabilities | None = None,
 ) -> Checked:
     """Check a program file and all it includes.
 
     `devices` are the device types of the drivers by their name; `find_include` maps the path in
-    `include <name/file.L>;` to a file. Raises InputFileError when the file itself cannot be read; everything
-    else that is wrong with it is a diagnostic.
+    `include <name/file.L>;` to a file; `capabilities` are the types of the registry. Raises InputFileError
+    when the file itself cannot be read; everything else that is wrong with it is a diagnostic.
     """
     data = read_bytes(path, MAX_BYTES)
     found = Diagnostics()
     files = FileSet(found, find_include)
     files.read(data, path)
-    return _checked(files, found, devices)
+    return _checked(files, found, devices or {}, capabilities)
 
 
 def check_text(
@@ -62,14 +69,49 @@ def check_text(
     *,
     devices: Mapping[str, DeviceManifest] | None = None,
     find_include: FindInclude = no_include,
+    capabilities: Capabilities | None = None,
 ) -> Checked:
     """Check a program text; its includes are looked up beside `name`."""
     found = Diagnostics()
     files = FileSet(found, find_include)
     files.add(Source(name, text), Path(name))
-    return _checked(files, found, devices)
+    return _checked(files, found, devices or {}, capabilities)
 
 
-def _checked(files: FileSet, found: Diagnostics, devices: Mapping[str, DeviceManifest] | None) -> Checked:
-    program = check(files.files, devices or {}, found, complete=files.complete)
+def _checked(
+    files: FileSet,
+    found: Diagnostics,
+    devices: Mapping[str, DeviceManifest],
+    capabilities: Capabilities | None,
+) -> Checked:
+    made = _generated(files, devices, capabilities) if capabilities is not None else Generated({})
+    for diagnostic in made.found:
+        found.add(diagnostic)
+    generated = [parse(source, found) for source in (*made.common, *made.classes.values())]
+    program = check(
+        [*generated, *files.files],
+        devices,
+        found,
+        complete=files.complete,
+        capabilities=capabilities,
+        generated=frozenset(made.classes),
+    )
     return Checked(None if found.errors else program, found.in_order())
+
+
+def _generated(
+    files: FileSet, devices: Mapping[str, DeviceManifest], capabilities: Capabilities
+) -> Generated:
+    """The classes of all capabilities that the files name; the files these bring along are read too."""
+    known = {*BUILTIN_TYPES, *devices}
+    wanted: set[str] = set()
+    made = Generated({})
+    while unknown := unknown_names(files.files, {*known, *wanted}):
+        new = unknown.intersection(capabilities.names())
+        if not new:
+            break
+        wanted |= new
+        made = capabilities.generate(wanted, files.files)
+        for path in made.files:
+            files.read(read_bytes(path, MAX_BYTES), path)
+    return made

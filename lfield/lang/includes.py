@@ -26,7 +26,9 @@ class FileSet:
         self._seen: set[str] = set()
 
     def read(self, data: bytes, path: Path) -> None:
-        """Parse the bytes of a file and the files it includes."""
+        """Parse the bytes of a file and the files it includes, unless that was done already."""
+        if os.path.realpath(path) in self._seen:
+            return
         source = self._decoded(data, str(path))
         if source is not None:
             self.add(source, path)

@@ -216,6 +216,7 @@ NO_MEMBERS = _message("L420", "{given} has no members", "only objects, arrays, s
 NEW_TYPE = _message(
     "L421", "{given} has no constructor", "new makes objects of classes and arrays: new {given}[10]"
 )
+CONSTRAINT = _message("L422", "{problem}")
 
 # --- L5xx: scope rules ----------------------------------------------------------------------------------
 
@@ -325,7 +326,7 @@ PRIVATE_MEMBER = _message(
 )
 FIND_PLACE = _message(
     "L523",
-    "{viewer} cannot find resources",
+    "{viewer} cannot find {what}",
     "only coordinators and coordinator specific classes do; pass the result in as a value",
 )
 COORDINATOR_FUNCTION = _message(
@@ -337,6 +338,11 @@ THIS_VALUE = _message(
     "L525",
     "'this' of {unit} is not a value",
     "use it to reach its own members: this.name or this.method()",
+)
+CAPABILITY_OUTSIDE = _message(
+    "L526",
+    "{viewer} cannot name the capability '{name}'",
+    "capabilities belong to coordinators, which find offers and call them; a resource just has portals",
 )
 
 # --- L6xx: files ----------------------------------------------------------------------------------------

@@ -310,9 +310,14 @@ class Include:
 
 @dataclass(slots=True, eq=False)
 class File:
-    """One parsed file; `broken` when units may be missing."""
+    """One parsed file; `broken` when units may be missing.
+
+    `types` are the names of types it mentions, `called` the names it calls without an object.
+    """
 
     source: Source
     includes: list[Include] = field(default_factory=list)
     units: list[Unit] = field(default_factory=list)
     broken: bool = False
+    types: set[str] = field(default_factory=set)
+    called: set[str] = field(default_factory=set)

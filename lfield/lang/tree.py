@@ -66,7 +66,10 @@ class Method:
 
 @dataclass(slots=True, eq=False)
 class Unit:
-    """A class, resource or coordinator. Classes always have at least one constructor."""
+    """A class, resource or coordinator. Classes always have at least one constructor.
+
+    The class of a `capability` was made from the registry (capabilities.py); its objects are offers.
+    """
 
     name: str
     kind: UnitKind
@@ -74,6 +77,7 @@ class Unit:
     span: Span
     fields: list[Field] = field(default_factory=list)
     methods: list[Method] = field(default_factory=list)
+    capability: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -231,6 +235,16 @@ class Find(Expr):
 
     resource: Unit
     id: Expr | None
+
+
+@dataclass(slots=True, eq=False)
+class Query(Expr):
+    """`findC(constraint)` gives the offers of a capability as an array, `explainC(constraint)` a text that
+    says why there are no others. Without a constraint (None) every offer will do."""
+
+    capability: Unit
+    constraint: Expr | None
+    verb: Literal["find", "explain"]
 
 
 @dataclass(slots=True, eq=False)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import random
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from lfield.manifest import DeviceValue
 from lfield.vm.agent import Agent, Member
 from lfield.vm.limits import Limits
 from lfield.vm.machine import Machine
+from lfield.vm.offers import Found
 from lfield.vm.readings import Reading
 from lfield.vm.world import Pending
 
@@ -74,6 +76,14 @@ class Desk:
     def reading(self, agent: Agent, call: DeviceCall) -> Reading | None:
         """There is no telemetry either."""
         return None
+
+    def offers(self, agent: Agent, capability: str, constraint: str | None) -> Sequence[Found]:
+        """Nobody offers anything."""
+        return []
+
+    def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
+        """There is nobody to explain."""
+        return ""
 
     def ended(self, agent: Agent) -> None:
         """Keep the agents that ended."""

@@ -34,6 +34,7 @@ from lfield.vm.layout import (
 )
 from lfield.vm.limits import Limits
 from lfield.vm.liveness import Liveness
+from lfield.vm.offers import Shapes
 from lfield.vm.outside import Outsiders
 from lfield.vm.readings import Reading
 from lfield.vm.soundness import Soundness
@@ -78,6 +79,7 @@ class Machine:
         self.calls: dict[int, tuple[Agent, int]] = {}
         self.last_call = 0
         self.turns = Turns(clock)
+        self.shapes = Shapes(program)
         self._reference_arguments: dict[int, tuple[int, ...]] = {}
         self._outsiders = Outsiders(self)
         self._liveness = Liveness(program, self.layouts)

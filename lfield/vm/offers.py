@@ -120,7 +120,8 @@ class _Writer:
         self.chunks: list[bytes] = []
         self._shapes, self._top = shapes, top
         self._texts: dict[str | None, int] = {None: 0}
-        self._arrays: dict[tuple[str | None, ...] | tuple[float, ...], int] = {}
+        self._of_texts: dict[tuple[str | None, ...], int] = {}
+        self._of_reals: dict[tuple[float, ...], int] = {}
         self._proxies: dict[tuple[int, int], int] = {}
 
     def offer(self, shape: Shape, found: Found) -> int:
@@ -184,17 +185,17 @@ class _Writer:
         return place
 
     def _strings(self, texts: tuple[str | None, ...]) -> int:
-        place = self._arrays.get(texts)
+        place = self._of_texts.get(texts)
         if place is None:
             head = header(layout.ARRAY, self._shapes.strings, 1 + len(texts))
-            place = self._arrays[texts] = self.words(head, *map(self._text, texts))
+            place = self._of_texts[texts] = self.words(head, *map(self._text, texts))
         return place
 
     def _reals(self, numbers: tuple[float, ...]) -> int:
-        place = self._arrays.get(numbers)
+        place = self._of_reals.get(numbers)
         if place is None:
             head = header(layout.ARRAY, self._shapes.reals, 1 + len(numbers))
-            place = self._arrays[numbers] = self._put(_reals(len(numbers)).pack(head, *numbers))
+            place = self._of_reals[numbers] = self._put(_reals(len(numbers)).pack(head, *numbers))
         return place
 
     def _proxy(self, resource: int, member: int) -> int:

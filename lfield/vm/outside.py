@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 from lfield.bytecode.opcodes import BY_CODE
 from lfield.bytecode.program import ARRAY, PROXY
-from lfield.errors import DeviceError
+from lfield.errors import ConstraintError, DeviceError
 from lfield.vm import layout, portals
 from lfield.vm.engine.library import real_text
 from lfield.vm.exits import Outside
 from lfield.vm.layout import PARKED, WAITING
+from lfield.vm.offers import UnknownWay, write_offers
 from lfield.vm.threads import still_image
 from lfield.vm.values import plain, real_of, word_for, word_of
 from lfield.vm.world import Pending
@@ -42,6 +43,8 @@ class Outsiders:
             "random_int": self._random_int,
             "find": self._find,
             "findall": self._find_all,
+            "offers": self._offers,
+            "explain": self._explain,
             "device": self._device,
         }
         self._by_code: dict[int, Handler] = {
@@ -56,7 +59,7 @@ class Outsiders:
 
     def _note_poll(self, agent: Agent, thread: int, name: str) -> None:
         """Anything but asking and yielding shows that a thread does more than poll."""
-        if name in ("now", "device"):
+        if name in ("now", "device", "offers", "explain"):
             agent.asked.add(thread)
         elif name != "yield":
             agent.polls.pop(thread, None)
@@ -185,6 +188,27 @@ class Outsiders:
             return array
 
         machine.complete(agent, thread, work)
+
+    def _offers(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        machine = self.machine
+        name = machine.program.core.classes[operand].name
+        constraint = agent.block.string(words[0]) if words[0] else None
+        try:
+            found = machine.world.offers(agent, name, constraint)
+            machine.complete(agent, thread, lambda: write_offers(agent.block, machine.shapes, operand, found))
+        except (ConstraintError, UnknownWay) as error:
+            machine.refuse(agent, thread, "ConstraintException", str(error), name)
+
+    def _explain(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        machine = self.machine
+        name = machine.program.core.classes[operand].name
+        constraint = agent.block.string(words[0]) if words[0] else None
+        try:
+            text = machine.world.explain(agent, name, constraint)
+        except ConstraintError as error:
+            machine.refuse(agent, thread, "ConstraintException", str(error), name)
+            return
+        machine.complete(agent, thread, lambda: agent.block.new_string(text))
 
     def _device(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         machine = self.machine

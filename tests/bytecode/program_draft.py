@@ -37,7 +37,7 @@ from lfield.bytecode.program import (
 from lfield.bytecode.verify.records import BUILTIN_RECORDS, FIXED_TYPES
 
 # Classes behind the built-in ones.
-BOX, ARM, GUIDE, TOOL = 11, 12, 13, 14
+BOX, ARM, GUIDE, TOOL = range(len(BUILTIN_RECORDS), len(BUILTIN_RECORDS) + 4)
 # Types behind the fixed ones.
 T_BOX, T_ARM, T_PROXY, T_GUIDE, T_STRINGS, T_PROXIES, T_INTS, T_TOOL, T_OVERFLOW = range(8, 17)
 # Methods.

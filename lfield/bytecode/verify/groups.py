@@ -9,7 +9,19 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
-from lfield.bytecode.program import ANY, ARRAY, BOOLEAN, INT, PROXY, REAL, STRING, VOID, Quad, TypeRecord
+from lfield.bytecode.program import (
+    ANY,
+    ARRAY,
+    BOOLEAN,
+    INT,
+    OBJECT,
+    PROXY,
+    REAL,
+    STRING,
+    VOID,
+    Quad,
+    TypeRecord,
+)
 from lfield.bytecode.verify.operands import MethodView
 
 _PUSH, _POP = BY_NAME["push"], BY_NAME["pop"]
@@ -118,6 +130,29 @@ def _check_find(view: MethodView, pc: int, quad: Quad) -> None:
         raise view.refused(pc, "only resources are found")
 
 
+def _offers(view: MethodView, pc: int, quad: Quad) -> Signature:
+    _check_query(view, pc, quad)
+    offer = TypeRecord(OBJECT, quad.a)
+
+    def is_array_of_offers(view: MethodView, index: int) -> bool:
+        record = view.types.record(index)
+        return record.kind == ARRAY and view.types.record(record.of) == offer
+
+    return Signature([_accepts(STRING)], is_array_of_offers)
+
+
+def _explain(view: MethodView, pc: int, quad: Quad) -> Signature:
+    _check_query(view, pc, quad)
+    return Signature([_accepts(STRING)], _accepts(STRING))
+
+
+def _check_query(view: MethodView, pc: int, quad: Quad) -> None:
+    if view.scope != "coordinator":
+        raise view.refused(pc, "only coordinators ask for capabilities")
+    if not view.core.classes[quad.a].capability:
+        raise view.refused(pc, "only capabilities have offers")
+
+
 def _device(view: MethodView, pc: int, quad: Quad) -> Signature:
     call = view.core.device_calls[quad.a]
     if call.owner != view.method.owner:
@@ -130,6 +165,8 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], Signature]] = {
     "pcall": _pcall,
     "find": _find,
     "findall": _findall,
+    "offers": _offers,
+    "explain": _explain,
     "device": _device,
 }
 

@@ -6,6 +6,8 @@ from lfield.bytecode.program import (
     ARRAY,
     BUILTIN_CLASSES,
     DEVICE,
+    FACT_FIELDS,
+    FACTS,
     INT,
     OBJECT,
     PROXY,
@@ -27,6 +29,11 @@ FIXED_TYPES = tuple(TypeRecord(kind) for kind in range(8))
 _EXCEPTION_FIELDS = tuple(FieldRecord(name, STRING) for name in ("message", "source", "trace"))
 #: The built-in exception classes, exactly as every program has them.
 BUILTIN_RECORDS = tuple(ClassRecord(name, "class", "global", _EXCEPTION_FIELDS) for name in BUILTIN_CLASSES)
+
+_TEXT, _NUMBER = TypeRecord(STRING), TypeRecord(REAL)
+_TEXTS, _NUMBERS = TypeRecord(ARRAY, STRING), TypeRecord(ARRAY, REAL)
+_FACT_TYPES = (_TEXT, _TEXT, _TEXT, _NUMBER, _TEXTS, _NUMBERS, _TEXTS, _NUMBERS)
+_FACT_SHAPE = list(zip(FACT_FIELDS, _FACT_TYPES, strict=True))
 
 _INT_MIN, _INT_MAX = -(1 << 63), (1 << 63) - 1
 _KINDS = frozenset({"class", "resource", "coordinator"})
@@ -82,11 +89,23 @@ def _check_fields(record: ClassRecord, table: TypeTable) -> None:
             raise ProgramFileError(f"a field of {record.name} has the name {field.name!r}")
         if not table.has(field.type) or not (field.type == DEVICE or table.is_value(field.type)):
             raise ProgramFileError(f"field {record.name}.{field.name} has a type no field can have")
+    if record.capability:
+        _check_capability(record, table)
     devices = [field.name for field in record.fields if field.type == DEVICE]
     if devices != [device.name for device in record.devices]:
         raise ProgramFileError(f"the devices of {record.name} are not its device fields")
     if devices and record.kind != "resource":
         raise ProgramFileError(f"{record.name} has a device and is no resource")
+
+
+def _check_capability(record: ClassRecord, table: TypeTable) -> None:
+    """The machine writes offers by itself, so their classes must have the shape it knows."""
+    if (record.kind, record.usage) != ("class", "coordinator"):
+        raise ProgramFileError(f"the capability {record.name} is no coordinator specific class")
+    facts = table.fields(record.fields[0].type) if record.fields else ()
+    shape = [(field.name, table.record(field.type)) for field in facts]
+    if shape != _FACT_SHAPE or record.fields[0].name != FACTS:
+        raise ProgramFileError(f"the capability {record.name} does not begin with what offers tell")
 
 
 def check_constants(core: Core) -> None:

@@ -15,6 +15,7 @@ from lfield.bytecode.program import (
     STRING,
     ClassRecord,
     Core,
+    FieldRecord,
     TypeRecord,
 )
 
@@ -45,6 +46,11 @@ class TypeTable:
     def kind(self, index: int) -> int:
         """The kind of a type."""
         return self._records[index].kind
+
+    def fields(self, index: int) -> tuple[FieldRecord, ...]:
+        """The fields of the objects of a type; () when it is no type of objects."""
+        record = self._records[index]
+        return self._classes[record.of].fields if record.kind == OBJECT else ()
 
     def is_reference(self, index: int) -> bool:
         """Whether values of the type are references."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lfield.lang import messages, syntax, tree
+from lfield.lang.capabilities import asked_of
 from lfield.lang.checker.conversion import shown, unknown
 from lfield.lang.checker.names import method_names
 from lfield.lang.checker.overloads import Candidate, choose, of_methods
+from lfield.lang.checker.queries import query
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
 from lfield.lang.checker.visibility import visible_type
@@ -28,12 +30,16 @@ from lfield.source import Span
 
 
 def bare(body: Body, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]) -> tree.Expr:
-    """`name(arguments)`: an own method, a find method or a library function."""
+    """`name(arguments)`: an own method, a find or explain method, or a library function."""
     if body.methods(name.name):
         return _method(body, raw, name.span, body.this(name.span), body.methods(name.name), given)
     resource = body.symbols.resource(name.name.removeprefix("find"))
     if resource is not None and name.name.startswith("find"):
         return _find(body, raw, name.span, resource, given)
+    asked = asked_of(name.name)
+    capability = body.symbols.capability(asked[1]) if asked is not None else None
+    if asked is not None and capability is not None:
+        return query(body, raw, name.span, asked[0], capability, given)
     if name.name in LIBRARY_NAMES:
         return _library(body, raw, name, given)
     _unknown_function(body, name)
@@ -67,6 +73,10 @@ def new(body: Body, raw: syntax.New, given: list[tree.Expr]) -> tree.Expr:
     """`new C(arguments)`."""
     name, place = raw.type.name, raw.type.span
     unit = body.symbols.units.get(name)
+    if unit is not None and unit.capability:
+        hint = f"the team makes offers; find them: find{name}(...)"
+        body.report(messages.NEW_AGENT, place, hint=hint, kind="capability", name=name)
+        return unknown(raw.span)
     if unit is not None and unit.kind != "class":
         find = f"; a coordinator finds one with find{name}(...)" if unit.kind == "resource" else ""
         body.report(messages.NEW_AGENT, place, kind=unit.kind, name=name, find=find)
@@ -122,7 +132,7 @@ def _find(
 ) -> tree.Expr:
     """`findR(id)` or `findR()`; only where resources are visible."""
     if body.unit.usage != "coordinator":
-        body.report(messages.FIND_PLACE, place, viewer=describe(body.unit))
+        body.report(messages.FIND_PLACE, place, viewer=describe(body.unit), what="resources")
         return unknown(raw.span)
     proxy = ResourceType(resource.name)
     name = f"find{resource.name}"
@@ -223,11 +233,17 @@ def _function_hint(body: Body, called: str) -> str | None:
     if called in FOREIGN_FUNCTIONS:
         return f"in L it is {FOREIGN_FUNCTIONS[called]}(...)"
     own = [m.name for m in body.unit.methods if m.kind == "method"]
-    finds = [f"find{r}" for r in body.symbols.resource_names()] if body.unit.usage == "coordinator" else []
+    finds = _finds(body) if body.unit.usage == "coordinator" else []
     keyword = closest(called, ("if", "while", "for", "return", "catch"))
     return did_you_mean(called, [*own, *finds, *LIBRARY_NAMES]) or (
         f"did you mean {keyword} ?" if keyword else None
     )
+
+
+def _finds(body: Body) -> list[str]:
+    capabilities = body.symbols.capability_names()
+    found = [f"find{name}" for name in (*body.symbols.resource_names(), *capabilities)]
+    return [*found, *(f"explain{name}" for name in capabilities)]
 
 
 def _unknown_member(body: Body, function: syntax.Member, kind: Type, unit: tree.Unit | None) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from lfield.lang import messages, syntax
+from lfield.lang.capabilities import asked_of
 from lfield.lang.checker.symbols import BUILTIN_TYPES, LIBRARY_NAMES, Symbols, describe
 from lfield.lang.checker.visibility import check_portal_contents, visible_type
 from lfield.lang.tree import Field, Local, Method, Unit
@@ -43,7 +44,7 @@ def _unit(symbols: Symbols, raw: syntax.Unit) -> Unit | None:
         return None
     if raw.broken:
         symbols.broken_units.add(raw.name)
-    unit = Unit(raw.name, raw.kind, raw.usage, raw.span)
+    unit = Unit(raw.name, raw.kind, raw.usage, raw.span, capability=raw.name in symbols.generated)
     symbols.units[raw.name] = unit
     return unit
 
@@ -186,5 +187,7 @@ class _Methods:
             what = "a library function"
         elif name.startswith("find") and self.symbols.resource(name[len("find") :]) is not None:
             what = f"the find method of the resource {name[len('find') :]}"
+        elif (asked := asked_of(name)) is not None and self.symbols.capability(asked[1]) is not None:
+            what = f"the {asked[0]} method of the capability {asked[1]}"
         if what is not None:
             self.symbols.report(messages.METHOD_NAME_TAKEN, method.span, name=name, what=what)

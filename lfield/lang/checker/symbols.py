@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 from lfield.lang import messages, tree
+from lfield.lang.capabilities import Capabilities
 from lfield.lang.library import FUNCTIONS
 from lfield.lang.messages import Message
 from lfield.lang.suggest import FOREIGN_TYPES, closest
@@ -44,6 +45,7 @@ _RETURN_LIKE = ("return", "throw", "else")
 class Symbols:
     """The units of a program and the device types it may use.
 
+    `capabilities` is the registry, when there is one; `generated` are the names of the classes made from it.
     `incomplete` says that declarations may be missing (a syntax error, a missing include): then unknown
     types are taken as they are. `broken_units` miss members in the same way.
     """
@@ -54,6 +56,8 @@ class Symbols:
     used_devices: dict[str, DeviceManifest] = field(default_factory=dict)
     broken_units: set[str] = field(default_factory=set)
     incomplete: bool = False
+    capabilities: Capabilities | None = None
+    generated: frozenset[str] = frozenset()
     _told: set[tuple[str, str, int, str]] = field(default_factory=set)
 
     def report(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
@@ -72,9 +76,18 @@ class Symbols:
         unit = self.units.get(name)
         return unit if unit is not None and unit.kind == "resource" else None
 
+    def capability(self, name: str) -> tree.Unit | None:
+        """The class of the capability of that name, if the program uses it."""
+        unit = self.units.get(name)
+        return unit if unit is not None and unit.capability else None
+
     def resource_names(self) -> list[str]:
         """The names of all resources."""
         return [name for name, unit in self.units.items() if unit.kind == "resource"]
+
+    def capability_names(self) -> Collection[str]:
+        """The names of all capabilities, used or not: for hints."""
+        return self.capabilities.names() if self.capabilities is not None else ()
 
     def resolve(self, written: TypeName) -> Type:
         """The type of that name, or UNKNOWN (reported) when there is none. Who may name it is not asked."""
@@ -99,7 +112,8 @@ class Symbols:
     def _type_hint(self, name: str) -> str | None:
         if name in FOREIGN_TYPES:
             return f"in L it is called {FOREIGN_TYPES[name]}"
-        close = closest(name, [*BUILTIN_TYPES, *self.units, *self.devices, *_RETURN_LIKE])
+        known = [*BUILTIN_TYPES, *self.units, *self.devices, *self.capability_names(), *_RETURN_LIKE]
+        close = closest(name, known)
         return f"did you mean '{close}'?" if close else None
 
 

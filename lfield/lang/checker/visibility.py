@@ -65,6 +65,8 @@ def _rule(viewer: tree.Unit, target: tree.Unit) -> Message | None:
         return _RESOURCE_RULES[side]
     if target.usage in ("global", side):
         return None
+    if target.capability:
+        return messages.CAPABILITY_OUTSIDE
     if side == "global":
         return messages.GLOBAL_NAMES_SPECIFIC
     return messages.RESOURCE_CLASS_OUTSIDE if side == "coordinator" else messages.COORDINATOR_CLASS_OUTSIDE
@@ -90,6 +92,8 @@ def _may_pass(symbols: Symbols, viewer: tree.Unit, kind: Type, span: Span) -> bo
     unit = symbols.named(element)
     if unit is None:
         return True
+    if unit.capability:
+        return may_name(symbols, viewer, unit, span)
     if unit.kind == "resource" or (unit.kind == "class" and unit.usage == "coordinator"):
         symbols.report(messages.PORTAL_PROXY, span, type=kind)
         return False

@@ -156,6 +156,8 @@ def _postfix(s: TokenStream) -> Expr:
 def _call(s: TokenStream, function: Expr) -> Expr:
     if not isinstance(function, Name | Member):
         raise s.fail(messages.NOT_A_CALL)
+    if isinstance(function, Name):
+        s.called.add(function.name)
     given = arguments(s)
     height = 1 + max([function.height, *(a.height for a in given)])
     return Call(function.span.to(s.previous.span), height, function, given)

@@ -29,6 +29,7 @@ def parse(source: Source, found: Diagnostics) -> File:
                 file.broken = True
     except GiveUp:
         file.broken = True
+    file.types, file.called = s.types, s.called
     return file
 
 

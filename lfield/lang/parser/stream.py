@@ -48,6 +48,9 @@ class TokenStream:
         self.broken = False
         #: The first brace of this member whose closing brace stands at another indentation.
         self.suspect: Span | None = None
+        #: The names of types, and of functions that are called by their bare name.
+        self.types: set[str] = set()
+        self.called: set[str] = set()
 
     # --- looking and moving ---------------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ def element_name(s: TokenStream, what: str = "a type") -> TypeName:
         token = s.advance()
     else:
         token = s.expect_name(what)
+    s.types.add(token.text)
     return TypeName(token.span, token.text)
 
 

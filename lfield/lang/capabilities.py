@@ -1,0 +1,87 @@
+"""Capabilities of a registry as types of L: what the front end asks of whoever knows the registry.
+
+A program that names a type no unit declares may mean a capability. Then its class is made from the registry
+and read as if it had been included; so are the files of the classes that put several resources together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+from lfield.lang import syntax
+from lfield.source import Diagnostic, Source
+
+Verb = Literal["find", "explain"]
+VERBS: tuple[Verb, ...] = ("find", "explain")
+
+
+class Mistake(Protocol):
+    """What is wrong with a constraint: the characters from `start` to `end` of it."""
+
+    @property
+    def start(self) -> int:
+        """The first character."""
+
+    @property
+    def end(self) -> int:
+        """The one behind the last."""
+
+    @property
+    def message(self) -> str:
+        """A sentence."""
+
+    @property
+    def hint(self) -> str:
+        """What to write instead, or ''."""
+
+
+@dataclass(frozen=True, slots=True)
+class Generated:
+    """The classes of capabilities: their texts by name, whatever they need besides, and what is wrong.
+
+    `common` are texts that all of them need, `files` those of the program's makers; `found` are mistakes of
+    the registry that only show against a program.
+    """
+
+    classes: dict[str, Source]
+    common: tuple[Source, ...] = ()
+    files: tuple[Path, ...] = ()
+    found: tuple[Diagnostic, ...] = ()
+
+
+class Capabilities(Protocol):
+    """A registry as the front end sees it. It is asked only when a program names something unknown."""
+
+    def names(self) -> Collection[str]:
+        """The capabilities that can be called."""
+
+    def generate(self, wanted: Collection[str], files: Sequence[syntax.File]) -> Generated:
+        """The classes of these capabilities and of those they refer to, for a program of these files.
+
+        A capability that has the name of a unit is none in this program.
+        """
+
+    def mistakes(self, constraint: str) -> Sequence[Mistake]:
+        """What is wrong with the text of a condition over attributes."""
+
+
+def asked_of(name: str) -> tuple[Verb, str] | None:
+    """The verb and the name of the capability, if `name` may be that of a query: `findLift`."""
+    for verb in VERBS:
+        asked = name.removeprefix(verb)
+        if asked != name and asked[:1].isupper():
+            return verb, asked
+    return None
+
+
+def unknown_names(files: Sequence[syntax.File], known: Collection[str]) -> set[str]:
+    """The names of types and queries in some files that are neither known nor declared there."""
+    units = [unit for file in files for unit in file.units]
+    methods = {method.name for unit in units for method in unit.methods}
+    named = {name for file in files for name in file.types}
+    asked = (asked_of(name) for file in files for name in file.called - methods)
+    named.update(query[1] for query in asked if query is not None)
+    return named - {unit.name for unit in units} - set(known)
