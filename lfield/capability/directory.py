@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from lfield.capability.model import Registry
+from lfield.capability.model import Live, Registry
 from lfield.capability.news import SILENCE, Announcer, Condition, News, Sample, Trouble
 from lfield.capability.offer import Candidate, Fact
 from lfield.clock import Clock
@@ -98,8 +98,8 @@ class Directory:
         """The agents of this host, whose conditions `own` wants."""
         return [agent.id for agent in self._agents.values() if agent.host == self._here]
 
-    def live(self, agent: str) -> tuple[str, ...]:
-        """The live attributes of an agent."""
+    def live(self, agent: str) -> Mapping[str, Live]:
+        """The live attributes of an agent, with where their values come from."""
         return self._live[agent]
 
     def own(self, agent: str, condition: Condition) -> None:
@@ -197,10 +197,14 @@ class Directory:
         return age
 
 
-def live_attributes(registry: Registry, agent: Deployed) -> tuple[str, ...]:
-    """The attributes of an agent that come from its devices, by name; its own values count before them."""
+def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
+    """The attributes of an agent that come from its devices, in the order of their names.
+
+    What the mission states of an agent counts before what its devices say.
+    """
     stated = registry.agents.get(agent.id, {})
-    return tuple(sorted(name for name in registry.providers[agent.type].live if name not in stated))
+    live = registry.providers[agent.type].live
+    return {name: live[name] for name in sorted(live) if name not in stated}
 
 
 def _age_here(sample: Sample, now: float) -> float:

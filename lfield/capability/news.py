@@ -8,7 +8,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from lfield.capability.model import Attribute, Value
+from lfield.capability.model import Attribute
+
+#: What telemetry can say of an attribute.
+Scalar = float | int | bool | str
 
 #: A real value has changed when it differs by more than this part of what is typical of its attribute.
 NOTABLE = 0.005
@@ -40,7 +43,7 @@ class Sample:
     One that is `kept` is up to date as long as something is heard from the host that has it.
     """
 
-    value: Value
+    value: Scalar
     age: float
     at: float
     kept: bool = True

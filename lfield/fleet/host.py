@@ -22,6 +22,7 @@ from lfield.fleet.guards import Guards
 from lfield.fleet.logbook import Logbook
 from lfield.fleet.mobility import MobilityMessage
 from lfield.fleet.peers import Peers
+from lfield.fleet.reporting import NO_REGISTRY, Reporting
 from lfield.fleet.status import coordinators_of, status_of
 from lfield.fleet.travel import Travel
 from lfield.manifest import DeviceValue
@@ -29,6 +30,7 @@ from lfield.net.transport import Link, Transport
 from lfield.vm import dump
 from lfield.vm.agent import Agent, Member
 from lfield.vm.machine import Machine
+from lfield.vm.offers import ways
 from lfield.vm.readings import Reading
 from lfield.vm.world import Pending
 from lfield.wire.messages import (
@@ -37,6 +39,7 @@ from lfield.wire.messages import (
     EmergencyStopped,
     Hello,
     Known,
+    Report,
     Status,
     StatusRequest,
     Transfer,
@@ -79,6 +82,9 @@ class Host:
             self, self.team, self._own_hello([]), mission.bindings.limits, options.unreachable_after
         )
         self.mobility = self.travel.mobility
+        capabilities = ways(mission.program)
+        registry = mission.registry if mission.registry and capabilities else NO_REGISTRY
+        self.reporting = Reporting(self, mission, registry)
         self._hellos: dict[str, Hello] = {}
         self._statuses: dict[str, dict[str, Any]] = {}
         #: Every other host's incarnation as last seen, and the hosts that were restarted meanwhile.
@@ -104,6 +110,7 @@ class Host:
             if member.kind == "resource":
                 self.machine.start(member, self.mission.bindings.limits(member.id), generation)
         self.travel.open()
+        self.reporting.open()
         coordinators = [m for m in members if m.kind == "coordinator"]
         if coordinators:
             await self.peers.first_round(CENSUS)
@@ -136,6 +143,7 @@ class Host:
         if self._timer:
             self._timer.cancel()
         self.travel.stop()
+        self.reporting.stop()
         await self.guards.close()
         self.peers.close()
         self.logbook.flush()
@@ -182,6 +190,7 @@ class Host:
             self.note(f"linked with {hello.host}")
         self._seen[hello.host] = hello.incarnation
         self._hellos[hello.host] = hello
+        self.reporting.linked(hello)
         self.travel.linked(hello)
         self.changed.set()
         self.pump()
@@ -191,6 +200,7 @@ class Host:
         if not self._stopped:
             self.note(f"lost the link with {host}")
         self.mobility.unlinked(host)
+        self.reporting.unlinked(host)
         self._hellos.pop(host, None)
         self.changed.set()
 
@@ -211,6 +221,8 @@ class Host:
             self.changed.set()
         elif isinstance(message, EmergencyStop) and not host:
             self._stopping_devices = self._loop.create_task(self._emergency_stop(message, link))
+        elif host and isinstance(message, Report):
+            self.reporting.received(host, message)
         elif host and isinstance(message, MobilityMessage):
             self.travel.received(host, message)
 

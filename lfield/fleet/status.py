@@ -42,6 +42,7 @@ def status_of(host: Host) -> dict[str, Any]:
         "devices": {name: dict(values) for name, values in host.guards.telemetry.items()},
         "silences": {name: round(seconds, 3) for name, seconds in host.guards.silences.items()},
         "latched": dict(host.guards.latched),
+        "directory": host.reporting.status(),
     }
 
 
