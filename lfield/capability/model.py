@@ -122,7 +122,8 @@ class PortalMap:
 class Live:
     """An attribute that is a device's telemetry: `value * factor + offset` of `device.quantity`.
 
-    Of a quantity that is an array, `index` says which element: `fc.position[0]` is how far north.
+    Of a quantity that is an array, `index` says which element: `fc.position[0]` is how far north. Where no
+    `unit` was written, factor and offset follow from the device's manifest (program_check.py).
     """
 
     attribute: str
@@ -132,6 +133,7 @@ class Live:
     factor: float = 1.0
     offset: float = 0.0
     index: int | None = None
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
