@@ -1,0 +1,88 @@
+"""What the stock resource types serve is there: their portals and telemetry, and the ids of manifests."""
+
+from __future__ import annotations
+
+import pytest
+from shipped_registry import DEVICES, PLUGINS, REGISTRY, stock_source
+
+from lfield.capability.signatures import Signature, argument_type, fits, signatures_of
+from lfield.lang.parser import parse
+from lfield.manifest import DeviceManifest
+from lfield.source import Diagnostics, Source
+
+STOCK = sorted(REGISTRY.providers)
+
+
+def signature(type_name: str) -> Signature:
+    """What a stock resource type has."""
+    path = stock_source(REGISTRY.providers[type_name].include)
+    file = parse(Source(str(path), path.read_text(encoding="utf-8")), Diagnostics())
+    return signatures_of([file])[type_name]
+
+
+def device(type_name: str, field: str) -> DeviceManifest:
+    """The manifest of a device field of a stock resource type."""
+    return DEVICES[signature(type_name).devices[field]]
+
+
+def test_every_stock_resource_type_is_a_provider() -> None:
+    folders = {stock_source(REGISTRY.providers[name].include).parent for name in STOCK}
+    assert len(folders) == len(PLUGINS)
+    files = {path.stem.capitalize() for folder in folders for path in folder.glob("*.L")}
+    assert files == set(STOCK)
+
+
+@pytest.mark.parametrize("name", STOCK)
+def test_the_portals_that_are_called_exist(name: str) -> None:
+    portals = signature(name).portals
+    for served in REGISTRY.providers[name].serves.values():
+        for canonical in REGISTRY.primitives[served.primitive].portals.values():
+            call = served.portals[canonical.name]
+            given = [argument_type(argument, canonical) for argument in call.arguments]
+            fitting = [
+                result
+                for types, result in portals.get(call.target, [])
+                if len(types) == len(given) and all(map(fits, given, types))
+            ]
+            assert fitting, f"{name}.{call.target}({', '.join(given)}) for {served.primitive}"
+            if call.result is None:
+                assert canonical.result in ("void", *fitting), f"{name}.{call.target} for {served.primitive}"
+
+
+@pytest.mark.parametrize("name", STOCK)
+def test_live_attributes_are_telemetry(name: str) -> None:
+    for live in REGISTRY.providers[name].live.values():
+        quantities = {q.name: q for q in device(name, live.device).telemetry}
+        quantity = quantities[live.quantity]
+        assert REGISTRY.attributes[live.attribute].live
+        assert quantity.type.endswith("[]") == (live.index is not None)
+
+
+@pytest.mark.parametrize("name", sorted(DEVICES))
+def test_a_manifest_names_what_the_stock_types_serve_with_it(name: str) -> None:
+    offered = set(DEVICES[name].capabilities)
+    served = {
+        REGISTRY.primitives[primitive].id
+        for stock in STOCK
+        if name in signature(stock).devices.values()
+        for primitive in REGISTRY.providers[stock].serves
+    }
+    assert offered >= served
+    assert [id for id in offered if id not in REGISTRY.terms or REGISTRY.terms[id].deprecated] == []
+
+
+@pytest.mark.parametrize("name", STOCK)
+def test_the_class_of_machine_is_stated(name: str) -> None:
+    stated = REGISTRY.providers[name].attributes
+    assert {"environment", "emissions", "chassis", "limbs"} <= set(stated)
+
+
+@pytest.mark.parametrize("name", ["Copter", "Rover"])
+@pytest.mark.parametrize("primitive", ["Grip", "Lift", "Photograph"])
+def test_what_not_every_vehicle_has_is_asked_for(name: str, primitive: str) -> None:
+    provider = REGISTRY.providers[name]
+    tool = {"Grip": "gripper", "Lift": "winch", "Photograph": "camera"}[primitive]
+    condition = provider.serves[primitive].when
+    assert condition is not None
+    assert condition.text == f"tools == {tool}"
+    assert provider.attributes["tools"] == frozenset()
