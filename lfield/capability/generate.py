@@ -155,7 +155,7 @@ def _fields(served: Served, primitive: Primitive) -> Iterator[str]:
 
 def _portal(served: Served, primitive: Primitive, portal: Portal) -> Iterator[str]:
     """The method that stands for a portal: it calls through the one field that is filled."""
-    yield f"// {_comment(portal.meaning or portal.name)}" + (f"; emits {portal.unit}" if portal.unit else "")
+    yield f"// {_comment(portal.meaning or portal.name)}" + (f" ({portal.unit})" if portal.unit else "")
     for parameter in portal.parameters:
         unit = f" ({parameter.unit})" if parameter.unit else ""
         yield f"// {parameter.name}{unit}: {_comment(parameter.meaning)}".rstrip(": ")

@@ -11,7 +11,7 @@ from lfield.capability.generate import Served, class_text, prelude
 from lfield.capability.model import Registry
 from lfield.lang import syntax
 from lfield.lang.capabilities import Generated
-from lfield.source import Source
+from lfield.source import Diagnostic, Source
 
 
 class RegistryTypes:
@@ -44,6 +44,10 @@ class RegistryTypes:
             common=(prelude(),),
             files=tuple(dict.fromkeys(rule.source for rule in rules)),
         )
+
+    def misfits(self, files: Sequence[syntax.File]) -> Sequence[Diagnostic]:
+        """Where the registry does not fit the units of a program."""
+        return []
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""

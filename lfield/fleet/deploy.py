@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lfield.bytecode.encoding import MAX_SIZE, decode
 from lfield.bytecode.program import Program, UnitKind
+from lfield.capability.language import RegistryTypes
 from lfield.capability.model import Registry
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import InputFileError, ProgramError, ProgramFileError
@@ -16,11 +17,15 @@ from lfield.fleet.bindings import Bindings, read_bindings
 from lfield.fleet.team import Team, make_team, parse_maps
 from lfield.lang.deployment import Deployment, read_deployment
 from lfield.source import Diagnostic
+from lfield.vm.offers import ways
+
+#: Suffixes of the files of a mission that stand beside its deployment.
+DEVICES, CAPABILITIES = ".devices.yaml", ".capabilities.yaml"
 
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """Everything a host needs to begin."""
+    """Everything a host needs to begin. The `registry` is None when the program names no capability."""
 
     name: str
     program: Program
@@ -43,22 +48,51 @@ def load_mission(
     devices: Path | None = None,
     maps: Sequence[str] = (),
     simulate: bool = False,
+    capabilities: Path | None = None,
 ) -> Mission:
     """Read, compile and check all files of a mission; raises ProgramError, BindingError and the like.
 
-    The program is `NAME.L` beside `NAME.dL`, the devices `NAME.devices.yaml`, unless they are given.
+    The program is `NAME.L` beside `NAME.dL`, the devices `NAME.devices.yaml`, what the mission adds to the
+    registry `NAME.capabilities.yaml`, unless they are given.
     """
     plugins = discover()
-    loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins)
+    types = _registry_types(capabilities or _beside(deploy, CAPABILITIES), deploy)
+    loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types)
     deployment = read_deployment(deploy, loaded.units)
     team = make_team(deployment, parse_maps(maps, deployment))
-    beside = deploy.with_suffix(".devices.yaml")
-    if devices is None and beside.exists():
-        devices = beside
     bindings = read_bindings(
-        devices, needed=needed_devices(loaded, deployment), plugins=plugins, simulate=simulate
+        devices or _beside(deploy, DEVICES),
+        needed=needed_devices(loaded, deployment),
+        plugins=plugins,
+        simulate=simulate,
     )
-    return Mission(deploy.stem, loaded, deployment, team, bindings, plugins, tuple(warnings))
+    registry = types.registry if ways(loaded) else None
+    return Mission(deploy.stem, loaded, deployment, team, bindings, plugins, tuple(warnings), registry)
+
+
+def _beside(path: Path, suffix: str) -> Path | None:
+    """The mission's file with another suffix, if there is one."""
+    found = path.with_suffix(suffix)
+    return found if found.exists() else None
+
+
+def _registry_types(mission: Path | None, deploy: Path | None) -> RegistryTypes:
+    """The registry with what a mission adds to it, read only when a program names a capability."""
+
+    def read() -> Registry:
+        from lfield.capability.reader import read_registry
+
+        return read_registry(mission=mission, agents=None if deploy is None else _agents(deploy))
+
+    return RegistryTypes(read)
+
+
+def _agents(deploy: Path) -> list[str] | None:
+    """The ids of a deployment; None when it has mistakes, which are reported when the program is known."""
+    try:
+        return [agent.id for agent in read_deployment(deploy, None).agents]
+    except (ProgramError, InputFileError):
+        return None
 
 
 def needed_devices(program: Program, deployment: Deployment) -> dict[str, dict[str, str]]:
@@ -70,9 +104,9 @@ def needed_devices(program: Program, deployment: Deployment) -> dict[str, dict[s
     }
 
 
-def _program(path: Path, plugins: Plugins) -> tuple[Program, list[Diagnostic]]:
+def _program(path: Path, plugins: Plugins, types: RegistryTypes) -> tuple[Program, list[Diagnostic]]:
     if path.suffix == ".L":
-        return compile_file(path, plugins)
+        return compile_file(path, plugins, types)
     return _read_program(path), []
 
 
@@ -90,13 +124,23 @@ def _read_program(path: Path) -> Program:
         raise ProgramFileError(f"{path}: {error.reason}", method=error.method, pc=error.pc) from None
 
 
-def compile_file(path: Path, plugins: Plugins | None = None) -> tuple[Program, list[Diagnostic]]:
-    """Compile L text; returns the program and its warnings, raises ProgramError with its errors."""
+def compile_file(
+    path: Path, plugins: Plugins | None = None, types: RegistryTypes | None = None
+) -> tuple[Program, list[Diagnostic]]:
+    """Compile L text; returns the program and its warnings, raises ProgramError with its errors.
+
+    Its capabilities are those of `types`, else those of lfield and of `NAME.capabilities.yaml` beside it.
+    """
     from lfield.compiler.build import compile_program
     from lfield.lang.frontend import check_file as check_program
 
     known = plugins if plugins is not None else discover()
-    checked = check_program(path, devices=known.device_types, find_include=known.find_source)
+    checked = check_program(
+        path,
+        devices=known.device_types,
+        find_include=known.find_source,
+        capabilities=types or _registry_types(_beside(path, CAPABILITIES), _beside(path, ".dL")),
+    )
     if checked.program is None:
         raise ProgramError(checked.diagnostics)
     return compile_program(checked.program), checked.diagnostics

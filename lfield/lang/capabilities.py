@@ -40,16 +40,14 @@ class Mistake(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Generated:
-    """The classes of capabilities: their texts by name, whatever they need besides, and what is wrong.
+    """The classes of capabilities: their texts by name, and what they need besides.
 
-    `common` are texts that all of them need, `files` those of the program's makers; `found` are mistakes of
-    the registry that only show against a program.
+    `common` are texts that all of them need, `files` hold the classes that put several resources together.
     """
 
     classes: dict[str, Source]
     common: tuple[Source, ...] = ()
     files: tuple[Path, ...] = ()
-    found: tuple[Diagnostic, ...] = ()
 
 
 class Capabilities(Protocol):
@@ -63,6 +61,9 @@ class Capabilities(Protocol):
 
         A capability that has the name of a unit is none in this program.
         """
+
+    def misfits(self, files: Sequence[syntax.File]) -> Sequence[Diagnostic]:
+        """Where the registry does not fit the units of a program: a portal that a resource does not have."""
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""

@@ -85,8 +85,12 @@ def _checked(
     capabilities: Capabilities | None,
 ) -> Checked:
     made = _generated(files, devices, capabilities) if capabilities is not None else Generated({})
-    for diagnostic in made.found:
-        found.add(diagnostic)
+    if made.classes and capabilities is not None and not found.errors:
+        for diagnostic in capabilities.misfits(files.files):
+            found.add(diagnostic)
+        if found.errors:
+            # Every call of what does not fit would only say it again.
+            return Checked(None, found.in_order())
     generated = [parse(source, found) for source in (*made.common, *made.classes.values())]
     program = check(
         [*generated, *files.files],
