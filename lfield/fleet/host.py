@@ -175,6 +175,7 @@ class Host:
             self.team.deployment,
             self.mission.max_block,
             coordinators,
+            self.mission.registry.digest if self.mission.registry is not None else b"",
         )
 
     def hello(self) -> Hello:

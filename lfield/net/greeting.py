@@ -99,6 +99,12 @@ class Greeting:
         pairs = (
             ("program", self.own.program, hello.program, "the same program file"),
             ("deployment", self.own.deployment, hello.deployment, "the same .dL file"),
+            (
+                "registry",
+                self.own.registry,
+                hello.registry,
+                "the same .capabilities.yaml file and the same version of lfield",
+            ),
         )
         for what, ours, theirs, remedy in pairs:
             anything_goes = (not ours and self.own.role == "observer") or (

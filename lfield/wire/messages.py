@@ -77,7 +77,8 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The first message of both sides of a link.
 
     `incarnation` is a random 63-bit number drawn at process start: the same host after a restart has
-    another. `program` and `deployment` are 32-byte hashes; an observer (`lfield ps`) may leave them empty.
+    another. `program`, `deployment` and `registry` are 32-byte hashes; an observer (`lfield ps`) may leave
+    them empty, and a program that names no capability has no registry.
     `max_block` is the largest block this host takes, in bytes.
     """
 
@@ -88,6 +89,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     deployment: Hash = b""
     max_block: Count = 0
     coordinators: Annotated[list[Known], Meta(max_length=4096)] = []
+    registry: Hash = b""
 
 
 class ForeignHello(Struct, frozen=True):

@@ -13,12 +13,13 @@ from lfield.wire.messages import (
     StatusRequest,
 )
 
-PROGRAM, DEPLOYMENT = b"p" * 32, b"d" * 32
+PROGRAM, DEPLOYMENT, REGISTRY = b"p" * 32, b"d" * 32, b"r" * 32
 HOSTS = ("a", "b", "c")
 
 
 def hello(host: str = "b", **other) -> Hello:
-    fields = {"role": "host", "incarnation": 7, "program": PROGRAM, "deployment": DEPLOYMENT} | other
+    hashes = {"program": PROGRAM, "deployment": DEPLOYMENT, "registry": REGISTRY}
+    fields = {"role": "host", "incarnation": 7} | hashes | other
     return Hello(host=host, **fields)
 
 
@@ -44,6 +45,8 @@ def test_the_same_life_may_have_a_second_link():
         (ForeignHello(4), "a speaks protocol 3 and its peer protocol 4; install the same version"),
         (hello(program=b"q" * 32), "a has program 707070707070 and b has program 717171717171"),
         (hello(deployment=b"q" * 32), "a has deployment 646464646464 and b has deployment 7171"),
+        (hello(registry=b"q" * 32), "a has registry 727272727272 and b has registry 7171"),
+        (hello(registry=b""), r"b has registry \(none\); start both from the same .capabilities.yaml file"),
         (hello(program=b""), r"b has program \(none\)"),
         (hello("a"), "two hosts call themselves a"),
         (hello("a", incarnation=1), "a reached itself"),
@@ -86,7 +89,7 @@ def test_nothing_comes_before_the_greeting_nor_a_second_one_after():
 
 
 def test_an_observer_may_look_and_no_more():
-    observer = hello("ps", role="observer", program=b"", deployment=b"")
+    observer = hello("ps", role="observer", program=b"", deployment=b"", registry=b"")
     machine = greeting()
     assert machine.receive(observer) == observer
     machine.admit(StatusRequest())
@@ -96,8 +99,8 @@ def test_an_observer_may_look_and_no_more():
 
 
 def test_an_observer_takes_any_host_and_names_the_deployment_it_wants():
-    Greeting(hello("ps", role="observer", program=b"", deployment=b"")).receive(hello())
-    picky = Greeting(hello("ps", role="observer", program=b"", deployment=b"x" * 32))
+    Greeting(hello("ps", role="observer", program=b"", deployment=b"", registry=b"")).receive(hello())
+    picky = Greeting(hello("ps", role="observer", program=b"", deployment=b"x" * 32, registry=b""))
     with pytest.raises(GreetingError, match="ps has deployment 7878"):
         picky.receive(hello())
 

@@ -48,7 +48,14 @@ from lfield.wire.messages import (
 HASH = b"h" * 32
 REPEATABLE = settings(derandomize=True, deadline=None)
 HELLO_MESSAGE = Hello(
-    "host", "a", 2**63 - 1, HASH, HASH, 1 << 20, [Known("Tour:one", 1, 2, 3, "EXITED", "b", "died", "…")]
+    "host",
+    "a",
+    2**63 - 1,
+    HASH,
+    HASH,
+    1 << 20,
+    [Known("Tour:one", 1, 2, 3, "EXITED", "b", "died", "…")],
+    HASH,
 )
 MESSAGES = [
     HELLO_MESSAGE,
