@@ -1,0 +1,122 @@
+"""Parts put together by the rule of a composition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from lfield.capability import ways
+from lfield.capability.evaluate import Facts, conjuncts, evaluator, names
+from lfield.capability.expression import IDENTITY, POSITION
+from lfield.capability.model import Composition, Value
+from lfield.capability.offer import Fact, Offer
+from lfield.capability.plan import Plan
+from lfield.capability.ranking import Ranking
+from lfield.capability.reasons import reasons
+
+
+class Assembly:
+    """A composition, ready to judge and to make combinations of parts in the order of its needs."""
+
+    def __init__(self, rule: Composition, ranking: Ranking) -> None:
+        self.rule = rule
+        self._ranking = ranking
+        self._needs = list(rule.needs)
+        #: What the whole costs when its parts cost nothing.
+        self.least = ranking.whole([0.0] * len(rule.needs), rule.loss)
+        self._attributes = [(name, evaluator(e), e) for name, e in sorted(rule.attributes.items())]
+        self._where = [evaluator(c) for condition in rule.where for c in conjuncts(condition)]
+        expressions = [*rule.where, *rule.attributes.values()]
+        self._looked_at = [
+            (name, *self._place(name))
+            for name in dict.fromkeys(name for e in expressions for name in names(e))
+            if "." in name
+        ]
+
+    def _place(self, name: str) -> tuple[int, str]:
+        """Which part, and which of its attributes, `need.attribute` is."""
+        need, _, attribute = name.partition(".")
+        return self._needs.index(need), attribute
+
+    def cost(self, parts: Sequence[Plan]) -> float:
+        """What the whole costs."""
+        return self._ranking.whole((part.cost for part in parts), self.rule.loss)
+
+    def plan(self, parts: Sequence[Plan]) -> Plan | None:
+        """The whole, or None when the parts do not fit together."""
+        facts = self._facts(parts)
+        if any(judge(facts) is not True for judge in self._where):
+            return None
+        return self._whole(parts, facts)
+
+    def misfits(self, parts: Sequence[Plan]) -> tuple[str, ...]:
+        """Why the parts do not fit together; () when they do."""
+        facts, why = self._facts(parts), self._why(parts)
+        return tuple(reason for condition in self.rule.where for reason in reasons(condition, facts, why))
+
+    def _facts(self, parts: Sequence[Plan]) -> dict[str, Value]:
+        """What the rule's expressions look at: of the parts, and of the whole."""
+        facts: dict[str, Value] = {}
+        for name, index, attribute in self._looked_at:
+            value = parts[index].values.get(attribute)
+            if value is not None:
+                facts[name] = value
+        return facts | {
+            name: value for name, judge, _ in self._attributes if (value := judge(facts)) is not None
+        }
+
+    def _whole(self, parts: Sequence[Plan], facts: Facts) -> Plan:
+        rule, cost, why = self.rule, self.cost(parts), self._why(parts)
+        known = {
+            name: Fact(facts[name], self._age(names(expression), parts))
+            for name, _, expression in self._attributes
+            if name in facts
+        }
+        values: dict[str, Value] = {name: fact.value for name, fact in known.items()}
+        values |= {name: _joined([part.values[name] for part in parts]) for name in IDENTITY}
+        offer = Offer(
+            rule.serves,
+            "composed",
+            ways.composed(rule.name),
+            _listed(part.offer.agent for part in parts),
+            _listed(part.offer.host for part in parts),
+            cost,
+            known,
+            {ways.part(rule.name, need): part.offer for need, part in zip(self._needs, parts, strict=True)},
+            rule.name,
+        )
+        unknown = {name: why(name) for name, _, _ in self._attributes if name not in facts}
+        return Plan(offer, cost, values, unknown)
+
+    def _age(self, looked_at: Sequence[str], parts: Sequence[Plan]) -> float:
+        """How old the oldest of some facts of the parts is."""
+        places = [self._place(name) for name in looked_at]
+        found = [parts[index].offer.facts.get(attribute) for index, attribute in places]
+        return max((fact.age for fact in found if fact is not None), default=0.0)
+
+    def _why(self, parts: Sequence[Plan]) -> Callable[[str], str]:
+        """Says why an attribute of a part, or of the whole, has no value."""
+
+        def why(name: str) -> str:
+            if "." not in name:
+                facts = self._facts(parts)
+                lacking = [n for n in names(self.rule.attributes[name]) if n not in facts]
+                return ", ".join([f"{name} is not known", *dict.fromkeys(map(why, lacking))])
+            index, attribute = self._place(name)
+            if attribute in POSITION:
+                return f"the position of {self._needs[index]} is not known"
+            return f"of {self._needs[index]}, {parts[index].why(attribute)}"
+
+        return why
+
+
+def _joined(found: Sequence[Value]) -> Value:
+    """Names of several parts: one when all are the same, else the set of them."""
+    members: frozenset[str] = frozenset()
+    for value in found:
+        members |= value if isinstance(value, frozenset) else {str(value)}
+    return next(iter(members)) if len(members) == 1 else members
+
+
+def _listed(found: Iterable[str]) -> str:
+    """The same for people, in the order of the needs."""
+    return "+".join(dict.fromkeys(name for names in found for name in names.split("+")))

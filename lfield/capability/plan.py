@@ -1,0 +1,64 @@
+"""A way to do it: an offer together with what conditions are judged on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from lfield.capability import ways
+from lfield.capability.evaluate import Facts, Judge
+from lfield.capability.model import Equivalence
+from lfield.capability.offer import Offer
+from lfield.capability.ranking import Ranking
+
+
+@dataclass(slots=True, eq=False)
+class Plan:
+    """An offer, its cost, and its attributes as flat facts with `agent`, `robot` and `host`.
+
+    Where a plan takes several agents, the three are sets. `unknown` tells of attributes why they have no
+    value.
+    """
+
+    offer: Offer
+    cost: float
+    values: Facts
+    unknown: Mapping[str, str]
+
+    def why(self, name: str) -> str:
+        """Why an attribute has no value."""
+        return self.unknown.get(name) or f"{name} is not stated"
+
+    def fulfils(self, judges: Iterable[Judge]) -> bool:
+        """Whether all conditions are true of it; one that is unknown is not."""
+        return all(judge(self.values) is True for judge in judges)
+
+
+def fulfilling(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]:
+    """Those that fulfil all conditions, one by one."""
+    # Written out, because a thousand plans go through here in a query.
+    for plan in plans:
+        values = plan.values
+        for judge in judges:
+            if judge(values) is not True:
+                break
+        else:
+            yield plan
+
+
+def standing_in(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
+    """The plan by a one-to-one rule, from one for what the rule asks."""
+    inner, way = behind.offer, ways.equivalent(rule.name)
+    cost = ranking.by_rule(behind.cost, rule.loss)
+    offer = Offer(
+        rule.serves,
+        "equivalent",
+        way,
+        inner.agent,
+        inner.host,
+        cost,
+        inner.facts,
+        {way: inner},
+        rule.name,
+    )
+    return Plan(offer, cost, behind.values, behind.unknown)

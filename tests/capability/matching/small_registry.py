@@ -1,0 +1,158 @@
+"""Registries and teams in a few words, for the tests of matching."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from lfield.capability.expression import (
+    Expression,
+    Scope,
+    Wanted,
+    check,
+    compile_constraint,
+    parse,
+)
+from lfield.capability.model import (
+    Attribute,
+    Composition,
+    Equivalence,
+    Need,
+    Primitive,
+    Provider,
+    Registry,
+    Served,
+    Value,
+    Weights,
+)
+from lfield.capability.offer import Candidate, Fact
+from lfield.source import Source, Span
+
+NOWHERE = Span(Source("test.yaml", ""), 0, 0)
+
+ATTRIBUTES = {
+    attribute.name: attribute
+    for attribute in (
+        Attribute("payload", "real", NOWHERE, unit="kg", better="more", typical=2.0),
+        Attribute("reach", "real", NOWHERE, unit="m", better="more", typical=1.0),
+        Attribute("noise", "real", NOWHERE, unit="W", better="less", typical=4.0),
+        Attribute("ready", "boolean", NOWHERE),
+        Attribute("note", "text", NOWHERE),
+        Attribute("power", "text", NOWHERE, values=("battery", "cable")),
+        Attribute("environment", "set", NOWHERE, values=("aerial", "aquatic", "terrestrial")),
+        Attribute("battery", "real", NOWHERE, better="more", typical=1.0, live=True, max_age=10.0),
+        Attribute("north", "real", NOWHERE, unit="m", live=True),
+        Attribute("east", "real", NOWHERE, unit="m", live=True),
+        Attribute("down", "real", NOWHERE, unit="m", live=True),
+    )
+}
+
+
+def wish(text: str) -> Expression:
+    """A constraint on an offer."""
+    return compile_constraint(text, ATTRIBUTES)
+
+
+def over_parts(
+    text: str, needs: Iterable[str], wanted: Wanted = "any", whole: Iterable[str] = ()
+) -> Expression:
+    """An expression in the rule of a composition."""
+    expression, mistakes = parse(text)
+    assert expression is not None, mistakes
+    assert not (found := check(expression, Scope.of_parts(ATTRIBUTES, list(needs), list(whole)), wanted)), (
+        found
+    )
+    return expression
+
+
+def provider(
+    type: str, serves: Iterable[str] | Mapping[str, str], when: str = "", **attributes: Value
+) -> Provider:
+    """A resource type that serves primitives."""
+    condition = wish(when) if when else None
+    served = {name: Served(name, {}, NOWHERE, when=condition) for name in serves}
+    return Provider(type, served, NOWHERE, attributes=attributes)
+
+
+def equivalence(name: str, serves: str, by: str, when: str = "", loss: float = 0.0) -> Equivalence:
+    """A one-to-one rule."""
+    return Equivalence(name, serves, by, {}, NOWHERE, when=wish(when) if when else None, loss=loss)
+
+
+def composition(
+    name: str,
+    serves: str,
+    needs: Mapping[str, str | tuple[str, str]],
+    where: Sequence[str] = (),
+    loss: float = 0.0,
+    **attributes: str,
+) -> Composition:
+    """A one-to-many rule; a need is a primitive, or one with its condition."""
+    made = {}
+    for need, wanted in needs.items():
+        primitive, when = (wanted, "") if isinstance(wanted, str) else wanted
+        made[need] = Need(need, primitive, NOWHERE, when=wish(when) if when else None)
+    return Composition(
+        name,
+        serves,
+        made,
+        "Through",
+        Path("through.L"),
+        NOWHERE,
+        where=tuple(over_parts(text, needs, "boolean", attributes) for text in where),
+        attributes={key: over_parts(text, needs) for key, text in attributes.items()},
+        loss=loss,
+    )
+
+
+def registry(
+    *entries: Provider | Equivalence | Composition,
+    weights: Weights | None = None,
+    agents: Mapping[str, Mapping[str, Value]] | None = None,
+) -> Registry:
+    """Everything together; primitives are those that are named."""
+    providers = {e.type: e for e in entries if isinstance(e, Provider)}
+    equivalences = {e.name: e for e in entries if isinstance(e, Equivalence)}
+    compositions = {e.name: e for e in entries if isinstance(e, Composition)}
+    named = {name for p in providers.values() for name in p.serves}
+    named |= {name for e in equivalences.values() for name in (e.serves, e.by)}
+    for rule in compositions.values():
+        named |= {rule.serves, *(need.primitive for need in rule.needs.values())}
+    primitives = {name: Primitive(name, f"skill.{name.lower()}", {}, NOWHERE) for name in sorted(named)}
+    return Registry(
+        terms={},
+        attributes=ATTRIBUTES,
+        primitives=primitives,
+        providers=providers,
+        equivalences=equivalences,
+        compositions=compositions,
+        agents=agents or {},
+        weights=weights or Weights(),
+    )
+
+
+def candidate(
+    agent: str,
+    type: str,
+    host: str = "",
+    *,
+    hops: int = 1,
+    refusal: str = "",
+    unknown: Mapping[str, str] | None = None,
+    **facts: Value | Fact,
+) -> Candidate:
+    """An agent, on a host of the same name unless another is given."""
+    known = {name: value if isinstance(value, Fact) else Fact(value) for name, value in facts.items()}
+    return Candidate(agent, type, host or agent, hops, refusal, known, unknown or {})
+
+
+class Crew:
+    """A team of these candidates, which counts how often it was asked."""
+
+    def __init__(self, *members: Candidate) -> None:
+        self.members = list(members)
+        self.asked = 0
+
+    def candidates(self, resource: str) -> Sequence[Candidate]:
+        self.asked += 1
+        return [member for member in self.members if member.type == resource]
