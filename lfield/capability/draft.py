@@ -22,7 +22,8 @@ from lfield.capability.model import (
 from lfield.lang.scanner import KEYWORDS
 from lfield.lang.suggest import did_you_mean
 from lfield.source import Diagnostics, Span
-from lfield.yaml_source import Entry, Fields
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry
 
 #: Most entries that one section of a registry may have, all files together.
 MAX_ENTRIES = 5000

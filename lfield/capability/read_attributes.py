@@ -17,7 +17,8 @@ from lfield.capability import messages
 from lfield.capability.draft import NAME, Draft
 from lfield.capability.model import Attribute, AttributeType, Better
 from lfield.capability.read_values import check_unit
-from lfield.yaml_source import Entry, Fields
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry
 
 #: What conditions call something of their own.
 RESERVED_ATTRIBUTES = frozenset({"agent", "robot", "host", "distance", "min", "max", "abs"})

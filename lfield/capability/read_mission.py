@@ -17,7 +17,7 @@ from lfield.capability.draft import Draft
 from lfield.capability.model import Weights
 from lfield.capability.read_values import read_values
 from lfield.lang.suggest import listed
-from lfield.yaml_source import Fields
+from lfield.yaml_fields import Fields
 
 #: The terms of the cost that have a weight; the weights of single attributes stand beside them.
 _TERMS = tuple(f.name for f in fields_of(Weights) if f.name != "attributes")

@@ -19,7 +19,8 @@ from lfield.capability.model import Argument, Portal, PortalMap, Primitive
 from lfield.capability.read_values import read_conversion
 from lfield.lang.suggest import listed
 from lfield.source import Span
-from lfield.yaml_source import Entry, Fields, Mapping, Node, Scalar, describe
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry, Mapping, Node, Scalar, describe
 
 
 def read_portals(draft: Draft, fields: Fields, primitive: Primitive, span: Span) -> dict[str, PortalMap]:

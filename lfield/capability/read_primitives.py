@@ -22,7 +22,8 @@ from lfield.capability.read_values import check_unit
 from lfield.capability.signatures import PORTAL_TYPES, RESERVED, RESERVED_TYPES
 from lfield.manifest import Effect, Parameter
 from lfield.source import Span
-from lfield.yaml_source import Entry, Fields
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry
 
 
 def read_primitives(draft: Draft) -> None:

@@ -28,7 +28,8 @@ from lfield.capability.read_expressions import read_expression
 from lfield.capability.read_portals import read_portals
 from lfield.capability.read_values import read_conversion, read_values
 from lfield.source import Span
-from lfield.yaml_source import Entry, Fields, Mapping
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry, Mapping
 
 _NAME = r"[a-z][A-Za-z0-9_]*"
 _SOURCE = re.compile(rf"(?P<device>{_NAME})\.(?P<quantity>{_NAME})(\[(?P<index>[0-9]{{1,4}})\])?")

@@ -32,7 +32,8 @@ from lfield.capability.read_expressions import read_attribute_expression, read_e
 from lfield.capability.read_portals import read_portals
 from lfield.capability.rule_calls import check_calls
 from lfield.source import Span
-from lfield.yaml_source import Entry, Fields
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry
 
 
 def read_rules(draft: Draft) -> None:

@@ -17,7 +17,8 @@ from lfield.capability import messages
 from lfield.capability.draft import DOTTED, Draft
 from lfield.capability.model import Term
 from lfield.source import Span
-from lfield.yaml_source import Entry, Fields
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry
 
 
 def read_taxonomy(draft: Draft) -> None:

@@ -10,7 +10,8 @@ from lfield.capability.draft import Draft
 from lfield.capability.model import Attribute, Value
 from lfield.lang.suggest import listed
 from lfield.source import Span
-from lfield.yaml_source import Entry, Fields, Listing, Node, Scalar, describe
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry, Listing, Node, Scalar, describe
 
 _AMOUNT = r"[-+]?[0-9]{0,18}\.?[0-9]{1,18}([eE][-+]?[0-9]{1,3})?"
 _WITH_UNIT = re.compile(rf"(?P<amount>{_AMOUNT})\s*(?P<unit>\D.{{0,40}})")

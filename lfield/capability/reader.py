@@ -36,7 +36,8 @@ from lfield.capability.shipped import shipped
 from lfield.capability.subsumption import subsumptions
 from lfield.errors import ProgramError
 from lfield.source import Diagnostic, Diagnostics
-from lfield.yaml_source import Fields, Scalar, read
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Scalar, read
 
 #: The version of the format.
 VERSION = 1

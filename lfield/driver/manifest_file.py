@@ -44,7 +44,8 @@ from lfield.manifest import (
     Quantity,
 )
 from lfield.source import Diagnostics, Span
-from lfield.yaml_source import Fields, Listing, Node, Scalar, decode
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Listing, Node, Scalar, decode
 
 #: What every device can do; the guard and the host answer them.
 RELEASE = Instruction(

@@ -37,7 +37,8 @@ from lfield.driver.manifest_file import Manifest, Option
 from lfield.driver.plugins import Plugins
 from lfield.source import Diagnostics
 from lfield.vm.limits import Limits
-from lfield.yaml_source import Entry, Fields, Node, Scalar, describe
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry, Node, Scalar, describe
 
 #: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
 Needed = Mapping[str, Mapping[str, str]]

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lfield.errors import InputFileError
 from lfield.source import Diagnostics, Source
-from lfield.yaml_source import MAX_BYTES, Fields, Listing, Mapping, decode, parse, read
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import MAX_BYTES, Listing, Mapping, decode, parse, read
 
 
 def value(text: str):
@@ -128,6 +130,63 @@ def test_any_text_gives_a_value_or_a_diagnostic(text):
     assert (node is None) == bool(found.errors)
     for diagnostic in found.errors:
         assert diagnostic.render().startswith("t.yaml:")
+
+
+def drawn(text: str, libyaml: bool) -> tuple[object, list[str]]:
+    """The nodes of a text with their places, and what is said of it, with or without the C library."""
+    found = Diagnostics()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(yaml, "__with_libyaml__", libyaml)
+        node = parse(Source("t.yaml", text), found)
+    return placed(node) if node is not None else None, [d.render() for d in found.errors]
+
+
+def placed(node):
+    """A node as plain data, with the characters it stands on; an empty one stands nowhere."""
+    if not isinstance(node, Mapping | Listing) and not node.value:
+        return node.value, type(node.value)
+    place = (node.span.start, node.span.end)
+    if isinstance(node, Mapping):
+        entries = node.entries.items()
+        return place, {key: (e.key_span.start * bool(key), placed(e.value)) for key, e in entries}
+    if isinstance(node, Listing):
+        return place, [placed(item) for item in node.items]
+    return place, node.value, type(node.value)
+
+
+@pytest.mark.skipif(not yaml.__with_libyaml__, reason="PyYAML was built without the C library")
+@settings(max_examples=400, deadline=None)
+@given(
+    st.one_of(
+        st.text(alphabet="ab:-[]{},#'\"\\|>!&*%\n 01.é\U0001f600\ufeff\r\x85\u2028"),
+        st.lists(
+            st.sampled_from(
+                [
+                    "a: ",
+                    "b: ",
+                    "- ",
+                    "[",
+                    "]",
+                    "{",
+                    "}",
+                    ", ",
+                    "'x'",
+                    '"\\u00e9"',
+                    "1.5",
+                    "é",
+                    "\n",
+                    "\n  ",
+                    "|\n",
+                    "# c",
+                ]
+            )
+        ).map("".join),
+    )
+)
+def test_the_c_library_reads_the_same(text):
+    # The C library lets a few spellings pass that PyYAML refuses, as a tab between key and value.
+    fast, slow = drawn(text, True), drawn(text, False)
+    assert fast == slow or (slow[0] is None and fast[1] == [])
 
 
 @settings(max_examples=200, deadline=None)
