@@ -139,8 +139,6 @@ class Directory:
         if news.since > remote.sequence or (news.since and not remote.in_step):
             self._out_of_step(remote)
             return
-        if not news.since:
-            remote.conditions.clear()
         for agent, change in news.agents.items():
             remote.conditions[agent] = remote.conditions.get(agent, SILENCE).updated(change)
         remote.sequence, remote.in_step, remote.kept_until = news.sequence, True, self._clock.monotonic()

@@ -1,0 +1,83 @@
+"""A small team for the tests of the directory: two arms and a rover on hosts of their own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lfield.capability.directory import Directory
+from lfield.capability.model import Attribute, Live, Provider, Registry
+from lfield.capability.news import Sample
+from lfield.clock import ManualClock
+from lfield.source import Source, Span
+
+SPAN = Span(Source("test.yaml", ""), 0, 0)
+
+
+def live(attribute, device="fc", **changes):
+    return Live(attribute, device, changes.pop("quantity", attribute), SPAN, **changes)
+
+
+ATTRIBUTES = {
+    "payload": Attribute("payload", "real", SPAN, unit="kg", typical=2.0),
+    "battery": Attribute("battery", "real", SPAN, typical=1.0, live=True, max_age=10.0),
+    "steps": Attribute("steps", "int", SPAN, live=True, max_age=4.0),
+    "armed": Attribute("armed", "boolean", SPAN, live=True),
+    "mode": Attribute("mode", "text", SPAN, live=True),
+}
+PROVIDERS = {
+    "Arm": Provider(
+        "Arm", {}, SPAN, live={name: live(name) for name in ("steps", "battery", "mode", "armed")}
+    ),
+    "Rover": Provider("Rover", {}, SPAN, live={"battery": live("battery")}),
+    "Shelf": Provider("Shelf", {}, SPAN),
+}
+REGISTRY = Registry(
+    {}, ATTRIBUTES, {}, PROVIDERS, {}, {}, agents={"arm2": {"payload": 1.2}, "rover2": {"battery": 1.0}}
+)
+
+
+@dataclass
+class Agent:
+    id: str
+    type: str
+    host: str
+
+
+AGENTS = [
+    Agent("arm1", "Arm", "alpha"),
+    Agent("rover1", "Rover", "bravo"),
+    Agent("visitor", "Visitor", "alpha"),
+    Agent("arm2", "Arm", "bravo"),
+    Agent("shelf", "Shelf", "bravo"),
+    Agent("rover2", "Rover", "alpha"),
+    Agent("arm3", "Arm", "alpha"),
+]
+
+
+@dataclass
+class Wires:
+    """The links of one host, by hand."""
+
+    away: dict[str, float] = field(default_factory=dict)
+    heard: dict[str, float] = field(default_factory=dict)
+
+    def last_heard(self, host):
+        return self.heard.get(host)
+
+
+class Seat:
+    """A directory with its clock and its links."""
+
+    def __init__(self, here, clock=None, life=1):
+        self.clock = clock or ManualClock()
+        self.wires = Wires()
+        self.directory = Directory(REGISTRY, AGENTS, here, self.wires, self.clock, life)
+
+    def candidate(self, agent):
+        return next(c for c in self.directory.everybody() if c.agent == agent)
+
+    def sample(self, value, age=0.0):
+        return Sample(value, age, self.clock.monotonic())
+
+    def hear(self, host):
+        self.wires.heard[host] = self.clock.monotonic()

@@ -1,0 +1,181 @@
+"""What a host knows of its team: whom it finds, how old that is, and who cannot be called."""
+
+from __future__ import annotations
+
+import pytest
+from directory_team import Seat
+
+from lfield.capability.news import Condition, Trouble
+
+
+@pytest.fixture
+def seats():
+    """alpha and bravo, linked, on clocks that have nothing in common."""
+    alpha, bravo = Seat("alpha"), Seat("bravo", life=7)
+    bravo.clock.advance(5000.0)
+    alpha.hear("bravo")
+    alpha.directory.linked("bravo", 7)
+    return alpha, bravo
+
+
+def tell(sender, receiver, news):
+    """News on a link: times become ages on the way (fleet/reports.py does it for messages)."""
+    from directory_team import AGENTS, REGISTRY
+
+    from lfield.fleet.reports import Reports
+
+    reports = Reports(REGISTRY, AGENTS)
+    report = reports.write(news, sender.clock.monotonic())
+    receiver.hear("bravo")
+    receiver.directory.take("bravo", reports.read("bravo", report, receiver.clock.monotonic()))
+
+
+def test_candidates_are_those_of_a_type_in_the_order_of_the_deployment(seats):
+    alpha, _ = seats
+    found = alpha.directory.candidates("Arm")
+    assert [(c.agent, c.type, c.host, c.hops) for c in found] == [
+        ("arm1", "Arm", "alpha", 0),
+        ("arm2", "Arm", "bravo", 1),
+        ("arm3", "Arm", "alpha", 0),
+    ]
+    assert alpha.directory.candidates("Visitor") == alpha.directory.candidates("Nobody") == []
+
+
+def test_what_the_mission_states_is_a_fact_that_never_ages(seats):
+    alpha, _ = seats
+    alpha.clock.advance(1000.0)
+    fact = alpha.candidate("arm2").facts["payload"]
+    assert (fact.value, fact.age) == (1.2, 0.0)
+    assert (alpha.candidate("rover2").facts["battery"].value, alpha.candidate("rover2").unknown) == (1.0, {})
+
+
+def test_own_values_are_as_old_as_their_samples(seats):
+    alpha, _ = seats
+    alpha.directory.own("arm1", Condition(samples={"battery": alpha.sample(0.5, age=0.25)}))
+    alpha.clock.advance(2.0)
+    arm = alpha.candidate("arm1")
+    assert (arm.facts["battery"].value, arm.facts["battery"].age, arm.refusal) == (0.5, 2.25, "")
+
+
+def test_what_was_never_told_is_unknown_with_the_reason(seats):
+    alpha, _ = seats
+    assert alpha.candidate("rover1").unknown == {"battery": "bravo has not told it yet"}
+    alpha.directory.own("arm1", Condition(unknown={"mode": "fc has not reported mode"}))
+    unknown = alpha.candidate("arm1").unknown
+    assert unknown["mode"] == "fc has not reported mode"
+    assert unknown["battery"] == "it was not asked yet"
+
+
+def test_the_value_of_another_host_ages_only_while_nothing_is_heard(seats):
+    alpha, bravo = seats
+    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8, age=0.5)}))
+    tell(bravo, alpha, bravo.directory.news())
+    assert alpha.candidate("rover1").facts["battery"].age == 0.5
+    alpha.clock.advance(2.0)
+    assert alpha.candidate("rover1").facts["battery"].age == 2.5
+    alpha.hear("bravo")
+    assert alpha.candidate("rover1").facts["battery"].age == 0.5
+
+
+def test_a_value_that_its_host_has_stopped_renewing_grows_older(seats):
+    alpha, bravo = seats
+    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8)}))
+    tell(bravo, alpha, bravo.directory.news())
+    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8, age=4.9)}))
+    assert bravo.directory.news() is None
+    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8, age=5.1)}))
+    tell(bravo, alpha, bravo.directory.news())
+    bravo.clock.advance(1.0)
+    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8, age=6.1)}))
+    assert bravo.directory.news() is None
+    alpha.clock.advance(20.0)
+    alpha.hear("bravo")
+    assert alpha.candidate("rover1").facts["battery"].age == pytest.approx(25.1)
+
+
+def test_only_what_has_changed_notably_is_told(seats):
+    _, bravo = seats
+    for value, told in [(0.800, True), (0.804, False), (0.796, False), (0.806, True), (0.802, False)]:
+        bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(value)}))
+        assert (bravo.directory.news() is not None) == told, value
+    bravo.directory.own("arm2", Condition(samples={"steps": bravo.sample(1)}))
+    news = bravo.directory.news()
+    assert list(news.agents) == ["arm2"]
+    bravo.directory.own("arm2", Condition(samples={"steps": bravo.sample(2), "mode": bravo.sample("hold")}))
+    news = bravo.directory.news()
+    assert {name: s.value for name, s in news.agents["arm2"].samples.items()} == {"steps": 2, "mode": "hold"}
+    assert bravo.directory.news() is None
+
+
+def test_why_an_agent_cannot_be_called(seats):
+    alpha, bravo = seats
+    alpha.directory.own("arm1", Condition(Trouble("died of DeviceException: no")))
+    assert alpha.candidate("arm1").refusal == "died of DeviceException: no"
+    bravo.directory.own("arm2", Condition(Trouble("axis: not heard", bravo.clock.monotonic() - 3.2)))
+    tell(bravo, alpha, bravo.directory.news())
+    assert alpha.candidate("arm2").refusal == "axis: not heard for 3.2 s"
+    alpha.clock.advance(60.0)
+    assert alpha.candidate("arm2").refusal == "axis: not heard for 63 s"
+    alpha.wires.away["bravo"] = alpha.clock.monotonic() - 12.0
+    assert alpha.candidate("arm2").refusal == "unreachable for 12 s"
+    del alpha.wires.away["bravo"]
+    bravo.directory.own("arm2", Condition())
+    tell(bravo, alpha, bravo.directory.news())
+    assert alpha.candidate("arm2").refusal == ""
+
+
+def test_a_host_that_was_away_catches_up_with_one_exchange(seats):
+    alpha, bravo = seats
+    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8)}))
+    bravo.directory.own("arm2", Condition(Trouble("fc: in its safe state hold: lost")))
+    tell(bravo, alpha, bravo.directory.news())
+    alpha.directory.unlinked("bravo")
+    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.4)}))
+    bravo.directory.own("arm2", Condition(samples={"armed": bravo.sample(True)}))
+    assert bravo.directory.news() is not None
+    alpha.clock.advance(30.0)
+    alpha.hear("bravo")
+    alpha.directory.linked("bravo", 7)
+    # It is there again, but what it said then is not fresh for that.
+    assert alpha.candidate("rover1").facts["battery"].age == 30.0
+    tell(bravo, alpha, bravo.directory.everything())
+    rover, arm = alpha.candidate("rover1"), alpha.candidate("arm2")
+    assert (rover.facts["battery"].value, rover.facts["battery"].age) == (0.4, 0.0)
+    assert (arm.refusal, arm.facts["armed"].value) == ("", True)
+
+
+def test_a_restarted_host_begins_anew(seats):
+    alpha, bravo = seats
+    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8)}))
+    late = bravo.directory.news()
+    tell(bravo, alpha, late)
+    again = Seat("bravo", life=8)
+    alpha.directory.linked("bravo", 8)
+    assert alpha.candidate("rover1").unknown == {"battery": "bravo has not told it yet"}
+    tell(bravo, alpha, bravo.directory.everything())
+    assert "battery" not in alpha.candidate("rover1").facts
+    again.directory.own("rover1", Condition(samples={"battery": again.sample(0.3)}))
+    tell(again, alpha, again.directory.news())
+    assert alpha.candidate("rover1").facts["battery"].value == 0.3
+
+
+def test_news_after_a_gap_wait_for_everything(seats):
+    alpha, bravo = seats
+    news = []
+    for value in (0.9, 0.8, 0.7):
+        bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(value)}))
+        news.append(bravo.directory.news())
+    tell(bravo, alpha, news[0])
+    tell(bravo, alpha, news[2])
+    assert alpha.candidate("rover1").facts["battery"].value == 0.9
+    alpha.clock.advance(3.0)
+    alpha.hear("bravo")
+    assert alpha.candidate("rover1").facts["battery"].age == 3.0
+    tell(bravo, alpha, bravo.directory.everything())
+    assert alpha.candidate("rover1").facts["battery"].value == 0.7
+
+
+def test_a_host_that_never_had_anything_to_tell_says_nothing(seats):
+    _, bravo = seats
+    assert bravo.directory.news() is None
+    assert bravo.directory.everything() is None

@@ -1,0 +1,175 @@
+"""However news is lost, late or doubled and links come and go: one exchange later both know the same."""
+
+from __future__ import annotations
+
+from directory_team import AGENTS, REGISTRY, Seat
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from lfield.capability.news import Condition, Sample, Trouble
+from lfield.fleet.reports import Reports
+from lfield.framing import HEADER_SIZE
+from lfield.wire.codec import decode, encode
+
+OWN = ("rover1", "arm2", "shelf")
+VALUES = {
+    "battery": st.sampled_from([0.0, 0.5, 0.501, 0.51, 1.0]),
+    "steps": st.integers(-3, 3),
+    "armed": st.booleans(),
+    "mode": st.sampled_from(["hold", "fly", ""]),
+}
+LIVE = {"rover1": ("battery",), "arm2": tuple(VALUES), "shelf": ()}
+TROUBLES = st.sampled_from([None, ("fc: in its safe state hold: why", None), ("fc: not heard", 3.0)])
+
+
+class Exchange(RuleBasedStateMachine):
+    """bravo tells alpha, over links that may do anything short of changing what is said."""
+
+    @initialize()
+    def begin(self):
+        self.life, self.linked, self.reports = 7, False, Reports(REGISTRY, AGENTS)
+        self.under_way, self.sent = [], []
+        self.alpha, self.bravo = Seat("alpha"), Seat("bravo", life=7)
+        self.conditions = {}
+        self.ages = {}
+
+    def post(self, news):
+        if news is not None:
+            self.sent.append(encode(self.reports.write(news, self.bravo.clock.monotonic())))
+            self.under_way.append(self.sent[-1])
+
+    def deliver(self, frame):
+        report = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:])
+        self.hear()
+        self.alpha.directory.take("bravo", self.reports.read("bravo", report, self.alpha.clock.monotonic()))
+
+    def hear(self):
+        self.alpha.hear("bravo")
+        self.ages.clear()
+
+    @rule(agent=st.sampled_from(OWN), trouble=TROUBLES, data=st.data())
+    def change(self, agent, trouble, data):
+        now = self.bravo.clock.monotonic()
+        known = [name for name in LIVE[agent] if data.draw(st.booleans())]
+        samples = {
+            name: Sample(data.draw(VALUES[name]), data.draw(st.sampled_from([0.0, 1.0, 30.0])), now)
+            for name in known
+        }
+        unknown = {name: f"fc has not reported {name}" for name in LIVE[agent] if name not in known}
+        reason = None if trouble is None else Trouble(trouble[0], trouble[1] and now - trouble[1])
+        self.conditions[agent] = Condition(reason, samples, unknown)
+        self.bravo.directory.own(agent, self.conditions[agent])
+
+    @rule()
+    def tell(self):
+        self.post(self.bravo.directory.news())
+
+    @rule(seconds=st.sampled_from([0.1, 1.0, 20.0]))
+    def time_passes(self, seconds):
+        self.alpha.clock.advance(seconds)
+        self.bravo.clock.advance(seconds)
+        for agent, condition in self.conditions.items():
+            aged = {
+                name: Sample(s.value, s.age + seconds, self.bravo.clock.monotonic())
+                for name, s in condition.samples.items()
+            }
+            self.conditions[agent] = Condition(condition.trouble, aged, condition.unknown)
+            self.bravo.directory.own(agent, self.conditions[agent])
+
+    @precondition(lambda self: self.under_way)
+    @rule(data=st.data(), kept=st.booleans())
+    def arrive(self, data, kept):
+        place = data.draw(st.integers(0, len(self.under_way) - 1))
+        self.deliver(self.under_way[place] if kept else self.under_way.pop(place))
+
+    @precondition(lambda self: self.under_way)
+    @rule(data=st.data())
+    def lose(self, data):
+        self.under_way.pop(data.draw(st.integers(0, len(self.under_way) - 1)))
+
+    @precondition(lambda self: self.linked)
+    @rule()
+    def ping(self):
+        self.hear()
+
+    @precondition(lambda self: self.linked)
+    @rule()
+    def unlink(self):
+        self.linked = False
+        self.alpha.wires.away["bravo"] = self.alpha.clock.monotonic()
+        self.alpha.directory.unlinked("bravo")
+
+    @precondition(lambda self: not self.linked)
+    @rule(restarted=st.booleans())
+    def link(self, restarted):
+        if restarted:
+            self.life += 1
+            clock = self.bravo.clock
+            self.bravo = Seat("bravo", clock, self.life)
+            for agent, condition in self.conditions.items():
+                self.bravo.directory.own(agent, condition)
+        self.linked = True
+        self.alpha.wires.away.pop("bravo", None)
+        self.hear()
+        self.alpha.directory.linked("bravo", self.life)
+        self.post(self.bravo.directory.everything())
+
+    @invariant()
+    def ages_never_shrink_without_news(self):
+        for candidate in self.alpha.directory.everybody():
+            for name, fact in candidate.facts.items():
+                key = candidate.agent, name
+                assert fact.age >= self.ages.get(key, 0.0) - 1e-9
+                self.ages[key] = fact.age
+
+    @invariant()
+    def candidates_stay_in_order(self):
+        assert [c.agent for c in self.alpha.directory.everybody()] == [
+            a.id for a in AGENTS if a.type in REGISTRY.providers
+        ]
+
+    def teardown(self):
+        """One exchange: a new link, on which everything is told. What comes late changes nothing any more."""
+        if not hasattr(self, "alpha"):
+            return
+        if self.linked:
+            self.unlink()
+        for frame in self.under_way:
+            self.deliver(frame)
+        self.bravo.directory.news()
+        self.under_way.clear()
+        self.link(restarted=False)
+        for frame in self.under_way + self.sent:
+            self.deliver(frame)
+        for agent, condition in self.conditions.items():
+            self.same(agent, condition)
+
+    def same(self, agent, condition):
+        found = self.alpha.candidate(agent)
+        self.same_trouble(found.refusal, condition.trouble)
+        assert found.unknown == dict(condition.unknown)
+        assert {n for n in found.facts if n in LIVE[agent]} == set(condition.samples)
+        for name, sample in condition.samples.items():
+            fact = found.facts[name]
+            if isinstance(sample.value, float):
+                assert abs(fact.value - sample.value) <= 0.005
+            else:
+                assert fact.value == sample.value
+            kept = REGISTRY.attributes[name].max_age / 2
+            assert abs(fact.age - sample.age) <= max(kept, 1.0) + 1e-6
+
+    def same_trouble(self, refusal, trouble):
+        if trouble is None or trouble.since is None:
+            assert refusal == (trouble.reason if trouble else "")
+            return
+        reason, _, seconds = refusal.removesuffix(" s").rpartition(" for ")
+        assert reason == trouble.reason
+        # A second is what may go untold, half a one what rounding may add.
+        assert abs(float(seconds) - (self.bravo.clock.monotonic() - trouble.since)) <= 1.51
+
+
+Exchange.TestCase.settings = settings(
+    max_examples=200, stateful_step_count=40, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+TestExchange = Exchange.TestCase
