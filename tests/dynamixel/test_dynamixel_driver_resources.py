@@ -21,10 +21,12 @@ coordinator Pick {
     init(string[] arg) {
         Arm arm = findArm("left");
         Gripper hand = findGripper("hand");
-        findServo("pan").moveTo(0.5);
+        Servo pan = findServo("pan");
+        pan.moveTo(0.5);
+        print(f2s(pan.velocity()) + f2s(pan.current()) + f2s(pan.effort()) + f2s(pan.voltage()));
         arm.home();
         if (hand.grip(0.3)) arm.moveTo(arm.position());
-        if (!hand.holding()) hand.release();
+        if (!hand.grip() || !hand.holding()) hand.release();
     }
 }
 """

@@ -28,6 +28,17 @@ coordinator Fetch {
         copter.winch(3.0, 0.5);
         copter.release();
         copter.move(1.0, 0.0, 0.0, 2.0);
+        copter.flyTo(1.0, 2.0, -3.0);
+        copter.flyToGlobal(47.4, 8.5, 10.0);
+        real gone = copter.climb(2.0) - copter.descend(1.0);
+        copter.lookAt(at[0], at[1], at[2]);
+        copter.payOut(3.0, 0.5);
+        copter.windIn(3.0, 0.5);
+        rover.driveTo(at[0], at[1]);
+        rover.driveToGlobal(47.4, 8.5);
+        rover.drive(1.0, 0.0, 2.0);
+        rover.payOut(3.0, 0.5);
+        rover.windIn(3.0, 0.5);
         copter.land();
         print(copter.mode() + f2s(rover.battery(), 2));
     }
