@@ -102,7 +102,7 @@ NO_PORTALS = _message("C132", "nobody can call '{name}': it has no portals", "gi
 RESERVED_TYPE = _message("C133", "'{name}' is a type of L itself", "give it another name")
 TYPE_TAKEN = _message(
     "C134",
-    "'{name}' is a primitive and a provider at once; in L both would be the type {name}",
+    "'{name}' is a primitive and {what} at once; in L both would be the type {name}",
     "rename one of them",
 )
 

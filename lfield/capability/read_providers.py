@@ -53,7 +53,7 @@ def _provider(draft: Draft, entry: Entry, fields: Fields, scope: Scope) -> Provi
     name, span = entry.key, entry.key_span
     draft.check_name(name, TYPE_NAME, "a resource type", span)
     if name in draft.primitives:
-        draft.tell(messages.TYPE_TAKEN, span, name=name)
+        draft.tell(messages.TYPE_TAKEN, span, name=name, what="a provider")
     provider = Provider(
         type=name,
         include=fields.text("include"),

@@ -89,6 +89,8 @@ def _one_to_many(draft: Draft, entry: Entry, fields: Fields, serves: Primitive, 
     through = fields.text("through", required=True)
     if through:
         draft.check_name(through, TYPE_NAME, "a class", fields.value_span("through"))
+    if through in draft.primitives:
+        draft.tell(messages.TYPE_TAKEN, fields.value_span("through"), name=through, what="a class")
     section = fields.section("attributes")
     parts = Scope.of_parts(draft.attributes, needs, {stated.key for stated in section.named()})
     composition = Composition(

@@ -7,7 +7,7 @@ from lfield.capability.draft import Draft
 from lfield.capability.model import Argument, Equivalence, Portal, PortalMap, Primitive
 from lfield.capability.signatures import argument_type, constant_type, fits
 from lfield.lang.suggest import listed
-from lfield.source import Span
+from lfield.source import Diagnostic, Span
 
 
 def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitive) -> None:
@@ -17,7 +17,7 @@ def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitiv
         target = by.portals.get(served.target)
         if target is not None:
             _check_arguments(draft, served, portal, target, f"{by.name}.{target.name}")
-            check_result(draft, served, serves.name, portal, target.result)
+            _check_result(draft, served, serves.name, portal, target.result)
         elif served.span is rule.span:
             draft.tell(messages.MISSING_PORTAL, rule.span, portal=name, serves=serves.name, by=by.name)
         else:
@@ -31,18 +31,22 @@ def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitiv
             )
 
 
-def check_result(draft: Draft, served: PortalMap, primitive: str, portal: Portal, emitted: str) -> None:
+def _check_result(draft: Draft, served: PortalMap, primitive: str, portal: Portal, emitted: str) -> None:
     """Report a portal that would not give the caller what the canonical one emits."""
     given = result_type(served.result, portal, emitted)
     if portal.result != "void" and not fits(given, portal.result):
-        draft.tell(
-            messages.WRONG_RESULT,
-            served.span,
-            primitive=primitive,
-            portal=portal.name,
-            wanted=portal.result,
-            given="nothing" if given == "void" else given,
-        )
+        draft.found.add(wrong_result(served.span, primitive, portal, given))
+
+
+def wrong_result(span: Span, primitive: str, portal: Portal, given: str) -> Diagnostic:
+    """The finding that a portal gives something else than the canonical one emits."""
+    return messages.WRONG_RESULT.at(
+        span,
+        primitive=primitive,
+        portal=portal.name,
+        wanted=portal.result,
+        given="nothing" if given == "void" else given,
+    )
 
 
 def result_type(result: Argument | None, portal: Portal, emitted: str) -> str:

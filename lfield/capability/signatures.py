@@ -18,10 +18,8 @@ from lfield.manifest import DEVICE_VALUE_TYPES
 #: L types that a canonical portal may take and emit.
 PORTAL_TYPES = (*DEVICE_VALUE_TYPES, "string[]")
 
-#: Methods that every offer has, so that no canonical portal can have the name.
-RESERVED = frozenset(
-    {"agent", "host", "robot", "kind", "way", "score", "has", "number", "text", "age", "attribute", "explain"}
-)
+#: Methods that every offer has (offer.L), so that no canonical portal can have the name.
+RESERVED = frozenset({"agent", "host", "way", "score", "has", "attribute", "text", "age"})
 
 #: Types of L that no primitive can be named like.
 RESERVED_TYPES = frozenset({"Exception", "Offer", *BUILTIN_EXCEPTIONS})
@@ -71,9 +69,14 @@ def fits(given: str, wanted: str) -> bool:
     return given == wanted or (given == "int" and wanted == "real") or "?" in (given, wanted)
 
 
+def fits_all(given: Sequence[str], wanted: Sequence[str]) -> bool:
+    """Whether arguments of some types can be given for parameters of others."""
+    return len(given) == len(wanted) and all(map(fits, given, wanted))
+
+
 def argument_type(argument: Argument, portal: Portal) -> str:
     """The L type of a mapped argument; a converted number is a real. '?' for a parameter nobody has."""
-    if not argument.parameter:
+    if argument.constant is not None:
         return constant_type(argument.constant)
     types = [p.type for p in portal.parameters if p.name == argument.parameter]
     if not types:
@@ -82,7 +85,7 @@ def argument_type(argument: Argument, portal: Portal) -> str:
     return types[0] if unchanged or types[0] != "int" else "real"
 
 
-def constant_type(value: float | int | bool | str | None) -> str:
+def constant_type(value: float | int | bool | str) -> str:
     """The L type of a constant."""
     if isinstance(value, bool):
         return "boolean"
