@@ -3,6 +3,7 @@
     write("a"); write("\n");     // expect: a
     throw new NullException("x"); // throws: NullException: x
     // deploy: Server:s1?5&3      (optional; else one agent of each unit, its id the type in lower case)
+    // registry: lifting.yaml     (optional; a registry of capabilities, beside the program)
 
 `expect` lines are compared with everything the agents write and print, in order; `throws` with what
 agents died of. The program runs on one host in memory, with a clock that jumps to the next timer.
@@ -17,11 +18,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lfield.bytecode.program import DeviceCall, Program
+from lfield.capability.language import RegistryTypes
+from lfield.capability.model import Registry
+from lfield.capability.reader import read_registry
 from lfield.clock import ManualClock
 from lfield.compiler.build import compile_program
 from lfield.errors import DeviceError, ProgramError
+from lfield.fleet.answers import Answers
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceValue
+from lfield.testing.offers import still_answers
 from lfield.vm.agent import Agent, Member
 from lfield.vm.limits import Limits
 from lfield.vm.machine import Machine
@@ -37,11 +43,13 @@ ROUNDS = 500
 _EXPECT = re.compile(r"//\s*expect:\s?(.*?)\s*$", re.MULTILINE)
 _THROWS = re.compile(r"//\s*throws:\s*(.*?)\s*$", re.MULTILINE)
 _DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
+_REGISTRY = re.compile(r"//\s*registry:\s*(\S+)\s*$", re.MULTILINE)
 
 
-def compile_text(text: str, name: str = "golden.L") -> Program:
+def compile_text(text: str, name: str = "golden.L", registry: Registry | None = None) -> Program:
     """A program from L text; raises ProgramError."""
-    checked = check_text(text, name)
+    types = None if registry is None else RegistryTypes(lambda: registry)
+    checked = check_text(text, name, capabilities=types)
     if checked.program is None:
         raise ProgramError([d for d in checked.diagnostics if d.severity == "error"])
     return compile_program(checked.program)
@@ -54,14 +62,15 @@ class Desk:
     output: list[str] = field(default_factory=list)
     endings: list[Agent] = field(default_factory=list)
     departures: list[tuple[Agent, Member]] = field(default_factory=list)
+    answers: Answers | None = None
 
     def write(self, agent: Agent, text: str) -> None:
         """Keep written text, line by line."""
         self.output.extend(text.removesuffix("\n").split("\n"))
 
     def log(self, agent: Agent, text: str) -> None:
-        """Keep a printed line."""
-        self.output.append(text)
+        """Keep a printed text, line by line."""
+        self.output.extend(text.split("\n"))
 
     def depart(self, agent: Agent, resource: Member) -> None:
         """Note who wants to leave; a test lets it."""
@@ -78,12 +87,12 @@ class Desk:
         return None
 
     def offers(self, agent: Agent, capability: str, constraint: str | None) -> Sequence[Found]:
-        """Nobody offers anything."""
-        return []
+        """What the registry knows, if there is one."""
+        return self.answers.offers(capability, constraint) if self.answers else []
 
     def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
-        """There is nobody to explain."""
-        return ""
+        """Why the others do not, if there is a registry."""
+        return self.answers.explain(capability, constraint) if self.answers else ""
 
     def ended(self, agent: Agent) -> None:
         """Keep the agents that ended."""
@@ -101,11 +110,15 @@ def team_for(program: Program, deployed: list[tuple[str, str, str]]) -> list[Mem
     ]
 
 
-def run_text(text: str, limits: Limits | None = None, name: str = "golden.L") -> tuple[Desk, Machine]:
+def run_text(
+    text: str, limits: Limits | None = None, name: str = "golden.L", registry: Registry | None = None
+) -> tuple[Desk, Machine]:
     """Run a golden program to its end (or to where only the world could go on)."""
-    program = compile_text(text, name)
+    program = compile_text(text, name, registry)
     desk, clock = Desk(), ManualClock()
     team = team_for(program, _DEPLOY.findall(text))
+    if registry is not None:
+        desk.answers = still_answers(registry, program, team)
     machine = Machine(program, team, 0, desk, clock, random.Random(1))
     for member in team:
         machine.start(member, limits or Limits(), generation=1)
@@ -126,7 +139,8 @@ def settle(machine: Machine, clock: ManualClock) -> None:
 def check(path: Path, limits: Limits | None = None) -> None:
     """Run the golden program in a file; AssertionError says what differed."""
     text = path.read_text(encoding="utf-8")
-    desk, _ = run_text(text, limits, path.name)
+    files = [path.with_name(name) for name in _REGISTRY.findall(text)]
+    desk, _ = run_text(text, limits, path.name, read_registry(files) if files else None)
     expected = _EXPECT.findall(text)
     assert desk.output == expected, f"{path.name}: expected {expected}, got {desk.output}"
     deaths = [agent.report.splitlines()[0] for agent in desk.endings if agent.ended == "died"]
