@@ -171,4 +171,5 @@ class Explanation:
 
 def _unfulfilled(plan: Plan, conditions: Sequence[Expression]) -> tuple[str, ...]:
     """Why a plan does not fulfil conditions; () when it does."""
-    return tuple(reason for condition in conditions for reason in reasons(condition, plan.values, plan.why))
+    found = (reason for condition in conditions for reason in reasons(condition, plan.values, plan.why))
+    return tuple(dict.fromkeys(found))

@@ -4,24 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 from lfield.capability import ways
 from lfield.capability.evaluate import conjuncts, evaluator
 from lfield.capability.model import Attribute, Provider, Value
 from lfield.capability.offer import Candidate, Fact, Offer
-from lfield.capability.plan import Plan
+from lfield.capability.plan import Plan, fulfilling
 from lfield.capability.ranking import Ranking
 from lfield.capability.reasons import reasons
-
-
-@dataclass(frozen=True, slots=True)
-class _Kept:
-    """What was made of a candidate, good as long as it is the same and the same live facts are named."""
-
-    candidate: Candidate
-    named: frozenset[str]
-    plan: Plan
 
 
 class Provided:
@@ -34,22 +24,19 @@ class Provided:
         self.primitive, self.type = primitive, provider.type
         self._when = served.when
         self._judges = [evaluator(c) for c in conjuncts(served.when)] if served.when else []
-        self._attributes, self._ranking = attributes, ranking
+        self._ranking = ranking
+        self._live = {name: attribute.max_age for name, attribute in attributes.items() if attribute.live}
         self._way = ways.direct(provider.type)
         self._values: dict[str, Value] = {**provider.attributes, **served.attributes}
         self._facts = {name: Fact(value) for name, value in self._values.items()}
-        self._kept: dict[str, _Kept] = {}
+        self._kept: dict[str, tuple[Candidate, Plan]] = {}
+        self._named: frozenset[str] = frozenset()
+        self._counted = ranking.counted(primitive, ())
 
     def plans(self, candidates: Iterable[Candidate], named: frozenset[str]) -> list[Plan]:
         """Of the candidates that can do it now; `named` are the attributes in the constraint."""
-        found = []
-        for candidate in candidates:
-            if candidate.refusal:
-                continue
-            plan = self.plan(candidate, named)
-            if plan.fulfils(self._judges):
-                found.append(plan)
-        return found
+        found = [self.plan(candidate, named) for candidate in candidates if not candidate.refusal]
+        return list(fulfilling(found, self._judges)) if self._judges else found
 
     def refusal(self, candidate: Candidate, named: frozenset[str]) -> tuple[str, ...]:
         """Why a candidate cannot do it whatever is wished; () when it can."""
@@ -62,36 +49,48 @@ class Provided:
 
     def plan(self, candidate: Candidate, named: frozenset[str]) -> Plan:
         """What a candidate would be, made anew only when something about it changed."""
+        if named != self._named:
+            self._count(named)
         kept = self._kept.get(candidate.agent)
-        if kept is not None and kept.candidate is candidate and kept.named == named:
-            return kept.plan
-        plan = self._made(candidate, named)
-        self._kept[candidate.agent] = _Kept(candidate, named, plan)
+        if kept is not None and (kept[0] is candidate or kept[0] == candidate):
+            return kept[1]
+        plan = self._made(candidate)
+        self._kept[candidate.agent] = candidate, plan
         return plan
 
-    def _made(self, candidate: Candidate, named: frozenset[str]) -> Plan:
-        facts = {**self._facts, **candidate.facts}
-        unknown = {**candidate.unknown, **self._useless(candidate)}
+    def _count(self, named: frozenset[str]) -> None:
+        """From now on the ages of what the constraint names count too."""
+        counted = self._ranking.counted(self.primitive, named)
+        if counted != self._counted:
+            self._kept.clear()
+        self._named, self._counted = named, counted
+
+    def _made(self, candidate: Candidate) -> Plan:
+        host, known, staleness = candidate.host, candidate.facts, 0.0
+        facts = {**self._facts, **known}
+        values = {**self._values, "agent": candidate.agent, "robot": host, "host": host}
+        unknown = dict(candidate.unknown)
+        for name, fact in known.items():
+            values[name] = fact.value
+            if name in self._live:
+                unknown |= self._useless(name, fact)
+            if name in self._counted:
+                staleness = max(staleness, fact.age / self._counted[name])
         for name in unknown:
             facts.pop(name, None)
-        host = candidate.host
-        values = {name: fact.value for name, fact in facts.items()}
-        values |= {"agent": candidate.agent, "robot": host, "host": host}
-        staleness = self._ranking.staleness(self.primitive, candidate.facts, named)
+            values.pop(name, None)
         cost = self._ranking.agent(self.primitive, values, candidate.hops, staleness)
         offer = Offer(self.primitive, "direct", self._way, candidate.agent, host, cost, facts)
         return Plan(offer, cost, values, unknown)
 
-    def _useless(self, candidate: Candidate) -> dict[str, str]:
-        """The live facts that say nothing, and why."""
-        found = {}
-        for name, fact in candidate.facts.items():
-            limit = self._attributes[name].max_age if fact.age and name in self._attributes else math.inf
-            if fact.age > limit:
-                found[name] = f"{name} is {_seconds(fact.age, limit)} old, at most {limit:g} s"
-            elif isinstance(fact.value, float) and not math.isfinite(fact.value):
-                found[name] = f"{name} is not a number"
-        return found
+    def _useless(self, name: str, fact: Fact) -> dict[str, str]:
+        """Why a live fact says nothing; {} when it does."""
+        limit = self._live[name]
+        if fact.age > limit:
+            return {name: f"{name} is {_seconds(fact.age, limit)} old, at most {limit:g} s"}
+        if isinstance(fact.value, float) and not math.isfinite(fact.value):
+            return {name: f"{name} is not a number"}
+        return {}
 
 
 def _seconds(age: float, limit: float) -> str:

@@ -20,29 +20,23 @@ they are made of, so the cheapest parts make the cheapest whole, and a search ma
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 from lfield.capability.evaluate import Facts
 from lfield.capability.model import Attribute, Registry
-from lfield.capability.offer import Fact
 
 #: The penalty of a typical value, and of one that is not known.
 TYPICAL_PENALTY = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class _Rated:
+class Rated(NamedTuple):
     """An attribute with its share in the fitness; all shares of a primitive make 1."""
 
     name: str
     share: float
     typical: float
     more: bool
-
-    def penalty(self, value: float) -> float:
-        value = max(float(value), 0.0)
-        return (self.typical if self.more else value) / (self.typical + value)
 
 
 class Ranking:
@@ -51,9 +45,9 @@ class Ranking:
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self._weights = registry.weights
-        self._rated: dict[str, tuple[_Rated, ...]] = {}
+        self._rated: dict[str, tuple[Rated, ...]] = {}
 
-    def rated(self, primitive: str) -> tuple[_Rated, ...]:
+    def rated(self, primitive: str) -> tuple[Rated, ...]:
         """What counts in the fitness for a primitive, in the order of the names."""
         if primitive not in self._rated:
             self._rated[primitive] = self._shares(sorted(set(self._stated(primitive))))
@@ -68,37 +62,39 @@ class Ranking:
         for values in self._registry.agents.values():
             yield from values
 
-    def _shares(self, names: Iterable[str]) -> tuple[_Rated, ...]:
+    def _shares(self, names: Iterable[str]) -> tuple[Rated, ...]:
         known = self._registry.attributes
         counted = [known[name] for name in names if name in known and _is_rated(known[name])]
         weights = [max(self._weights.attributes.get(attribute.name, 1.0), 0.0) for attribute in counted]
         total = sum(weights)
         return tuple(
-            _Rated(attribute.name, weight / total, attribute.typical, attribute.better == "more")
+            Rated(attribute.name, weight / total, attribute.typical, attribute.better == "more")
             for attribute, weight in zip(counted, weights, strict=True)
             if weight > 0.0
         )
 
+    def counted(self, primitive: str, named: Iterable[str]) -> dict[str, float]:
+        """The attributes whose age counts, with their `max_age`; `named` are those in the constraint."""
+        names = {rated.name for rated in self.rated(primitive)}.union(named)
+        known = self._registry.attributes
+        return {
+            name: known[name].max_age
+            for name in sorted(names)
+            if name in known and known[name].live and known[name].max_age > 0.0
+        }
+
     def agent(self, primitive: str, values: Facts, hops: int, staleness: float) -> float:
         """The cost of an agent that serves the primitive itself; `staleness` is A of the formula."""
         fitness = 0.0
-        for rated in self.rated(primitive):
-            value = values.get(rated.name)
-            penalty = rated.penalty(value) if isinstance(value, int | float) else TYPICAL_PENALTY
-            fitness += rated.share * penalty
+        for name, share, typical, more in self.rated(primitive):
+            value = values.get(name)
+            if value is None:
+                fitness += share * TYPICAL_PENALTY
+                continue
+            amount = max(float(value), 0.0)  # type: ignore[arg-type]  # what is rated is a number
+            fitness += share * (typical if more else amount) / (typical + amount)
         weights = self._weights
-        return weights.fitness * fitness + weights.hop * hops + weights.age * staleness
-
-    def staleness(self, primitive: str, facts: Mapping[str, Fact], named: Iterable[str]) -> float:
-        """A of the formula; `named` are the attributes in the constraint."""
-        attributes = self._registry.attributes
-        counted = {rated.name for rated in self.rated(primitive)}.union(named)
-        ages = [
-            fact.age / attributes[name].max_age
-            for name, fact in facts.items()
-            if fact.age > 0.0 and name in counted and attributes[name].max_age > 0.0
-        ]
-        return min(max(ages, default=0.0), 1.0)
+        return weights.fitness * fitness + weights.hop * hops + weights.age * min(staleness, 1.0)
 
     def by_rule(self, behind: float, loss: float) -> float:
         """The cost of an offer that stands in by a one-to-one rule, from that of the one behind it."""

@@ -79,11 +79,13 @@ class _Teller:
         left, right = tree.left, tree.right
         if isinstance(left, syntax.Literal_):
             left, right = right, left
-        found = f"{left.span.text} is {_shown(self._value(left))}"
+        name, value, other = left.span.text, _shown(self._value(left)), _shown(self._value(right))
         equal = value_of(tree)(self._facts) is (tree.operator == "==")
         if isinstance(right, syntax.Literal_):
-            return found if equal else f"{found}, not {_shown(self._value(right))}"
-        return f"{found}, {right.span.text} is {_shown(self._value(right))}"
+            return f"{name} is {value}" if equal else f"{name} is {value}, not {other}"
+        if value == other:
+            return f"{name} and {right.span.text} are both {value}"
+        return f"{name} is {value}, {right.span.text} is {other}"
 
     def _value(self, tree: syntax.Expr) -> Value:
         value = value_of(tree)(self._facts)
