@@ -54,7 +54,7 @@ class StandIn:
         self._files, self._label = files, label
         self._tasks: list[asyncio.Task[Any]] = []
         self.height = 0.0
-        self.missions: list[Any] = []
+        self.missions: asyncio.Queue[Any] = asyncio.Queue()
 
     async def __aenter__(self) -> StandIn:
         loop = asyncio.get_running_loop()
@@ -118,7 +118,7 @@ class StandIn:
 
     async def _take_missions(self) -> None:
         async for _, plan in self.mission.subscribe_incoming_mission():
-            self.missions.append(plan)
+            self.missions.put_nowait(plan)
 
     async def _take_off(self) -> None:
         async for _, allowed in self.action.subscribe_takeoff():

@@ -89,7 +89,7 @@ def test_a_mission_is_uploaded():
 
     async def story(device, vehicle, _):
         await device.do_upload_mission(waypoints)
-        got = vehicle.missions[-1].mission_items[-2:]
+        got = (await vehicle.missions.get()).mission_items[-2:]
         assert [(i.command, i.x, i.z) for i in got] == [(16, 473977420, 10.0), (16, 473977920, 12.0)]
         assert await device.do_mission_waypoints() == pytest.approx(waypoints)
 
