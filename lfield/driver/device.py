@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import re
 from collections.abc import Callable, Coroutine, Mapping, Sequence
+from functools import cache
 from inspect import Parameter as MethodParameter
 from inspect import iscoroutinefunction, signature
 from typing import Any, Protocol
@@ -40,6 +41,7 @@ class Reports(Protocol):
         """Something in the driver has broken: every device goes safe."""
 
 
+@cache
 def method_name(instruction: str) -> str:
     """`goTo` -> `do_go_to`."""
     return "do_" + re.sub(r"([A-Z])", r"_\1", instruction).lower()
