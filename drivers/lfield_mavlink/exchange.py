@@ -41,6 +41,7 @@ class Exchange:
         # Acknowledgements are matched by command number, so each number has one question open at a time.
         self._locks: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._questions: dict[int, _Question] = {}
+        self._timer: asyncio.TimerHandle | None = None
 
     async def command(
         self, number: int, *values: float | None, place: Place | None = None, once: bool = False
@@ -65,20 +66,42 @@ class Exchange:
 
     async def _ask(self, number: int, message: Any) -> int | None:
         """The result that ends a command; None when it is time to ask again."""
-        question = self._questions[number] = _Question()
+        loop = asyncio.get_running_loop()
+        question = self._questions[number] = _Question(loop.create_future(), loop.time())
+        self._set_timer(question)
         try:
             self._send(message)
             return await question.result
         finally:
-            question.close()
             del self._questions[number]
+
+    def _set_timer(self, question: _Question) -> None:
+        """Look at the questions again when this one is due; a timer that is early enough is left alone.
+
+        So most commands, which are answered at once, come and go without a timer of their own.
+        """
+        if self._timer is not None:
+            if self._timer.when() <= question.due:
+                return
+            self._timer.cancel()
+        self._timer = asyncio.get_running_loop().call_at(question.due, self._give_up)
+
+    def _give_up(self) -> None:
+        """Nobody waits any more for an answer that is overdue."""
+        self._timer = None
+        now = asyncio.get_running_loop().time()
+        for question in self._questions.values():
+            if question.due <= now:
+                question.finish(None)
+            elif not question.result.done():
+                self._set_timer(question)
 
     def on_message(self, message: Any) -> None:
         """Hand an answer to whoever waits for it; answers to others are left alone."""
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
             question = self._questions.get(message.command)
             if question is not None and is_for_us(message):
-                question.answer(message.result)
+                question.answer(message.result, asyncio.get_running_loop().time())
 
     def _command_long(self, number: int, confirmation: int, values: tuple[float | None, ...]) -> Any:
         padded = self._padded(values, 7)
@@ -112,29 +135,20 @@ def is_for_us(message: Any) -> bool:
 
 
 class _Question:
-    """A command that waits for its answer; `result` is None when that has taken too long.
+    """A command that waits for its answer, until it is `due`; `result` is None when it came too late."""
 
-    One future and one timer: a command must not take longer than the wire needs.
-    """
+    def __init__(self, result: asyncio.Future[int | None], asked: float) -> None:
+        self.result, self.due = result, asked + PATIENCE
+        self._latest = asked + LONGEST
 
-    def __init__(self) -> None:
-        self._loop = asyncio.get_running_loop()
-        self.result: asyncio.Future[int | None] = self._loop.create_future()
-        self._latest = self._loop.time() + LONGEST
-        self._timer = self._loop.call_later(PATIENCE, self._finish, None)
-
-    def answer(self, result: int) -> None:
+    def answer(self, result: int, now: float) -> None:
         """An answer has come; IN_PROGRESS only gives it more time."""
-        if result != dialect.MAV_RESULT_IN_PROGRESS:
-            self._finish(result)
-            return
-        self._timer.cancel()
-        self._timer = self._loop.call_at(min(self._loop.time() + PROGRESS, self._latest), self._finish, None)
+        if result == dialect.MAV_RESULT_IN_PROGRESS:
+            self.due = min(now + PROGRESS, self._latest)
+        else:
+            self.finish(result)
 
-    def close(self) -> None:
-        """Nobody waits any more."""
-        self._timer.cancel()
-
-    def _finish(self, result: int | None) -> None:
+    def finish(self, result: int | None) -> None:
+        """The first result is the one that counts."""
         if not self.result.done():
             self.result.set_result(result)

@@ -16,8 +16,8 @@ HOME_TOLERANCE = 1.0
 
 #: Numbers that `command` refuses: they move the vehicle, arm it, change its mode or home, or switch what
 #: protects it, past the limits of the binding and past the guard. All NAV and CONDITION commands are.
-REFUSED_RANGES = (range(16, 160), range(176, 181), range(184, 200), range(207, 211), range(240, 249))
-REFUSED = frozenset(
+_RANGES = (range(16, 160), range(176, 181), range(184, 200), range(207, 211), range(240, 249))
+REFUSED = frozenset(number for numbers in _RANGES for number in numbers) | frozenset(
     {
         dialect.MAV_CMD_MISSION_START,
         dialect.MAV_CMD_ACTUATOR_TEST,
@@ -93,7 +93,7 @@ class Upkeep(Contact):
 
     async def do_command(self, number: int, parameters: list[float]) -> int:
         """A COMMAND_LONG with up to seven parameters; its MAV_RESULT, whatever that is."""
-        if number in REFUSED or any(number in numbers for numbers in REFUSED_RANGES):
+        if number in REFUSED:
             raise self.error(
                 f"command {number} refused: it moves, arms or unprotects the vehicle; "
                 "use the instruction for it"
