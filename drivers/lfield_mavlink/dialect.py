@@ -6,12 +6,13 @@ happens to receive, and its `recv_match` throws away every message it was not as
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_mavlink.signing import BLOCK, LinkSigning
+from lfield_mavlink.decoding import SHORTEST, Layout
+from lfield_mavlink.signing import LinkSigning
 
 __all__ = ["AUTOPILOT", "COMPONENT", "SYSTEM", "Reader", "Writer", "dialect", "result_words"]
 
@@ -22,10 +23,10 @@ AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 
 #: The parser keeps what it has read until its buffer is empty, which on a stream may be never.
 _KEPT = 4096
-#: Bytes of a packet without payload and signature.
-_SHORTEST = 12
 #: What pymavlink says of a packet whose signature was not believed.
 _REFUSED = "Invalid signature"
+#: By message id.
+_LAYOUTS = {number: Layout(kind) for number, kind in dialect.mavlink_map.items()}
 
 
 class Header(NamedTuple):
@@ -35,6 +36,10 @@ class Header(NamedTuple):
     component: int
     kind: int
     sequence: int
+
+
+def _nothing_is_spare(_: Header) -> bool:
+    return False
 
 
 class Reader:
@@ -53,36 +58,43 @@ class Reader:
             signing.attach_reader(self._parser)
         self.broken = 0
 
-    def feed(self, data: bytes) -> Iterator[Any]:
-        """The messages that these bytes complete; never raises."""
-        parser = self._parser
-        for message in (self._one(data),) if self._is_whole(data) else parser.parse_buffer(data) or ():
+    def feed(self, data: bytes, is_spare: Callable[[Header], bool] = _nothing_is_spare) -> Sequence[Any]:
+        """The messages that these bytes complete; never raises.
+
+        A packet that is all of `data`, and need not prove its sender, is not decoded when it `is_spare`.
+        """
+        if not self._is_plain(data):
+            return self._parsed(data)
+        header = Header(data[5], data[6], data[7] | data[8] << 8 | data[9] << 16, data[4])
+        layout = _LAYOUTS.get(header.kind)
+        if layout is None or is_spare(header):
+            return ()
+        message = layout.message(data)
+        if message is None:
+            self.broken += 1
+            return ()
+        return (message,)
+
+    def _is_plain(self, data: bytes) -> bool:
+        """Whether these bytes are one packet, as most datagrams are, and unsigned: it needs no buffer."""
+        return (
+            len(data) >= SHORTEST
+            and data[0] == dialect.PROTOCOL_MARKER_V2
+            and len(data) == SHORTEST + data[1]
+            and not (data[2] or self._signed or self._parser.buf)
+        )
+
+    def _parsed(self, data: bytes) -> list[Any]:
+        parser, messages = self._parser, []
+        for message in parser.parse_buffer(data) or ():
             if isinstance(message, dialect.MAVLink_bad_data):
                 self.broken += message.reason != _REFUSED
             elif not isinstance(message, dialect.MAVLink_unknown):
-                yield message
+                messages.append(message)
         if parser.buf_index > _KEPT:
             parser.buf = parser.buf[parser.buf_index :]
             parser.buf_index = 0
-
-    def peek(self, data: bytes) -> Header | None:
-        """Who sent what, unchecked, when these bytes are one packet whose sender need not be proven."""
-        if self._signed or not self._is_whole(data):
-            return None
-        return Header(data[5], data[6], data[7] | data[8] << 8 | data[9] << 16, data[4])
-
-    def _is_whole(self, data: bytes) -> bool:
-        """Whether these bytes are one packet, as most datagrams are: it need not go through the buffer."""
-        if len(data) < _SHORTEST or data[0] != dialect.PROTOCOL_MARKER_V2 or self._parser.buf:
-            return False
-        signed = data[2] == dialect.MAVLINK_IFLAG_SIGNED
-        return (signed or not data[2]) and len(data) == _SHORTEST + data[1] + signed * BLOCK
-
-    def _one(self, data: bytes) -> Any:
-        try:
-            return self._parser.decode(bytearray(data))
-        except dialect.MAVError as error:
-            return dialect.MAVLink_bad_data(data, error.message)
+        return messages
 
 
 class Writer:

@@ -127,10 +127,7 @@ class MavlinkDriver(Driver):
     # -- messages -------------------------------------------------------------------------------------
 
     def _received(self, link: int, reader: Reader, data: bytes) -> None:
-        header = reader.peek(data)
-        if header is not None and self._is_spare(header):
-            return
-        for message in reader.feed(data):
+        for message in reader.feed(data, self._is_spare):
             system = message.get_srcSystem()
             vehicle = self._vehicles.get(system)
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
