@@ -8,8 +8,6 @@ SIGTERM, the devices are made safe and the process ends.
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import gc
 import os
 import signal
 import sys
@@ -310,20 +308,6 @@ async def serve(plugin: Plugin, input_fd: int, output_fd: int) -> int:
         output.close()
 
 
-def be_prompt() -> None:
-    """Have the timers of this process come first, also on a computer that is busy.
-
-    Only where the system allows it (CAP_SYS_NICE, or LimitRTPRIO=1 in the service's unit). The threads of a
-    driver do not inherit it: one that spins must not starve the machine.
-    """
-    policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
-    with contextlib.suppress(PermissionError):
-        os.sched_setscheduler(0, policy, os.sched_param(1))
-    # What is there now stays: later collections look at new objects only, and are short.
-    gc.collect()
-    gc.freeze()
-
-
 def main(arguments: Sequence[str]) -> int:
     """Run the guard of the plugin `package:PLUGIN`."""
     if len(arguments) != 1:
@@ -334,7 +318,7 @@ def main(arguments: Sequence[str]) -> int:
     os.dup2(2, 1)
     try:
         plugin = load_plugin(arguments[0])
-        be_prompt()
+        loop.be_prompt()
         return loop.run(serve(plugin, os.dup(0), output_fd))
     except LfieldError as error:
         print(error, file=sys.stderr)

@@ -15,6 +15,7 @@ import sys
 from collections.abc import Mapping
 
 from lfield.driver.sims import control_folder
+from lfield.loop import be_prompt
 from lfield_sim.faults import Faults
 
 #: A request longer than this is nonsense.
@@ -43,6 +44,8 @@ async def serve_until_told(
     path = control_folder() / f"{kind}-{os.getpid()}.sock"
     path.unlink(missing_ok=True)
     door = await loop.create_unix_server(lambda: _Door(faults, identity), path)
+    # Hardware answers in time however busy this computer is, and guards come before all that is not prompt.
+    be_prompt()
     print(f"ready {endpoint} {words}".rstrip(), flush=True)
     try:
         await stop.wait()
