@@ -9,7 +9,8 @@ import asyncio
 import math
 import time
 
-from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused
+from lfield.driver.guard_core import QUIET_BY
+from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused
 from lfield.driver.manifest_file import WATCHDOG
 
 KIT = Kit()
@@ -136,13 +137,12 @@ async def watchdog(bench: Bench) -> str:
         raise NotTried("waived by its binding")
     await bench.call("torque", True)
     told = len(bench.notes)
-    # The guard needs a moment for the safe state before it makes the bus quiet.
-    await bench.fall_silent(bench.silence + 2.0 * bench.binding.ttl + 1.2)
+    # So long the guard may try to see the safe state before it makes the bus quiet.
+    await bench.fall_silent(bench.silence + QUIET_BY + 2.0 * bench.binding.ttl + LATE)
+    if not bench.latched:
+        raise CheckFailed("its guard did not notice, while the host was silent, that it was")
     await bench.until(lambda: bool(_stopped(bench, told)), 5.0, "it to stop by itself and to be told so")
-    if bench.latched:
-        await held(bench, SAFE)
-    else:
-        await bench.call("release")
+    await held(bench, 0.0)
     await bench.call("torque", True)
     await bench.call("moveTo", _goal(bench, 0.0))
     return _stopped(bench, told)
