@@ -140,7 +140,7 @@ class Exchange(RuleBasedStateMachine):
         self.bravo.directory.news()
         self.under_way.clear()
         self.link(restarted=False)
-        for frame in self.under_way + self.sent:
+        for frame in [*self.under_way, *reversed(self.sent)]:
             self.deliver(frame)
         for agent, condition in self.conditions.items():
             self.same(agent, condition)
