@@ -21,8 +21,9 @@ from lfield.fleet.deploy import Mission
 from lfield.fleet.guards import Guards
 from lfield.fleet.logbook import Logbook
 from lfield.fleet.mobility import MobilityMessage
+from lfield.fleet.offers import Offers
 from lfield.fleet.peers import Peers
-from lfield.fleet.reporting import NO_REGISTRY, Reporting
+from lfield.fleet.reporting import Reporting
 from lfield.fleet.status import coordinators_of, status_of
 from lfield.fleet.travel import Travel
 from lfield.manifest import DeviceValue
@@ -30,7 +31,7 @@ from lfield.net.transport import Link, Transport
 from lfield.vm import dump
 from lfield.vm.agent import Agent, Member
 from lfield.vm.machine import Machine
-from lfield.vm.offers import ways
+from lfield.vm.offers import Found
 from lfield.vm.readings import Reading
 from lfield.vm.world import Pending
 from lfield.wire.messages import (
@@ -82,9 +83,8 @@ class Host:
             self, self.team, self._own_hello([]), mission.bindings.limits, options.unreachable_after
         )
         self.mobility = self.travel.mobility
-        capabilities = ways(mission.program)
-        registry = mission.registry if mission.registry and capabilities else NO_REGISTRY
-        self.reporting = Reporting(self, mission, registry)
+        self.reporting = Reporting(self, mission)
+        self._capabilities = Offers(self.reporting, mission)
         self._hellos: dict[str, Hello] = {}
         self._statuses: dict[str, dict[str, Any]] = {}
         #: Every other host's incarnation as last seen, and the hosts that were restarted meanwhile.
@@ -290,6 +290,14 @@ class Host:
     def reading(self, agent: Agent, call: DeviceCall) -> Reading | None:
         """What the engine may read by itself from now on."""
         return self.guards.reading(agent.id, call.field, call.instruction)
+
+    def offers(self, agent: Agent, capability: str, constraint: str | None) -> list[Found]:
+        """Who offers a capability now, best first."""
+        return self._capabilities.offers(capability, constraint)
+
+    def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
+        """Why everybody else does not."""
+        return self._capabilities.explain(capability, constraint)
 
     def ended(self, agent: Agent) -> None:
         """A coordinator is done, or an agent has died."""

@@ -42,9 +42,10 @@ class Station(Protocol):
 
 
 class Reporting:
-    """Keeps the `directory` of a host up to date. Only agents that `registry` knows are in it."""
+    """Keeps the `directory` of a host up to date. Only agents that the `registry` knows are in it."""
 
-    def __init__(self, station: Station, mission: Mission, registry: Registry) -> None:
+    def __init__(self, station: Station, mission: Mission) -> None:
+        self.registry = registry = mission.registry or NO_REGISTRY
         agents = mission.deployment.agents
         self._station, self._clock = station, station.clock
         self.directory = Directory(
