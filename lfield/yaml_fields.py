@@ -143,6 +143,10 @@ class Fields:
         """Every entry, for mappings whose keys are names and whose values are read by key."""
         yield from self._entries.values()
 
+    def __len__(self) -> int:
+        """How many keys the text has."""
+        return len(self._entries)
+
     def __contains__(self, key: str) -> bool:
         """Whether the text has the key."""
         return key in self._entries

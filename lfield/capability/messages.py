@@ -110,7 +110,7 @@ TYPE_TAKEN = _message(
 
 NOT_ITS_PORTAL = _message("C140", "{primitive} has no portal '{name}'", "its portals are {portals}")
 MISSING_PORTAL = _message(
-    "C141", "'{portal}' of {serves} is not mapped, and {by} has no portal of that name", "map it"
+    "C141", "{by} has nothing named {portals} that could serve {serves}", "map it under 'portals'"
 )
 UNKNOWN_PARAMETER = _message(
     "C142", "'{name}' is no parameter of {primitive}.{portal}", "its parameters are {parameters}"
@@ -144,8 +144,13 @@ SAME_WAY = _message(
     "C155", "'{name}' and '{other}' would both be the field {way} of {primitive}", "rename one of them"
 )
 NO_CLASS = _message("C156", "{file} has no coordinator specific class '{name}'")
-NO_METHOD = _message("C157", "class {name} has no method for {primitive}.{portal}", "it needs {signature}")
+NO_METHOD = _message("C157", "class {name} lacks public methods of {primitive}", "it needs {signatures}")
 NO_CONSTRUCTOR = _message("C158", "class {name} cannot be made of its parts", "it needs {signature}")
+NUMBER_OF_NEEDS = _message(
+    "C159",
+    "a rule has from 1 to {most} needs, not {count}",
+    "parts that are made of parts are rules of their own",
+)
 
 # --- C16x: agents ---------------------------------------------------------------------------------------
 
@@ -153,7 +158,7 @@ UNKNOWN_AGENT = _message("C160", "the deployment has no agent '{name}'", "its ag
 
 # --- C17x: the program ----------------------------------------------------------------------------------
 
-NO_TARGET = _message("C170", "resource {type} has no portal '{portal}'", "its portals are {portals}")
+NO_TARGET = _message("C170", "resource {type} has no portal {missing}", "its portals are {portals}")
 NO_OVERLOAD = _message(
     "C171", "no portal '{portal}' of {type} takes ({given})", "what it takes is {overloads}"
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from lfield.capability import messages
-from lfield.capability.model import Composition, PortalMap, Primitive, Provider, Registry
+from lfield.capability.model import Composition, Portal, PortalMap, Primitive, Provider, Registry
 from lfield.capability.rule_calls import result_type, wrong_result
 from lfield.capability.signatures import (
     Overload,
@@ -25,7 +25,7 @@ from lfield.files import read_bytes
 from lfield.lang.parser import parse
 from lfield.lang.reading import MAX_BYTES
 from lfield.lang.suggest import did_you_mean, listed
-from lfield.source import Diagnostics, Source
+from lfield.source import Diagnostics, Source, Span
 
 
 def check_against(registry: Registry, signatures: Mapping[str, Signature], found: Diagnostics) -> None:
@@ -38,24 +38,36 @@ def check_against(registry: Registry, signatures: Mapping[str, Signature], found
 
 def _check_provider(registry: Registry, provider: Provider, resource: Signature, found: Diagnostics) -> None:
     for served in provider.serves.values():
+        primitive = registry.primitives[served.primitive]
+        missing: dict[Span, list[str]] = {}
         for mapped in served.portals.values():
-            _check_portal(registry.primitives[served.primitive], mapped, resource, found)
+            if mapped.target in resource.portals:
+                _check_portal(primitive, mapped, resource, found)
+            else:
+                missing.setdefault(mapped.span, []).append(mapped.target)
+        for span, targets in missing.items():
+            _report_missing(span, targets, resource, found)
+
+
+def _report_missing(span: Span, targets: Sequence[str], resource: Signature, found: Diagnostics) -> None:
+    found.add(
+        messages.NO_TARGET.at(
+            span,
+            hint=did_you_mean(targets[0], resource.portals) if len(targets) == 1 else None,
+            type=resource.name,
+            missing=listed(f"'{target}'" for target in targets),
+            portals=listed(resource.portals),
+        )
+    )
 
 
 def _check_portal(primitive: Primitive, mapped: PortalMap, resource: Signature, found: Diagnostics) -> None:
-    portal = primitive.portals[mapped.portal]
-    overloads = resource.portals.get(mapped.target, ())
+    portal, overloads = primitive.portals[mapped.portal], resource.portals[mapped.target]
     given = tuple(argument_type(argument, portal) for argument in mapped.arguments)
-    taking = [overload for overload in overloads if fits_all(given, overload[0])]
-    if not overloads:
-        hint = did_you_mean(mapped.target, resource.portals)
-        known = listed(resource.portals)
-        found.add(
-            messages.NO_TARGET.at(
-                mapped.span, hint=hint, type=resource.name, portal=mapped.target, portals=known
-            )
-        )
-    elif not taking:
+    results = [
+        result_type(mapped.result, portal, result) for wanted, result in overloads if fits_all(given, wanted)
+    ]
+    if not results:
         found.add(
             messages.NO_OVERLOAD.at(
                 mapped.span,
@@ -65,10 +77,8 @@ def _check_portal(primitive: Primitive, mapped: PortalMap, resource: Signature, 
                 overloads=_shown(mapped.target, overloads),
             )
         )
-    else:
-        results = [result_type(mapped.result, portal, result) for _, result in taking]
-        if portal.result != "void" and not any(fits(result, portal.result) for result in results):
-            found.add(wrong_result(mapped.span, primitive.name, portal, results[0]))
+    elif portal.result != "void" and not any(fits(result, portal.result) for result in results):
+        found.add(wrong_result(mapped.span, primitive.name, portal, results[0]))
 
 
 def _shown(name: str, overloads: Sequence[Overload]) -> str:
@@ -105,20 +115,26 @@ def _units(rule: Composition) -> dict[str, Signature] | None:
 
 
 def _check_class(rule: Composition, primitive: Primitive, unit: Signature, found: Diagnostics) -> None:
-    for portal in primitive.portals.values():
-        given = tuple(p.type for p in portal.parameters)
-        methods = unit.portals.get(portal.name, ())
-        if not any(fits_all(given, wanted) and fits(result, portal.result) for wanted, result in methods):
-            found.add(
-                messages.NO_METHOD.at(
-                    rule.span,
-                    name=unit.name,
-                    primitive=primitive.name,
-                    portal=portal.name,
-                    signature=f"public {written(portal.name, given, portal.result)}",
-                )
-            )
+    lacking = [portal for portal in primitive.portals.values() if not _has_method(unit, portal)]
+    if lacking:
+        signatures = listed(f"public {_method(portal)}" for portal in lacking)
+        message = messages.NO_METHOD.at(
+            rule.span, name=unit.name, primitive=primitive.name, signatures=signatures
+        )
+        found.add(message)
     parts = tuple(need.primitive for need in rule.needs.values())
     if parts not in unit.constructors:
         signature = f"public {written(unit.name, parts)}"
         found.add(messages.NO_CONSTRUCTOR.at(rule.span, name=unit.name, signature=signature))
+
+
+def _has_method(unit: Signature, portal: Portal) -> bool:
+    given = tuple(p.type for p in portal.parameters)
+    return any(
+        fits_all(given, wanted) and fits(result, portal.result)
+        for wanted, result in unit.portals.get(portal.name, ())
+    )
+
+
+def _method(portal: Portal) -> str:
+    return written(portal.name, [p.type for p in portal.parameters], portal.result)

@@ -35,6 +35,9 @@ from lfield.source import Span
 from lfield.yaml_fields import Fields
 from lfield.yaml_source import Entry
 
+#: Most parts that a composition can have: what can be put together grows with each of them.
+MAX_NEEDS = 8
+
 
 def read_rules(draft: Draft) -> None:
     """All rules of all files."""
@@ -86,6 +89,9 @@ def _one_to_one(draft: Draft, entry: Entry, fields: Fields, serves: Primitive) -
 
 def _one_to_many(draft: Draft, entry: Entry, fields: Fields, serves: Primitive, folder: Path) -> Composition:
     needs = {need.name: need for need in _needs(draft, fields.section("needs"))}
+    if not 0 < len(fields.section("needs")) <= MAX_NEEDS:
+        place, count = fields.key_span("needs"), len(fields.section("needs"))
+        draft.tell(messages.NUMBER_OF_NEEDS, place, most=MAX_NEEDS, count=count)
     through = fields.text("through", required=True)
     if through:
         draft.check_name(through, TYPE_NAME, "a class", fields.value_span("through"))

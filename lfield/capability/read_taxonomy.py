@@ -24,7 +24,7 @@ from lfield.yaml_source import Entry
 def read_taxonomy(draft: Draft) -> None:
     """All terms of all files, then what they say of one another."""
     replacements: dict[str, Span] = {}
-    alias_spans: dict[str, Span] = {}
+    alias_spans: dict[tuple[str, str], Span] = {}
     for file, entry, fields in draft.entries("taxonomy"):
         term = _term(draft, entry, fields)
         first = draft.terms.get(term.id)
@@ -34,7 +34,7 @@ def read_taxonomy(draft: Draft) -> None:
         if term.deprecated:
             replacements[term.id] = fields.value_span("deprecated")
         for alias in term.aliases:
-            alias_spans.setdefault(alias, fields.value_span("aliases"))
+            alias_spans[term.id, alias] = fields.value_span("aliases")
         draft.terms[term.id] = term if first is None else _joined(first, term)
     _check_parents(draft)
     _take_aliases(draft, alias_spans)
@@ -76,12 +76,12 @@ def _check_parents(draft: Draft) -> None:
             draft.tell(messages.NO_PARENT, term.span, hint=hint, id=term.id, parent=parent)
 
 
-def _take_aliases(draft: Draft, spans: dict[str, Span]) -> None:
+def _take_aliases(draft: Draft, spans: dict[tuple[str, str], Span]) -> None:
     for term in draft.terms.values():
         for alias in term.aliases:
             taken = alias if alias in draft.terms else draft.aliases.get(alias)
             if taken is not None:
-                draft.tell(messages.ALIAS_TAKEN, spans[alias], alias=alias, id=taken)
+                draft.tell(messages.ALIAS_TAKEN, spans[term.id, alias], alias=alias, id=taken)
             else:
                 draft.aliases[alias] = term.id
 

@@ -14,7 +14,7 @@ from lfield.yaml_fields import Fields
 from lfield.yaml_source import Entry, Listing, Node, Scalar, describe
 
 _AMOUNT = r"[-+]?[0-9]{0,18}\.?[0-9]{1,18}([eE][-+]?[0-9]{1,3})?"
-_WITH_UNIT = re.compile(rf"(?P<amount>{_AMOUNT})\s*(?P<unit>\D.{{0,40}})")
+_WITH_UNIT = re.compile(rf"(?P<amount>{_AMOUNT})\s*(?P<unit>[^\s0-9].{{0,40}})")
 
 _EXPECTED = {
     "real": "a number",
@@ -65,16 +65,27 @@ def _value(draft: Draft, attribute: Attribute, entry: Entry) -> Value | None:
     """The value of an attribute; None when it is of another kind, which is reported."""
     value = _of_type(draft, attribute, entry.value)
     if value is None:
-        unit = attribute.unit
+        unit, culprit = attribute.unit, _culprit(attribute, entry.value)
         draft.tell(
             messages.BAD_VALUE,
-            entry.value.span,
+            culprit.span,
             hint=f'with its unit it is written as "12 {unit}"' if unit else "",
             name=attribute.name,
             expected=_EXPECTED[attribute.type] + (f" in {unit}" if unit else ""),
-            given=describe(entry.value),
+            given=describe(culprit),
         )
     return value
+
+
+def _culprit(attribute: Attribute, node: Node) -> Node:
+    """What is of the wrong kind: of a list where one is wanted, its first item that is no text."""
+    if not isinstance(node, Listing) or attribute.type != "set":
+        return node
+    return next(item for item in node.items if not _is_text(item))
+
+
+def _is_text(node: Node) -> bool:
+    return isinstance(node, Scalar) and isinstance(node.value, str)
 
 
 def _of_type(draft: Draft, attribute: Attribute, node: Node) -> Value | None:

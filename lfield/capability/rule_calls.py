@@ -12,6 +12,7 @@ from lfield.source import Diagnostic, Span
 
 def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitive) -> None:
     """Report portals that `by` does not have, and arguments and results of other types."""
+    missing = []
     for name, portal in serves.portals.items():
         served = rule.portals[name]
         target = by.portals.get(served.target)
@@ -19,7 +20,7 @@ def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitiv
             _check_arguments(draft, served, portal, target, f"{by.name}.{target.name}")
             _check_result(draft, served, serves.name, portal, target.result)
         elif served.span is rule.span:
-            draft.tell(messages.MISSING_PORTAL, rule.span, portal=name, serves=serves.name, by=by.name)
+            missing.append(name)
         else:
             draft.tell(
                 messages.NOT_ITS_PORTAL,
@@ -29,6 +30,10 @@ def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitiv
                 name=served.target,
                 portals=listed(by.portals),
             )
+    if missing:
+        draft.tell(
+            messages.MISSING_PORTAL, rule.span, portals=listed(missing), serves=serves.name, by=by.name
+        )
 
 
 def _check_result(draft: Draft, served: PortalMap, primitive: str, portal: Portal, emitted: str) -> None:

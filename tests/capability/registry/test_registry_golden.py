@@ -1,0 +1,32 @@
+"""Golden registries: every message of the table at its place, and nothing else."""
+
+from pathlib import Path
+
+import pytest
+from registry_expectations import BASE, GOLDEN, assert_exactly, expected
+
+from lfield.capability.messages import TABLE
+from lfield.capability.reader import check_files
+
+CASES = sorted(path for path in (GOLDEN / "errors").iterdir())
+
+#: Told of a file that is too long to be golden; test_registry_hostile.py has it.
+LONG = {"C101"}
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda p: p.stem)
+def test_a_registry_has_exactly_the_expected_diagnostics(case: Path) -> None:
+    assert_exactly(case)
+
+
+def test_every_code_has_a_golden_case() -> None:
+    told = {code for case in CASES for *_, code, _ in expected(case)}
+    assert set(TABLE) - LONG <= told
+    for case in CASES:
+        assert case.stem[:4] in {code for *_, code, _ in expected(case)}, case.name
+
+
+def test_the_base_of_all_cases_is_read_without_a_word() -> None:
+    registry, found = check_files([BASE])
+    assert [d.render() for d in found] == []
+    assert registry is not None
