@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from lfield.capability.model import (
-    Argument,
     Attribute,
     Composition,
     Equivalence,
@@ -24,7 +23,7 @@ from lfield.capability.model import (
     Value,
 )
 from lfield.capability.reader import read_registry
-from lfield.capability.signatures import written
+from lfield.capability.words import call, signature, with_unit, worth
 
 PAGE = Path(__file__).parents[1] / "docs" / "capability-reference.md"
 
@@ -124,11 +123,10 @@ def _served_by(registry: Registry, primitive: str) -> str:
 
 
 def _portal(portal: Portal) -> tuple[str, ...]:
-    signature = written(portal.name, [f"{p.type} {p.name}" for p in portal.parameters], portal.result)
-    parameters = (f"{p.name}{_in(p.unit)}{': ' if p.meaning else ''}{p.meaning}" for p in portal.parameters)
-    emitted = "" if portal.result == "void" else f"{portal.result}{_in(portal.unit)}"
+    parameters = (": ".join(filter(None, (with_unit(p.name, p.unit), p.meaning))) for p in portal.parameters)
+    emitted = "" if portal.result == "void" else with_unit(portal.result, portal.unit)
     return (
-        _code(signature),
+        _code(signature(portal)),
         "; ".join(parameters),
         emitted,
         portal.effect,
@@ -170,16 +168,8 @@ def _served(registry: Registry, provider: Provider, served: Served) -> tuple[str
 
 def _values(registry: Registry, values: Mapping[str, Value]) -> str:
     return ", ".join(
-        f"{name} {_value(value)}{_in(registry.attributes[name].unit)}" for name, value in values.items()
+        f"{name} {worth(value, registry.attributes[name].unit)}" for name, value in values.items()
     )
-
-
-def _value(value: Value) -> str:
-    if isinstance(value, frozenset):
-        return " and ".join(sorted(value)) or "none"
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return str(value).lower() if isinstance(value, bool) else value
-    return f"{value:g}"
 
 
 # --- rules --------------------------------------------------------------------------------------------
@@ -221,29 +211,11 @@ def _compositions(rules: Iterable[Composition]) -> Iterator[str]:
 
 def _calls(target: str, portals: Mapping[str, PortalMap]) -> str:
     """`Winch.lift(height)`, with what the caller gets instead of what that emits."""
-    return ", ".join(_code(_call(target, call)) for call in portals.values())
-
-
-def _call(target: str, call: PortalMap) -> str:
-    text = f"{target}.{call.target}({', '.join(map(_argument, call.arguments))})"
-    result = call.result
-    return text if result is None else f"{text} -> {_argument(result)}"
-
-
-def _argument(argument: Argument) -> str:
-    value = argument.constant
-    text = argument.parameter or ("emitted" if value is None else str(value).lower())
-    if argument.factor != 1:
-        text += f" * {argument.factor:g}"
-    return text + (f" + {argument.offset:g}" if argument.offset else "")
+    return ", ".join(_code(call(target, mapped)) for mapped in portals.values())
 
 
 def _name(named: Attribute | Primitive | Equivalence | Composition) -> str:
     return named.name
-
-
-def _in(unit: str) -> str:
-    return f" {unit}" if unit else ""
 
 
 def _code(text: str) -> str:

@@ -1,0 +1,172 @@
+"""The guide to capabilities: its files check, its programs compile, its figures are those of the ranking."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from shipped_registry import DEVICES, REGISTRY, find_include
+
+from lfield.capability import units
+from lfield.capability.expression import compile_constraint
+from lfield.capability.language import RegistryTypes
+from lfield.capability.matching import Matcher
+from lfield.capability.model import Registry
+from lfield.capability.offer import Candidate, Fact
+from lfield.capability.program_check import check_against, check_classes
+from lfield.capability.reader import check_files, read_registry
+from lfield.capability.search import Limits
+from lfield.capability.signatures import signatures_of
+from lfield.lang.frontend import check_text
+from lfield.lang.parser import parse
+from lfield.source import Diagnostics, Source
+
+GUIDE = (Path(__file__).parents[3] / "lfield" / "docs" / "capabilities.md").read_text(encoding="utf-8")
+_BLOCK = re.compile(r"^( *)```(.*)\n((?:.*\n)*?)\1```$", re.MULTILINE)
+
+
+def blocks(kind: str) -> list[str]:
+    """The code blocks of a kind, without the indentation of a list."""
+    return [textwrap.dedent(text) for _, head, text in _BLOCK.findall(GUIDE) if head == kind]
+
+
+@dataclass
+class Team:
+    """A team of which a test says everything."""
+
+    members: Sequence[Candidate] = field(default_factory=tuple)
+
+    def candidates(self, resource: str) -> Sequence[Candidate]:
+        """The agents of a type."""
+        return [member for member in self.members if member.type == resource]
+
+
+def mission(tmp_path: Path, text: str) -> Registry:
+    """What we ship with a file of the guide, which has its L class beside it."""
+    (rule,) = blocks("java L/fork_and_go.L")
+    (tmp_path / "L").mkdir()
+    (tmp_path / "L/fork_and_go.L").write_text(rule, encoding="utf-8")
+    path = tmp_path / "mission.capabilities.yaml"
+    path.write_text(text, encoding="utf-8")
+    registry, found = check_files(mission=path)
+    assert [d.render() for d in found] == []
+    assert registry is not None
+    return registry
+
+
+@pytest.mark.parametrize("text", blocks("yaml"), ids=lambda text: text.splitlines()[1] or "walk-through")
+def test_every_file_is_a_registry(tmp_path: Path, text: str) -> None:
+    registry = mission(tmp_path, text)
+    found = Diagnostics()
+    check_classes(registry, found)
+    assert [d.render() for d in found.in_order()] == []
+
+
+def test_every_program_compiles_with_the_registry_of_the_walk_through(tmp_path: Path) -> None:
+    registry = mission(tmp_path, walk_through())
+    for program in blocks("java"):
+        types = RegistryTypes(lambda: registry)
+        checked = check_text(program, devices=DEVICES, find_include=find_include, capabilities=types)
+        assert [d.render() for d in checked.diagnostics] == []
+
+
+def walk_through() -> str:
+    """The file about the forklift."""
+    (text,) = [text for text in blocks("yaml") if "Forklift" in text]
+    return text
+
+
+def test_the_walk_through_fits_its_program(tmp_path: Path) -> None:
+    registry, found = mission(tmp_path, walk_through()), Diagnostics()
+    (program,) = [text for text in blocks("java") if "resource Forklift" in text]
+    check_against(registry, signatures_of([parse(Source("forklift.L", program), found)]), found)
+    assert [d.render() for d in found.in_order()] == []
+    assert registry.providers["Forklift"].attributes["payload"] == 1200.0
+    assert registry.providers["Forklift"].attributes["speed"] == pytest.approx(2.5)
+    (height,) = registry.providers["Forklift"].serves["Lift"].portals["lift"].arguments
+    assert height.factor == 1000.0
+
+
+def test_the_walk_through_gives_the_answers_it_says(tmp_path: Path) -> None:
+    registry = mission(tmp_path, walk_through())
+    old = {name: Fact(value) for name, value in registry.agents["old"].items()}
+    team = Team((Candidate("old", "Forklift", "yard", 1, facts=old), Candidate("new", "Forklift", "hall")))
+    matcher = Matcher(registry, team)
+    assert [offer.agent for offer in matcher.offers("Lift")] == ["new", "old"]
+    wish = compile_constraint("payload >= 600", registry.attributes)
+    assert "old: payload 500 < 600" in GUIDE
+    assert "old: payload 500 < 600" in map(str, matcher.explain("Lift", wish))
+    assert {offer.way for offer in matcher.offers("FollowPath")} == {"of_point_by_point"}
+
+
+def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
+    assert f"{len(REGISTRY.primitives)} primitives" in GUIDE
+    numbers = ("", "one", "two", "three", "four", "five")
+    limits = Limits()
+    assert f"to a depth of {numbers[limits.depth]}" in GUIDE
+    assert ("the best sixteen combinations" in GUIDE) == (limits.per_rule == 16)
+    weights = REGISTRY.weights
+    said = "The weights are `fitness` {:g}, `loss` {:g}, `part` {:g}, `hop` {:g} and `age` {:g}."
+    assert said.format(weights.fitness, weights.loss, weights.part, weights.hop, weights.age) in GUIDE
+
+
+def test_the_units_of_the_guide_are_known() -> None:
+    (line,) = re.findall(r"is written as text: (.*)\.", GUIDE)
+    for amount in re.findall(r"`([^`]+)`", line.partition("Compound")[0]):
+        assert units.known(amount.split(" ", 1)[1]), amount
+
+
+# --- the worked example of the ranking ----------------------------------------------------------------
+
+EXAMPLE = """
+registry: 1
+taxonomy: {skill: {name: Skill, meaning: all}}
+attributes:
+  payload: {type: real, unit: kg, better: more, typical: 2.0}
+  battery: {type: real, better: more, typical: 1.0, live: true, max_age: 10.0}
+primitives:
+  Lift: {id: skill, portals: {lift: {}}}
+  Climb: {id: skill, portals: {climb: {}}}
+  Grip: {id: skill, portals: {grip: {}}}
+providers:
+  Crane: {attributes: {payload: 6.0}, serves: {Lift: {}}}
+  Copter: {attributes: {payload: 0.5}, live: {battery: fc.battery}, serves: {Climb: {}}}
+  Hand: {attributes: {payload: 0.2}, serves: {Grip: {}}}
+equivalences:
+  climb-lifts: {serves: Lift, by: Climb, portals: {lift: climb}, loss: 0.3}
+  grip-and-climb:
+    serves: Lift
+    needs: {hand: {capability: Grip}, copter: {capability: Climb}}
+    through: GripAndClimb
+    source: whole.L
+    loss: 0.5
+"""
+
+
+def figures() -> Iterator[tuple[float, float]]:
+    """Cost and score of every row of the table."""
+    (table,) = re.findall(r"\| offer \| F \| cost \| score \|\n.*\n((?:\|.*\n)+)", GUIDE)
+    for row in table.splitlines():
+        _, _, cost, score = (cell.strip() for cell in row.strip("|").split("|"))
+        yield float(cost.rpartition("= ")[2]), float(score)
+
+
+def test_the_worked_example_is_what_the_ranking_gives(tmp_path: Path) -> None:
+    (tmp_path / "whole.L").write_text("", encoding="utf-8")
+    path = tmp_path / "example.yaml"
+    path.write_text(EXAMPLE, encoding="utf-8")
+    team = Team(
+        (
+            Candidate("crane", "Crane", "here"),
+            Candidate("copter", "Copter", "sky", 1, facts={"battery": Fact(1.0, 5.0)}),
+            Candidate("hand", "Hand", "bench", 1),
+        )
+    )
+    offers = Matcher(read_registry([path]), team).offers("Lift")
+    assert [offer.kind for offer in offers] == ["direct", "equivalent", "composed"]
+    given = [(round(offer.cost, 3), round(offer.score, 3)) for offer in offers]
+    assert given == list(figures())
