@@ -31,6 +31,7 @@ _SECTIONS = {
     850: "Library: maths",
     870: "Library: exceptions",
     1300: "Finding resources (J.10)",
+    1302: "Asking for capabilities",
     1400: "Exceptions",
     1500: "Devices",
 }

@@ -62,8 +62,8 @@ class Capabilities(Protocol):
         A capability that has the name of a unit is none in this program.
         """
 
-    def misfits(self, files: Sequence[syntax.File]) -> Sequence[Diagnostic]:
-        """Where the registry does not fit the units of a program: a portal that a resource does not have."""
+    def misfits(self, used: Collection[str], files: Sequence[syntax.File]) -> Sequence[Diagnostic]:
+        """Where the registry does not fit a program that uses these: a resource lacks a portal, say."""
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""

@@ -86,7 +86,7 @@ def _checked(
 ) -> Checked:
     made = _generated(files, devices, capabilities) if capabilities is not None else Generated({})
     if made.classes and capabilities is not None and not found.errors:
-        for diagnostic in capabilities.misfits(files.files):
+        for diagnostic in capabilities.misfits(made.classes, files.files):
             found.add(diagnostic)
         if found.errors:
             # Every call of what does not fit would only say it again.

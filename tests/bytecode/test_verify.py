@@ -318,7 +318,7 @@ def test_debug_information(change: Change, reason: str) -> None:
         (put(ARM_INIT, 5, "new", 3, BOX), "cannot be created"),
         (put(ARM_INIT, 5, "new", 3, ARM), "cannot be created"),
         (put(ARM_INIT, 5, "new", 3, -1), "leads nowhere"),
-        (put(ARM_INIT, 5, "new", 3, 15), "leads nowhere"),
+        (put(ARM_INIT, 5, "new", 3, TOOL + 1), "leads nowhere"),
         (put(BOX_SUM, 2, "new", 6, TOOL), "cannot be created"),
         (put(BOX_SUM, 12, "return", 3), "not the result"),
         (put(BOX_SUM, 12, "rtn"), "must return"),

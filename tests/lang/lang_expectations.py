@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from lfield.capability.language import RegistryTypes
+from lfield.capability.reader import read_registry
 from lfield.manifest import DeviceManifest, Instruction, Parameter
 from lfield.source import Diagnostic
 
 GOLDEN = Path(__file__).parent / "golden"
+REGISTRY = GOLDEN.parents[1] / "golden" / "programs" / "lifting.yaml"
 THESIS = Path(__file__).parents[2].parent / "shared" / "thesis-programs"
 
 _EXPECTED = re.compile(r"(?P<severity>error|warning) (?P<code>L\d{3}): (?P<part>.*)$")
@@ -23,6 +26,9 @@ ROVER = DeviceManifest(
         Instruction("scan", (Parameter("angles", "real[]", "rad"),), result="int[]", effect="query"),
     ),
 )
+
+#: The capabilities Lift, Climb, Grip and FirmGrip.
+CAPABILITIES = RegistryTypes(lambda: read_registry([REGISTRY]))
 
 
 def expected(path: Path) -> list[tuple[int, str, str, str]]:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from lang_expectations import GOLDEN, ROVER, THESIS, assert_exactly, expected
+from lang_expectations import CAPABILITIES, GOLDEN, ROVER, THESIS, assert_exactly, expected
 
 from lfield.errors import ProgramError
 from lfield.lang.deployment import parse_deployment, read_deployment
@@ -20,7 +20,7 @@ DEPLOYMENTS = sorted((GOLDEN / "deployments" / "errors").glob("*.dL"))
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda p: p.stem)
 def test_program_has_exactly_the_expected_diagnostics(path: Path) -> None:
-    checked = check_file(path, devices=DEVICES)
+    checked = check_file(path, devices=DEVICES, capabilities=CAPABILITIES)
     assert_exactly(path, checked.diagnostics)
     assert (checked.program is None) == any(severity == "error" for _, severity, _, _ in expected(path))
 
@@ -42,7 +42,7 @@ def test_every_code_has_a_golden_file_of_its_name() -> None:
 
 @pytest.mark.parametrize("path", sorted((GOLDEN / "ok").glob("*.L")), ids=lambda p: p.stem)
 def test_good_program_checks_without_a_word(path: Path) -> None:
-    checked = check_file(path, devices=DEVICES)
+    checked = check_file(path, devices=DEVICES, capabilities=CAPABILITIES)
     assert [d.render() for d in checked.diagnostics] == []
     assert checked.program is not None
 

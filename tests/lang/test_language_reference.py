@@ -5,6 +5,9 @@ from pathlib import Path
 
 from lang_expectations import ROVER
 
+from lfield.capability.language import RegistryTypes
+from lfield.capability.reader import read_registry
+from lfield.driver.plugins import Plugins
 from lfield.lang.checker.symbols import EXCEPTION_NAMES
 from lfield.lang.deployment import parse_deployment
 from lfield.lang.frontend import check_text
@@ -12,6 +15,9 @@ from lfield.lang.reference import updated
 from lfield.lang.scanner import KEYWORDS
 from lfield.lang.tree import UnitKind
 
+PLUGINS = Plugins()
+for _driver in ("mavlink", "can", "dynamixel"):
+    PLUGINS.add(f"lfield_{_driver}:PLUGIN")
 DOCUMENT = (Path(__file__).parents[2] / "lfield" / "docs" / "language.md").read_text(encoding="utf-8")
 
 
@@ -36,7 +42,12 @@ def test_every_example_program_checks() -> None:
     examples = blocks("java")
     assert len(examples) >= 4
     for text in examples:
-        found = check_text(text, devices={"Rover": ROVER}).diagnostics
+        found = check_text(
+            text,
+            devices={"Rover": ROVER, **PLUGINS.device_types},
+            find_include=PLUGINS.find_source,
+            capabilities=RegistryTypes(read_registry),
+        ).diagnostics
         assert [d.render() for d in found] == []
 
 

@@ -65,7 +65,8 @@ def member(body: Body, raw: syntax.Member, owner: tree.Expr) -> tree.Expr:
         _unknown_field(body, raw, owner.type, unit)
         return unknown(raw.span)
     if not field.public and unit is not body.unit:
-        body.report(messages.PRIVATE_MEMBER, raw.place, name=raw.name, owner=unit.name)
+        hint = "offers are asked by their methods: who[0].agent()" if unit.capability else None
+        body.report(messages.PRIVATE_MEMBER, raw.place, hint=hint, name=raw.name, owner=unit.name)
         return unknown(raw.span)
     return tree.FieldGet(raw.span, field.type, owner, field)
 
