@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from lfield.capability import ways
 from lfield.capability.evaluate import Facts, conjuncts, evaluator, names
-from lfield.capability.expression import IDENTITY, POSITION
+from lfield.capability.expression import POSITION
 from lfield.capability.model import Composition, Value
 from lfield.capability.offer import Fact, Offer
 from lfield.capability.plan import Plan
@@ -21,8 +21,8 @@ class Assembly:
         self.rule = rule
         self._ranking = ranking
         self._needs = list(rule.needs)
-        #: What the whole costs when its parts cost nothing.
-        self.least = ranking.whole([0.0] * len(rule.needs), rule.loss)
+        self._way = ways.composed(rule.name)
+        self._fields = [ways.part(rule.name, need) for need in rule.needs]
         self._attributes = [(name, evaluator(e), e) for name, e in sorted(rule.attributes.items())]
         self._where = [evaluator(c) for condition in rule.where for c in conjuncts(condition)]
         expressions = [*rule.where, *rule.attributes.values()]
@@ -40,6 +40,12 @@ class Assembly:
     def cost(self, parts: Sequence[Plan]) -> float:
         """What the whole costs."""
         return self._ranking.whole((part.cost for part in parts), self.rule.loss)
+
+    def least(self, costs: Mapping[str, float]) -> float | None:
+        """The least the whole can cost when primitives cost that; None when one of them is not there."""
+        found = [costs.get(need.primitive) for need in self.rule.needs.values()]
+        known = [cost for cost in found if cost is not None]
+        return self._ranking.whole(known, self.rule.loss) if len(known) == len(found) else None
 
     def plan(self, parts: Sequence[Plan]) -> Plan | None:
         """The whole, or None when the parts do not fit together."""
@@ -72,20 +78,21 @@ class Assembly:
             if name in facts
         }
         values: dict[str, Value] = {name: fact.value for name, fact in known.items()}
-        values |= {name: _joined([part.values[name] for part in parts]) for name in IDENTITY}
+        values["agent"] = _joined([part.values["agent"] for part in parts])
+        values["robot"] = values["host"] = _joined([part.values["host"] for part in parts])
         offer = Offer(
             rule.serves,
             "composed",
-            ways.composed(rule.name),
+            self._way,
             _listed(part.offer.agent for part in parts),
             _listed(part.offer.host for part in parts),
             cost,
             known,
-            {ways.part(rule.name, need): part.offer for need, part in zip(self._needs, parts, strict=True)},
+            {field: part.offer for field, part in zip(self._fields, parts, strict=True)},
             rule.name,
         )
         unknown = {name: why(name) for name, _, _ in self._attributes if name not in facts}
-        return Plan(offer, cost, values, unknown)
+        return Plan(offer, cost, values, unknown, rule.name)
 
     def _age(self, looked_at: Sequence[str], parts: Sequence[Plan]) -> float:
         """How old the oldest of some facts of the parts is."""

@@ -25,6 +25,9 @@ from lfield.capability.search import Search, judges
 #: Combinations of parts that do not fit, of which an explanation tells why.
 SHOWN = 16
 
+#: So often an explanation goes into what a rule asks for.
+MAX_TOLD = 100
+
 
 def render(refusals: Iterable[Refusal], indent: str = "") -> str:
     """A line for each refusal, with those inside it indented below."""
@@ -72,12 +75,16 @@ class Explanation:
 
     def __init__(self, search: Search) -> None:
         self._search, self._rules = search, search.rules
-        self._told: set[tuple[str, tuple[Expression, ...], int, frozenset[str]]] = set()
+        self._told: set[tuple[str, frozenset[Expression]]] = set()
 
-    def refusals(self, primitive: str, constraint: Expression | None) -> list[Refusal]:
-        """Everyone who could serve the primitive and is not offered; what was told once is not repeated."""
-        conditions = () if constraint is None else (constraint,)
-        return list(self._at(_Place(primitive, conditions, self._search.limits.depth)))
+    def refusals(self) -> list[Refusal]:
+        """Everyone who could do what is searched for and is not offered.
+
+        What was told once is not repeated, and an explanation that nobody would read to its end is cut short.
+        """
+        search = self._search
+        conditions = () if search.constraint is None else (search.constraint,)
+        return list(self._at(_Place(search.primitive, conditions, search.limits.depth)))
 
     def _at(self, place: _Place) -> Iterator[Refusal]:
         for provided in self._rules.providers(place.end):
@@ -89,9 +96,11 @@ class Explanation:
 
     def _inside(self, place: _Place) -> tuple[Refusal, ...]:
         """The refusals of what a rule asks for."""
-        told = (place.end, place.asked, place.left, place.used)
+        told = (place.end, frozenset(place.asked))
         if told in self._told:
             return (Refusal(place.end, ("as above",)),)
+        if len(self._told) == MAX_TOLD:
+            return (Refusal(place.end, ("more could be said",)),)
         self._told.add(told)
         return tuple(self._at(place))
 

@@ -9,7 +9,7 @@ from lfield.capability.expression import Expression
 from lfield.capability.model import Registry
 from lfield.capability.offer import Offer, Refusal, Team
 from lfield.capability.rules import Rules
-from lfield.capability.search import Limits, Search, named
+from lfield.capability.search import Limits, Search
 
 
 class Matcher:
@@ -36,12 +36,11 @@ class Matcher:
         Ties go to the way with fewer rules, then by the names of rules, then by the order of the deployment.
         Of each composition there are the best `limits.per_rule`.
         """
-        search = self._search(constraint)
-        return [plan.offer for plan in search.offers(primitive, constraint)]
+        return [plan.offer for plan in self._search(primitive, constraint).offers()]
 
     def explain(self, primitive: str, constraint: Expression | None = None) -> list[Refusal]:
         """Everyone who could serve the primitive and is not offered: each agent of each way, each rule."""
-        return Explanation(self._search(constraint)).refusals(primitive, constraint)
+        return Explanation(self._search(primitive, constraint)).refusals()
 
-    def _search(self, constraint: Expression | None) -> Search:
-        return Search(self._rules, self._team, self._limits, named(constraint))
+    def _search(self, primitive: str, constraint: Expression | None) -> Search:
+        return Search(self._rules, self._team, self._limits, primitive, constraint)

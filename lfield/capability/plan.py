@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 from lfield.capability import ways
 from lfield.capability.evaluate import Facts, Judge
@@ -17,13 +18,14 @@ class Plan:
     """An offer, its cost, and its attributes as flat facts with `agent`, `robot` and `host`.
 
     Where a plan takes several agents, the three are sets. `unknown` tells of attributes why they have no
-    value.
+    value. `composition` is the rule that puts several parts together, '' when it is one agent.
     """
 
     offer: Offer
     cost: float
     values: Facts
     unknown: Mapping[str, str]
+    composition: str = ""
 
     def why(self, name: str) -> str:
         """Why an attribute has no value."""
@@ -46,9 +48,13 @@ def fulfilling(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]
             yield plan
 
 
+#: The same few names are asked for with every offer.
+_way = cache(ways.equivalent)
+
+
 def standing_in(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
     """The plan by a one-to-one rule, from one for what the rule asks."""
-    inner, way = behind.offer, ways.equivalent(rule.name)
+    inner, way = behind.offer, _way(rule.name)
     cost = ranking.by_rule(behind.cost, rule.loss)
     offer = Offer(
         rule.serves,
@@ -61,4 +67,4 @@ def standing_in(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
         {way: inner},
         rule.name,
     )
-    return Plan(offer, cost, behind.values, behind.unknown)
+    return Plan(offer, cost, behind.values, behind.unknown, behind.composition)

@@ -10,6 +10,7 @@ is made once for a primitive and the number of rules that may still stand on top
 from __future__ import annotations
 
 import heapq
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain as joined
@@ -17,6 +18,7 @@ from itertools import islice
 from operator import attrgetter
 
 from lfield.capability.assembly import Assembly
+from lfield.capability.bounds import least_costs
 from lfield.capability.evaluate import Judge, conjuncts, evaluator, names
 from lfield.capability.expression import Expression
 from lfield.capability.model import Need
@@ -30,7 +32,7 @@ class Limits:
     """What a search does at most.
 
     depth           rules on top of one another
-    per_rule        offers of each composition, reached by the same chain
+    per_rule        offers of each composition
     combinations    combinations of parts that are tried for one composition
     tried           combinations that are tried in all
     offers          offers in all
@@ -38,8 +40,8 @@ class Limits:
 
     depth: int = 4
     per_rule: int = 16
-    combinations: int = 2_000
-    tried: int = 10_000
+    combinations: int = 1_000
+    tried: int = 2_000
     offers: int = 10_000
 
 
@@ -76,10 +78,15 @@ class _Way:
 
 
 class Search:
-    """One query on what the team is now. `named` are the attributes in its constraint."""
+    """One query for a primitive, on what the team is now."""
 
-    def __init__(self, rules: Rules, team: Team, limits: Limits, named: frozenset[str]) -> None:
-        self.rules, self.limits, self.named = rules, limits, named
+    def __init__(
+        self, rules: Rules, team: Team, limits: Limits, primitive: str, constraint: Expression | None
+    ) -> None:
+        self.rules, self.limits = rules, limits
+        self.primitive, self.constraint = primitive, constraint
+        #: The attributes in the constraint.
+        self.named = frozenset[str]() if constraint is None else frozenset(names(constraint))
         #: Compositions of which not all combinations were tried.
         self.cut: set[str] = set()
         self._team = team
@@ -89,6 +96,7 @@ class Search:
         self._streams: dict[tuple[str, int, frozenset[str]], Stream] = {}
         self._composed: dict[tuple[str, int, frozenset[str]], Stream] = {}
         self._needs: dict[tuple[str, str, int, frozenset[str]], Stream] = {}
+        self._least = least_costs(rules, primitive, self._cheapest)
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
         """The agents of a resource type, asked for once."""
@@ -106,15 +114,32 @@ class Search:
             self._agents[primitive] = sorted(joined(*found), key=attrgetter("cost"))
         return self._agents[primitive]
 
-    def offers(self, primitive: str, constraint: Expression | None) -> Iterator[Plan]:
-        """All plans for a primitive that fulfil a constraint, within the limits."""
-        depth, nothing = self.limits.depth, frozenset[str]()
-        wished = judges(constraint)
-        found: list[tuple[float, Iterator[Plan]]] = []
-        for way in self._ways(primitive, depth, nothing):
-            plans = self._plans(way, primitive, depth, nothing, wished)
-            found.append((way.bound, plans if way.assembly is None else islice(plans, self.limits.per_rule)))
-        return islice(_merged(found), self.limits.offers)
+    def offers(self) -> Iterator[Plan]:
+        """All plans that fulfil the constraint, the cheapest first, within the limits."""
+        return islice(self._offers(judges(self.constraint)), self.limits.offers)
+
+    def _offers(self, wished: Sequence[Judge]) -> Iterator[Plan]:
+        given: Counter[str] = Counter()
+        found = []
+        for way in self._ways(self.primitive, self.limits.depth, frozenset()):
+            plans = self._plans(way, self.primitive, self.limits.depth, frozenset(), wished)
+            if way.assembly is not None:
+                plans = self._not_full(plans, way.assembly, given)
+            found.append((way.bound, plans))
+        for plan in _merged(found):
+            if not plan.composition:
+                yield plan
+            elif given[plan.composition] < self.limits.per_rule:
+                given[plan.composition] += 1
+                yield plan
+
+    def _not_full(self, plans: Iterator[Plan], assembly: Assembly, given: Counter[str]) -> Iterator[Plan]:
+        """The plans, until enough of the composition were given, here or by other chains."""
+        while given[assembly.rule.name] < self.limits.per_rule:
+            plan = next(plans, None)
+            if plan is None:
+                return
+            yield plan
 
     def serves(
         self, primitive: str, chain: Chain, depth: int, used: frozenset[str], wished: Sequence[Judge]
@@ -159,18 +184,21 @@ class Search:
     ) -> Iterator[tuple[Plan, ...]]:
         """Every choice of parts, the cheapest first, whether they fit together or not."""
         streams = [self.need(assembly, need, depth, used) for need in assembly.rule.needs.values()]
-        first = _chosen(streams, (0,) * len(streams))
-        # Each choice has one that it is reached from: with its last raised number one less.
-        waiting = [] if first is None else [(assembly.cost(first), (0,) * len(streams), 0)]
+        numbers, raised = (0,) * len(streams), 0
+        first = _chosen(streams, numbers)
+        waiting = [] if first is None else [(assembly.cost(first), numbers, raised, first)]
         while waiting:
-            _, numbers, raised = heapq.heappop(waiting)
-            parts = _chosen(streams, numbers)
-            assert parts is not None
+            _, numbers, raised, parts = heapq.heappop(waiting)
             yield parts
+            # Each choice is reached from one other, in which its last raised number is one less.
             for place in range(raised, len(streams)):
                 following = (*numbers[:place], numbers[place] + 1, *numbers[place + 1 :])
                 if (choice := _chosen(streams, following)) is not None:
-                    heapq.heappush(waiting, (assembly.cost(choice), following, place))
+                    heapq.heappush(waiting, (assembly.cost(choice), following, place, choice))
+
+    def _cheapest(self, primitive: str) -> float | None:
+        found = self.agents(primitive)
+        return found[0].cost if found else None
 
     def _fitting(self, assembly: Assembly, depth: int, used: frozenset[str]) -> Iterator[Plan]:
         for tried, parts in enumerate(self.combinations(assembly, depth, used)):
@@ -186,13 +214,15 @@ class Search:
         for chain in self.rules.chains(primitive):
             if len(chain) > depth:
                 return
-            yield _Way(chain, None, self._bound(chain, 0.0))
-            if len(chain) < depth:
-                for assembly in self.rules.compositions(_end(chain, primitive)):
-                    if assembly.rule.name not in used:
-                        yield _Way(chain, assembly, self._bound(chain, assembly.least))
+            end = _end(chain, primitive)
+            if own := self.agents(end):
+                yield _Way(chain, None, self._by_chain(chain, own[0].cost))
+            for assembly in self.rules.compositions(end) if len(chain) < depth else ():
+                least = assembly.least(self._least)
+                if least is not None and assembly.rule.name not in used:
+                    yield _Way(chain, assembly, self._by_chain(chain, least))
 
-    def _bound(self, chain: Chain, cost: float) -> float:
+    def _by_chain(self, chain: Chain, cost: float) -> float:
         """What an offer by a chain costs, from the cost at its end."""
         for rule in reversed(chain):
             cost = self.rules.ranking.by_rule(cost, rule.loss)
@@ -217,11 +247,6 @@ class Search:
 def judges(condition: Expression | None) -> list[Judge]:
     """One function for each conjunct of a condition."""
     return [] if condition is None else [evaluator(conjunct) for conjunct in conjuncts(condition)]
-
-
-def named(condition: Expression | None) -> frozenset[str]:
-    """The attributes that a condition looks at."""
-    return frozenset() if condition is None else frozenset(names(condition))
 
 
 def _end(chain: Chain, primitive: str) -> str:
