@@ -86,7 +86,7 @@ class Search:
         self.rules, self.limits = rules, limits
         self.primitive, self.constraint = primitive, constraint
         #: The attributes in the constraint.
-        self.named = frozenset[str]() if constraint is None else frozenset(names(constraint))
+        self.named = named(constraint)
         #: Compositions of which not all combinations were tried.
         self.cut: set[str] = set()
         self._team = team
@@ -247,6 +247,11 @@ class Search:
 def judges(condition: Expression | None) -> list[Judge]:
     """One function for each conjunct of a condition."""
     return [] if condition is None else [evaluator(conjunct) for conjunct in conjuncts(condition)]
+
+
+def named(condition: Expression | None) -> frozenset[str]:
+    """The attributes that a condition looks at."""
+    return frozenset() if condition is None else frozenset(names(condition))
 
 
 def _end(chain: Chain, primitive: str) -> str:
