@@ -26,6 +26,8 @@ COMMANDS = {
     "disasm": "list a program file",
     "up": "run the hosts of a deployment",
     "ps": "show what runs where",
+    "query": "tell who of a team can do something, and why the others cannot",
+    "capabilities": "read, check and extend the registry of capabilities",
     "estop": "bring every device of a running mission into its safe state",
     "inspect": "explain a dumped agent",
     "doctor": "look for what stands between this computer and its devices",
