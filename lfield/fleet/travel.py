@@ -71,6 +71,8 @@ class Travel:
         self._early: dict[str, tuple[str, Transfer, memoryview]] | None = {}
         #: Where each coordinator was last sent.
         self._sent_to: dict[str, str] = {}
+        #: The resource that each coordinator last wanted to get to.
+        self._wanted: dict[str, str] = {}
         self._loop = asyncio.get_running_loop()
         self._deadline: asyncio.TimerHandle | None = None
         self._stopped = False
@@ -79,6 +81,7 @@ class Travel:
 
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
+        self._wanted[agent.id] = resource.id
         image = self._station.machine.pack(agent)
 
         def seal(sequence: int) -> Buffer:
@@ -192,7 +195,8 @@ class Travel:
             case Resume():
                 if agent := self._held(effect.agent, effect.generation):
                     agent.block.w[layout.W_SEQUENCE] = effect.sequence
-                    station.machine.resume(agent, effect.kind, effect.reason)
+                    source = self._wanted[effect.agent]
+                    station.machine.resume(agent, effect.kind, effect.reason, source)
             case InDoubt():
                 station.note(f"{effect.agent} is in doubt: {effect.reason}")
                 station.changed.set()

@@ -47,13 +47,28 @@ class Fleet:
         self.network = MemoryNetwork(LoopClock(), max_block=max_block, on_pending=self._pending)
         self.running: list[Running] = []
 
-    def mission(self, program: str, deployment: str, devices: str = "", name: str = "mission") -> Mission:
+    def mission(
+        self,
+        program: str,
+        deployment: str,
+        devices: str = "",
+        name: str = "mission",
+        *,
+        capabilities: str = "",
+        simulate: bool = False,
+    ) -> Mission:
         """Write the files of a mission and read them as `lfield up` does."""
         self.folder.mkdir(exist_ok=True)
-        for ending, text in ((".L", program), (".dL", deployment), (".devices.yaml", devices)):
+        files = {
+            ".L": program,
+            ".dL": deployment,
+            ".devices.yaml": devices,
+            ".capabilities.yaml": capabilities,
+        }
+        for ending, text in files.items():
             if text:
                 (self.folder / (name + ending)).write_text(text)
-        return load_mission(self.folder / f"{name}.dL")
+        return load_mission(self.folder / f"{name}.dL", simulate=simulate)
 
     def make(self, mission: Mission, name: str, *, address: str = "", **options: Any) -> Running:
         """A host, not yet started."""
