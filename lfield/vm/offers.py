@@ -11,16 +11,17 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import lru_cache
 
-from lfield.bytecode.program import ARRAY, FACTS, OBJECT, PROXY, Program, TypeRecord
+from lfield.bytecode.program import ARRAY, FACT_FIELDS, FACTS, OBJECT, PROXY, Program, TypeRecord
 from lfield.vm import layout
 from lfield.vm.block import Block, Full
 from lfield.vm.layout import header
 
-_STRING = struct.Struct("<2q")
-#: Header, agent, host, kind, score, names, numbers, texts, ages.
-_FACTS = struct.Struct("<4qd4q")
+#: Words of what an offer says of itself: header, agent, host, kind, score, names, numbers, texts, ages.
+_FACTS_WORDS = 1 + len(FACT_FIELDS)
+#: The first two words of a string, and all of a proxy.
+_TWO = struct.Struct("<2q")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +51,40 @@ class UnknownWay(Exception):
     """An offer by a way that the program was not built with; the message says which."""
 
 
-@dataclass(frozen=True, slots=True)
 class Shape:
-    """The class of a capability: words of its objects, and the ways by name.
+    """The class of a capability: words and header of its objects, and their ways by name.
 
     A way has its number among the ways, the kind of its type, and the class of what its field holds.
     """
 
-    index: int
-    name: str
-    words: int
-    ways: Mapping[str, tuple[int, int, int]]
+    def __init__(self, program: Program, index: int) -> None:
+        record, types = program.core.classes[index], program.core.types
+        self.name = record.name
+        self.words = 1 + len(record.fields)
+        self.head = header(layout.OBJECT, index, self.words)
+        self.ways = {
+            f.name: (number, types[f.type].kind, types[f.type].of)
+            for number, f in enumerate(record.fields[1:])
+        }
+        self._structs: dict[int, struct.Struct] = {}
+
+    def words_with(self, numbers: int) -> struct.Struct:
+        """An offer, what it says of itself, and the array of so many numbers."""
+        found = self._structs.get(numbers)
+        if found is None:
+            found = struct.Struct(f"<{2 + len(self.ways)}q4qd4qq{numbers}d")
+            self._structs[numbers] = found
+        return found
+
+    def way(self, name: str, kind: int) -> tuple[int, int]:
+        """Which way it is, and the class of what its field holds. Raises UnknownWay."""
+        number, held, of = self.ways.get(name, (0, 0, 0))
+        if held != kind:
+            raise UnknownWay(
+                f"the program knows no way '{name}' of {self.name}: "
+                "build it again with the registry that the hosts have"
+            )
+        return number, of
 
 
 class Shapes:
@@ -70,23 +94,20 @@ class Shapes:
         core = program.core
         kinds = {record: i for i, record in enumerate(core.types)}
         self.of: dict[int, Shape] = {}
-        #: The array type of the offers of a capability, where the program has one.
+        #: The header of an array of offers without elements, where the program has such an array.
         self.arrays: dict[int, int] = {}
         for index, record in enumerate(core.classes):
             if not record.capability:
                 continue
-            ways = {
-                f.name: (number, core.types[f.type].kind, core.types[f.type].of)
-                for number, f in enumerate(record.fields[1:])
-            }
-            self.of[index] = Shape(index, record.name, 1 + len(record.fields), ways)
-            of = kinds.get(TypeRecord(OBJECT, index), -1)
-            self.arrays[index] = kinds.get(TypeRecord(ARRAY, of), -1)
-            #: The header of what offers say about themselves, and the types of its two kinds of arrays.
+            self.of[index] = Shape(program, index)
+            array = kinds.get(TypeRecord(ARRAY, kinds.get(TypeRecord(OBJECT, index), -1)))
+            if array is not None:
+                self.arrays[index] = header(layout.ARRAY, array, 0)
+            #: The headers of what offers say of themselves, and of its two kinds of arrays without elements.
             facts = core.types[record.fields[0].type].of
-            fields = core.classes[facts].fields
-            self.head = header(layout.OBJECT, facts, 1 + len(fields))
-            self.strings, self.reals = fields[4].type, fields[5].type
+            self.facts = header(layout.OBJECT, facts, _FACTS_WORDS)
+            strings, reals = (core.classes[facts].fields[i].type for i in (4, 5))
+            self.strings, self.reals = header(layout.ARRAY, strings, 0), header(layout.ARRAY, reals, 0)
 
 
 def ways(program: Program) -> dict[str, frozenset[str]]:
@@ -103,7 +124,7 @@ def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[
     writer = _Writer(shapes, block.top)
     shape = shapes.of[capability]
     places = [writer.offer(shape, one) for one in found]
-    array = writer.words(header(layout.ARRAY, shapes.arrays[capability], 1 + len(places)), *places)
+    array = writer.array(shapes.arrays[capability], places)
     data = b"".join(writer.chunks)
     end = block.top + (len(data) >> 3)
     if end > block.end:
@@ -120,26 +141,49 @@ class _Writer:
         self.chunks: list[bytes] = []
         self._shapes, self._top = shapes, top
         self._texts: dict[str | None, int] = {None: 0}
-        self._of_texts: dict[tuple[str | None, ...], int] = {}
-        self._of_reals: dict[tuple[float, ...], int] = {}
+        self._lists: dict[tuple[str | None, ...], int] = {}
+        self._ages: dict[tuple[float, ...], int] = {}
         self._proxies: dict[tuple[int, int], int] = {}
 
     def offer(self, shape: Shape, found: Found) -> int:
-        """An offer with its parts."""
-        fields = [0] * (shape.words - 2)
+        """An offer with its parts; what it says of itself and its numbers follow it directly."""
+        shapes, text, ways = self._shapes, self._text, [0] * len(shape.ways)
         if found.parts:
             for name, part in found.parts.items():
-                offset, of = self._way(shape, name, OBJECT)
-                fields[offset] = self.offer(self._shapes.of[of], part)
+                number, of = shape.way(name, OBJECT)
+                ways[number] = self.offer(shapes.of[of], part)
         else:
-            offset, of = self._way(shape, found.way, PROXY)
-            fields[offset] = self._proxy(of, found.member)
-        facts = self._facts(found)
-        return self.words(header(layout.OBJECT, shape.index, shape.words), facts, *fields)
+            number, of = shape.way(found.way, PROXY)
+            ways[number] = self._proxy(of, found.member)
+        agent, host, kind = text(found.agent), text(found.host), text(found.kind)
+        names, texts, ages = self._strings(found.names), self._strings(found.texts), self._reals(found.ages)
+        count = len(found.numbers)
+        place = self._top
+        facts = place + shape.words
+        data = shape.words_with(count).pack(
+            shape.head,
+            facts,
+            *ways,
+            shapes.facts,
+            agent,
+            host,
+            kind,
+            found.score,
+            names,
+            facts + _FACTS_WORDS,
+            texts,
+            ages,
+            shapes.reals | 1 + count << 32,
+            *found.numbers,
+        )
+        self.chunks.append(data)
+        self._top += len(data) >> 3
+        return place
 
-    def words(self, *words: int) -> int:
-        """Something of these words, header first."""
-        return self._put(_words(len(words)).pack(*words))
+    def array(self, head: int, places: Sequence[int]) -> int:
+        """An array of references; `head` is its header without elements."""
+        count = 1 + len(places)
+        return self._put(struct.pack(f"<{count}q", head | count << 32, *places))
 
     def _put(self, data: bytes) -> int:
         place = self._top
@@ -147,70 +191,37 @@ class _Writer:
         self.chunks.append(data)
         return place
 
-    def _way(self, shape: Shape, name: str, kind: int) -> tuple[int, int]:
-        """Which field it is, and the class of what it holds."""
-        way = shape.ways.get(name)
-        if way is None or way[1] != kind:
-            raise UnknownWay(
-                f"the program knows no way '{name}' of {shape.name}: "
-                "build it again with the registry that the hosts have"
-            )
-        return way[0], way[2]
-
-    def _facts(self, found: Found) -> int:
-        shapes, text = self._shapes, self._text
-        strings = self._strings
-        numbers = self._reals(found.numbers)
-        return self._put(
-            _FACTS.pack(
-                shapes.head,
-                text(found.agent),
-                text(found.host),
-                text(found.kind),
-                found.score,
-                strings(found.names),
-                numbers,
-                strings(found.texts),
-                self._reals(found.ages),
-            )
-        )
-
     def _text(self, text: str | None) -> int:
         place = self._texts.get(text)
         if place is None:
-            raw = text.encode("utf-8", "replace") if text is not None else b""
-            words = len(raw) + 7 >> 3
-            head = _STRING.pack(header(layout.STRING, 0, 2 + words), len(raw))
-            place = self._texts[text] = self._put(head + raw.ljust(8 * words, b"\0"))
+            place = self._texts[text] = self._put(_string(text or ""))
         return place
 
     def _strings(self, texts: tuple[str | None, ...]) -> int:
-        place = self._of_texts.get(texts)
+        place = self._lists.get(texts)
         if place is None:
-            head = header(layout.ARRAY, self._shapes.strings, 1 + len(texts))
-            place = self._of_texts[texts] = self.words(head, *map(self._text, texts))
+            places = [self._text(text) for text in texts]
+            place = self._lists[texts] = self.array(self._shapes.strings, places)
         return place
 
     def _reals(self, numbers: tuple[float, ...]) -> int:
-        place = self._of_reals.get(numbers)
+        place = self._ages.get(numbers)
         if place is None:
-            head = header(layout.ARRAY, self._shapes.reals, 1 + len(numbers))
-            place = self._of_reals[numbers] = self._put(_reals(len(numbers)).pack(head, *numbers))
+            head = self._shapes.reals | 1 + len(numbers) << 32
+            place = self._ages[numbers] = self._put(struct.pack(f"<q{len(numbers)}d", head, *numbers))
         return place
 
     def _proxy(self, resource: int, member: int) -> int:
         place = self._proxies.get((resource, member))
         if place is None:
-            place = self.words(header(layout.PROXY, resource, 2), member)
-            self._proxies[resource, member] = place
+            data = _TWO.pack(header(layout.PROXY, resource, 2), member)
+            place = self._proxies[resource, member] = self._put(data)
         return place
 
 
-@cache
-def _words(count: int) -> struct.Struct:
-    return struct.Struct(f"<{count}q")
-
-
-@cache
-def _reals(count: int) -> struct.Struct:
-    return struct.Struct(f"<q{count}d")
+@lru_cache(maxsize=4096)
+def _string(text: str) -> bytes:
+    """A string as it stands on the heap."""
+    raw = text.encode("utf-8", "replace")
+    words = len(raw) + 7 >> 3
+    return _TWO.pack(header(layout.STRING, 0, 2 + words), len(raw)) + raw.ljust(8 * words, b"\0")
