@@ -11,7 +11,7 @@ import asyncio
 import os
 import signal
 import sys
-from collections.abc import Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from lfield import loop
@@ -43,10 +43,19 @@ ANSWER = 0.5
 
 
 class Shell(asyncio.Protocol):
-    """Carries events to the core and its effects out to the driver and the host."""
+    """Carries events to the core and its effects out to the driver and the host.
 
-    def __init__(self, plugin: Plugin, output: asyncio.WriteTransport, clock: Clock) -> None:
-        self._plugin, self._output, self._clock = plugin, output, clock
+    `on_loaded` is called when the driver's code is there, before it opens anything.
+    """
+
+    def __init__(
+        self,
+        plugin: Plugin,
+        output: asyncio.WriteTransport,
+        clock: Clock,
+        on_loaded: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._plugin, self._output, self._clock, self._on_loaded = plugin, output, clock, on_loaded
         self._loop = asyncio.get_running_loop()
         # A driver's callback that raises (of a socket, a timer) has no task to tell of it.
         self._loop.set_exception_handler(self._callback_raised)
@@ -152,6 +161,7 @@ class Shell(asyncio.Protocol):
         problems: list[tuple[str, str, str]] = []
         try:
             self._driver = self._make_driver(message)
+            self._on_loaded()
             await self._driver.open()
             devices = list(self._driver.devices.values())
             identities, problems = await _open_all(devices)
@@ -295,7 +305,8 @@ async def serve(plugin: Plugin, input_fd: int, output_fd: int) -> int:
     """Guard one bus until the host says stop or is gone; the exit status."""
     running = asyncio.get_running_loop()
     output, _ = await running.connect_write_pipe(asyncio.BaseProtocol, os.fdopen(output_fd, "wb", 0))
-    shell = Shell(plugin, output, SystemClock())
+    # Only now: a vendor library that takes its time to load must not delay the guards of other buses.
+    shell = Shell(plugin, output, SystemClock(), loop.be_prompt)
     source, _ = await running.connect_read_pipe(lambda: shell, os.fdopen(input_fd, "rb", 0))
     running.add_signal_handler(signal.SIGTERM, shell.gone, "the guard was told to end (SIGTERM)")
     # Ctrl-C reaches the whole process group; the host decides what it means and stops its guards in order.
@@ -318,7 +329,6 @@ def main(arguments: Sequence[str]) -> int:
     os.dup2(2, 1)
     try:
         plugin = load_plugin(arguments[0])
-        loop.be_prompt()
         return loop.run(serve(plugin, os.dup(0), output_fd))
     except LfieldError as error:
         print(error, file=sys.stderr)
