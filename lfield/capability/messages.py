@@ -149,7 +149,7 @@ NO_CONSTRUCTOR = _message("C158", "class {name} cannot be made of its parts", "i
 NUMBER_OF_NEEDS = _message(
     "C159",
     "a rule has from 1 to {most} needs, not {count}",
-    "parts that are made of parts are rules of their own",
+    "what is made of parts can be a part; write it as a rule of its own",
 )
 
 # --- C16x: agents ---------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ A mission may replace a rule of ours by one of the same name.
 
 from __future__ import annotations
 
+import os.path
 from pathlib import Path
 
 from lfield.capability import messages
@@ -131,7 +132,7 @@ def _source(draft: Draft, fields: Fields, folder: Path) -> Path:
     """The file with the class in L, seen from the folder of the registry file."""
     text = fields.text("source", required=True)
     path = folder / text
-    if text and ("\0" in text or not path.is_file()):
+    if text and not os.path.isfile(path):
         draft.tell(messages.NO_SOURCE, fields.value_span("source"), path=repr(text))
     return path
 

@@ -16,6 +16,9 @@ from lfield.yaml_source import Entry, Listing, Node, Scalar, describe
 _AMOUNT = r"[-+]?[0-9]{0,18}\.?[0-9]{1,18}([eE][-+]?[0-9]{1,3})?"
 _WITH_UNIT = re.compile(rf"(?P<amount>{_AMOUNT})\s*(?P<unit>[^\s0-9].{{0,40}})")
 
+#: Whole numbers up to here are exact as reals, too.
+_MOST = 1 << 53
+
 _EXPECTED = {
     "real": "a number",
     "int": "a whole number",
@@ -100,7 +103,7 @@ def _of_type(draft: Draft, attribute: Attribute, node: Node) -> Value | None:
         return None
     if attribute.type == "real":
         return float(amount)
-    return int(amount) if amount == int(amount) else None
+    return int(amount) if abs(amount) <= _MOST and amount == int(amount) else None
 
 
 def _amount(draft: Draft, attribute: Attribute, node: Scalar) -> float | None:

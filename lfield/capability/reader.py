@@ -84,7 +84,7 @@ def _open(path: Path, mission: bool, found: Diagnostics) -> RegistryFile | None:
         return None
     top = Fields(node, found, "a registry")
     version = top.node("registry")
-    if not isinstance(version, Scalar) or version.value is not VERSION:
+    if not isinstance(version, Scalar) or (type(version.value), version.value) != (int, VERSION):
         found.add(messages.VERSION.at(version.span if version is not None else top.span))
     return RegistryFile(path, top, mission)
 

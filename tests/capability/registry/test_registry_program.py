@@ -1,0 +1,133 @@
+"""The registry that comes with lfield against the resources and manifests that come with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from registry_expectations import BASE, ROVER
+
+from lfield.capability.live_units import settle_live
+from lfield.capability.model import Registry
+from lfield.capability.program_check import check_against, check_classes
+from lfield.capability.reader import check_files, read_registry
+from lfield.capability.signatures import Signature, signatures_of
+from lfield.driver.plugins import discover
+from lfield.lang.parser import parse
+from lfield.source import Diagnostics, Source
+
+SOURCES = sorted(Path(__file__).parents[3].glob("drivers/*/L/*.L"))
+
+PROGRAM = """
+resource Crane {
+    Rover fc;
+    int count;
+
+    init Crane(string port) { }
+
+    portal reel(real millimetres) emit int { return 1; }
+    portal reel(string far) { }
+    portal grip() { }
+    private void secret() { }
+}
+
+class Both coordinator specific {
+    private Grip hand;
+
+    public Both(Grip hand) { this.hand = hand; }
+    public Both() { }
+    public real lift(real height) { return height; }
+    private void lower() { }
+}
+"""
+
+
+def signatures(text: str = PROGRAM) -> dict[str, Signature]:
+    found = Diagnostics()
+    units = signatures_of([parse(Source("program.L", text), found)])
+    assert [d.render() for d in found.found] == []
+    return units
+
+
+def registry_of(tmp_path: Path, provider: str) -> Registry:
+    path = tmp_path / "registry.yaml"
+    path.write_text(f"registry: 1\nproviders:\n  Crane: {provider}\n", encoding="utf-8")
+    registry, found = check_files([BASE, path])
+    assert [d.render() for d in found] == []
+    assert registry is not None
+    return registry
+
+
+def test_signatures() -> None:
+    units = signatures()
+    assert units["Crane"] == Signature(
+        "Crane",
+        {"reel": [(("real",), "int"), (("string",), "void")], "grip": [((), "void")]},
+        {"fc": "Rover", "count": "int"},
+        [],
+        "resource",
+        "global",
+    )
+    assert units["Both"] == Signature(
+        "Both", {"lift": [(("real",), "real")]}, {}, [("Grip",), ()], "class", "coordinator"
+    )
+
+
+@pytest.mark.parametrize(
+    ("mapped", "codes"),
+    [
+        ("reel", []),
+        ("{portal: reel, arguments: [{parameter: height, unit: mm}], emit: {unit: mm}}", []),
+        ("{portal: reel, arguments: [2]}", []),
+        ("{portal: reel, arguments: [{constant: far}], emit: {parameter: height}}", []),
+        ("{portal: reel, arguments: [{constant: far}]}", ["C146"]),
+        ("{portal: reel, arguments: [true]}", ["C171"]),
+        ("{portal: reel, arguments: []}", ["C171"]),
+        ("{portal: secret, arguments: []}", ["C170"]),
+        ("{portal: grip, arguments: [], emit: {constant: 1}}", []),
+        ("{portal: grip, arguments: [], emit: {constant: true}}", ["C146"]),
+        ("{portal: grip, arguments: [], emit: {unit: m}}", ["C146"]),
+    ],
+)
+def test_a_mapped_call_against_the_program(tmp_path: Path, mapped: str, codes: list[str]) -> None:
+    registry = registry_of(tmp_path, f"{{serves: {{Lift: {{portals: {{lift: {mapped}}}}}}}}}")
+    found = Diagnostics()
+    check_against(registry, signatures(), found)
+    assert [d.code for d in found.in_order()] == codes
+
+
+def test_a_live_attribute_comes_in_the_unit_of_its_manifest(tmp_path: Path) -> None:
+    registry = registry_of(
+        tmp_path, "{live: {battery: fc.battery, heat: {from: fc.heat, unit: K}, down: 'fc.position[2]'}}"
+    )
+    found = Diagnostics()
+    settled = settle_live(registry, {"Crane": {"fc": "Rover"}}, {"Rover": ROVER}, found)
+    assert found.found == []
+    live = settled.providers["Crane"].live
+    assert {name: (l.factor, l.offset) for name, l in live.items()} == {
+        "battery": (0.01, 0.0),
+        "heat": (1.0, -273.15),
+        "down": (1.0, 0.0),
+    }
+    # What the file says of its unit counts, also against the manifest; another program's types stay.
+    assert settle_live(registry, {}, {}, found) == registry
+
+
+def test_what_does_not_fit_is_left_out(tmp_path: Path) -> None:
+    registry = registry_of(tmp_path, "{live: {battery: fc.battery, heat: other.heat}}")
+    found = Diagnostics()
+    settled = settle_live(registry, {"Crane": {"fc": "Rover"}}, {"Rover": ROVER}, found)
+    assert list(settled.providers["Crane"].live) == ["battery"]
+    assert [d.code for d in found.found] == ["C172"]
+
+
+def test_what_we_ship_fits_what_we_ship() -> None:
+    registry, found = read_registry(), Diagnostics()
+    files = [parse(Source(str(path), path.read_text(encoding="utf-8")), found) for path in SOURCES]
+    units = signatures_of(files)
+    check_against(registry, units, found)
+    check_classes(registry, found)
+    devices = {name: unit.devices for name, unit in units.items() if unit.kind == "resource"}
+    settle_live(registry, devices, discover().device_types, found)
+    assert [d.render() for d in found.in_order()] == []
+    assert set(registry.providers) <= set(units)
