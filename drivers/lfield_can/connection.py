@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import fcntl
 import logging
 import os
 import queue
-import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
@@ -19,6 +20,8 @@ import can
 
 from lfield.errors import DeviceError
 from lfield_can.endpoint import Place
+from lfield_can.frames import Frame
+from lfield_can.interface import GONE, Listener
 
 #: Seconds that one look for a frame lasts; also how soon a closed connection is noticed.
 WAIT = 0.2
@@ -28,18 +31,10 @@ FRESH = 0.05
 AGAIN = 0.002
 #: Frames that may wait to be sent.
 BACKLOG = 256
-#: How often an interface is opened whose answers and frames run together.
-OPENINGS = 5
-#: Seconds that a server may take to answer while an interface is opened.
-ANSWER = 2.0
-#: So many empty looks within SPIN_TIME seconds, and nobody is there: a client of socketcand whose server has
-#: died finds nothing for ever, without waiting and without an error. (The answers of an slcan adapter are
-#: empty looks too, a few thousand in a second at most.)
-SPINS, SPIN_TIME = 2000, 0.4
-
+#: Frames that may wait for the loop; when it is late by more, the oldest are dropped.
+INBOX = 10_000
 #: Bytes of one line of an adapter; a frame of CAN FD takes 140.
 LONGEST_LINE = 4096
-GONE = "the bus is lost"
 
 # They log every trouble with a traceback; ours is told in sentences by the driver's notes.
 for _library in ("can", "canopen", "cantools"):
@@ -55,43 +50,18 @@ class Job:
     sent: Future[str]
 
 
-def open_interface(place: Place) -> can.BusABC:
-    """Open an endpoint now; blocks for a few seconds at most. Raises DeviceError."""
-    try:
-        if place.server is not None:
-            # The interface itself would try for ten seconds, and never sleep meanwhile.
-            socket.create_connection(place.server, ANSWER).close()
-        # The interface sets no bound on the server's answers; this one is for the sockets it now makes.
-        socket.setdefaulttimeout(ANSWER)
-        return _open(dict(place.arguments))
-    except Exception as error:  # every interface raises its own kinds, and some none of python-can's
-        raise DeviceError("endpoint", f"cannot open {place.text}: {_words(error)}") from None
-    finally:
-        socket.setdefaulttimeout(None)
+async def open_connection(place: Place, listener: Listener) -> Connection:
+    """Open an endpoint. Raises DeviceError."""
+    return await asyncio.to_thread(Connection, place, listener, asyncio.get_running_loop())
 
 
-def _open(arguments: dict[str, Any]) -> can.BusABC:
-    """A client of socketcand takes an answer that comes together with the first frame for a wrong one.
-
-    On a busy bus that happens now and then, and goes well the next time.
-    """
-    for _ in range(OPENINGS - 1):
-        with suppress(_Together):
-            return _open_once(arguments)
-    return _open_once(arguments)
-
-
-class _Together(can.CanError):
-    """An answer and a frame in one."""
-
-
-def _open_once(arguments: dict[str, Any]) -> can.BusABC:
+def _opened(place: Place) -> can.BusABC:
+    """Open an interface now; blocks for a moment. Raises DeviceError."""
+    arguments: dict[str, Any] = dict(place.arguments)
     try:
         return can.Bus(ignore_config=True, **arguments)
-    except can.CanError as error:
-        if "got: '< ok >< frame" in str(error):
-            raise _Together(str(error)) from None
-        raise
+    except Exception as error:  # every interface raises its own kinds, and some none of python-can's
+        raise DeviceError("endpoint", f"cannot open {place.text}: {_words(error)}") from None
 
 
 def lock_tty(path: str) -> int:
@@ -111,30 +81,34 @@ def lock_tty(path: str) -> int:
 
 
 class Connection:
-    """An open interface; it works until its first failure, then it is closed and another one is opened.
+    """An open interface of python-can."""
 
-    `on_message` and `on_lost` are called in the reading thread, the latter once.
-    """
-
-    def __init__(
-        self, place: Place, on_message: Callable[[can.Message], None], on_lost: Callable[[str], None]
-    ) -> None:
+    def __init__(self, place: Place, listener: Listener, loop: asyncio.AbstractEventLoop) -> None:
         self.malformed = 0
-        self._on_message, self._on_lost = on_message, on_lost
+        self._listener, self._loop = listener, loop
+        self._inbox: deque[can.Message] = deque(maxlen=INBOX)
+        self._woken = threading.Event()
         self._closing = threading.Event()
         self._jobs: queue.Queue[Job | None] = queue.Queue(BACKLOG)
         self._lock = lock_tty(place.tty) if place.tty else None
         try:
-            self._bus = open_interface(place)
+            self._bus = _opened(place)
         except DeviceError:
             self._unlock()
             raise
         for work, name in ((self._read, "can-read"), (self._write, "can-write")):
             threading.Thread(target=work, name=name, daemon=True).start()
 
-    def send(self, message: can.Message) -> Future[str]:
-        """Have a frame sent; from any thread, never waits. The future gives '' or why it was not sent."""
-        job = Job(message, time.monotonic() + FRESH, Future())
+    async def send(self, frame: Frame) -> str:
+        """Have a frame sent; '' once it is, or why it was not."""
+        return await asyncio.wrap_future(self._queued(frame))
+
+    def post(self, frame: Frame) -> None:
+        """Have a frame sent, or not. From any thread; never waits."""
+        self._queued(frame)
+
+    def _queued(self, frame: Frame) -> Future[str]:
+        job = Job(_message(frame), time.monotonic() + FRESH, Future())
         if self._closing.is_set():
             job.sent.set_result(GONE)
             return job.sent
@@ -152,8 +126,11 @@ class Connection:
         except Exception:  # many interfaces cannot tell
             return False
 
-    def close(self) -> None:
-        """Give the interface back; blocks for a moment."""
+    async def close(self) -> None:
+        """Give the interface back."""
+        await asyncio.to_thread(self._shut)
+
+    def _shut(self) -> None:
         self._closing.set()
         with suppress(queue.Full):  # then the writer is awake, and looks at _closing
             self._jobs.put_nowait(None)
@@ -169,10 +146,9 @@ class Connection:
     # -- the reading thread -----------------------------------------------------------------------------
 
     def _read(self) -> None:
-        empty, since = 0, 0.0
         while not self._closing.is_set():
             try:
-                # Not `recv`: it calls this until its time is over, and so spins where nobody is there.
+                # Not `recv`: what makes no sense is an empty look too, and counts here.
                 message, _ = self._bus._recv_internal(WAIT)
             except (ValueError, IndexError, KeyError):
                 self.malformed += 1
@@ -181,27 +157,38 @@ class Connection:
                 self._fail(_words(error))
                 return
             if message is not None:
-                empty = 0
-                self._on_message(message)
-                continue
+                self._received(message)
             # slcan keeps what has no end of line, however long it gets.
-            if len(getattr(self._bus, "_buffer", b"")) > LONGEST_LINE:
+            elif len(getattr(self._bus, "_buffer", b"")) > LONGEST_LINE:
                 self._fail("what comes in are no frames")
                 return
-            if empty == 0:
-                since = time.monotonic()
-            empty += 1
-            if empty < SPINS:
-                continue
-            if time.monotonic() - since < SPIN_TIME:
-                self._fail("the other end has hung up")
-                return
-            empty = 0
+
+    def _received(self, message: can.Message) -> None:
+        """Wake the loop, once for all that comes until it is awake."""
+        self._inbox.append(message)
+        if not self._woken.is_set():
+            self._woken.set()
+            self._in_loop(self._drain)
 
     def _fail(self, reason: str) -> None:
         if not self._closing.is_set():
             self._closing.set()
-            self._on_lost(reason)
+            self._in_loop(self._listener.lost, reason)
+
+    def _in_loop(self, callback: Callable[..., None], *arguments: object) -> None:
+        with suppress(RuntimeError):  # the loop has ended, and with it whoever would listen
+            self._loop.call_soon_threadsafe(callback, *arguments)
+
+    def _drain(self) -> None:
+        """On the loop."""
+        # Cleared first: a frame that comes while this runs wakes the loop again.
+        self._woken.clear()
+        for _ in range(len(self._inbox)):
+            message = self._inbox.popleft()
+            if message.is_error_frame:
+                self._listener.error(message.arbitration_id, bytes(message.data))
+            elif not message.is_remote_frame:
+                self._listener.frame(_frame(message))
 
     # -- the writing thread -----------------------------------------------------------------------------
 
@@ -237,3 +224,13 @@ def _words(error: Exception) -> str:
     """An exception as the end of a sentence; the first line of it, since some carry a traceback."""
     text = (getattr(error, "strerror", None) or str(error) or repr(error)).strip()
     return text.splitlines()[0][:200]
+
+
+def _message(frame: Frame) -> can.Message:
+    return can.Message(
+        arbitration_id=frame.id, data=frame.data, is_extended_id=frame.extended, is_fd=frame.fd
+    )
+
+
+def _frame(message: can.Message) -> Frame:
+    return Frame(message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_fd)

@@ -36,7 +36,7 @@ class Place:
     """A parsed endpoint.
 
     `arguments` are the keyword arguments of `can.Bus`; `tty` is the serial port that must have one owner, and
-    `server` the host and port that must answer before the interface is opened.
+    `server` the host and port of a socketcand server, which needs no python-can.
     """
 
     text: str
@@ -83,15 +83,10 @@ def _socketcand(text: str, interface: str, channel: str, options: dict[str, Valu
     match = _SOCKETCAND.fullmatch(channel)
     if match is None or not 0 < int(match["port"]) < 65536:
         raise _wrong(text, "write socketcand:HOST:PORT/CHANNEL, as in socketcand:127.0.0.1:29536/can0")
-    host, port = match["host"].strip("[]"), int(match["port"])
-    arguments: dict[str, Value] = {
-        "interface": interface,
-        "host": host,
-        "port": port,
-        "channel": match["channel"],
-        "tcp_tune": True,
-    }
-    return Place(text, {**arguments, **options}, server=(host, port))
+    if options:
+        raise _wrong(text, "socketcand takes no parameters; its server sets the bit rate")
+    server = (match["host"].strip("[]"), int(match["port"]))
+    return Place(text, {"interface": interface, "channel": match["channel"]}, server=server)
 
 
 _READERS: Mapping[str, Callable[[str, str, str, dict[str, Value]], Place]] = {

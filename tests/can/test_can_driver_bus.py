@@ -14,12 +14,15 @@ from contextlib import suppress
 
 import can
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
-from lfield_can import connection
+from lfield_can import connection, socketcand
 from lfield_can.bus import Bus
-from lfield_can.endpoint import parse_endpoint
 from lfield_can.frames import Frame
+from lfield_can.interface import Listener
+from lfield_can.socketcand import Socketcand
 
 # python-can leaves the socket of an opening that failed to the garbage collector.
 pytestmark = pytest.mark.filterwarnings(
@@ -58,11 +61,11 @@ def run(endpoint, story):
 
 
 class Server:
-    """A socketcand server of a few lines."""
+    """A socketcand server of a few lines. It says `words` one after the other; an empty one hangs up."""
 
-    def __init__(self, port: int = 0, *, greets: bool = True) -> None:
+    def __init__(self, port: int = 0, *, words=(b"< hi >", b"< ok >", b"< ok >"), after: bytes = b"") -> None:
         self.listener = socket.create_server(("127.0.0.1", port))
-        self.port, self.greets = self.listener.getsockname()[1], greets
+        self.port, self.words, self.after = self.listener.getsockname()[1], words, after
         self.endpoint = f"socketcand:127.0.0.1:{self.port}/can0"
         self.peers: list[socket.socket] = []
         threading.Thread(target=self.serve, daemon=True).start()
@@ -74,17 +77,16 @@ class Server:
             except OSError:
                 return
             self.peers.append(peer)
-            if self.greets:
-                threading.Thread(target=self.greet, args=(peer,), daemon=True).start()
+            threading.Thread(target=self.greet, args=(peer,), daemon=True).start()
 
     def greet(self, peer: socket.socket) -> None:
-        try:
-            peer.sendall(b"< hi >")
-            for _ in range(2):
+        for number, word in enumerate(self.words):
+            if number:
                 peer.recv(256)
-                peer.sendall(b"< ok >")
-        except OSError:
-            pass  # the first look of the driver hangs up at once
+            if not word:
+                peer.shutdown(socket.SHUT_RDWR)
+                return
+            peer.sendall(word + (self.after if number == 2 else b""))
 
     def stop(self) -> None:
         with suppress(OSError):  # a mere close would let it listen on while somebody accepts
@@ -287,36 +289,110 @@ def test_a_server_that_dies_is_noticed_at_once_and_costs_nothing(server):
     run(server.endpoint, story)
 
 
-def test_frames_that_make_no_sense_do_not_end_it(server):
+def test_what_makes_no_sense_is_counted_and_the_rest_is_read(server):
+    nonsense = [
+        b"< frame xyz 0.0 >", b"< frame 800 0.0 00 >", b"< frame 1 0.0 000102030405060708 >", b"< error >",
+        b"< frame 001 0.0 F >", b"x >", b"<" * 1000,
+    ]  # fmt: skip
+
     async def story(told):
-        server.peers[-1].sendall(b"< frame xyz 0.0 >< frame 1")
-        await told.until(lambda: told.noted("is lost"))
-        await told.until(lambda: told.noted("open again"))
-        server.peers[-1].sendall(b"< frame 001 0.0 FF >")
-        await told.until(lambda: told.frames)
+        peer = server.peers[-1]
+        for text in nonsense[:-1]:
+            peer.sendall(text)
+        peer.sendall(b"< frame 001 0.0 FF >< frame 00000002 0.0 >< error 008 0.0 ><frame 0")
+        await told.until(lambda: len(told.frames) == 2)
+        peer.sendall(b"03 0.0 0102>")
+        await told.until(lambda: len(told.frames) == 3)
+        assert told.frames == [Frame(1, b"\xff"), Frame(2, b"", extended=True), Frame(3, b"\1\2")]
+        assert told.bus.errors == 1
+        peer.sendall(nonsense[-1])
+        await told.until(lambda: told.bus.malformed == len(nonsense))
+        peer.sendall(b"< frame 004 0.0 >")
+        await told.until(lambda: len(told.frames) == 4)
+        assert not told.noted("is lost")
 
     run(server.endpoint, story)
 
 
-def test_an_answer_that_comes_together_with_a_frame_is_asked_for_again(monkeypatch):
-    """What python-can says of a busy bus, and not of any other trouble."""
-    outcomes = ["Expected '< ok >' got: '< ok >< frame 5 1.2 00 >'"] * 2 + [""]
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.one_of(st.binary(max_size=300), st.text("<> framerot0123456789ABF.", max_size=60).map(str.encode))
+    )
+)
+def test_no_bytes_break_the_client(pieces):
+    async def story():
+        frames = []
+        client = Socketcand(Listener(frames.append, lambda identifier, data: None, pytest.fail))
+        client._answers = None
+        for piece in pieces:
+            client.data_received(piece)
+            assert len(client._unread) <= socketcand.LONGEST
+        client.data_received(b"><frame 123 0.0 01>")
+        assert frames[-1] == Frame(0x123, b"\1")
+        assert all(frame.id < 1 << 29 and len(frame.data) <= 8 for frame in frames)
 
-    def make(**_):
-        if told := outcomes.pop(0):
-            raise can.CanError(told)
-        return Stub(lambda bus, message: None)
+    asyncio.run(story())
 
-    monkeypatch.setattr(connection.can, "Bus", make)
-    connection.open_interface(parse_endpoint("virtual:busy")).shutdown()
-    outcomes[:] = ["Expected '< hi >' got: '< no >'"]
-    with pytest.raises(DeviceError, match="got: '< no >'"):
-        connection.open_interface(parse_endpoint("virtual:busy"))
+
+def test_frames_are_sent_in_the_words_of_the_protocol(server):
+    async def story(told):
+        peer = server.peers[-1]
+        await told.bus.send(Frame(0x12, bytes([1, 0xAB])))
+        await asyncio.to_thread(told.bus.post, Frame(0x34, b"", extended=True))
+        with pytest.raises(DeviceError, match="no frames of CAN FD"):
+            await told.bus.send(Frame(1, bytes(16), fd=True))
+        wanted, got = b"< send 012 2 01 ab >< send 00000034 0  >", b""
+        while len(got) < len(wanted):
+            got += await asyncio.to_thread(peer.recv, 256)
+        assert got == wanted
+
+    run(server.endpoint, story)
+
+
+def test_a_server_that_does_not_read_is_told_of(server):
+    async def story(told):
+        for _ in range(1_000_000):
+            await told.bus.send(Frame(1, bytes(8)))
+
+    with pytest.raises(DeviceError, match="too many frames wait to be sent"):
+        run(server.endpoint, story)
+
+
+def test_an_answer_may_come_together_with_a_frame():
+    server = Server(after=b"< frame 005 1.2 00 >")
+
+    async def story(told):
+        await told.until(lambda: told.frames)
+        assert told.frames == [Frame(5, b"\0")]
+        assert told.bus.malformed == 0
+
+    try:
+        run(server.endpoint, story)
+    finally:
+        server.stop()
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [((b"< no >",), "the server says 'no'"), ((b"< hi >", b""), "the server says 'nothing'")],
+)
+def test_a_server_that_refuses_is_an_error(words, reason):
+    server = Server(words=words)
+
+    async def story(told):
+        raise AssertionError("it must not be opened")
+
+    try:
+        with pytest.raises(DeviceError, match=rf"cannot open socketcand:.*{reason}"):
+            run(server.endpoint, story)
+    finally:
+        server.stop()
 
 
 def test_a_server_that_says_nothing_is_an_error_within_its_bound(monkeypatch):
-    monkeypatch.setattr(connection, "ANSWER", 0.3)
-    mute = Server(greets=False)
+    monkeypatch.setattr(socketcand, "ANSWER", 0.3)
+    mute = Server(words=())
 
     async def story(told):
         raise AssertionError("it must not be opened")
@@ -328,7 +404,6 @@ def test_a_server_that_says_nothing_is_an_error_within_its_bound(monkeypatch):
     finally:
         mute.stop()
     assert time.monotonic() - start < 3.0
-    assert socket.getdefaulttimeout() is None
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ MANIFESTS = PLUGIN.read_manifests()
         ),
         (
             "socketcand:[::1]:29536/can0",
-            {"interface": "socketcand", "host": "::1", "port": 29536, "channel": "can0", "tcp_tune": True},
+            {"interface": "socketcand", "channel": "can0"},
         ),
         ("pcan:PCAN_1?bitrate=500000", {"interface": "pcan", "channel": "PCAN_1", "bitrate": 500000}),
     ],
@@ -63,6 +63,7 @@ def test_endpoints(endpoint, arguments):
         ("slcan:/dev/ttyACM0@fast", "write slcan:/dev/ttyACM0@115200"),
         ("socketcand:127.0.0.1/can0", "write socketcand:HOST:PORT/CHANNEL"),
         ("socketcand:127.0.0.1:99999/can0", "write socketcand:HOST:PORT/CHANNEL"),
+        ("socketcand:127.0.0.1:29536/can0?bitrate=1", "socketcand takes no parameters"),
     ],
 )
 def test_wrong_endpoints_get_a_sentence(endpoint, words):
