@@ -14,6 +14,7 @@ from importlib.util import find_spec
 import agreement
 import collector
 import deadman
+import directory
 import engine
 import footprint
 import local
@@ -37,6 +38,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "deadman": deadman.figure,
     "drivers": drivers.figure,
     "mavlink": mavlink.figure,
+    "directory": directory.figure,
 }
 #: What the extra `bench` brings.
 LIBRARIES = ("Pyro5", "rpyc", "grpc")
