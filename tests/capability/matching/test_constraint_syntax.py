@@ -1,0 +1,202 @@
+"""What a condition over attributes may say, and what is told of every mistake."""
+
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_registry import ATTRIBUTES, wish
+
+from lfield.capability.expression import MAX_LENGTH, Mistake, Scope, check, compile_constraint, parse
+from lfield.errors import ConstraintError
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "payload >= 2.0",
+        "payload >= 2.0 && environment == terrestrial",
+        'environment != "aerial" || !ready',
+        "power == battery && ready == true",
+        "cable == power",
+        "abs(-noise) / 4 < min(payload, reach, 3)",
+        'agent != "arm2" && robot == "r1" && host == "r1"',
+        'note == "anything at all"',
+        "ready",
+        "(payload + 1) * -2 <= - reach",
+    ],
+)
+def test_a_condition_may_say(text: str) -> None:
+    assert compile_constraint(text, ATTRIBUTES).text == text
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "message", "hint"),
+    [
+        ("paylod >= 2", "paylod", "there is no attribute 'paylod'", "did you mean 'payload'?"),
+        ("ready && xyzzy", "xyzzy", "there is no attribute 'xyzzy'", "text stands in double quotes"),
+        ("environment == areal", "areal", "'environment' is never 'areal'", "did you mean 'aerial'?"),
+        ('power == "wind"', '"wind"', "'power' is never 'wind'", "it can be battery and cable"),
+        ("payload = 2", "=", "'=' would assign", "compare with =="),
+        ("payload", "payload", "this is a number, not true or false", "compare it, as in payload >= 2.0"),
+        ("payload > environment", "environment", "'>' takes numbers; this is a set", ""),
+        ("payload && ready", "payload", "'&&' takes what is true or false; this is a number", ""),
+        ("payload == ready", "payload == ready", "'==' compares a number with true or false", ""),
+        ("payload % 2 == 0", "%", "'%' has no meaning over attributes", ""),
+        ("ready and true", "and", "'and' is not expected here", "write &&"),
+        ("not ready", "ready", "'ready' is not expected here", "write !"),
+        ("payload > 1)", ")", "')' is not expected here", "the condition ends before it"),
+        ("sin(payload) > 0", "sin", "there is no function 'sin' here", "did you mean 'min'?"),
+        ("max(payload) > 0", "max(payload)", "max() takes 2 to 16 arguments, not 1", ""),
+        ("abs(1, 2) > 0", "abs(1, 2)", "abs() takes 1 argument, not 2", ""),
+        ("payload != null", "null", "null is no value of an attribute", ""),
+        ("payload[0] > 1", "payload[0]", "this has no meaning in a condition over attributes", ""),
+        ("new Lift() == ready", "new Lift()", "this has no meaning in a condition over attributes", ""),
+        ("grip.payload > 1", "grip.payload", "an attribute has no members", "write its name alone"),
+        ("distance(a, b) < 1", "distance(a, b)", "distance() is between two parts",
+         "only the rule of a composition has parts"),
+        ("ready ? ready : ready", "?", "L has no ? : expression", ""),
+        ("payload >= 2 ready", "ready", "'ready' is not expected here", "the condition ends before it"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_told_at_its_place(text: str, place: str, message: str, hint: str) -> None:
+    (mistake,) = mistakes(text)
+    assert text[mistake.start : mistake.end] == place
+    assert (mistake.message, mistake.hint) == (message, hint)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "nothing is written here"),
+        (" \n", "nothing is written here"),
+        ("payload >=", "expected an expression, found the end of the text"),
+        ("ready || " * 500, "this is longer than 2000 characters"),
+        ("(" * 500 + "ready", "this is nested more than 100 levels deep"),
+        ("!" * 500 + "ready", "this is nested more than 100 levels deep"),
+    ],
+)
+def test_a_text_that_is_no_condition(text: str, message: str) -> None:
+    (mistake,) = mistakes(text)
+    assert mistake.message == message
+
+
+def test_all_mistakes_are_told_at_once() -> None:
+    with pytest.raises(ConstraintError) as caught:
+        wish("paylod > 1 && reach == aerial && environment == areal")
+    assert caught.value.problems == (
+        "there is no attribute 'paylod' (did you mean 'payload'?)",
+        "there is no attribute 'aerial' (text stands in double quotes)",
+        "'environment' is never 'areal' (did you mean 'aerial'?)",
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("grip.robot != climb.robot", None),
+        ("distance(grip, climb) <= climb.reach", None),
+        ("grip.environment == climb.environment", None),
+        ("grip.environment == aerial", None),
+        ("payload >= 1", None),
+        ("reach >= 1", "whose 'reach' is meant?"),
+        ("grp.reach >= 1", "there is no part 'grp'"),
+        ("grip.rech >= 1", "there is no attribute 'rech'"),
+        ("grip == climb", "parts cannot be compared"),
+        ("distance(grip) < 1", "distance() takes two parts"),
+        ("distance(grip, payload) < 1", "distance() takes two parts"),
+        ("grip.a.b == 1", "this is no part"),
+        ("grip < climb", "'<' takes numbers; this is a part"),
+    ],
+)
+def test_a_condition_over_the_parts_of_a_composition(text: str, message: str | None) -> None:
+    expression, found = parse(text)
+    assert expression is not None
+    found = check(expression, Scope.of_parts(ATTRIBUTES, ["grip", "climb"], ["payload"]), "boolean")
+    messages = [mistake.message for mistake in found]
+    assert messages[:1] == ([] if message is None else [message])
+
+
+def test_distance_needs_positions() -> None:
+    expression, _ = parse("distance(grip, climb) < 1")
+    assert expression is not None
+    attributes = {name: a for name, a in ATTRIBUTES.items() if name != "down"}
+    (mistake,) = check(expression, Scope.of_parts(attributes, ["grip", "climb"]), "boolean")
+    assert mistake.message == "distance() needs the attributes down"
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted", "message"),
+    [
+        ("payload + 1", "number", None),
+        ("environment", "set", None),
+        ("ready", "any", None),
+        ("ready", "number", "this is true or false, not a number"),
+        ("power", "set", "this is text, not a set"),
+    ],
+)
+def test_what_an_expression_shall_be(text: str, wanted: str, message: str | None) -> None:
+    expression, _ = parse(text)
+    assert expression is not None
+    found = check(expression, Scope.of_offer(ATTRIBUTES), wanted)  # type: ignore[arg-type]  # a parameter
+    assert [m.message for m in found] == ([] if message is None else [message])
+
+
+def test_a_text_in_an_error_is_cut() -> None:
+    with pytest.raises(ConstraintError) as caught:
+        wish("x" * MAX_LENGTH)
+    assert len(caught.value.text) == 80
+
+
+_WORDS = [
+    *ATTRIBUTES,
+    "agent",
+    "aerial",
+    "true",
+    "null",
+    "new",
+    "this",
+    "distance",
+    "min",
+    '"',
+    "2.0",
+    "1e999",
+]
+_SIGNS = [
+    "&&",
+    "||",
+    "!",
+    "==",
+    "<",
+    "=",
+    "?",
+    ":",
+    "(",
+    ")",
+    "[",
+    "]",
+    ",",
+    ".",
+    "-",
+    "/",
+    "/*",
+    "//",
+    ";",
+    "{",
+]
+
+
+@given(st.one_of(st.text(max_size=60), st.lists(st.sampled_from(_WORDS + _SIGNS), max_size=20).map(" ".join)))
+def test_a_hostile_text_is_refused_with_places_within_it(text: str) -> None:
+    with contextlib.suppress(ConstraintError):
+        compile_constraint(text, ATTRIBUTES)
+    for mistake in parse(text)[1]:
+        assert 0 <= mistake.start <= mistake.end <= max(len(text), 1)
+
+
+def mistakes(text: str) -> list[Mistake]:
+    """What is wrong with a condition on an offer."""
+    expression, found = parse(text)
+    return found if expression is None else check(expression, Scope.of_offer(ATTRIBUTES), "boolean")

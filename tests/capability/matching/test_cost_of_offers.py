@@ -1,0 +1,118 @@
+"""The cost of an offer is the formula of ranking.py."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+
+import pytest
+from small_registry import Crew, candidate, composition, equivalence, provider, registry, wish
+
+from lfield.capability.matching import Matcher
+from lfield.capability.model import Registry, Weights
+from lfield.capability.offer import Candidate, Fact
+
+CRANE = provider("Crane", ["Lift"], payload=6.0)
+QUIET = provider("Quiet", ["Lift"], payload=2.0, noise=1.0)
+
+
+def costs(made: Registry, *members: Candidate, constraint: str = "") -> dict[str, float]:
+    """The cost of every offer to lift, by agent."""
+    offers = Matcher(made, Crew(*members)).offers("Lift", wish(constraint) if constraint else None)
+    return {offer.agent: offer.cost for offer in offers}
+
+
+def test_a_typical_value_costs_a_half() -> None:
+    crane, here = candidate("x", "Crane", payload=2.0), candidate("y", "Crane", hops=0, payload=2.0)
+    assert costs(registry(CRANE), crane, here) == pytest.approx({"x": 0.5 + 0.1, "y": 0.5})
+
+
+def test_the_better_value_costs_less_whether_more_or_less_is_better() -> None:
+    members = [
+        candidate("strong", "Crane"),
+        candidate("quiet", "Quiet"),
+        candidate("mute", "Quiet", noise=-1.0),
+    ]
+    found = costs(registry(CRANE, QUIET), *members)
+    assert found["strong"] == pytest.approx((2 / (2 + 6) + 0.5) / 2 + 0.1)
+    assert found["quiet"] == pytest.approx((2 / (2 + 2) + 1 / (4 + 1)) / 2 + 0.1)
+    assert found["mute"] == pytest.approx((2 / (2 + 2) + 0) / 2 + 0.1)
+
+
+def test_attributes_are_weighed() -> None:
+    weights = Weights(fitness=10.0, hop=0.0, attributes={"payload": 3.0})
+    found = costs(registry(QUIET, weights=weights), candidate("x", "Quiet"))
+    assert found["x"] == pytest.approx(10 * (3 * 0.5 + 1 * 0.2) / 4)
+
+
+def test_an_attribute_without_weight_does_not_count() -> None:
+    weights = Weights(attributes={"payload": 0.0, "noise": 0.0})
+    assert costs(registry(QUIET, weights=weights), candidate("x", "Quiet")) == pytest.approx({"x": 0.1})
+
+
+def test_silence_is_no_merit() -> None:
+    found = costs(
+        registry(provider("Any", ["Lift"]), agents={"good": {"payload": 6.0}, "bad": {"payload": 0.5}}),
+        candidate("silent", "Any"),
+        candidate("good", "Any", payload=6.0),
+        candidate("bad", "Any", payload=0.5),
+    )
+    assert list(found) == ["good", "silent", "bad"]
+
+
+@pytest.mark.parametrize(("age", "share"), [(0.0, 0.0), (5.0, 0.5), (10.0, 1.0), (99.0, 1.0)])
+def test_the_age_of_what_is_asked_for_counts(age: float, share: float) -> None:
+    member = candidate("x", "Crane", battery=Fact(1.0, age), east=Fact(0.0, 2.5))
+    base = 2 / (2 + 6) + 0.1
+    assert costs(registry(CRANE), member) == pytest.approx({"x": base})
+    if age <= 10:
+        found = costs(registry(CRANE), member, constraint="battery > 0.5")
+        assert found == pytest.approx({"x": base + 0.2 * share})
+    found = costs(registry(CRANE), member, constraint="battery > 0.5 || ready || payload > 1")
+    assert found == pytest.approx({"x": base + 0.2 * share})
+
+
+def test_rules_add_their_loss_and_parts_add_up() -> None:
+    parts = provider("Part", ["Grip", "Climb"], payload=2.0)
+    one = equivalence("one", "Lift", "Climb", loss=0.25)
+    both = composition("both", "Lift", {"a": "Grip", "b": "Climb", "c": "Climb"}, loss=1.0)
+    offers = Matcher(registry(parts, one, both), Crew(candidate("x", "Part", hops=0))).offers("Lift")
+    assert [(o.way, o.cost) for o in offers] == [
+        ("as_one", pytest.approx(0.5 + 2 * 0.25)),
+        ("of_both", pytest.approx(3 * 0.5 + 2 * 1.0 + 0.5 * 2)),
+    ]
+    assert offers[0].score == pytest.approx(1 / 2)
+
+
+def test_ties_go_to_fewer_rules_then_names_then_the_deployment() -> None:
+    types = [provider("A", ["Lift", "Climb"]), provider("B", ["Lift"])]
+    rules = [equivalence("y", "Lift", "Climb"), equivalence("x", "Lift", "Climb")]
+    crew = Crew(candidate("b1", "B"), candidate("a2", "A"), candidate("a1", "A"))
+    offers = Matcher(registry(*types, *rules), crew).offers("Lift")
+    assert [f"{o.way} {o.agent}" for o in offers] == [
+        *("byA a2", "byA a1", "byB b1"),
+        *("as_x a2", "as_x a1", "as_y a2", "as_y a1"),
+    ]
+
+
+def test_the_order_of_the_registry_makes_no_difference() -> None:
+    types = [provider(f"T{i}", ["Lift", "Grip", "Climb"], payload=0.1 * i, noise=0.7) for i in range(4)]
+    rules = [
+        *(equivalence(f"e{i}", "Lift", "Climb", loss=0.1) for i in range(3)),
+        composition("c", "Lift", {"a": "Grip", "b": "Climb"}, payload="a.payload + b.payload"),
+    ]
+    made = registry(*types, *rules)
+    crew = Crew(*[candidate(f"x{i}{j}", f"T{i}", reach=0.3 * j) for i in range(4) for j in range(3)])
+    expected = Matcher(made, crew).offers("Lift", wish("payload >= 0.1"))
+    refused = Matcher(made, crew).explain("Lift", wish("payload >= 0.1"))
+    shuffle = random.Random(1)
+    for _ in range(5):
+        mixed = replace(
+            made,
+            **{
+                section: dict(shuffle.sample(entries := list(getattr(made, section).items()), len(entries)))
+                for section in ("attributes", "primitives", "providers", "equivalences", "compositions")
+            },
+        )
+        assert Matcher(mixed, crew).offers("Lift", wish("payload >= 0.1")) == expected
+        assert Matcher(mixed, crew).explain("Lift", wish("payload >= 0.1")) == refused
