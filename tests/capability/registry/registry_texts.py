@@ -156,9 +156,7 @@ def registries() -> st.SearchStrategy[dict[str, Any]]:
             "primitives": st.one_of(st.none(), _primitives()),
             "providers": st.one_of(st.none(), _providers()),
             "equivalences": st.one_of(st.none(), _rules()),
-            "agents": st.dictionaries(
-                st.text("abé-9 #:", min_size=1, max_size=5), _some(**_VALUES), max_size=2
-            ),
+            "agents": st.dictionaries(agents, _some(**_VALUES), max_size=2),
             "ranking": st.one_of(st.none(), ranking),
         },
     )

@@ -12,6 +12,7 @@ from lfield.capability.model import Registry
 from lfield.capability.program_check import check_against, check_classes
 from lfield.capability.reader import check_files, read_registry
 from lfield.capability.signatures import Signature, signatures_of
+from lfield.capability.units import known
 from lfield.driver.plugins import discover
 from lfield.lang.parser import parse
 from lfield.source import Diagnostics, Source
@@ -23,7 +24,7 @@ resource Crane {
     Rover fc;
     int count;
 
-    init Crane(string port) { }
+    init(string port) { }
 
     portal reel(real millimetres) emit int { return 1; }
     portal reel(string far) { }
@@ -66,7 +67,7 @@ def test_signatures() -> None:
         {"fc": "Rover", "count": "int"},
         [],
         "resource",
-        "global",
+        "resource",
     )
     assert units["Both"] == Signature(
         "Both", {"lift": [(("real",), "real")]}, {}, [("Grip",), ()], "class", "coordinator"
@@ -104,7 +105,7 @@ def test_a_live_attribute_comes_in_the_unit_of_its_manifest(tmp_path: Path) -> N
     settled = settle_live(registry, {"Crane": {"fc": "Rover"}}, {"Rover": ROVER}, found)
     assert found.found == []
     live = settled.providers["Crane"].live
-    assert {name: (l.factor, l.offset) for name, l in live.items()} == {
+    assert {name: (source.factor, source.offset) for name, source in live.items()} == {
         "battery": (0.01, 0.0),
         "heat": (1.0, -273.15),
         "down": (1.0, 0.0),
@@ -119,6 +120,14 @@ def test_what_does_not_fit_is_left_out(tmp_path: Path) -> None:
     settled = settle_live(registry, {"Crane": {"fc": "Rover"}}, {"Rover": ROVER}, found)
     assert list(settled.providers["Crane"].live) == ["battery"]
     assert [d.code for d in found.found] == ["C172"]
+
+
+def test_every_unit_of_a_driver_is_known() -> None:
+    devices = discover().device_types.values()
+    told = {quantity.unit for device in devices for quantity in device.telemetry}
+    taken = {p.unit for device in devices for i in device.instructions for p in i.parameters}
+    assert [unit for unit in told | taken if not known(unit)] == []
+    assert "°C" in told
 
 
 def test_what_we_ship_fits_what_we_ship() -> None:
