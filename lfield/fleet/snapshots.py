@@ -31,9 +31,15 @@ class Snapshots:
             for device in self._devices.values()
             for quantity in installed.manifests[device.type].device.telemetry
         }
-        self._patience = dict.fromkeys(self._devices, LOST_AFTER)
-        for (name, _), declared in self._quantities.items():
-            self._patience[name] = max(self._patience[name], declared.max_age)
+        self._patience = {
+            device.name: max(
+                LOST_AFTER,
+                min(
+                    (q.max_age for q in installed.manifests[device.type].device.telemetry), default=LOST_AFTER
+                ),
+            )
+            for device in self._devices.values()
+        }
         self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}
         self._readings: dict[tuple[str, str], Reading] = {}
         self._heard: dict[str, float] = {}
@@ -76,7 +82,7 @@ class Snapshots:
     def lost_since(self, device: str) -> float | None:
         """Since when a device has not been heard, if that is longer than it should take; None if not.
 
-        It should take as long as its slowest quantity may be old, and LOST_AFTER at least. A device that has
+        It should take as long as its quickest quantity may be old, and LOST_AFTER at least. A device that has
         never said anything is not lost: not every one has something to say.
         """
         heard = self._heard.get(device)
