@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from functools import lru_cache
+from typing import Any
 
 from lfield.capability.explain import render
 from lfield.capability.expression import Expression, compile_constraint
 from lfield.capability.matching import Matcher
-from lfield.capability.model import Registry, Value
+from lfield.capability.model import Registry
 from lfield.capability.offer import Offer, Team
 from lfield.vm.offers import Found
 
 #: How many conditions are kept compiled.
 MOST_CONSTRAINTS = 256
+
+_NO_PARTS: Mapping[str, Found] = {}
 
 
 class Answers:
@@ -32,12 +35,17 @@ class Answers:
     ) -> None:
         self._attributes, self._numbers = registry.attributes, numbers
         self._matcher = Matcher(registry, team, ways)
+        self._last: dict[int, tuple[Offer, Found]] = {}
         self._compiled = lru_cache(MOST_CONSTRAINTS)(self._compile)
 
     def offers(self, capability: str, constraint: str | None) -> list[Found]:
         """Who offers a capability and fulfils the condition, best first. Raises ConstraintError."""
-        offers = self._matcher.offers(capability, self._compiled(constraint))
-        return [found(offer, self._numbers) for offer in offers]
+        before, self._last = self._last, {}
+        for offer in self._matcher.offers(capability, self._compiled(constraint)):
+            # Where nothing has changed, the matcher gives the very same offers again.
+            key = id(offer)
+            self._last[key] = before.get(key) or (offer, found(offer, self._numbers))
+        return [one for _, one in self._last.values()]
 
     def explain(self, capability: str, constraint: str | None) -> str:
         """Why everybody else does not, a line each; '' when there is nobody else. Raises ConstraintError."""
@@ -52,21 +60,26 @@ class Answers:
 
 
 def found(offer: Offer, numbers: Mapping[str, int]) -> Found:
-    """What L gets to know of an offer."""
-    facts = offer.facts
-    values = [fact.value for fact in facts.values()]
+    """What L gets to know of an offer. There may be a thousand of them in one answer."""
+    facts = offer.facts.values()
+    values: list[Any] = [fact.value for fact in facts]
+    texts: list[str | None] = [None] * len(values)
+    for i in _worded(tuple(map(type, values))):
+        texts[i] = _text(values[i])
+        values[i] = float(values[i]) if isinstance(values[i], bool) else math.nan
+    direct = offer.kind == "direct"
     return Found(
         offer.way,
         offer.agent,
         offer.host,
-        way_text(offer),
+        offer.kind if direct else way_text(offer),
         offer.score,
-        numbers[offer.agent] if offer.kind == "direct" else -1,
-        {name: found(part, numbers) for name, part in offer.parts.items()},
-        tuple(facts),
-        tuple(map(_number, values)),
-        tuple(map(_text, values)),
-        tuple([fact.age for fact in facts.values()]),
+        numbers[offer.agent] if direct else -1,
+        {name: found(part, numbers) for name, part in offer.parts.items()} if offer.parts else _NO_PARTS,
+        tuple(offer.facts),
+        tuple(values),
+        tuple(texts),
+        tuple([fact.age for fact in facts]),
     )
 
 
@@ -91,19 +104,15 @@ def _aside(part: Offer, whole: bool) -> str:
     return f" ({', '.join(told)})" if told else ""
 
 
-def _number(value: Value) -> float:
-    """The number of a value; a truth is 1 or 0, and what is no number is NaN."""
-    return math.nan if isinstance(value, str | frozenset) else float(value)
+@lru_cache(maxsize=1024)
+def _worded(types: tuple[type, ...]) -> tuple[int, ...]:
+    """Which values of these types have words of their own: all but numbers."""
+    return tuple(i for i, kind in enumerate(types) if kind not in (int, float))
 
 
-def _text(value: Value) -> str | None:
-    """The value in words; None for a number, which says it best itself."""
-    match value:
-        case bool():
-            return "true" if value else "false"
-        case frozenset():
-            return ", ".join(sorted(value))
-        case str():
-            return value
-        case _:
-            return None
+@lru_cache(maxsize=1024)
+def _text(value: bool | str | frozenset[str]) -> str:
+    """The value in words."""
+    if isinstance(value, frozenset):
+        return ", ".join(sorted(value))
+    return value if isinstance(value, str) else str(value).lower()

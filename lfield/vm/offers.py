@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 from lfield.bytecode.program import ARRAY, FACT_FIELDS, FACTS, OBJECT, PROXY, Program, TypeRecord
 from lfield.vm import layout
@@ -24,14 +24,13 @@ _FACTS_WORDS = 1 + len(FACT_FIELDS)
 _TWO = struct.Struct("<2q")
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
+class Found(NamedTuple):
     """Somebody who can do it now.
 
     `way` is the field of the capability's class that stands for how. Directly, that is a proxy for the agent
     with the number `member`; otherwise `parts` are the offers in the fields they belong to. `kind` says the
     same in words. For each attribute there is a name, a number (NaN when it is none), a text (None: show the
-    number) and an age in seconds; the four are equally long.
+    number) and an age in seconds; the four are equally long. A tuple, because there may be a thousand.
     """
 
     way: str
@@ -40,7 +39,7 @@ class Found:
     kind: str
     score: float
     member: int = -1
-    parts: Mapping[str, Found] = field(default_factory=dict)
+    parts: Mapping[str, Found] = {}
     names: tuple[str, ...] = ()
     numbers: tuple[float, ...] = ()
     texts: tuple[str | None, ...] = ()
@@ -52,28 +51,34 @@ class UnknownWay(Exception):
 
 
 class Shape:
-    """The class of a capability: words and header of its objects, and their ways by name.
+    """The class of a capability: words and header of its objects, and by name the fields that may be filled.
 
-    A way has its number among the ways, the kind of its type, and the class of what its field holds.
+    Of each its number among the ways, the kind of its type, and the class of what it holds. The object that
+    puts several parts together is none of them: L makes it at the first call.
     """
 
     def __init__(self, program: Program, index: int) -> None:
-        record, types = program.core.classes[index], program.core.types
+        classes = program.core.classes
+        record = classes[index]
+        fields = [program.core.types[f.type] for f in record.fields[1:]]
         self.name = record.name
         self.words = 1 + len(record.fields)
         self.head = header(layout.OBJECT, index, self.words)
+        self.no_way = [0] * len(fields)
         self.ways = {
-            f.name: (number, types[f.type].kind, types[f.type].of)
-            for number, f in enumerate(record.fields[1:])
+            f.name: (number, kind.kind, kind.of)
+            for number, (f, kind) in enumerate(zip(record.fields[1:], fields, strict=True))
+            if kind.kind == PROXY or (kind.kind == OBJECT and classes[kind.of].capability)
         }
-        self._structs: dict[int, struct.Struct] = {}
+        self._structs: dict[tuple[int, bool], struct.Struct] = {}
 
-    def words_with(self, numbers: int) -> struct.Struct:
-        """An offer, what it says of itself, and the array of so many numbers."""
-        found = self._structs.get(numbers)
+    def packed(self, numbers: int, direct: bool) -> struct.Struct:
+        """An offer, what it says of itself, an array of so many numbers, and a proxy if it is direct."""
+        found = self._structs.get((numbers, direct))
         if found is None:
-            found = struct.Struct(f"<{2 + len(self.ways)}q4qd4qq{numbers}d")
-            self._structs[numbers] = found
+            proxy = "2q" if direct else ""
+            found = struct.Struct(f"<{2 + len(self.no_way)}q4qd4qq{numbers}d{proxy}")
+            self._structs[numbers, direct] = found
         return found
 
     def way(self, name: str, kind: int) -> tuple[int, int]:
@@ -143,41 +148,41 @@ class _Writer:
         self._texts: dict[str | None, int] = {None: 0}
         self._lists: dict[tuple[str | None, ...], int] = {}
         self._ages: dict[tuple[float, ...], int] = {}
-        self._proxies: dict[tuple[int, int], int] = {}
 
     def offer(self, shape: Shape, found: Found) -> int:
-        """An offer with its parts; what it says of itself and its numbers follow it directly."""
-        shapes, text, ways = self._shapes, self._text, [0] * len(shape.ways)
-        if found.parts:
-            for name, part in found.parts.items():
-                number, of = shape.way(name, OBJECT)
-                ways[number] = self.offer(shapes.of[of], part)
-        else:
-            number, of = shape.way(found.way, PROXY)
-            ways[number] = self._proxy(of, found.member)
-        agent, host, kind = text(found.agent), text(found.host), text(found.kind)
-        names, texts, ages = self._strings(found.names), self._strings(found.texts), self._reals(found.ages)
-        count = len(found.numbers)
-        place = self._top
-        facts = place + shape.words
-        data = shape.words_with(count).pack(
+        """An offer with its parts; what it says of itself, its numbers and its proxy follow it directly."""
+        way, agent, host, kind, score, member, parts, names, numbers, texts, ages = found
+        shapes, text, ways = self._shapes, self._text, shape.no_way.copy()
+        for name, part in parts.items():
+            number, of = shape.way(name, OBJECT)
+            ways[number] = self.offer(shapes.of[of], part)
+        count = len(numbers)
+        words = [
             shape.head,
-            facts,
+            0,
             *ways,
             shapes.facts,
-            agent,
-            host,
-            kind,
-            found.score,
-            names,
-            facts + _FACTS_WORDS,
-            texts,
-            ages,
+            text(agent),
+            text(host),
+            text(kind),
+            score,
+            self._strings(names),
+            0,
+            self._strings(texts),
+            self._reals(ages),
             shapes.reals | 1 + count << 32,
-            *found.numbers,
-        )
+            *numbers,
+        ]
+        place = self._top
+        words[1] = facts = place + shape.words
+        words[shape.words + 6] = array = facts + _FACTS_WORDS
+        if not parts:
+            number, of = shape.way(way, PROXY)
+            words[2 + number] = array + 1 + count
+            words += (header(layout.PROXY, of, 2), member)
+        data = shape.packed(count, not parts).pack(*words)
         self.chunks.append(data)
-        self._top += len(data) >> 3
+        self._top = place + (len(data) >> 3)
         return place
 
     def array(self, head: int, places: Sequence[int]) -> int:
@@ -209,13 +214,6 @@ class _Writer:
         if place is None:
             head = self._shapes.reals | 1 + len(numbers) << 32
             place = self._ages[numbers] = self._put(struct.pack(f"<q{len(numbers)}d", head, *numbers))
-        return place
-
-    def _proxy(self, resource: int, member: int) -> int:
-        place = self._proxies.get((resource, member))
-        if place is None:
-            data = _TWO.pack(header(layout.PROXY, resource, 2), member)
-            place = self._proxies[resource, member] = self._put(data)
         return place
 
 

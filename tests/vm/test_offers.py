@@ -1,0 +1,291 @@
+"""Offers in the block: written at once, ordinary objects from then on, an exception when there is no room."""
+
+from __future__ import annotations
+
+import math
+import random
+from functools import cache
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.bytecode.program import Program
+from lfield.capability.model import Registry
+from lfield.capability.reader import read_registry
+from lfield.clock import ManualClock
+from lfield.testing.golden import Desk, compile_text, settle
+from lfield.vm import layout
+from lfield.vm.agent import Member
+from lfield.vm.block import Block, Full
+from lfield.vm.collector import collect
+from lfield.vm.copier import deep_copy
+from lfield.vm.engine.prepare import prepare
+from lfield.vm.layout import Layouts
+from lfield.vm.limits import Limits
+from lfield.vm.machine import Machine
+from lfield.vm.offers import Found, Shapes, UnknownWay, ways, write_offers
+from lfield.vm.soundness import Soundness
+
+TEAM = """
+resource Crane {
+  init(string[] arg) { while (true) yield(); }
+  portal lift(real height) emit real { print("crane " + f2s(height)); return height; }
+  portal stop() { }
+}
+resource Copter {
+  init(string[] arg) { while (true) yield(); }
+  portal climb(real height) emit real { print("copter " + f2s(height)); return height; }
+  portal stop() { }
+}
+resource Hand {
+  init(string[] arg) { while (true) yield(); }
+  portal grip() emit boolean { print("hand"); return true; }
+}
+"""
+BOSS = "coordinator Boss { init(string[] arg) { Lift[] who = findLift(arg[1]); %s } }"
+
+
+@cache
+def registry() -> Registry:
+    return read_registry([Path(__file__).parents[1] / "golden" / "programs" / "lifting.yaml"])
+
+
+@cache
+def program(body: str = "") -> Program:
+    return compile_text(TEAM + BOSS % body, registry=registry())
+
+
+def members(host: int = 0) -> list[Member]:
+    return [
+        Member(0, "crane", "Crane", "resource", host),
+        Member(1, "copter", "Copter", "resource", host),
+        Member(2, "hand", "Hand", "resource", host),
+        Member(3, "boss", "Boss", "coordinator", 0, ("any",)),
+    ]
+
+
+def direct(way: str, member: int, **facts: object) -> Found:
+    return Found(way, f"agent{member}", "host", "direct", 0.5, member, **facts)
+
+
+CLIMB, GRIP = direct("byCopter", 1), direct("byHand", 2)
+PARTS = {"of_grip_and_climb_hand": GRIP, "of_grip_and_climb_sky": CLIMB}
+WHOLE = Found("of_grip_and_climb", "hand+copter", "a+b", "composed: ...", 0.25, parts=PARTS)
+
+_texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
+_fact = st.tuples(
+    _texts, st.floats(allow_nan=False), st.one_of(st.none(), _texts), st.floats(0, 1e6, allow_nan=False)
+)
+
+
+@st.composite
+def offers(draw: st.DrawFn) -> Found:
+    """An offer of Lift with any facts, by any way, and its parts with any."""
+    facts = [tuple(column) for column in zip(*draw(st.lists(_fact, max_size=4)), strict=True)]
+    names, numbers, texts, ages = facts or ((), (), (), ())
+    said = {"agent": draw(_texts), "host": draw(_texts), "kind": draw(_texts), "score": draw(st.floats(0, 1))}
+    said |= {"names": names, "numbers": numbers, "texts": texts, "ages": ages}
+    way = draw(st.sampled_from(["byCrane", "as_climb_lifts", "of_grip_and_climb"]))
+    if way == "byCrane":
+        return Found(way, member=draw(st.sampled_from([0, 3])), **said)
+    parts = PARTS if way == "of_grip_and_climb" else {way: CLIMB}
+    return Found(way, parts=parts, **said)
+
+
+def new_block(limit: int = 1 << 17) -> Block:
+    block = Block.empty(program().digest, limit)
+    collect(block, Layouts(program()), min(limit, 1 << 15) - 512)
+    return block
+
+
+def read(block: Block, place: int, name: str = "Lift") -> Found:
+    """An offer as it stands in a block."""
+    index = program().class_index[name]
+    head = block.w[place]
+    assert (head & 0xFF, head >> 8 & 0xFFFFFF) == (layout.OBJECT, index)
+    fields = [f.name for f in program().core.classes[index].fields]
+    filled = {field: block.w[place + 1 + i] for i, field in enumerate(fields) if block.w[place + 1 + i]}
+    facts = filled.pop("facts")
+    agent, host, kind = (block.text(block.w[facts + i]) for i in (1, 2, 3))
+    names, texts = (strings(block, block.w[facts + i]) for i in (5, 7))
+    numbers, ages = (reals(block, block.w[facts + i]) for i in (6, 8))
+    said = (agent, host, kind, block.r[facts + 4])
+    (way, target), *_ = filled.items()
+    if block.w[target] & 0xFF == layout.PROXY:
+        return Found(way, *said, block.w[target + 1], {}, names, numbers, texts, ages)
+    kinds = {"as_climb_lifts": "Climb", "of_grip_and_climb_hand": "Grip", "of_grip_and_climb_sky": "Climb"}
+    parts = {field: read(block, part, kinds[field]) for field, part in filled.items()}
+    own = "of_grip_and_climb" if len(parts) > 1 else way
+    return Found(own, *said, -1, parts, names, numbers, texts, ages)
+
+
+def elements(block: Block, place: int) -> range:
+    return range(place + 1, place + (block.w[place] >> 32))
+
+
+def strings(block: Block, place: int) -> tuple[str | None, ...]:
+    return tuple(block.string(block.w[i]) if block.w[i] else None for i in elements(block, place))
+
+
+def reals(block: Block, place: int) -> tuple[float, ...]:
+    return tuple(block.r[i] for i in elements(block, place))
+
+
+def read_all(block: Block, array: int) -> list[Found]:
+    return [read(block, block.w[i]) for i in elements(block, array)]
+
+
+def written(block: Block, found: list[Found]) -> int:
+    return write_offers(block, Shapes(program()), program().class_index["Lift"], found)
+
+
+@given(st.lists(offers(), max_size=6))
+def test_offers_are_ordinary_objects(found: list[Found]) -> None:
+    """Read back, looked through as bytes from a peer would be, collected, and copied deeply."""
+    layouts = Layouts(program())
+    block, other = new_block(), new_block()
+    array = written(block, found)
+    assert read_all(block, array) == found
+    (copy,) = deep_copy(block, [array], other, layouts)
+    assert read_all(other, copy) == found
+    block.w[layout.W_THREADS] = 0
+    soundness = Soundness(prepare(program()), ["Crane", "Copter", "Hand", "Crane"])
+    block.w[layout.W_CLASS] = program().class_index["Boss"]
+    soundness.check_heap(bytes(block.image()), 1 << 17)
+    block.w[layout.W_ID] = array
+    collect(block, layouts)
+    assert read_all(block, block.w[layout.W_ID]) == found
+
+
+def test_equal_words_are_written_once() -> None:
+    few, many = new_block(), new_block()
+    names, numbers, texts, ages = ("payload", "colour"), (1.0, math.nan), (None, "red"), (0.0, 0.0)
+    one = Found("byCrane", "agent", "a host", "direct", 0.5, 0, {}, names, numbers, texts, ages)
+    found = [one] * 100
+    written(few, found[:1])
+    written(many, found)
+    words = {block.top - layout.HEADER_WORDS for block in (few, many)}
+    # The object, what it says, its numbers, its proxy, and its place in the array.
+    assert max(words) - min(words) == 99 * (7 + 9 + 3 + 2 + 1)
+
+
+def test_full_writes_nothing_and_says_how_many_words() -> None:
+    block = Block.empty(program().digest, 1 << 17)
+    before = bytes(block.image())
+    with pytest.raises(Full) as full:
+        written(block, [WHOLE] * 100)
+    assert bytes(block.image()) == before
+    collect(block, Layouts(program()), full.value.words)
+    start = block.top
+    written(block, [WHOLE] * 100)
+    assert block.top - start == full.value.words
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        direct("byWinch", 0),
+        direct("facts", 0),
+        direct("as_climb_lifts", 0),
+        Found("byCrane", "a", "h", "equivalent", 0.5, parts={"byCrane": CLIMB}),
+        Found("of_grip_and_climb", "a", "h", "composed", 0.5, parts={"of_grip_and_climb": GRIP}),
+    ],
+)
+def test_a_way_that_the_program_was_not_built_with(found: Found) -> None:
+    with pytest.raises(UnknownWay, match="the program knows no way"):
+        written(new_block(), [found])
+
+
+def test_the_ways_of_a_program() -> None:
+    assert ways(program()) == {
+        "Lift": {
+            "byCrane",
+            "as_climb_lifts",
+            "of_grip_and_climb",
+            "of_grip_and_climb_hand",
+            "of_grip_and_climb_sky",
+        },
+        "Climb": {"byCopter"},
+        "Grip": {"byHand"},
+    }
+
+
+class Asked(Desk):
+    """A world that always finds the same."""
+
+    def __init__(self, found: list[Found]) -> None:
+        super().__init__()
+        self.found = found
+        self.queries: list[tuple[str, str | None]] = []
+
+    def offers(self, agent: object, capability: str, constraint: str | None) -> list[Found]:
+        self.queries.append((capability, constraint))
+        return self.found
+
+
+def run(body: str, found: list[Found], heap: int = 1 << 20) -> Asked:
+    """The coordinator alone on a host with all resources."""
+    desk, clock = Asked(found), ManualClock()
+    machine = Machine(program(body), members(), 0, desk, clock, random.Random(1))
+    for member in members():
+        machine.start(member, Limits(heap=heap), generation=1)
+    settle(machine, clock)
+    return desk
+
+
+def test_a_query_is_made_once_even_when_there_is_a_collection_first() -> None:
+    body = "int[] garbage = new int[20000]; garbage = null; who = findLift(); print(who.length());"
+    desk = run(body, [WHOLE] * 300, heap=1 << 19)
+    assert desk.output == ["300"]
+    assert desk.queries == [("Lift", "any"), ("Lift", None)]
+
+
+def test_more_offers_than_the_heap_can_hold_are_an_exception() -> None:
+    desk = run("print(who.length());", [WHOLE] * 5000, heap=1 << 17)
+    (ended,) = (agent for agent in desk.endings if agent.ended == "died")
+    assert ended.report.startswith("LimitException: the heap of boss is over its limit of 131072 bytes")
+
+
+def test_offers_by_an_unknown_way_are_an_exception_that_can_be_caught() -> None:
+    body = "try { who = findLift(); } catch (ConstraintException e) { print(e.message()); }"
+    desk, clock = Asked([]), ManualClock()
+    machine = Machine(program(body), members(), 0, desk, clock)
+    for member in members():
+        machine.start(member, Limits(), generation=1)
+    desk.offers = lambda *asked: [] if asked[2] else [direct("byWinch", 0)]  # type: ignore[method-assign]  # one answer
+    settle(machine, clock)
+    assert desk.output == [
+        "the program knows no way 'byWinch' of Lift: build it again with the registry that the hosts have"
+    ]
+
+
+def test_offers_travel_with_the_coordinator_and_are_called_where_they_lead() -> None:
+    """Both machines, as two hosts: every call of an offer carries the coordinator over, parts and all."""
+    body = (
+        "for (int i = 0; i < who.length(); i = i + 1) { who[i].lift(i + 1.0); who[i].lift(0.5); }"
+        'print(who[2].agent() + who[2].way() + f2s(who[1].attribute("payload")) + i2s(hops()));'
+    )
+    facts = {"names": ("payload",), "numbers": (2.5,), "texts": (None,), "ages": (0.0,)}
+    equivalent = Found(
+        "as_climb_lifts", "copter", "b", "equivalent", 0.5, -1, {"as_climb_lifts": CLIMB}, **facts
+    )
+    team = members(1)
+    desks, clock = [Asked([direct("byCrane", 0), equivalent, WHOLE]), Asked([])], ManualClock()
+    machines = [Machine(program(body), team, i, desks[i], clock, random.Random(1)) for i in (0, 1)]
+    for member in team:
+        machines[member.host].start(member, Limits(), generation=1)
+    for machine in (*machines, *machines):
+        settle(machine, clock)
+        for desk in desks:
+            while desk.departures:
+                agent, to = desk.departures.pop()
+                image = bytes(machines[1 - to.host].pack(agent))
+                machines[to.host].admit(agent.member, image, Limits())
+                machines[1 - to.host].release(agent)
+    assert desks[1].output == [
+        "crane 1.0", "crane 0.5", "copter 2.0", "copter 0.5", "hand", "copter 3.0", "hand", "copter 0.5",
+        "hand+coptercomposed: ...2.51",
+    ]  # fmt: skip
+    assert [agent.ended for agent in desks[1].endings] == ["done"]
