@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
-from lfield.capability.importers import ros, vda5050
+from lfield.capability.importers import json_source, ros, vda5050
 from lfield.capability.importers.draft import Draft
-from lfield.capability.importers.messages import NOT_JSON, UNKNOWN_FILE
+from lfield.capability.importers.messages import UNKNOWN_FILE
 from lfield.capability.importers.writing import written
 from lfield.capability.model import Registry
 from lfield.errors import ProgramError
@@ -66,13 +64,9 @@ def _spec(path: Path, data: bytes, found: Diagnostics) -> ros.Spec | None:
 
 
 def _add_json(path: Path, data: bytes, draft: Draft, found: Diagnostics) -> None:
-    place = Span(Source(str(path), data[:200].decode("utf-8", "replace")), 0, 1)
-    try:
-        sheet = msgspec.json.decode(data.lstrip(_BEFORE))
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-        found.add(NOT_JSON.at(place, reason=str(error)))
-        return
-    if not isinstance(sheet, AnyMapping) or vda5050.SIGN not in sheet:
-        found.add(UNKNOWN_FILE.at(place))
-        return
-    vda5050.add_factsheet(str(path), sheet, draft)
+    sheet = json_source.decode(str(path), data, found)
+    if isinstance(sheet, AnyMapping) and vda5050.SIGN in sheet:
+        vda5050.add_factsheet(str(path), sheet, draft)
+    elif sheet is not None:
+        text = Source(str(path), data.decode("utf-8", "replace"))
+        found.add(UNKNOWN_FILE.at(Span(text, 0, 1)))

@@ -7,12 +7,16 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
+from lfield.capability.draft import MAX_NAME
 from lfield.capability.model import Registry
 from lfield.capability.signatures import RESERVED, RESERVED_TYPES
 from lfield.lang.scanner import KEYWORDS
 
 #: Most notes that are kept of one file, and most characters of a foreign text in any of them.
 MAX_NOTES, MAX_TEXT = 200, 300
+
+#: Most characters of a name that is made, before a number may follow.
+_LONGEST = 30
 
 _WORD = re.compile(r"[A-Za-z0-9]+")
 
@@ -40,10 +44,11 @@ class Draft:
             self.notes.append(f"{clean(file)}: and more that is not listed")
 
     def new_term(self, parent: str, name: str, qualifier: str = "") -> str:
-        """An id below `parent` that no term has yet."""
+        """An id below `parent` that no term has yet; below its root, where it would become too long."""
         taken = {*self.registry.terms, *self.taxonomy}
         taken.update(alias for term in self.registry.terms.values() for alias in term.aliases)
-        return _free(f"{parent}.{snake(name)}", taken, f"{parent}.{snake(f'{qualifier} {name}')}", "_")
+        above = parent if len(parent) + _LONGEST < MAX_NAME else parent.partition(".")[0]
+        return _free(f"{above}.{snake(name)}", taken, f"{above}.{snake(f'{qualifier} {name}')}", "_")
 
     def new_type(self, name: str, qualifier: str = "") -> str:
         """A type in L that neither a primitive nor a provider has yet."""
@@ -78,13 +83,13 @@ def words_of(name: str) -> list[str]:
 
 def snake(name: str) -> str:
     """As a part of a dotted id: `front_rgb_camera`."""
-    text = "_".join(words_of(name)).lower()[:40]
+    text = "_".join(words_of(name)).lower()[:_LONGEST]
     return text if text[:1].isalpha() else f"x_{text}".rstrip("_")
 
 
 def camel(name: str) -> str:
     """As a type in L: `FrontRgbCamera`."""
-    text = "".join(word.capitalize() for word in words_of(name))[:40]
+    text = "".join(word.capitalize() for word in words_of(name))[:_LONGEST]
     return text if text[:1].isalpha() else f"X{text}"
 
 

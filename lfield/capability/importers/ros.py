@@ -11,7 +11,7 @@ services of `std_srvs` become portals; for topics, parameters and actions no por
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -56,7 +56,7 @@ _PROVIDER_KEYS = {
 _SPEC_KEYS = ("name", "spec_version", "spec_type", "description")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Spec:
     """One spec: `package/name`, and its text."""
 
@@ -72,8 +72,23 @@ class Spec:
         return text_of(self.node, "description")
 
     def refers_to(self, key: str) -> str:
-        """The bare name of another spec: of `package/Name`, the Name."""
-        return text_of(self.node, key).rpartition("/")[2]
+        """The name of another spec, `package/Name` or just `Name`."""
+        return text_of(self.node, key)
+
+
+@dataclass(frozen=True, slots=True)
+class _Element:
+    """One thing that an interface consists of; `required` when the robot needs it from others."""
+
+    section: str
+    name: str
+    type: str
+    meaning: str
+    required: bool
+
+    def __str__(self) -> str:
+        kind = self.section.removesuffix("s").replace("_", " ")
+        return f"{clean(kind)} '{clean(self.name)}'" + (f" ({clean(self.type)})" if self.type else "")
 
 
 @dataclass(slots=True)
@@ -104,30 +119,35 @@ def read_spec(path: Path, kind: Kind, node: Mapping, found: Diagnostics) -> Spec
     return Spec(str(path), kind, package, name, node)
 
 
-def add_specs(specs: Iterable[Spec], draft: Draft) -> None:
+def add_specs(specs: Sequence[Spec], draft: Draft) -> None:
     """Add all specs: interfaces first, then what redefines them, then who implements any of them."""
     made: dict[str, _Made] = {}
-    by_kind = {kind: [s for s in specs if s.kind == kind] for kind in ("interface", "semantic", "provider")}
-    for spec in by_kind["interface"]:
-        made.setdefault(spec.name, _add_interface(spec, draft))
-    for spec in _after_what_they_redefine(by_kind["semantic"]):
-        general = made.get(spec.refers_to("redefines"))
-        if general is None:
-            draft.note(spec.file, f"it redefines {_named(spec, 'redefines')}, which is in none of the files")
-        else:
-            made.setdefault(spec.name, _add_semantic(spec, general, draft))
-    for spec in by_kind["provider"]:
-        _add_provider(spec, made.get(spec.refers_to("implements")), draft)
-
-
-def _after_what_they_redefine(specs: list[Spec]) -> Iterator[Spec]:
-    """Those that redefine others of them come after these; in a circle, in the order of the files."""
-    waiting = list(specs)
-    while waiting:
-        names = {spec.name for spec in waiting}
-        ready = [s for s in waiting if s.refers_to("redefines") not in names - {s.name}] or waiting
-        yield from ready
+    for spec in specs:
+        if spec.kind == "interface":
+            _keep(made, spec, _add_interface(spec, draft))
+    waiting = [spec for spec in specs if spec.kind == "semantic"]
+    while ready := [spec for spec in waiting if _find(made, spec.refers_to("redefines"))]:
         waiting = [spec for spec in waiting if spec not in ready]
+        for spec in ready:
+            general = _find(made, spec.refers_to("redefines"))
+            assert general is not None
+            _keep(made, spec, _add_semantic(spec, general, draft))
+    for spec in waiting:
+        draft.note(spec.file, f"it redefines {_named(spec, 'redefines')}, which is in none of the files")
+    for spec in specs:
+        if spec.kind == "provider":
+            _add_provider(spec, _find(made, spec.refers_to("implements")), draft)
+
+
+def _keep(made: dict[str, _Made], spec: Spec, entry: _Made) -> None:
+    """Under its full name, and under its bare one where that is free."""
+    made.setdefault(f"{spec.package}/{spec.name}", entry)
+    made.setdefault(spec.name, entry)
+
+
+def _find(made: dict[str, _Made], name: str) -> _Made | None:
+    """By the full name; a file whose package is not known is found by its bare one."""
+    return made.get(name) or made.get(name.rpartition("/")[2])
 
 
 # --- interfaces ---------------------------------------------------------------------------------------
@@ -136,22 +156,18 @@ def _after_what_they_redefine(specs: list[Spec]) -> Iterator[Spec]:
 def _add_interface(spec: Spec, draft: Draft) -> _Made:
     term = draft.new_term("skill", spec.name, spec.package)
     draft.taxonomy[term] = _said(name=spec.name, meaning=spec.description)
-    body = spec.node.entries["interface"].value
     portals: dict[str, dict[str, Any]] = {}
-    for section, name, type, meaning in _elements(body):
-        known = _SERVICES.get(type.replace("/srv/", "/")) if section == "services" else None
-        what = f"{section.removesuffix('s').replace('_', ' ')} '{clean(name)}'" + (
-            f" ({clean(type)})" if type else ""
-        )
-        if known is not None:
-            portals[portal_name(name.rpartition("/")[2], portals)] = known | _said(meaning=meaning)
-            if type.endswith(("Trigger", "SetBool")):
-                draft.note(
-                    spec.file, f"{what}: the message of its answer; the portal emits whether it worked"
-                )
-        else:
-            why = _NO_PORTAL.get(section, "the spec does not say what it takes and gives")
-            draft.note(spec.file, f"{what}: {why}")
+    for element in _elements(spec.node.entries["interface"].value):
+        known = _SERVICES.get(element.type.replace("/srv/", "/")) if element.section == "services" else None
+        if known is None or element.required:
+            draft.note(spec.file, f"{element}: {_why_not(element)}")
+            continue
+        portals[portal_name(element.name.rpartition("/")[2], portals)] = {
+            **known,
+            **_said(meaning=element.meaning),
+        }
+        if "emit" in known:
+            draft.note(spec.file, f"{element}: the text of its answer; the portal emits whether it worked")
     _note_others(spec, (*_SPEC_KEYS, "interface"), {}, draft)
     if not portals:
         draft.note(spec.file, f"nothing of {clean(spec.name)} can be called: it is a term, and no primitive")
@@ -165,17 +181,24 @@ def _add_primitive(spec: Spec, term: str, portals: dict[str, dict[str, Any]], dr
     return _Made(term, type, portals)
 
 
-def _elements(body: Node) -> Iterator[tuple[str, str, str, str]]:
-    """Section, name, type and description of all that an interface consists of."""
+def _why_not(element: _Element) -> str:
+    if element.section == "services" and element.required:
+        return "the robot would call it, and a portal is called on the robot"
+    return _NO_PORTAL.get(element.section, "the spec does not say what it takes and gives")
+
+
+def _elements(body: Node) -> Iterator[_Element]:
+    """All that an interface consists of, section by section."""
     if not isinstance(body, Mapping):
         return
     for section in body.entries.values():
-        groups = [section.value]
+        groups = {"provides": section.value}
         if isinstance(section.value, Mapping) and set(section.value.entries) <= {"requires", "provides"}:
-            groups = [entry.value for entry in section.value.entries.values()]
-        for group in groups:
-            for name, node in _named_nodes(group):
-                yield section.key, name, text_of(node, "type"), text_of(node, "description")
+            groups = {entry.key: entry.value for entry in section.value.entries.values()}
+        for group, nodes in groups.items():
+            for name, node in _named_nodes(nodes):
+                type, meaning = text_of(node, "type"), text_of(node, "description")
+                yield _Element(section.key, name, type, meaning, group == "requires")
 
 
 def _named_nodes(group: Node) -> Iterator[tuple[str, Node]]:

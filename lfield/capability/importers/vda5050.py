@@ -1,4 +1,4 @@
-"""Factsheets of VDA 5050 (chapter 6.15 of version 2) as providers: what a vehicle is able to, in numbers.
+"""Factsheets of VDA 5050 as providers: what a vehicle is able to, in numbers.
 
 A factsheet describes a series of vehicles: it becomes a resource type with attributes. How such a vehicle is
 moved is said by a resource in L, which the factsheet knows nothing of, so the type serves nothing yet.

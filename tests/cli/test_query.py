@@ -1,0 +1,242 @@
+"""`lfield query` from the files alone, and from a team that runs."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+from lfield.cli.main import main
+
+CAPABILITIES = """\
+registry: 1
+providers:
+  Hoist:
+    attributes: {payload: 20.0, speed: 0.5, environment: [terrestrial]}
+    live: {battery: motor.battery}
+    serves: {Lift: {}}
+  Hand: {attributes: {payload: 0.4, accuracy: 0.01}, serves: {Grip: {}}}
+  Mast: {attributes: {payload: 3.0, speed: 0.2, accuracy: 0.02}, serves: {Climb: {}}}
+agents:
+  arm2: {payload: 1.2}
+  mast: {tools: [sling]}
+"""
+DEPLOYMENT = """\
+//Hoist:arm1@alpha
+//Hoist:arm2@bravo
+//Hand:hand@charlie
+//Mast:mast@charlie
+//Boss:boss@alpha
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A mission of three hosts, shown on a page of 120 columns."""
+    (tmp_path / "mission.dL").write_text(DEPLOYMENT)
+    (tmp_path / "mission.capabilities.yaml").write_text(CAPABILITIES)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    return tmp_path
+
+
+@pytest.fixture
+def ask(folder, capsys):
+    """`ask(query, *options)`: the status, what was printed without scores, and what was told."""
+
+    def asked(query: str, *options: str) -> tuple[int, list[str], list[str]]:
+        status = main(["query", query, "--deploy", "mission.dL", "--files", *options])
+        said = capsys.readouterr()
+        assert "a bug in lfield" not in said.err
+        lines = [re.sub(r"\b0\.\d{3}\b", "0.xxx", line).rstrip() for line in said.out.splitlines()]
+        return status, lines, said.err.splitlines()
+
+    return asked
+
+
+def test_offers_as_a_table_and_what_is_composed_as_a_tree(ask):
+    status, out, err = ask("Lift where payload >= 0.1")
+    assert (status, err) == (0, [])
+    assert out == [
+        "from the files: nothing is running, live attributes are not known",
+        "",
+        "Lift (skill.material_handling.lifting)",
+        "RANK  WHO        HOST     HOW                         SCORE  ATTRIBUTES",
+        "   1  arm1       alpha    direct                      0.xxx  payload 20 kg, speed 0.5 m/s, "
+        "environment terrestrial",
+        "   2  arm2       bravo    direct                      0.xxx  payload 1.2 kg, speed 0.5 m/s, "
+        "environment terrestrial",
+        "   3  mast       charlie  by climb-lifts              0.xxx  payload 3 kg, speed 0.2 m/s, "
+        "accuracy 0.02 m, tools sling",
+        "   4  hand+mast  charlie  composed by grip-and-climb  0.xxx  payload 0.4 kg, accuracy 0.02 m, "
+        "speed 0.2 m/s",
+        "",
+        "4: composed by grip-and-climb",
+        "  grip: hand at charlie, direct Grip; payload 0.4 kg, accuracy 0.01 m",
+        "  climb: mast at charlie, direct Climb; payload 3 kg, speed 0.2 m/s, accuracy 0.02 m, tools sling",
+    ]
+
+
+def test_what_the_condition_names_stands_first(ask):
+    _, out, _ = ask("Lift where speed >= 0.5")
+    assert "0.xxx  speed 0.5 m/s, payload 20 kg, environment terrestrial" in out[4]
+
+
+def test_explained(ask):
+    status, out, _ = ask("Lift where payload >= 2.0 && battery >= 0.5", "--explain")
+    assert status == 1
+    assert out[3:8] == [
+        "nobody can",
+        "",
+        "not offered:",
+        "  arm1: battery is not known: the team is not running",
+        "  arm2: payload 1.2 < 2.0; battery is not known: the team is not running",
+    ]
+
+
+def test_everybody_is_offered_or_refused(ask):
+    status, out, _ = ask("Lift where payload >= 5.0", "--explain")
+    assert status == 0
+    assert sum("arm1" in line for line in out) == 1
+    refused = out[out.index("not offered:") + 1 :]
+    assert "  arm2: payload 1.2 < 5.0" in refused
+    assert any(line.startswith("  climb-lifts: ") for line in refused)
+    assert any(line.startswith("  grip-and-climb: ") for line in refused)
+
+
+def test_without_offers(ask):
+    status, out, err = ask("Lift where payload >= 500.0")
+    assert (status, err) == (1, [])
+    assert out[2:] == ["Lift (skill.material_handling.lifting)", "nobody can; --explain says why"]
+
+
+def test_an_id_asks_for_all_that_can_be_called_below_it(ask):
+    status, out, _ = ask("skill.material_handling")
+    assert status == 0
+    heads = [line.partition(" (")[0] for line in out if line.endswith(")") and " (skill." in line]
+    assert heads == ["Grip", "Haul", "Lift", "Reel", "Release", "Retrieve"]
+    assert ask("skill.lifting")[1][2] == "Lift (skill.material_handling.lifting)"
+
+
+def test_another_host_sees_other_distances(ask, capsys):
+    def scores(*options):
+        main(["query", "Lift", "--deploy", "mission.dL", "--files", "--json", *options])
+        (answer,) = json.loads(capsys.readouterr().out)["capabilities"]
+        return {offer["agent"]: offer["score"] for offer in answer["offers"]}
+
+    here, there = scores("--at", "bravo"), scores()
+    assert here["arm2"] > there["arm2"]
+    assert here["arm1"] == there["arm1"]
+
+
+def test_json(ask):
+    status, out, _ = ask("Lift where payload >= 0.1", "--json")
+    whole = json.loads("\n".join(out).replace("0.xxx", "0.5"))
+    assert status == 0
+    assert {k: v for k, v in whole.items() if k != "capabilities"} == {
+        "query": "Lift where payload >= 0.1",
+        "constraint": "payload >= 0.1",
+        "source": "files",
+        "answered": [],
+        "silent": {},
+    }
+    (lift,) = whole["capabilities"]
+    assert (lift["primitive"], lift["id"]) == ("Lift", "skill.material_handling.lifting")
+    first, _, third, fourth = lift["offers"]
+    assert set(first) == {"primitive", "agent", "host", "kind", "rule", "score", "attributes", "parts"}
+    assert (first["agent"], first["kind"], first["rule"], first["parts"]) == ("arm1", "direct", None, {})
+    assert first["attributes"]["payload"] == {"value": 20.0, "unit": "kg", "age": 0.0}
+    assert first["attributes"]["environment"] == {"value": ["terrestrial"], "unit": "", "age": 0.0}
+    assert (third["kind"], third["rule"], list(third["parts"])) == ("equivalent", "climb-lifts", ["by"])
+    assert third["parts"]["by"]["primitive"] == "Climb"
+    assert {need: part["agent"] for need, part in fourth["parts"].items()} == {
+        "grip": "hand",
+        "climb": "mast",
+    }
+
+
+def test_refusals_as_json(ask):
+    status, out, _ = ask("Grip where payload >= 2.0", "--json")
+    assert status == 1
+    (grip,) = json.loads("\n".join(out))["capabilities"]
+    (refusal,) = grip["refusals"]
+    assert refusal == {"subject": "hand", "reasons": ["payload 0.4 < 2.0"], "inner": []}
+
+
+@pytest.mark.parametrize(
+    ("query", "status", "told"),
+    [
+        (
+            "Lift where paylod >= 2.0",
+            65,
+            [
+                "query:1:12: error[C154]: there is no attribute 'paylod'",
+                "    Lift where paylod >= 2.0",
+                "               ^~~~~~",
+                "    hint: did you mean 'payload'?",
+                "lfield: 1 error",
+            ],
+        ),
+        (
+            "Lfit",
+            65,
+            [
+                "query:1:1: error[C130]: there is no primitive 'Lfit'",
+                "    Lfit",
+                "    ^~~~",
+                "    hint: did you mean 'Lift'?",
+                "lfield: 1 error",
+            ],
+        ),
+        (
+            "skill.fabrication",
+            65,
+            [
+                "query:1:1: error[C154]: nothing at or below 'skill.fabrication' can be called",
+                "    skill.fabrication",
+                "    ^~~~~~~~~~~~~~~~~",
+                "lfield: 1 error",
+            ],
+        ),
+        ("Lift payload", 64, ['lfield: a question is written like "Lift" or "Lift where payload >= 2.0"']),
+        ("", 64, ['lfield: a question is written like "Lift" or "Lift where payload >= 2.0"']),
+    ],
+)
+def test_mistakes_in_a_query(ask, query, status, told):
+    assert ask(query) == (status, [], told)
+
+
+def test_all_mistakes_at_once(ask):
+    status, out, err = ask('Lfit where paylod >= "x" && environment == airy')
+    assert (status, out) == (65, [])
+    assert sum("error[" in line for line in err) == 4
+
+
+@pytest.mark.parametrize(
+    "query", ["Lift where", "Lift where (", "Lift where " + "(" * 3000, "Lift where payload"]
+)
+def test_conditions_that_are_none(ask, query):
+    status, out, err = ask(query)
+    assert status == 65
+    assert out == []
+    assert err
+
+
+def test_a_broken_registry(ask, folder):
+    (folder / "mission.capabilities.yaml").write_text("registry: 1\nagents: {nobody: {payload: 1.0}}\n")
+    status, out, err = ask("Lift")
+    assert (status, out) == (65, [])
+    assert err[0].startswith("mission.capabilities.yaml:2:10: error[C160]")
+
+
+def test_a_registry_that_is_elsewhere(ask, folder):
+    (folder / "other.yaml").write_text(CAPABILITIES.replace("20.0", "30.0"))
+    assert "payload 30 kg" in ask("Lift", "--capabilities", "other.yaml")[1][4]
+    assert ask("Lift", "--capabilities", "missing.yaml")[0] == 66
+
+
+def test_a_host_that_the_deployment_does_not_have(ask):
+    status, _, err = ask("Lift", "--at", "alhpa")
+    assert status == 64
+    assert "alpha" in err[0]

@@ -1,0 +1,72 @@
+"""`lfield query` asks the team that runs."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Hoist {
+    init(string[] arg) { while (true) yield(); }
+    portal lift(real height) emit real { return height; }
+    portal lower(real height) emit real { return height; }
+}
+coordinator Boss {
+    init(string[] arg) {
+        Lift[] who = findLift("payload >= 2.0");
+        print("offers: " + i2s(who.length()));
+        while (true) sleep(1.0);
+    }
+}
+"""
+DEPLOYMENT = "//Hoist:arm1@alpha\n//Hoist:arm2@bravo\n//Boss:boss@alpha\n"
+CAPABILITIES = """
+registry: 1
+providers: {Hoist: {attributes: {payload: 20.0}, serves: {Lift: {}}}}
+agents: {arm2: {payload: 1.2}}
+"""
+
+
+@pytest.fixture(scope="module")
+def mission(shared_lfield):
+    """A team in which a coordinator has asked, too."""
+    shared_lfield.write("mission.capabilities.yaml", CAPABILITIES)
+    deployment = shared_lfield.mission(PROGRAM, DEPLOYMENT)
+    team = shared_lfield.start("up", "--deploy", deployment, "--all")
+    team.wait_for(r"boss: offers: 1")
+    team.deployment = deployment
+    return team
+
+
+def test_the_running_team_answers(mission, lfield):
+    shown = lfield("query", "Lift where payload >= 2.0", "--deploy", mission.deployment, "--explain")
+    assert lfield.status(shown) == 0, shown.said
+    assert shown.out[0] == "from the running team: 2 of 2 hosts answered"
+    assert shown.out[4].split()[:4] == ["1", "arm1", "alpha", "direct"]
+    assert "  arm2: payload 1.2 < 2.0" in shown.out
+
+
+def test_the_same_as_json(mission, lfield):
+    shown = lfield("query", "Lift", "--deploy", mission.deployment, "--json", "--at", "bravo")
+    whole = json.loads("\n".join(shown.out))
+    assert (whole["source"], whole["answered"], whole["silent"]) == ("team", ["alpha", "bravo"], {})
+    assert {offer["agent"] for offer in whole["capabilities"][0]["offers"]} == {"arm1", "arm2"}
+
+
+def test_a_host_that_does_not_answer(mission, lfield):
+    (map_, place) = lfield.maps(["bravo"])
+    shown = lfield("query", "Lift", "--deploy", mission.deployment, map_, place)
+    assert lfield.status(shown) == 0, shown.said
+    assert shown.out[0] == "from the running team: 1 of 2 hosts answered"
+    assert [line.partition(":")[0] for line in shown.err] == ["bravo"]
+
+
+def test_where_nothing_runs_the_files_answer(mission, lfield):
+    maps = lfield.maps(["alpha", "bravo"])
+    shown = lfield("query", "Lift", "--deploy", mission.deployment, *maps)
+    assert lfield.status(shown) == 0, shown.said
+    assert shown.out[0] == "from the files: nothing is running, live attributes are not known"
+    assert shown.err == []
