@@ -89,25 +89,17 @@ def _one_to_one(draft: Draft, entry: Entry, fields: Fields, serves: Primitive) -
 
 
 def _one_to_many(draft: Draft, entry: Entry, fields: Fields, serves: Primitive, folder: Path) -> Composition:
-    needs = {need.name: need for need in _needs(draft, fields.section("needs"))}
-    if not 0 < len(fields.section("needs")) <= MAX_NEEDS:
-        place, count = fields.key_span("needs"), len(fields.section("needs"))
-        draft.tell(messages.NUMBER_OF_NEEDS, place, most=MAX_NEEDS, count=count)
-    through = fields.text("through", required=True)
-    if through:
-        draft.check_name(through, TYPE_NAME, "a class", fields.value_span("through"))
-    if through in draft.primitives:
-        draft.tell(messages.TYPE_TAKEN, fields.value_span("through"), name=through, what="a class")
-    section = fields.section("attributes")
-    parts = Scope.of_parts(draft.attributes, needs, {stated.key for stated in section.named()})
+    stated, worth = fields.section("needs"), fields.section("attributes")
+    parts = Scope.of_parts(draft.attributes, [need.key for need in stated.named()])
+    whole = Scope.of_parts(draft.attributes, parts.needs, [attribute.key for attribute in worth.named()])
     composition = Composition(
         name=entry.key,
         serves=serves.name,
-        needs=needs,
-        through=through,
+        needs={need.name: need for need in _needs(draft, stated, fields.key_span("needs"))},
+        through=_through(draft, fields),
         source=_source(draft, fields, folder),
-        where=_conditions(draft, fields, parts),
-        attributes=_worth(draft, section, Scope.of_parts(draft.attributes, needs)),
+        where=_conditions(draft, fields, whole),
+        attributes=_worth(draft, worth, parts),
         loss=fields.number("loss", minimum=0.0, maximum=1.0),
         meaning=fields.text("meaning"),
         span=entry.key_span,
@@ -116,7 +108,9 @@ def _one_to_many(draft: Draft, entry: Entry, fields: Fields, serves: Primitive, 
     return composition
 
 
-def _needs(draft: Draft, section: Fields) -> list[Need]:
+def _needs(draft: Draft, section: Fields, span: Span) -> list[Need]:
+    if not 0 < len(section) <= MAX_NEEDS:
+        draft.tell(messages.NUMBER_OF_NEEDS, span, most=MAX_NEEDS, count=len(section))
     scope, needs = Scope.of_offer(draft.attributes), []
     for entry, fields in section.entries():
         draft.check_name(entry.key, NAME, "a part", entry.key_span)
@@ -126,6 +120,16 @@ def _needs(draft: Draft, section: Fields) -> list[Need]:
         if draft.primitive(name, place) is not None:
             needs.append(Need(entry.key, name, entry.key_span, when))
     return needs
+
+
+def _through(draft: Draft, fields: Fields) -> str:
+    """The class in L; its name must be free for it."""
+    name, place = fields.text("through", required=True), fields.value_span("through")
+    if name:
+        draft.check_name(name, TYPE_NAME, "a class", place)
+    if name in draft.primitives:
+        draft.tell(messages.TYPE_TAKEN, place, name=name, what="a class")
+    return name
 
 
 def _source(draft: Draft, fields: Fields, folder: Path) -> Path:

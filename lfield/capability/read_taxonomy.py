@@ -99,3 +99,6 @@ def _take_replacements(draft: Draft, spans: dict[str, Span]) -> None:
         draft.terms[id] = replace(term, deprecated=instead)
     for id in spans:
         draft.aliases[id] = draft.terms[id].deprecated
+    for alias, id in draft.aliases.items():
+        if id in spans:
+            draft.aliases[alias] = draft.terms[id].deprecated

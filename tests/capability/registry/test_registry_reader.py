@@ -105,6 +105,14 @@ def test_a_term_out_of_use_leads_to_the_one_in_use(write) -> None:
     assert [(d.severity, d.hint) for d in found] == [("warning", "write skill.lifting")]
 
 
+def test_another_id_of_a_term_out_of_use_leads_there_too(write) -> None:
+    text = (
+        "registry: 1\ntaxonomy:\n  skill.heaving: {aliases: [skill.hauling], deprecated: skill.raising}\n"
+        "primitives:\n  Haul: {id: skill.hauling, portals: {up: {}}}\n"
+    )
+    assert good(write(text)).primitives["Haul"].id == "skill.lifting"
+
+
 GENTLE = """
 registry: 1
 taxonomy:
