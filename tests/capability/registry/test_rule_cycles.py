@@ -1,0 +1,77 @@
+"""Circles through needs, against a search that tries everything."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from registry_expectations import GOLDEN
+
+from lfield.capability.reader import check_files
+
+SOURCE = GOLDEN / "L" / "grip_and_climb.L"
+NAMES = [f"P{n}" for n in range(6)]
+
+#: What is served, and by whom; a rule of several needs all of them, as one that is composed does.
+Rule = tuple[str, list[str], bool]
+
+#: What is served, what serves it, and by which rule.
+Edge = tuple[str, str, str]
+
+_NAME = st.sampled_from(NAMES)
+_RULES = st.lists(
+    st.tuples(_NAME, st.lists(_NAME, min_size=1, max_size=3, unique=True), st.booleans()), max_size=8
+)
+
+
+def registry(rules: list[Rule]) -> tuple[str, set[Edge], set[tuple[str, str]]]:
+    """The YAML of some rules, the edges with their rules, and those of them that are needs."""
+    text = "registry: 1\ntaxonomy: {skill: {}}\nprimitives:\n"
+    text += "".join(f"  {name}: {{id: skill, portals: {{p: {{}}}}}}\n" for name in NAMES)
+    text += "equivalences:\n" if rules else ""
+    edges, needs = set(), set()
+    for number, (serves, by, composed) in enumerate(rules):
+        rule = f"r{number}"
+        if not composed and by[0] != serves:
+            text += f"  {rule}: {{serves: {serves}, by: {by[0]}}}\n"
+            edges.add((serves, by[0], rule))
+        else:
+            parts = ", ".join(f"n{index}: {{capability: {name}}}" for index, name in enumerate(by))
+            text += f"  {rule}: {{serves: {serves}, needs: {{{parts}}}, through: C, source: {SOURCE}}}\n"
+            edges |= {(serves, name, rule) for name in by}
+            needs |= {(name, rule) for name in by}
+    return text, edges, needs
+
+
+def reachable(edges: set[Edge], start: str) -> set[str]:
+    found = {start}
+    while more := {to for source, to, _ in edges if source in found} - found:
+        found |= more
+    return found
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(_RULES)
+def test_every_circle_through_a_need_and_no_other(
+    tmp_path: Path, rules: list[tuple[str, list[str], bool]]
+) -> None:
+    text, edges, needs = registry(rules)
+    file = tmp_path / "rules.yaml"
+    file.write_text(text, encoding="utf-8")
+    _, found = check_files([file])
+    told = set()
+    for diagnostic in found:
+        assert diagnostic.code == "C152"
+        path = diagnostic.message.partition(": ")[2].split(" -> ")
+        steps = [re.fullmatch(r"(\w+)(?: \((\w+)\))?", step) for step in path]
+        nodes = [(step[1], step[2]) for step in steps if step is not None]
+        assert len(nodes) == len(path)
+        assert nodes[0][0] == nodes[-1][0]
+        for (before, _), (after, rule) in pairwise(nodes):
+            assert (before, after, rule) in edges
+        told.add(nodes[1])
+    serves = {rule: source for source, _, rule in edges}
+    assert told == {(need, rule) for need, rule in needs if serves[rule] in reachable(edges, need)}
