@@ -11,14 +11,18 @@ stopped renewing, and all values of a host that was away until it has told every
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from lfield.capability.model import Live, Registry
-from lfield.capability.news import SILENCE, Announcer, Condition, News, Sample, Trouble
+from lfield.capability.news import SILENCE, Announcer, Condition, News, Trouble
 from lfield.capability.offer import Candidate, Fact
 from lfield.clock import Clock
+
+#: Answers within so many seconds are the same objects, with the same ages: the matcher goes by that.
+MOMENT = 0.1
 
 
 class Deployed(Protocol):
@@ -62,6 +66,16 @@ class _Remote:
     conditions: dict[str, Condition] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """A candidate as it was answered, good `until` then while condition and link are the same."""
+
+    candidate: Candidate
+    condition: Condition
+    away: float | None
+    until: float
+
+
 class Directory:
     """The agents of a mission as the host `here` knows them; `life` tells this run of it from the next.
 
@@ -88,6 +102,7 @@ class Directory:
         }
         self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
         self._own: dict[str, Condition] = {}
+        self._shown: dict[str, _Shown] = {}
         self._announcer = Announcer(registry.attributes, life)
         self._remotes = {agent.host: _Remote() for agent in self._agents.values() if agent.host != here}
 
@@ -160,39 +175,41 @@ class Directory:
         return [self._candidate(agent, now) for agent in self._agents.values()]
 
     def _candidate(self, agent: Deployed, now: float) -> Candidate:
-        here, id = agent.host == self._here, agent.id
-        condition = self._own.get(id, SILENCE) if here else self._told(agent)
-        facts, unknown = self._values[id], condition.unknown
-        live = self._live[id]
+        here = agent.host == self._here
+        condition = self._own.get(agent.id, SILENCE) if here else self._told(agent)
+        away = None if here else self._links.away.get(agent.host)
+        shown = self._shown.get(agent.id)
+        if shown is None or now >= shown.until or shown.condition is not condition or shown.away != away:
+            shown = self._shown[agent.id] = self._show(agent, condition, away, now)
+        return shown.candidate
+
+    def _show(self, agent: Deployed, condition: Condition, away: float | None, now: float) -> _Shown:
+        facts, unknown, live = self._values[agent.id], condition.unknown, self._live[agent.id]
+        trouble = condition.trouble if away is None else Trouble("unreachable", away)
         if live:
-            age = _age_here if here else self._age_there(agent.host, now)
-            facts = facts | {name: Fact(s.value, age(s, now)) for name, s in condition.samples.items()}
-            untold = {name: self._untold(agent) for name in live if name not in facts and name not in unknown}
-            unknown = {**unknown, **untold} if untold else unknown
-        trouble = self._trouble(agent, condition)
+            kept_until = self._kept_until(agent.host)
+            facts = facts | {
+                name: Fact(s.value, s.age + now - (max(kept_until, s.at) if s.kept else s.at))
+                for name, s in condition.samples.items()
+            }
+            if len(condition.samples) + len(unknown) < len(live):
+                untold = (name for name in live if name not in facts and name not in unknown)
+                unknown = {**dict.fromkeys(untold, f"{agent.host} has not told it yet"), **unknown}
         refusal = trouble.sentence(now) if trouble else ""
-        return Candidate(id, agent.type, agent.host, 0 if here else 1, refusal, facts, unknown)
+        hops = 0 if agent.host == self._here else 1
+        candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown)
+        return _Shown(candidate, condition, away, now + MOMENT if live or trouble else math.inf)
 
     def _told(self, agent: Deployed) -> Condition:
         return self._remotes[agent.host].conditions.get(agent.id, SILENCE)
 
-    def _trouble(self, agent: Deployed, condition: Condition) -> Trouble | None:
-        since = self._links.away.get(agent.host) if agent.host != self._here else None
-        return condition.trouble if since is None else Trouble("unreachable", since)
-
-    def _untold(self, agent: Deployed) -> str:
-        return "it was not asked yet" if agent.host == self._here else f"{agent.host} has not told it yet"
-
-    def _age_there(self, host: str, now: float) -> Callable[[Sample, float], float]:
-        """How old the values of another host are."""
-        remote = self._remotes[host]
+    def _kept_until(self, host: str) -> float:
+        """Until when a host surely kept its values up to date; those of this host are as old as they say."""
+        remote = self._remotes.get(host)
+        if remote is None:
+            return -math.inf
         heard = self._links.last_heard(host) if remote.in_step else None
-        until = max(remote.kept_until, heard or 0.0)
-
-        def age(sample: Sample, now: float) -> float:
-            return sample.age + now - (until if sample.kept else sample.at)
-
-        return age
+        return remote.kept_until if heard is None else max(remote.kept_until, heard)
 
 
 def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
@@ -203,7 +220,3 @@ def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
     stated = registry.agents.get(agent.id, {})
     live = registry.providers[agent.type].live
     return {name: live[name] for name in sorted(live) if name not in stated}
-
-
-def _age_here(sample: Sample, now: float) -> float:
-    return sample.age + now - sample.at

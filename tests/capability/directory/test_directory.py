@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from directory_team import Seat
 
+from lfield.capability.directory import MOMENT
 from lfield.capability.news import Condition, Trouble
 
 
@@ -57,13 +58,35 @@ def test_own_values_are_as_old_as_their_samples(seats):
     assert (arm.facts["battery"].value, arm.facts["battery"].age, arm.refusal) == (0.5, 2.25, "")
 
 
+def test_answers_of_one_moment_are_the_same_until_something_has_changed(seats):
+    alpha, bravo = seats
+    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8)}))
+    tell(bravo, alpha, bravo.directory.news())
+    first, shelf = alpha.candidate("rover1"), alpha.candidate("shelf")
+    alpha.clock.advance(MOMENT / 2)
+    assert alpha.candidate("rover1") is first
+    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.7)}))
+    tell(bravo, alpha, bravo.directory.news())
+    changed = alpha.candidate("rover1")
+    assert changed.facts["battery"].value == 0.7
+    alpha.wires.away["bravo"] = alpha.clock.monotonic()
+    assert alpha.candidate("rover1").refusal == alpha.candidate("shelf").refusal == "unreachable for 0.0 s"
+    del alpha.wires.away["bravo"]
+    alpha.clock.advance(MOMENT)
+    assert alpha.candidate("rover1").facts["battery"].age > changed.facts["battery"].age
+    assert alpha.candidate("shelf") == shelf
+    still = alpha.candidate("shelf")
+    alpha.clock.advance(1000.0)
+    assert alpha.candidate("shelf") is still
+
+
 def test_what_was_never_told_is_unknown_with_the_reason(seats):
     alpha, _ = seats
     assert alpha.candidate("rover1").unknown == {"battery": "bravo has not told it yet"}
     alpha.directory.own("arm1", Condition(unknown={"mode": "fc has not reported mode"}))
     unknown = alpha.candidate("arm1").unknown
     assert unknown["mode"] == "fc has not reported mode"
-    assert unknown["battery"] == "it was not asked yet"
+    assert unknown["battery"] == "alpha has not told it yet"
 
 
 def test_the_value_of_another_host_ages_only_while_nothing_is_heard(seats):
@@ -73,6 +96,7 @@ def test_the_value_of_another_host_ages_only_while_nothing_is_heard(seats):
     assert alpha.candidate("rover1").facts["battery"].age == 0.5
     alpha.clock.advance(2.0)
     assert alpha.candidate("rover1").facts["battery"].age == 2.5
+    alpha.clock.advance(1.0)
     alpha.hear("bravo")
     assert alpha.candidate("rover1").facts["battery"].age == 0.5
 
