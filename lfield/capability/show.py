@@ -83,18 +83,19 @@ def unknown_name(registry: Registry, word: str) -> str:
 
 def tree(registry: Registry, id: str = "") -> list[Branch]:
     """The taxonomy, or what hangs at one of its terms; deprecated terms say what to write instead."""
-    if id:
-        return [_branch(registry, registry.terms[id])]
-    return [_branch(registry, term) for term in registry.terms.values() if "." not in term.id]
+    roots = [registry.terms[id]] if id else [t for t in registry.terms.values() if "." not in t.id]
+    return [_branch(registry, term, term.id) for term in roots]
 
 
-def _branch(registry: Registry, term: Term) -> Branch:
-    below = [t for t in registry.terms.values() if t.id.rpartition(".")[0] == term.id]
+def _branch(registry: Registry, term: Term, name: str) -> Branch:
     called = sorted(p.name for p in registry.primitives.values() if p.id == term.id)
-    text = term.id if "." not in term.id else term.id.rpartition(".")[2]
     said = f"out of use, write {term.deprecated}" if term.deprecated else term.meaning
-    children = tuple(_branch(registry, child) for child in below)
-    return Branch(f"{text}: {said}" if said else text, children, ", ".join(called))
+    below = tuple(_branch(registry, child, child.id.rpartition(".")[2]) for child in _below(registry, term))
+    return Branch(f"{name}: {said}" if said else name, below, ", ".join(called))
+
+
+def _below(registry: Registry, term: Term) -> list[Term]:
+    return [t for t in registry.terms.values() if t.id.rpartition(".")[0] == term.id]
 
 
 # --- sheets -------------------------------------------------------------------------------------------
@@ -131,13 +132,12 @@ def _sheet(title: str, rows: _Rows) -> Sheet:
 
 
 def _term_sheet(registry: Registry, term: Term) -> Sheet:
-    below = [t.id for t in registry.terms.values() if t.id.rpartition(".")[0] == term.id]
     rows: _Rows = [
         ("name", [term.name]),
         ("meaning", [term.meaning]),
         ("also", term.aliases),
         ("instead", [term.deprecated]),
-        ("below", below),
+        ("below", [child.id for child in _below(registry, term)]),
     ]
     return _sheet(f"term {term.id}", rows)
 

@@ -43,7 +43,12 @@ def check_registry(
             found.add(mistake)
         if registry is not None:
             _check_calls(registry, signatures, found)
-    return found.in_order()
+    return _once(found.in_order())
+
+
+def _once(mistakes: Sequence[Diagnostic]) -> list[Diagnostic]:
+    """Each once: what all missions share was read for each of them."""
+    return list({(m.code, m.span.source.name, m.span.start): m for m in mistakes}.values())
 
 
 def program_files(path: Path, found: Diagnostics) -> list[File]:
