@@ -10,13 +10,13 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any
 
 from lfield.capability.expression import Expression
 from lfield.capability.model import Composition, Registry, Term
 
-_IGNORED = frozenset({"span", "meaning", "digest", "_by_name"})
-_NAMES: dict[type, tuple[str, ...]] = {}
+_IGNORED = frozenset({"span", "meaning", "digest"})
 #: Of a term the name is for people; where the source of a class lies differs between hosts.
 _IGNORED_OF = {Term: _IGNORED | {"name"}, Composition: _IGNORED | {"source"}}
 
@@ -42,13 +42,11 @@ def _canonical(value: object) -> object:
     return [_canonical(item) for item in value] if isinstance(value, tuple) else value
 
 
-def _record(value: object) -> dict[str, object]:
-    kind = type(value)
-    if kind not in _NAMES:
-        _NAMES[kind] = _names(kind)
-    return {name: _canonical(getattr(value, name)) for name in _NAMES[kind]}
+def _record(value: Any) -> dict[str, object]:
+    return {name: _canonical(getattr(value, name)) for name in _names(type(value))}
 
 
+@cache
 def _names(kind: type[Any]) -> tuple[str, ...]:
     ignored = _IGNORED_OF.get(kind, _IGNORED)
     return tuple(field.name for field in fields(kind) if field.name not in ignored)
