@@ -10,7 +10,6 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from functools import cache
 from typing import Any
 
 from lfield.capability.expression import Expression
@@ -43,10 +42,6 @@ def _canonical(value: object) -> object:
 
 
 def _record(value: Any) -> dict[str, object]:
-    return {name: _canonical(getattr(value, name)) for name in _names(type(value))}
-
-
-@cache
-def _names(kind: type[Any]) -> tuple[str, ...]:
-    ignored = _IGNORED_OF.get(kind, _IGNORED)
-    return tuple(field.name for field in fields(kind) if field.name not in ignored)
+    ignored = _IGNORED_OF.get(type(value), _IGNORED)
+    names = (field.name for field in fields(value) if field.name not in ignored)
+    return {name: _canonical(getattr(value, name)) for name in names}
