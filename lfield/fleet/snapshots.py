@@ -12,7 +12,7 @@ from lfield.driver.messages import Snapshot
 from lfield.driver.plugins import Installed
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
-from lfield.manifest import DeviceValue
+from lfield.manifest import DeviceValue, Quantity
 from lfield.vm.readings import Reading
 from lfield.vm.values import word_of
 
@@ -32,12 +32,7 @@ class Snapshots:
             for quantity in installed.manifests[device.type].device.telemetry
         }
         self._patience = {
-            device.name: max(
-                LOST_AFTER,
-                min(
-                    (q.max_age for q in installed.manifests[device.type].device.telemetry), default=LOST_AFTER
-                ),
-            )
+            device.name: _patience(installed.manifests[device.type].device.telemetry)
             for device in self._devices.values()
         }
         self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}
@@ -119,3 +114,8 @@ class Snapshots:
             if (device, quantity) in self._values:
                 shown[device][quantity] = self._values[device, quantity][0]
         return shown
+
+
+def _patience(quantities: Iterable[Quantity]) -> float:
+    """For how many seconds a device with these quantities may be silent."""
+    return max(LOST_AFTER, min((quantity.max_age for quantity in quantities), default=LOST_AFTER))
