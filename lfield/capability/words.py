@@ -18,7 +18,7 @@ def worth(value: Value, unit: str = "") -> str:
         case bool():
             return "true" if value else "false"
         case str():
-            return printable(value)
+            return printable(value) or '""'
         case frozenset():
             return printable(listed(sorted(value), "nothing"))
         case _:

@@ -11,6 +11,7 @@ from lfield.capability.explain import render
 from lfield.capability.model import Primitive, Registry
 from lfield.capability.offer import Fact, Offer, Refusal
 from lfield.capability.question import Question
+from lfield.capability.search import named
 from lfield.capability.show import Branch
 from lfield.capability.words import printable, worth
 from lfield.cli.trees import plain_console, print_tree
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     from lfield.cli.query import Known
 
-#: So many attributes of an offer are shown, those of the condition first; `--json` has all.
+#: So many attributes of an offer are shown, the most telling ones first; `--json` has all.
 SHOWN = 6
 
 
@@ -53,27 +54,30 @@ def show(
 
 
 class _Attributes:
-    """The facts of offers in words: those that the condition names first."""
+    """The facts of offers in words: first what the condition names, then what is ranked, then the rest."""
 
     def __init__(self, registry: Registry, question: Question) -> None:
-        from lfield.capability.search import named
-
         self._registry = registry
         self._named = named(question.constraint)
 
     def words(self, facts: Mapping[str, Fact], most: int = SHOWN) -> str:
         """`payload 2 kg, battery 0.8 (3 s old)`, and how many there are besides."""
-        first = sorted(facts, key=lambda name: (name not in self._named, not self._is_live(name)))
+        first = sorted(facts, key=lambda name: (name not in self._named, not self._is_rated(name)))
         words = [self._word(name, facts[name]) for name in first[:most]]
         words += [f"and {len(first) - most} more"] if len(first) > most else []
         return ", ".join(words)
 
-    def _is_live(self, name: str) -> bool:
-        return name in self._registry.attributes and self._registry.attributes[name].live
+    def _is_rated(self, name: str) -> bool:
+        attribute = self._registry.attributes.get(name)
+        return attribute is not None and attribute.better != "none"
 
     def _word(self, name: str, fact: Fact) -> str:
         text = f"{name} {worth(fact.value, unit_of(self._registry, name))}"
-        return f"{text} ({fact.age:.3g} s old)" if fact.age else text
+        return f"{text} ({_age(fact.age)} old)" if fact.age else text
+
+
+def _age(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 10.0 else f"{seconds:.0f} s"
 
 
 def _show_offers(offers: Sequence[Offer], attributes: _Attributes) -> None:

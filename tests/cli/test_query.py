@@ -8,6 +8,7 @@ import re
 import pytest
 
 from lfield.cli.main import main
+from lfield.errors import AddressError, GreetingError
 
 CAPABILITIES = """\
 registry: 1
@@ -240,3 +241,60 @@ def test_a_host_that_the_deployment_does_not_have(ask):
     status, _, err = ask("Lift", "--at", "alhpa")
     assert status == 64
     assert "alpha" in err[0]
+
+
+# what hosts tell, without hosts
+
+
+@pytest.fixture
+def told(folder, monkeypatch, capsys):
+    """`told(answers, query, *options)`: as `ask`, with these answers of the hosts."""
+
+    def asked(answers, query: str, *options: str) -> tuple[int, list[str], list[str]]:
+        monkeypatch.setattr("lfield.cli.query._ask", lambda args, deployment: answers)
+        status = main(["query", query, "--deploy", "mission.dL", *options])
+        said = capsys.readouterr()
+        return status, said.out.splitlines(), said.err.splitlines()
+
+    return asked
+
+
+def directory(**agents):
+    whole = {agent: {"refusal": why, "facts": facts} for agent, (why, facts) in agents.items()}
+    return {"directory": whole}
+
+
+def test_live_values_have_an_age(told):
+    alpha = directory(arm1=("", {"battery": [0.5, 2.54]}))
+    status, out, err = told({"alpha": alpha}, "Lift where battery >= 0.25")
+    assert (status, err) == (0, [])
+    assert out[0] == "from the running team: 1 of 1 hosts answered"
+    assert "battery 0.5 (2.5 s old), payload 20 kg" in out[4]
+    _, out, _ = told({"alpha": alpha}, "Lift where battery >= 0.25", "--json")
+    (offer,) = json.loads("\n".join(out))["capabilities"][0]["offers"]
+    assert offer["attributes"]["battery"] == {"value": 0.5, "unit": "", "age": 2.54}
+
+
+def test_who_cannot_be_called_and_who_does_not_answer(told):
+    answers = {
+        "alpha": directory(arm1=("motor: latched", {})),
+        "bravo": AddressError("10.0.0.9:8181", "nobody listens there; is its host up?"),
+    }
+    status, out, err = told(answers, "Lift where speed >= 0.5", "--explain")
+    assert status == 1
+    assert out[0] == "from the running team: 1 of 2 hosts answered"
+    assert out[6:8] == ["  arm1: motor: latched", "  arm2: its host bravo does not answer"]
+    assert err == ["bravo: cannot use 10.0.0.9:8181: nobody listens there; is its host up?"]
+
+
+def test_hosts_that_refuse_are_told(told):
+    refusal = GreetingError("alpha wants a key")
+    status, out, err = told({"alpha": refusal}, "Lift")
+    assert status == 0
+    assert out[0] == "from the files: no host tells more, live attributes are not known"
+    assert err == ["alpha: alpha wants a key"]
+
+
+def test_hosts_cannot_write_to_the_terminal(told):
+    _, out, _ = told({"alpha": directory(arm1=("\x1b[2J\x07 gone", {}))}, "Lift", "--explain")
+    assert "  arm1: ·[2J· gone" in out

@@ -1,0 +1,72 @@
+"""Questions to the registry: what they ask for, and whatever else somebody may type."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.capability.model import Registry
+from lfield.capability.question import read_question
+from lfield.capability.reader import read_registry
+from lfield.errors import ProgramError, UsageError
+
+
+@cache
+def registry() -> Registry:
+    return read_registry()
+
+
+def asked(text: str) -> tuple[list[str], str | None]:
+    """The primitives and the condition of a question."""
+    question = read_question(text, registry())
+    constraint = question.constraint.text.strip() if question.constraint is not None else None
+    return [primitive.name for primitive in question.primitives], constraint
+
+
+@pytest.mark.parametrize(
+    ("text", "primitives", "constraint"),
+    [
+        ("Lift", ["Lift"], None),
+        ("  Lift  ", ["Lift"], None),
+        ("Lift where payload >= 2.0", ["Lift"], "payload >= 2.0"),
+        ("Lift where(payload >= 2.0)", ["Lift"], "(payload >= 2.0)"),
+        ("Lift\nwhere payload >= 2.0\n  && reach > 1\n", ["Lift"], "payload >= 2.0\n  && reach > 1"),
+        ('Lift where agent == "where is it"', ["Lift"], 'agent == "where is it"'),
+        ("skill.security", ["Scout", "Sentry"], None),
+        ("skill.lifting where payload >= 2.0", ["Lift"], "payload >= 2.0"),
+        ("maneuverability.directional_force", ["Move", "Climb"], None),
+    ],
+)
+def test_what_is_asked_for(text, primitives, constraint):
+    assert asked(text) == (primitives, constraint)
+
+
+@pytest.mark.parametrize("text", ["", " ", "Lift payload >= 2.0", "Lift wherever", "Lift " * 2000])
+def test_what_is_no_question(text):
+    with pytest.raises(UsageError):
+        asked(text)
+
+
+def test_mistakes_stand_where_they_are_in_the_question():
+    with pytest.raises(ProgramError) as refused:
+        asked("Lfit where paylod >= 2.0")
+    assert [d.span.text for d in refused.value.diagnostics] == ["Lfit", "paylod"]
+
+
+WORDS = st.sampled_from(
+    ["Lift", "where", "payload", ">=", "2.0", "&&", "(", ")", "skill", ".", '"', "\n", "é"]
+)
+
+
+@given(st.text(max_size=200) | st.lists(WORDS, max_size=12).map(" ".join))
+def test_anything_is_answered_or_refused(text):
+    try:
+        primitives, _ = asked(text)
+    except (UsageError, ProgramError) as refused:
+        for diagnostic in getattr(refused, "diagnostics", ()):
+            diagnostic.render()
+    else:
+        assert primitives
