@@ -138,6 +138,11 @@ class Lfield:
         self.mark = uuid.uuid4().hex
         self.started: list[Process] = []
 
+    @property
+    def environment(self) -> dict[str, str]:
+        """What makes a process, and all it starts, one of this test."""
+        return {**os.environ, MARK: self.mark}
+
     def start(self, *words: object, **options) -> Process:
         """A command that goes on."""
         process = Process(*map(str, words), mark=self.mark, cwd=self.folder, **options)

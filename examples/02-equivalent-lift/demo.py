@@ -1,0 +1,64 @@
+"""Runs the mission four times on fakes: as it is, then with the best lifter failed, then the next one too, and so on.
+
+    python examples/02-equivalent-lift/demo.py
+
+Each run is `lfield up --all --sim --until-done`; once the hook is down, the faults of the run are set with
+`lfield sim fault`, as one could by hand from another terminal.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+MISSION = Path(__file__).with_name("mission.dL")
+LFIELD = (sys.executable, "-m", "lfield")
+
+#: What hosts and devices say of themselves; the rest is the foreman's.
+OTHERS = re.compile(r"\| (\w+\.\w+: |\w+ is up|linked with|lost the link)")
+
+#: What has failed in each run: the device, its fault, and how people would say it. Faults of a run stay in the next.
+FAILURES = (
+    ("", "", "everything works"),
+    ("crane.axis", "silence=true", "the crane's drive has lost its power"),
+    ("sky.fc", "battery=0.15", "the copter's battery is low as well"),
+    ("hand.motor", "dead=true", "and the hand's servo is dead"),
+)
+
+
+def run(failures: tuple[tuple[str, str, str], ...]) -> int:
+    """One run with these failures; returns how the mission ended."""
+    command = [*LFIELD, "up", "--deploy", str(MISSION), "--all", "--sim", "--until-done"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as mission:
+        assert mission.stderr
+        for line in mission.stderr:
+            if not OTHERS.search(line):
+                print(line, end="", flush=True)
+            if "the parcel is coming" in line:
+                fail(failures)
+        return mission.wait()
+
+
+def fail(failures: tuple[tuple[str, str, str], ...]) -> None:
+    """Set the faults of the fakes."""
+    for device, fault, words in failures:
+        if device:
+            subprocess.run([*LFIELD, "sim", "fault", device, fault], stdout=subprocess.DEVNULL, check=True)
+        print(f"      | ({words})", flush=True)
+
+
+def main() -> int:
+    """All four runs, until one does not end as it should."""
+    for count, (_, _, words) in enumerate(FAILURES, 1):
+        print(f"\nRun {count}: {words}", flush=True)
+        status = run(FAILURES[1:count])
+        if status != 0:
+            print(f"the mission ended with {status}", file=sys.stderr)
+            return status
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

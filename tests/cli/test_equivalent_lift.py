@@ -1,0 +1,34 @@
+"""The example of capabilities, as its README runs it: four runs, each with one more robot that has failed."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DEMO = Path(__file__).parents[2] / "examples" / "02-equivalent-lift" / "demo.py"
+
+
+@pytest.mark.process
+@pytest.mark.timeout(600)
+def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield, alone):
+    done = subprocess.run(
+        [sys.executable, str(DEMO)], env={**lfield.environment, **alone}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+    runs = re.split(r"^Run \d: .*$", done.stdout, flags=re.M)[1:]
+    lifts = [re.findall(r"^(\w+) +\| foreman: the parcel went up by (.*) m$", run, re.M) for run in runs]
+    assert [[host for host, _ in lift] for lift in lifts] == [["yard"], ["air"], ["bench"], []], done.stdout
+    # The crane and the arm are exact, a copter is not.
+    assert [height for lift in lifts for host, height in lift if host != "air"] == ["0.8", "0.8"]
+    assert "(direct, " in runs[0]
+    assert "equivalent: climb-lifts of Climb" in runs[1]
+    assert "composed: grip-and-climb of Grip (hand), Climb (arm)" in runs[2]
+    explanation = runs[3].partition("nobody can lift the parcel\n")[2]
+    assert re.search(r"crane: axis: not heard for \d", explanation), runs[3]
+    assert re.search(r"sky: battery 0\.1\d* < 0\.3", explanation), runs[3]
+    assert lfield.left() == []
