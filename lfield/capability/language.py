@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -12,10 +12,10 @@ from lfield.capability.generate import Served, class_text, prelude
 from lfield.capability.model import Provider, Registry
 from lfield.capability.program_check import check_against, check_classes
 from lfield.capability.shipped import shipped
-from lfield.capability.signatures import Signature, signatures_of
+from lfield.capability.signatures import signatures_of
 from lfield.lang import syntax
 from lfield.lang.capabilities import Generated
-from lfield.source import Diagnostic, Diagnostics, Source
+from lfield.source import Diagnostic, Diagnostics, Source, Span
 
 
 class RegistryTypes:
@@ -49,13 +49,13 @@ class RegistryTypes:
 
     def misfits(self, used: Collection[str], files: Sequence[syntax.File]) -> Sequence[Diagnostic]:
         """Where a mission's registry does not fit the units of its program, or the classes of rules."""
-        found = Diagnostics()
-        registry, served = self.registry, _served(self.registry, files)
+        served = _served(self.registry, files)
         rules = {rule.name: rule for name in used for rule in served.compositions(name)}
-        signatures = signatures_of(files)
-        check_against(_fitting(registry, signatures), signatures, found)
-        check_classes(replace(registry, compositions=rules), found)
-        return found.in_order()
+        found = Diagnostics()
+        check_classes(replace(self.registry, compositions=rules), found)
+        ours = _ours()
+        told = (d for d in _misfits(self.registry, files) if d.span.source.name not in ours)
+        return [*told, *found.in_order()]
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""
@@ -66,33 +66,38 @@ class RegistryTypes:
 
 
 def _served(registry: Registry, files: Sequence[syntax.File]) -> Served:
+    """The ways that a program can have, by what fits of the registry.
+
+    A program may have a Winch of its own that is none of ours: what the registry that we ship says wrongly
+    of its resources does not count. Only a mission's own file must fit.
+    """
     units = [unit for file in files for unit in file.units]
     resources = {unit.name for unit in units if unit.kind == "resource"}
-    return Served(_fitting(registry, signatures_of(files)), resources, {unit.name for unit in units})
+    ours = _ours()
+    wrong = {d.span for d in _misfits(registry, files) if d.span.source.name in ours}
+    if wrong:
+        providers = {name: _without(provider, wrong) for name, provider in registry.providers.items()}
+        registry = replace(registry, providers=providers)
+    return Served(registry, resources, {unit.name for unit in units})
 
 
-def _fitting(registry: Registry, signatures: Mapping[str, Signature]) -> Registry:
-    """The registry without what its shipped part says wrongly of the program's resources.
+def _misfits(registry: Registry, files: Sequence[syntax.File]) -> list[Diagnostic]:
+    """What providers promise wrongly of the resources of a program."""
+    found = Diagnostics()
+    check_against(registry, signatures_of(files), found)
+    return found.in_order()
 
-    A program may have a Winch of its own that is none of ours; only a mission's own file must fit.
-    """
-    ours = {str(path) for path in shipped()}
-    providers = {
-        name: _fitting_provider(registry, provider, signatures, ours)
-        for name, provider in registry.providers.items()
-        if provider.type in signatures
+
+def _without(provider: Provider, wrong: Collection[Span]) -> Provider:
+    """A provider without what it serves by portals with these spans."""
+    serves = {
+        name: served
+        for name, served in provider.serves.items()
+        if not any(mapped.span in wrong for mapped in served.portals.values())
     }
-    return replace(registry, providers={**registry.providers, **providers})
-
-
-def _fitting_provider(
-    registry: Registry, provider: Provider, signatures: Mapping[str, Signature], ours: Collection[str]
-) -> Provider:
-    serves = {}
-    for name, served in provider.serves.items():
-        alone = replace(provider, serves={name: served})
-        found = Diagnostics()
-        check_against(replace(registry, providers={provider.type: alone}), signatures, found)
-        if served.span.source.name not in ours or not found.found:
-            serves[name] = served
     return replace(provider, serves=serves)
+
+
+def _ours() -> set[str]:
+    """The files of the registry that we ship, by the names in spans."""
+    return {str(path) for path in shipped()}

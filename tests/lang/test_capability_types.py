@@ -1,0 +1,172 @@
+"""Capabilities as types of L: when the registry is read, what fits a program, where mistakes are shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from lang_expectations import CAPABILITIES, REGISTRY
+
+from lfield.capability import language
+from lfield.capability.generate import classes
+from lfield.capability.language import RegistryTypes
+from lfield.capability.model import Registry
+from lfield.capability.reader import read_registry
+from lfield.lang.frontend import Checked, check_text
+
+CRANE = """
+resource Crane {
+    init(string[] arg) { }
+    portal lift(real height) emit real { return height; }
+    portal stop() { }
+}
+"""
+BOSS = "coordinator Boss { init(string[] arg) { %s } }\n"
+
+
+def never() -> Registry:
+    raise AssertionError("the registry was read")
+
+
+def checked(text: str, types: RegistryTypes = CAPABILITIES) -> Checked:
+    return check_text(text, "team.L", capabilities=types)
+
+
+def drawn(found: Checked) -> list[str]:
+    return [d.render().split("\n")[0] for d in found.diagnostics]
+
+
+def class_of(name: str, *resources: str) -> str:
+    made = classes(CAPABILITIES.registry, [name], resources)
+    return next(source.text for source in made if source.name == f"{name}.L")
+
+
+def test_a_program_that_names_no_capability_does_not_pay_for_the_registry() -> None:
+    text = CRANE + BOSS % 'Crane c = findCrane("a"); find(); finder(); findPath(); Exception e = null;'
+    own = "private void find() { } private void finder() { } private void findPath() { } init("
+    text = text.replace("coordinator Boss { init(", "coordinator Boss { " + own)
+    found = checked(text, RegistryTypes(never))
+    assert drawn(found) == []
+
+
+def test_a_capability_is_reached_by_its_type_or_by_a_question_alone() -> None:
+    for body in ("Lift[] who;", "findLift();", "explainLift();", "Lift who = null;"):
+        program = checked(CRANE + BOSS % body).or_raise()
+        assert [unit.name for unit in program.units if unit.capability] == ["Lift"], body
+
+
+def test_the_text_of_a_class_reads_like_a_program_by_hand() -> None:
+    text = class_of("Lift", "Winch")
+    assert text.startswith(
+        "// Lift: raises a load by some height\n// Made from the registry (skill.lifting).\n"
+    )
+    assert (
+        """
+    // raises the load (m)
+    // height (m): by how much
+    public real lift(real height) {
+        if (byWinch != null) {
+            return byWinch.reel(height * 1000.0, 3, true, "slow") * 0.001;
+        }
+"""
+        in text
+    )
+    assert "byCrane" not in text
+
+
+def test_only_ways_that_the_program_can_have_are_in_its_class() -> None:
+    assert "as_climb_lifts" not in class_of("Lift", "Hand", "Claw")
+    assert "as_climb_lifts" in class_of("Lift", "Copter")
+    assert "of_grip_and_climb" not in class_of("Lift", "Copter")
+    assert "of_grip_and_climb" in class_of("Lift", "Copter", "Claw")
+    names = [source.name for source in classes(CAPABILITIES.registry, ["Lift"], ["Copter", "Claw"])]
+    assert names == ["Climb.L", "FirmGrip.L", "Grip.L", "Lift.L"]
+    taken = classes(CAPABILITIES.registry, ["Lift"], ["Copter", "Claw"], taken=["Climb"])
+    assert [source.name for source in taken] == ["Lift.L"]
+
+
+def test_the_caret_stands_under_the_very_characters_of_a_condition() -> None:
+    (found,) = checked(CRANE + BOSS % 'findLift("payload > 1 && paylod < 3");').diagnostics
+    assert found.render().split("\n") == [
+        "team.L:7:66: error[L422]: there is no attribute 'paylod'",
+        '    coordinator Boss { init(string[] arg) { findLift("payload > 1 && paylod < 3"); } }',
+        " " * 69 + "^~~~~~",
+        "    hint: did you mean 'payload'?",
+    ]
+
+
+def test_where_a_condition_has_escapes_all_of_it_is_meant() -> None:
+    (found,) = checked(CRANE + BOSS % r'findLift("\u{70}aylod > 1");').diagnostics
+    assert found.span.text == r'"\u{70}aylod > 1"'
+
+
+def test_unknown_names_may_be_misspelt_capabilities() -> None:
+    (unknown_type,) = checked(CRANE + BOSS % "Lft who = null;").diagnostics
+    (unknown_find,) = checked(CRANE + BOSS % "explainLft();").diagnostics
+    assert unknown_type.hint == "did you mean 'Lift'?"
+    assert unknown_find.hint == "did you mean 'explainLift'?"
+
+
+def test_a_class_of_the_name_offer_is_in_the_way() -> None:
+    found = checked(CRANE + "class Offer { }\n" + BOSS % "findLift();")
+    assert drawn(found) == ["team.L:7:7: error[L307]: 'Offer' is declared in Offer.L, line 3 already"]
+    assert drawn(checked("class Offer { }\n" + BOSS % "")) == []
+
+
+def test_a_mission_must_fit_its_program() -> None:
+    found = checked(CRANE.replace("lift(", "hoist(") + BOSS % "findLift();")
+    (line,) = drawn(found)
+    assert line.startswith(f"{REGISTRY}:")
+    assert "Crane" in line
+    assert found.program is None
+
+
+def test_what_we_ship_does_not_count_for_another_of_the_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A program may have a Crane of its own that is none of ours."""
+    monkeypatch.setattr(language, "shipped", lambda: [REGISTRY])
+    program = checked(CRANE.replace("lift(", "hoist(") + BOSS % "findLift();").or_raise()
+    lift = next(unit for unit in program.units if unit.name == "Lift")
+    assert [field.name for field in lift.fields] == ["facts"]
+
+
+@pytest.fixture
+def with_class(tmp_path: Path) -> Callable[[str], RegistryTypes]:
+    """The registry with another text of the class that puts the parts together."""
+
+    def make(text: str) -> RegistryTypes:
+        registry = tmp_path / "registry.yaml"
+        registry.write_text(REGISTRY.read_text(encoding="utf-8"), encoding="utf-8")
+        (tmp_path / "lifting_grip_and_climb.inc").write_text(text, encoding="utf-8")
+        return RegistryTypes(lambda: read_registry([registry]))
+
+    return make
+
+
+PARTS = """
+resource Copter { init(string[] arg) { } portal climb(real m) emit real { return m; } portal stop() { } }
+resource Hand { init(string[] arg) { } portal grip() emit boolean { return true; } }
+"""
+
+
+def test_mistakes_in_the_class_of_a_rule_show_their_place(
+    with_class: Callable[[str], RegistryTypes],
+) -> None:
+    good = REGISTRY.with_name("lifting_grip_and_climb.inc").read_text(encoding="utf-8")
+    text = PARTS + BOSS % "findLift();"
+    assert drawn(checked(text, with_class(good))) == []
+    (bad,) = checked(text, with_class(good.replace("lifts + 1", "lifst + 1"))).diagnostics
+    assert Path(bad.span.source.name).name == "lifting_grip_and_climb.inc"
+    assert (bad.code, bad.span.text) == ("L301", "lifst")
+
+
+def test_the_class_of_a_rule_may_name_more_capabilities(
+    with_class: Callable[[str], RegistryTypes],
+) -> None:
+    good = REGISTRY.with_name("lifting_grip_and_climb.inc").read_text(encoding="utf-8")
+    more = good.replace("lifts = lifts + 1;", "lifts = lifts + findFirmGrip().length();")
+    program = checked(PARTS + BOSS % "findLift();", with_class(more)).or_raise()
+    made = sorted(unit.name for unit in program.units if unit.capability)
+    assert made == ["Climb", "FirmGrip", "Grip", "Lift"]
