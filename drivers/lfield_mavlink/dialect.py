@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_mavlink.decoding import SHORTEST, Layout
+from lfield_mavlink.layouts import SHORTEST, Layout
 from lfield_mavlink.signing import LinkSigning
 
 __all__ = ["AUTOPILOT", "COMPONENT", "SYSTEM", "Reader", "Writer", "dialect", "result_words"]
@@ -106,10 +106,14 @@ class Writer:
 
     def pack(self, message: Any) -> bytes:
         """One packet."""
-        if self._signing is not None:
-            self._signing.seal(self._mavlink)
-        data = bytes(message.pack(self._mavlink))
-        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+        layout, sequence = _LAYOUTS[message.get_msgId()], self._mavlink.seq
+        if self._signing is None and layout.is_plain:
+            data = layout.packet(message, sequence, SYSTEM, COMPONENT)
+        else:
+            if self._signing is not None:
+                self._signing.seal(self._mavlink)
+            data = bytes(message.pack(self._mavlink))
+        self._mavlink.seq = (sequence + 1) % 256
         return data
 
 

@@ -9,8 +9,7 @@ import asyncio
 import math
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from lfield_mavlink.dialect import AUTOPILOT, COMPONENT, SYSTEM, dialect
 from lfield_mavlink.geo import Place
@@ -21,8 +20,7 @@ PATIENCE, RETRIES = 0.5, 3
 PROGRESS, LONGEST = 5.0, 60.0
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(NamedTuple):
     """The MAV_RESULT of a command, None when nobody answered, and how often it was sent."""
 
     result: int | None
@@ -124,8 +122,8 @@ class Exchange:
 
     def _padded(self, values: tuple[float | None, ...], length: int) -> list[float]:
         unused = math.nan if self.px4 else 0.0
-        given = [unused if value is None else value for value in values]
-        return given + [unused] * (length - len(given))
+        padded = values + (None,) * (length - len(values))
+        return [unused if value is None else value for value in padded]
 
 
 def is_for_us(message: Any) -> bool:

@@ -1,4 +1,4 @@
-"""What we decode ourselves is what pymavlink makes of the same bytes."""
+"""What we decode and pack ourselves is what pymavlink makes of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.generator.mavcrc import x25crc
 
-from lfield_mavlink.dialect import Reader, dialect
+from lfield_mavlink.dialect import COMPONENT, SYSTEM, Reader, Writer, dialect
 
 KINDS = sorted(dialect.mavlink_map)
 
@@ -67,3 +67,13 @@ def test_what_is_spare_is_not_decoded():
     assert list(reader.feed(packed(0, bytes(9)), is_spare)) == []
     assert len(reader.feed(packed(0, bytes(9), system=4), is_spare)) == 1
     assert asked == [(3, 1, 0, 7), (4, 1, 0, 7)]
+
+
+@settings(deadline=None)
+@given(st.sampled_from(KINDS), st.binary(max_size=255), st.integers(0, 255))
+def test_messages_are_packed_as_pymavlink_packs_them(kind, payload, sequence):
+    message = dialect.MAVLink(None).decode(bytearray(packed(kind, payload)))
+    writer, other = Writer(), dialect.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+    writer._mavlink.seq = other.seq = sequence
+    assert writer.pack(message) == message.pack(other)
+    assert writer.pack(message)[4] == (sequence + 1) % 256
