@@ -42,13 +42,15 @@ def listen(port: str, rate: str, seconds: str, *systems: str) -> None:
 
 
 def command(port: str, count: str) -> None:
-    """A command that moves nothing, again and again."""
-    link = connect(port)
+    """A command that moves nothing, again and again; nobody is woken by what is printed until the end."""
+    link, samples = connect(port), []
     for _ in range(int(count)):
         start = time.perf_counter()
         link.mav.command_long_send(1, 1, 512, 0, 148, 0, 0, 0, 0, 0, 0)
-        link.recv_match(type="COMMAND_ACK", blocking=True, timeout=2)
-        print(f"{time.perf_counter() - start:.6f}", flush=True)
+        while link.recv_match(type="COMMAND_ACK", blocking=True, timeout=2).command != 512:
+            pass
+        samples.append(time.perf_counter() - start)
+    print(*(f"{sample:.7f}" for sample in samples))
 
 
 if __name__ == "__main__":
