@@ -6,6 +6,9 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
 
+#: The most characters of a line that a diagnostic shows.
+MAX_SHOWN = 160
+
 
 @dataclass(frozen=True, eq=False)
 class Source:
@@ -73,12 +76,12 @@ class Diagnostic:
     def render(self) -> str:
         """`file:line:col: error[LNNN]: sentence`, the source line, a caret, and the hint."""
         line, column = self.span.source.line_column(self.span.start)
-        text = self.span.source.line_text(line)
+        text, before = _window(self.span.source.line_text(line), column - 1)
         # A file may hold anything: what a terminal would obey is shown as a dot, one for one.
         shown = "".join(ch if ch.isprintable() or ch == "\t" else "·" for ch in text)
         # Tabs are kept in the margin so that the caret stands under the character it means.
-        margin = "".join("\t" if ch == "\t" else " " for ch in text[: column - 1])
-        width = max(1, min(self.span.end, self.span.start + len(text) - column + 1) - self.span.start)
+        margin = "".join("\t" if ch == "\t" else " " for ch in text[:before])
+        width = max(1, min(self.span.end - self.span.start, len(text) - before))
         lines = [
             f"{self.span.source.name}:{line}:{column}: {self.severity}[{self.code}]: {self.message}",
             f"    {shown}",
@@ -87,6 +90,14 @@ class Diagnostic:
         if self.hint:
             lines.append(f"    hint: {self.hint}")
         return "\n".join(lines)
+
+
+def _window(text: str, place: int) -> tuple[str, int]:
+    """What is shown of a line, and where in it `place` is: its surroundings, if it is long."""
+    if len(text) <= MAX_SHOWN:
+        return text, place
+    start = max(0, min(place - MAX_SHOWN // 2, len(text) - MAX_SHOWN))
+    return text[start : start + MAX_SHOWN], place - start
 
 
 @dataclass(slots=True)

@@ -1,6 +1,7 @@
 """How a finding looks to the person who made the mistake."""
 
 from lfield.lang.frontend import check_text
+from lfield.source import MAX_SHOWN
 
 PROGRAM = """\
 resource Arm {
@@ -39,3 +40,11 @@ def test_all_errors_of_a_file_come_in_source_order() -> None:
     text = "resource Arm {\n  Boks b;\n  init(string[] arg) {\n    x = 1;\n    int y = ;\n    z();\n  }\n}\n"
     found = check_text(text).diagnostics
     assert [(d.code, d.span.line) for d in found] == [("L302", 2), ("L301", 4), ("L205", 5), ("L303", 6)]
+
+
+def test_of_a_long_line_only_the_surroundings_are_shown() -> None:
+    text = f"class C {{ {'int a; ' * 100_000} intt b; {'int c; ' * 100_000}}}"
+    found = next(d for d in check_text(text).diagnostics if d.code == "L302")
+    _, line, caret, *_ = found.render().split("\n")
+    assert len(line) <= 4 + MAX_SHOWN
+    assert line[caret.index("^") : caret.rindex("~") + 1] == "intt"
