@@ -1,4 +1,4 @@
-"""Runs the mission four times on fakes: as it is, then with the best lifter failed, then the next one too, and so on.
+"""Runs the mission four times on fakes: as it is, then with one more robot that has failed each time.
 
     python examples/02-equivalent-lift/demo.py
 
@@ -19,7 +19,7 @@ LFIELD = (sys.executable, "-m", "lfield")
 #: What hosts and devices say of themselves; the rest is the foreman's.
 OTHERS = re.compile(r"\| (\w+\.\w+: |\w+ is up|linked with|lost the link)")
 
-#: What has failed in each run: the device, its fault, and how people would say it. Faults of a run stay in the next.
+#: What fails in each run besides what has failed before: the device, its fault, and how people would say it.
 FAILURES = (
     ("", "", "everything works"),
     ("crane.axis", "silence=true", "the crane's drive has lost its power"),
