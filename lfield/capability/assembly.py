@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 
 from lfield.capability import ways
 from lfield.capability.evaluate import Facts, conjuncts, evaluator, names
@@ -71,33 +72,37 @@ class Assembly:
         }
 
     def _whole(self, parts: Sequence[Plan], facts: Facts) -> Plan:
-        rule, cost, why = self.rule, self.cost(parts), self._why(parts)
+        values = {name: facts[name] for name, _, _ in self._attributes if name in facts}
+        values["agent"] = _joined([part.values["agent"] for part in parts])
+        values["robot"] = values["host"] = _joined([part.values["host"] for part in parts])
+        why = self._why(parts)
+        unknown = {name: why(name) for name, _, _ in self._attributes if name not in facts}
+        cost = self.cost(parts)
+        return Plan(partial(self._offer, parts, facts, cost), cost, values, unknown, self.rule.name)
+
+    def _offer(self, parts: Sequence[Plan], facts: Facts, cost: float) -> Offer:
+        rule, offers = self.rule, [part.offer for part in parts]
         known = {
-            name: Fact(facts[name], self._age(names(expression), parts))
+            name: Fact(facts[name], self._age(names(expression), offers))
             for name, _, expression in self._attributes
             if name in facts
         }
-        values: dict[str, Value] = {name: fact.value for name, fact in known.items()}
-        values["agent"] = _joined([part.values["agent"] for part in parts])
-        values["robot"] = values["host"] = _joined([part.values["host"] for part in parts])
-        offer = Offer(
+        return Offer(
             rule.serves,
             "composed",
             self._way,
-            _listed(part.offer.agent for part in parts),
-            _listed(part.offer.host for part in parts),
+            _listed(offer.agent for offer in offers),
+            _listed(offer.host for offer in offers),
             cost,
             known,
-            {field: part.offer for field, part in zip(self._fields, parts, strict=True)},
+            dict(zip(self._fields, offers, strict=True)),
             rule.name,
         )
-        unknown = {name: why(name) for name, _, _ in self._attributes if name not in facts}
-        return Plan(offer, cost, values, unknown, rule.name)
 
-    def _age(self, looked_at: Sequence[str], parts: Sequence[Plan]) -> float:
+    def _age(self, looked_at: Sequence[str], offers: Sequence[Offer]) -> float:
         """How old the oldest of some facts of the parts is."""
         places = [self._place(name) for name in looked_at]
-        found = [parts[index].offer.facts.get(attribute) for index, attribute in places]
+        found = [offers[index].facts.get(attribute) for index, attribute in places]
         return max((fact.age for fact in found if fact is not None), default=0.0)
 
     def _why(self, parts: Sequence[Plan]) -> Callable[[str], str]:

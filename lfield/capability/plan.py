@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 from lfield.capability import ways
 from lfield.capability.evaluate import Facts, Judge
@@ -18,14 +18,23 @@ class Plan:
     """An offer, its cost, and its attributes as flat facts with `agent`, `robot` and `host`.
 
     Where a plan takes several agents, the three are sets. `unknown` tells of attributes why they have no
-    value. `composition` is the rule that puts several parts together, '' when it is one agent.
+    value. `composition` is the rule that puts several parts together, '' when it is one agent. The offer
+    itself is made by `make` when it is asked for: most plans of a search are not offered in the end.
     """
 
-    offer: Offer
+    make: Callable[[], Offer]
     cost: float
     values: Facts
     unknown: Mapping[str, str]
     composition: str = ""
+    _offer: Offer | None = None
+
+    @property
+    def offer(self) -> Offer:
+        """What the matcher gives, made once."""
+        if self._offer is None:
+            self._offer = self.make()
+        return self._offer
 
     def why(self, name: str) -> str:
         """Why an attribute has no value."""
@@ -54,9 +63,14 @@ _way = cache(ways.equivalent)
 
 def standing_in(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
     """The plan by a one-to-one rule, from one for what the rule asks."""
-    inner, way = behind.offer, _way(rule.name)
     cost = ranking.by_rule(behind.cost, rule.loss)
-    offer = Offer(
+    make = partial(_equivalent, rule, behind, cost)
+    return Plan(make, cost, behind.values, behind.unknown, behind.composition)
+
+
+def _equivalent(rule: Equivalence, behind: Plan, cost: float) -> Offer:
+    inner, way = behind.offer, _way(rule.name)
+    return Offer(
         rule.serves,
         "equivalent",
         way,
@@ -67,4 +81,3 @@ def standing_in(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
         {way: inner},
         rule.name,
     )
-    return Plan(offer, cost, behind.values, behind.unknown, behind.composition)

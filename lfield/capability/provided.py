@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from functools import partial
 
 from lfield.capability import ways
 from lfield.capability.evaluate import conjuncts, evaluator
@@ -80,8 +81,8 @@ class Provided:
             facts.pop(name, None)
             values.pop(name, None)
         cost = self._ranking.agent(self.primitive, values, candidate.hops, staleness)
-        offer = Offer(self.primitive, "direct", self._way, candidate.agent, host, cost, facts)
-        return Plan(offer, cost, values, unknown)
+        make = partial(Offer, self.primitive, "direct", self._way, candidate.agent, host, cost, facts)
+        return Plan(make, cost, values, unknown)
 
     def _useless(self, name: str, fact: Fact) -> dict[str, str]:
         """Why a live fact says nothing; {} when it does."""

@@ -149,6 +149,15 @@ def test_rules_stand_on_rules_up_to_the_limit() -> None:
     assert explained(matcher, "Top")[-1].strip() == "r3: at most 4 rules stand on top of one another"
 
 
+def test_a_composition_counts_as_a_rule_above_its_parts() -> None:
+    one = composition("one", "Lift", {"a": "Climb"})
+    two = composition("two", "Climb", {"a": "Step"})
+    made = registry(provider("Stepper", ["Step"]), one, two, equivalence("top", "Top", "Lift"))
+    crew = Crew(candidate("s", "Stepper"))
+    for depth, found in ((2, []), (3, ["as_top s"])):
+        assert brief(Matcher(made, crew, limits=Limits(depth=depth)).offers("Top")) == found
+
+
 def test_a_part_may_be_composed_itself() -> None:
     inner = composition("inner", "Climb", {"one": "Step", "two": "Step"}, ["one.agent != two.agent"])
     crew = Crew(candidate("arm1", "Arm"), candidate("s1", "Stepper"), candidate("s2", "Stepper"))
