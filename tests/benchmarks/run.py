@@ -13,12 +13,15 @@ from importlib.util import find_spec
 
 import agreement
 import collector
+import compiling
+import compositions
 import deadman
 import directory
 import engine
 import footprint
 import local
 import mavlink
+import offers
 import query
 import remote
 from harness import Figure
@@ -39,6 +42,9 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "drivers": drivers.figure,
     "mavlink": mavlink.figure,
     "directory": directory.figure,
+    "offers": offers.figure,
+    "compositions": compositions.figure,
+    "compiling": compiling.figure,
 }
 #: What the extra `bench` brings.
 LIBRARIES = ("Pyro5", "rpyc", "grpc")
