@@ -5,7 +5,7 @@ driver: servo                       # the name in bindings
 type: Servo                         # the device type in L
 meaning: one servo on a bus
 safe_states: [hold, off]            # the first is the default
-capabilities: [maneuverability.rotation]   # of the registry; what a resource with it can offer
+capabilities: [maneuverability.rotational_force]   # of the registry; what a resource with it can offer
 options:                            # the driver's own keys of a binding
   id: {type: int, default: 1, minimum: 1, maximum: 252, meaning: its number on the bus}
 limits:
