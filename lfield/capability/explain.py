@@ -75,7 +75,8 @@ class Explanation:
 
     def __init__(self, search: Search) -> None:
         self._search, self._rules = search, search.rules
-        self._told: set[tuple[str, frozenset[Expression]]] = set()
+        #: Of primitives with what was asked of them, whether there was anything to tell.
+        self._told: dict[tuple[str, frozenset[Expression]], bool] = {}
 
     def refusals(self) -> list[Refusal]:
         """Everyone who could do what is searched for and is not offered.
@@ -96,13 +97,15 @@ class Explanation:
 
     def _inside(self, place: _Place) -> tuple[Refusal, ...]:
         """The refusals of what a rule asks for."""
-        told = (place.end, frozenset(place.asked))
-        if told in self._told:
-            return (Refusal(place.end, ("as above",)),)
+        asked = (place.end, frozenset(place.asked))
+        if asked in self._told:
+            return (Refusal(place.end, ("as above",)),) if self._told[asked] else ()
         if len(self._told) == MAX_TOLD:
             return (Refusal(place.end, ("more could be said",)),)
-        self._told.add(told)
-        return tuple(self._at(place))
+        self._told[asked] = True
+        inner = tuple(self._at(place))
+        self._told[asked] = bool(inner)
+        return inner
 
     def _agents(self, provided: Provided, place: _Place) -> Iterator[Refusal]:
         named = self._search.named

@@ -240,6 +240,19 @@ def test_what_a_rule_asks_for_is_told_once() -> None:
     assert explained(matcher, "Lift") == ["one: no Climb", "  c1: gone", "two: no Climb", "  Climb: as above"]
 
 
+def test_a_rule_that_is_open_to_everybody_is_not_refused() -> None:
+    rules = [equivalence("one", "Lift", "Climb"), equivalence("two", "Lift", "Climb")]
+    assert explained(Matcher(registry(COPTER, *rules), Crew(candidate("c1", "Copter"))), "Lift") == []
+
+
+def test_a_rule_that_is_not_open_to_everybody_says_to_whom() -> None:
+    crew = Crew(candidate("c1", "Copter"), candidate("c2", "Copter", payload=0.1))
+    assert explained(Matcher(registry(COPTER, CLIMB_LIFTS), crew), "Lift") == [
+        "climb-lifts: not with every Climb",
+        "  c2: payload 0.1 < 0.2",
+    ]
+
+
 def test_only_the_ways_of_the_program_are_offered() -> None:
     crew = Crew(candidate("crane1", "Crane"), candidate("arm1", "Arm"), candidate("c1", "Copter"))
     everything = registry(CRANE, ARM, COPTER, CLIMB_LIFTS, GRIP_AND_CLIMB)
