@@ -16,7 +16,7 @@ def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
     Every reference that lies outside the block (a thread's place, say) is wrong afterwards.
     """
     data, top = _compact(block, layouts)
-    wanted = max(INITIAL_WORDS, 2 * top + room)
+    wanted = max(INITIAL_WORDS, 2 * (top + room))
     most = block.limit if top + room <= block.limit else block.limit + RESERVE_WORDS
     words = max(top, min(wanted, most))
     data.extend(bytes(max(0, 8 * words - len(data))))

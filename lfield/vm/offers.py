@@ -126,8 +126,12 @@ def ways(program: Program) -> dict[str, frozenset[str]]:
 
 def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[Found]) -> int:
     """An array of offers on the heap; raises Full, and UnknownWay when the program has no such way."""
-    writer = _Writer(shapes, block.top)
     shape = shapes.of[capability]
+    least = 1 + sum([_least_words(shape, one) for one in found])
+    if block.top + least > block.end:
+        # To write a thousand offers only to find that out would cost more than to count.
+        raise Full(least)
+    writer = _Writer(shapes, block.top)
     places = [writer.offer(shape, one) for one in found]
     array = writer.array(shapes.arrays[capability], places)
     data = b"".join(writer.chunks)
@@ -137,6 +141,11 @@ def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[
     block.data[8 * block.top : 8 * end] = data
     block.top = end
     return array
+
+
+def _least_words(shape: Shape, found: Found) -> int:
+    """Words that an offer needs in any case: itself, what it says, its numbers, its place in the array."""
+    return shape.words + _FACTS_WORDS + len(found.numbers) + 2
 
 
 class _Writer:

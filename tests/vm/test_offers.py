@@ -171,16 +171,23 @@ def test_equal_words_are_written_once() -> None:
     assert max(words) - min(words) == 99 * (7 + 9 + 3 + 2 + 1)
 
 
-def test_full_writes_nothing_and_says_how_many_words() -> None:
+@pytest.mark.parametrize("agent", ["a", "a very long name " * 50])
+def test_full_writes_nothing_and_says_how_many_words_are_needed_at_least(agent: str) -> None:
+    found = [WHOLE, *(Found("byCrane", f"{agent}{i}", "h", "direct", 0.5, 0) for i in range(100))]
     block = Block.empty(program().digest, 1 << 17)
     before = bytes(block.image())
     with pytest.raises(Full) as full:
-        written(block, [WHOLE] * 100)
+        written(block, found)
     assert bytes(block.image()) == before
-    collect(block, Layouts(program()), full.value.words)
-    start = block.top
-    written(block, [WHOLE] * 100)
-    assert block.top - start == full.value.words
+    roomy = new_block()
+    start = roomy.top
+    written(roomy, found)
+    assert full.value.words <= roomy.top - start
+    exact = Block.empty(program().digest, 1 << 17)
+    collect(exact, Layouts(program()), roomy.top - start)
+    exact.end = exact.top + roomy.top - start
+    written(exact, found)
+    assert exact.top == exact.end
 
 
 @pytest.mark.parametrize(
