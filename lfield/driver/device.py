@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Callable, Coroutine, Mapping, Sequence
-from functools import cache
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from inspect import Parameter as MethodParameter
 from inspect import iscoroutinefunction, signature
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.manifest_file import RELEASE, WATCHDOG, Manifest
-from lfield.driver.values import conform
+from lfield.driver.values import CHECKS, Check, conform
 from lfield.errors import DeviceError, PluginError
 from lfield.manifest import DeviceValue
 
@@ -41,7 +40,14 @@ class Reports(Protocol):
         """Something in the driver has broken: every device goes safe."""
 
 
-@cache
+class _Call(NamedTuple):
+    """How an instruction is carried out: its coroutine, and what its arguments and its result must be."""
+
+    method: Callable[..., Awaitable[object]]
+    arguments: tuple[Check, ...]
+    result: Check
+
+
 def method_name(instruction: str) -> str:
     """`goTo` -> `do_go_to`."""
     return "do_" + re.sub(r"([A-Z])", r"_\1", instruction).lower()
@@ -58,6 +64,7 @@ class Device:
         self.binding, self.manifest, self.clock = binding, manifest, clock
         self._reports = reports
         self._types = {quantity.name: quantity.type for quantity in manifest.device.telemetry}
+        self._calls: dict[str, _Call] = {}
 
     async def open(self) -> str:
         """Find the device and set its watchdog; its identity in words. Raises DeviceError."""
@@ -67,12 +74,19 @@ class Device:
 
     async def execute(self, instruction: str, arguments: Sequence[object]) -> DeviceValue:
         """Carry an instruction out and return its result. Raises DeviceError when it did not happen."""
+        call = self._calls.get(instruction) or self._call(instruction)
+        values = [check(value) for check, value in zip(call.arguments, arguments, strict=True)]
+        return call.result(await call.method(*values))
+
+    def _call(self, instruction: str) -> _Call:
+        """What the manifest and the class say of an instruction, worked out at its first call."""
         declared = self.manifest.device.instruction(instruction)
         if declared is None:
             raise self.error(f"there is no instruction '{instruction}'")
-        values = [conform(a, p.type) for a, p in zip(arguments, declared.parameters, strict=True)]
-        method: Callable[..., object] = getattr(self, method_name(instruction))
-        return conform(await method(*values), declared.result)  # type: ignore[misc]  # checked by check_methods
+        checks = tuple(CHECKS[parameter.type] for parameter in declared.parameters)
+        call = _Call(getattr(self, method_name(instruction)), checks, CHECKS[declared.result])
+        self._calls[instruction] = call
+        return call
 
     async def make_safe(self) -> None:
         """Bring the device into its safe state and see that it is there. Raises DeviceError."""

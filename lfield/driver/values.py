@@ -9,9 +9,13 @@ from lfield.manifest import DeviceValue
 INT_MIN, INT_MAX = -(1 << 63), (1 << 63) - 1
 
 
+#: Gives a value as an L type; whole numbers widen to real. Raises ValueError with a sentence.
+Check = Callable[[object], DeviceValue]
+
+
 def conform(value: object, type_name: str) -> DeviceValue:
     """`value` as the L type; whole numbers widen to real. Raises ValueError with a sentence."""
-    check = _CHECKS.get(type_name)
+    check = CHECKS.get(type_name)
     if check is None:
         raise _unfit(value, type_name)
     return check(value)
@@ -54,7 +58,7 @@ def _void(value: object) -> DeviceValue:
     raise _unfit(value, "void")
 
 
-def _array(item: Callable[[object], DeviceValue], type_name: str) -> Callable[[object], DeviceValue]:
+def _array(item: Check, type_name: str) -> Check:
     def check(value: object) -> DeviceValue:
         if isinstance(value, str) or not isinstance(value, Sequence):
             raise _unfit(value, type_name)
@@ -63,7 +67,8 @@ def _array(item: Callable[[object], DeviceValue], type_name: str) -> Callable[[o
     return check
 
 
-_CHECKS: dict[str, Callable[[object], DeviceValue]] = {
+#: What `conform` does for each type, for those who ask for the same types again and again.
+CHECKS: dict[str, Check] = {
     "boolean": _boolean,
     "int": _int,
     "real": _real,
