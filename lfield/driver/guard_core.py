@@ -15,7 +15,9 @@ While the host is silent the bus is made quiet, once every safe state is confirm
 the driver sends by itself would keep the device's own watchdog content for an owner who is gone.
 
 Every event first looks at the clock: what is overdue happens before what has just arrived, so that a beat
-that lay in the pipe while this process was stopped does not excuse the silence.
+that lay in the pipe while this process was stopped does not excuse the silence. And `due` looks at no clock
+at all: it says when the next thing is to be done, also when that is past. Time goes on between a look at what
+is due and the next question, and what falls in between must not be taken for done.
 """
 
 from __future__ import annotations
@@ -149,7 +151,7 @@ class GuardCore:
         effects = self.tick()
         now = self._clock.monotonic()
         self._last_beat = max(self._last_beat, min(sent, now))
-        if self._quiet and now < self._last_beat + self._silence:
+        if self._quiet and now < self._silent_at:
             self._quiet = False
             effects.append(Quiet(False))
         return effects
@@ -226,7 +228,7 @@ class GuardCore:
         device = self._devices[name]
         device.confirmed, device.retry_at = True, None
         effects.append(Tell(Latched(name, device.latched, True)))
-        return effects + self._be_quiet() + self._end_if_safe()
+        return effects + self._be_quiet(self._clock.monotonic()) + self._end_if_safe()
 
     def not_safe(self, name: str, reason: str) -> list[Effect]:
         """The driver could not bring the device into its safe state; it is tried again."""
@@ -246,7 +248,7 @@ class GuardCore:
         """Time has passed: whatever is due."""
         now = self._clock.monotonic()
         effects: list[Effect] = []
-        silent = now >= self._last_beat + self._silence
+        silent = now >= self._silent_at
         for device in self._devices.values():
             if silent and device.moved:
                 effects += self._latch(device, f"the host was silent for over {self._silence * 1000:.0f} ms")
@@ -256,7 +258,7 @@ class GuardCore:
             if device.retry_at is not None and now >= device.retry_at:
                 device.retry_at = None
                 effects.append(MakeSafe(device.name))
-        effects += self._be_quiet()
+        effects += self._be_quiet(now)
         if self._stop_by is not None and now >= self._stop_by:
             effects += self._end()
         return effects
@@ -267,11 +269,7 @@ class GuardCore:
             return None
         times = [self._expiry(device) for device in self._devices.values()]
         times += [device.retry_at for device in self._devices.values()]
-        times.append(self._stop_by)
-        if not self._quiet:
-            silent_at = self._last_beat + self._silence
-            waiting = self._clock.monotonic() >= silent_at
-            times.append(silent_at + QUIET_BY if waiting else silent_at)
+        times += [self._stop_by, self._silence_due()]
         return min((time for time in times if time is not None), default=None)
 
     # -- decisions ------------------------------------------------------------------------------------
@@ -283,13 +281,24 @@ class GuardCore:
             return f"the setpoint came after its time-to-live of {device.ttl:g} s"
         return ""
 
-    def _be_quiet(self) -> list[Effect]:
-        """Make the bus quiet when the host is silent and there is nothing left to be sent for its sake."""
-        silence = self._clock.monotonic() - self._last_beat - self._silence
-        if self._quiet or silence < 0.0:
-            return []
-        safe = all(device.confirmed or not device.latched for device in self._devices.values())
-        if not safe and silence < QUIET_BY:
+    @property
+    def _silent_at(self) -> float:
+        """When the host counts as silent, if it says nothing more."""
+        return self._last_beat + self._silence
+
+    def _silence_due(self) -> float | None:
+        """When there is something to be done about a silence; None when all of it has been done."""
+        if any(device.moved and not device.latched for device in self._devices.values()):
+            return self._silent_at
+        return None if self._quiet else self._quiet_at()
+
+    def _quiet_at(self) -> float:
+        """When a silent host's bus is made quiet: at once if nothing is left to be sent for its sake."""
+        settled = all(d.confirmed or not (d.latched or d.moved) for d in self._devices.values())
+        return self._silent_at + (0.0 if settled else QUIET_BY)
+
+    def _be_quiet(self, now: float) -> list[Effect]:
+        if self._quiet or now < self._quiet_at():
             return []
         self._quiet = True
         return [Quiet(True)]

@@ -257,6 +257,49 @@ def test_a_safe_state_that_nobody_confirms_keeps_no_watchdog_content():
     assert quiets(rig.wait(0.2, beating=False)) == [True]
 
 
+class CreepingClock(ManualClock):
+    """A clock on which time passes while somebody looks at it, as on every real one."""
+
+    STEP = 1e-6
+
+    def monotonic(self):
+        self.now += self.STEP
+        return self.now
+
+
+@pytest.mark.parametrize("early", range(1, 13))
+@pytest.mark.parametrize("event", ["tick", "ask", "beat"])
+def test_a_silence_that_begins_between_two_looks_at_the_clock_is_not_missed(event, early):
+    clock = CreepingClock()
+    core = GuardCore([("a", MANIFEST, TTL)], clock, silence=SILENCE)
+    start = clock.monotonic()
+    core.opened("")
+    core.call(Call(1, "a", "go", [1.0], start))
+    core.finished(1, None)
+    last = clock.now
+    core.beat(last)
+    clock.now = last + SILENCE - early * clock.STEP
+    effects = {
+        "tick": core.tick,
+        "ask": lambda: core.call(Call(2, "a", "ask", [], last)),
+        "beat": lambda: core.beat(last),
+    }[event]()
+    while made_safe(effects) == [] and core.due() is not None:
+        clock.now = max(clock.now, core.due())
+        effects += core.tick()
+    assert made_safe(effects) == ["a"]
+    assert quiets(effects) == []
+    assert clock.now < last + SILENCE + 20 * clock.STEP
+
+
+def test_a_call_that_lay_in_the_pipe_of_a_silent_host_is_stopped():
+    rig = Rig()
+    assert quiets(rig.wait(1.0, beating=False)) == [True]
+    rig.call("go", 1.0, age=0.5)
+    assert rig.core.due() <= rig.clock.monotonic()
+    assert made_safe(rig.core.tick()) == ["a"]
+
+
 def test_who_is_barred_is_not_released_by_the_program():
     rig = Rig()
     rig.core.safe("", "the emergency stop was pressed", barred=True)
