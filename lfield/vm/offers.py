@@ -64,21 +64,25 @@ class Shape:
         self.name = record.name
         self.words = 1 + len(record.fields)
         self.head = header(layout.OBJECT, index, self.words)
-        self.no_way = [0] * len(fields)
+        self.ways_count = len(fields)
         self.ways = {
             f.name: (number, kind.kind, kind.of)
             for number, (f, kind) in enumerate(zip(record.fields[1:], fields, strict=True))
             if kind.kind == PROXY or (kind.kind == OBJECT and classes[kind.of].capability)
         }
-        self._structs: dict[tuple[int, bool], struct.Struct] = {}
+        self._direct: dict[tuple[str, int], tuple[struct.Struct, int]] = {}
 
-    def packed(self, numbers: int, direct: bool) -> struct.Struct:
-        """An offer, what it says of itself, an array of so many numbers, and a proxy if it is direct."""
-        found = self._structs.get((numbers, direct))
+    def direct(self, way: str, numbers: int) -> tuple[struct.Struct, int]:
+        """An offer of which just that way is filled, what it says of itself, so many numbers, and a proxy.
+
+        With it comes the header of the proxy.
+        """
+        found = self._direct.get((way, numbers))
         if found is None:
-            proxy = "2q" if direct else ""
-            found = struct.Struct(f"<{2 + len(self.no_way)}q4qd4qq{numbers}d{proxy}")
-            self._structs[numbers, direct] = found
+            number, of = self.way(way, PROXY)
+            before, after = 8 * number, 8 * (self.ways_count - number - 1)
+            run = struct.Struct(f"<2q{before}xq{after}x4qd4qq{numbers}d2q")
+            found = self._direct[way, numbers] = (run, header(layout.PROXY, of, 2))
         return found
 
     def way(self, name: str, kind: int) -> tuple[int, int]:
@@ -161,38 +165,63 @@ class _Writer:
     def offer(self, shape: Shape, found: Found) -> int:
         """An offer with its parts; what it says of itself, its numbers and its proxy follow it directly."""
         way, agent, host, kind, score, member, parts, names, numbers, texts, ages = found
-        shapes, text, ways = self._shapes, self._text, shape.no_way.copy()
-        for name, part in parts.items():
-            number, of = shape.way(name, OBJECT)
-            ways[number] = self.offer(shapes.of[of], part)
+        if parts:
+            return self._of_parts(shape, found)
+        text = self._text
+        agent_at, host_at, kind_at = text(agent), text(host), text(kind)
+        names_at, texts_at, ages_at = self._strings(names), self._strings(texts), self._reals(ages)
         count = len(numbers)
-        words = [
-            shape.head,
-            0,
-            *ways,
-            shapes.facts,
-            text(agent),
-            text(host),
-            text(kind),
-            score,
-            self._strings(names),
-            0,
-            self._strings(texts),
-            self._reals(ages),
-            shapes.reals | 1 + count << 32,
-            *numbers,
-        ]
+        run, proxy = shape.direct(way, count)
         place = self._top
-        words[1] = facts = place + shape.words
-        words[shape.words + 6] = array = facts + _FACTS_WORDS
-        if not parts:
-            number, of = shape.way(way, PROXY)
-            words[2 + number] = array + 1 + count
-            words += (header(layout.PROXY, of, 2), member)
-        data = shape.packed(count, not parts).pack(*words)
+        facts = place + shape.words
+        array = facts + _FACTS_WORDS
+        behind = array + 1 + count
+        # One call with all words: whatever is put together first costs more than the writing.
+        data = run.pack(
+            shape.head,
+            facts,
+            behind,
+            self._shapes.facts,
+            agent_at,
+            host_at,
+            kind_at,
+            score,
+            names_at,
+            array,
+            texts_at,
+            ages_at,
+            self._shapes.reals | 1 + count << 32,
+            *numbers,
+            proxy,
+            member,
+        )
         self.chunks.append(data)
-        self._top = place + (len(data) >> 3)
+        self._top = behind + 2
         return place
+
+    def _of_parts(self, shape: Shape, found: Found) -> int:
+        """An offer that others stand in for."""
+        ways = [0] * shape.ways_count
+        for name, part in found.parts.items():
+            number, of = shape.way(name, OBJECT)
+            ways[number] = self.offer(self._shapes.of[of], part)
+        text, count = self._text, len(found.numbers)
+        said = (text(found.agent), text(found.host), text(found.kind), found.score)
+        names, texts, ages = self._strings(found.names), self._strings(found.texts), self._reals(found.ages)
+        facts = self._top + shape.words
+        first = (
+            shape.head,
+            facts,
+            *ways,
+            self._shapes.facts,
+            *said,
+            names,
+            facts + _FACTS_WORDS,
+            texts,
+            ages,
+        )
+        head = self._shapes.reals | 1 + count << 32
+        return self._put(struct.pack(f"<{2 + len(ways)}q4qd4qq{count}d", *first, head, *found.numbers))
 
     def array(self, head: int, places: Sequence[int]) -> int:
         """An array of references; `head` is its header without elements."""
