@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from directory_team import Seat
+from directory_team import AGENTS, REGISTRY, Seat
 
 from lfield.capability.directory import MOMENT
 from lfield.capability.news import Condition, Trouble
+from lfield.fleet.reports import Reports
 
 
 @pytest.fixture
@@ -21,10 +22,6 @@ def seats():
 
 def tell(sender, receiver, news):
     """News on a link: times become ages on the way (fleet/reports.py does it for messages)."""
-    from directory_team import AGENTS, REGISTRY
-
-    from lfield.fleet.reports import Reports
-
     reports = Reports(REGISTRY, AGENTS)
     report = reports.write(news, sender.clock.monotonic())
     receiver.hear("bravo")

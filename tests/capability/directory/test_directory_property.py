@@ -7,6 +7,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
+from lfield.capability.directory import MOMENT
 from lfield.capability.news import Condition, Sample, Trouble
 from lfield.fleet.reports import Reports
 from lfield.framing import HEADER_SIZE
@@ -29,7 +30,7 @@ class Exchange(RuleBasedStateMachine):
     @initialize()
     def begin(self):
         self.life, self.linked, self.reports = 7, False, Reports(REGISTRY, AGENTS)
-        self.under_way, self.sent = [], []
+        self.under_way, self.sent, self.moment = [], [], MOMENT
         self.alpha, self.bravo = Seat("alpha"), Seat("bravo", life=7)
         self.conditions = {}
         self.ages = {}
@@ -45,6 +46,8 @@ class Exchange(RuleBasedStateMachine):
         self.alpha.directory.take("bravo", self.reports.read("bravo", report, self.alpha.clock.monotonic()))
 
     def hear(self):
+        # Answers of one moment are the same, also when a word comes between them.
+        self.time_passes(self.moment)
         self.alpha.hear("bravo")
         self.ages.clear()
 
@@ -66,6 +69,9 @@ class Exchange(RuleBasedStateMachine):
         self.post(self.bravo.directory.news())
 
     @rule(seconds=st.sampled_from([0.1, 1.0, 20.0]))
+    def wait(self, seconds):
+        self.time_passes(seconds)
+
     def time_passes(self, seconds):
         self.alpha.clock.advance(seconds)
         self.bravo.clock.advance(seconds)
@@ -137,6 +143,8 @@ class Exchange(RuleBasedStateMachine):
             self.unlink()
         for frame in self.under_way:
             self.deliver(frame)
+        self.time_passes(MOMENT)
+        self.moment = 0.0
         self.bravo.directory.news()
         self.under_way.clear()
         self.link(restarted=False)

@@ -1,0 +1,80 @@
+"""Reports from anybody: what is read fits its attributes, or the whole report is refused."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from directory_team import AGENTS, ATTRIBUTES, PROVIDERS, REGISTRY
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.capability.news import Condition, News, Sample, Trouble
+from lfield.errors import WireError
+from lfield.fleet.reports import Reports
+from lfield.framing import HEADER_SIZE
+from lfield.wire.codec import decode, encode
+from lfield.wire.messages import AgentReport, FactReport, Report
+
+INDEX = st.integers(0, 8)
+AGE = st.floats(0.0, 1e9)
+TEXT = st.text(max_size=10)
+FACTS = st.builds(
+    FactReport, INDEX, st.one_of(st.booleans(), st.integers(-9, 9), st.floats(), TEXT), AGE, st.booleans()
+)
+REPORTS = st.builds(
+    Report,
+    st.integers(0, 3),
+    st.integers(0, 3),
+    st.integers(0, 3),
+    st.lists(
+        st.builds(
+            AgentReport,
+            INDEX,
+            TEXT,
+            st.none() | AGE,
+            st.lists(FACTS, max_size=4),
+            st.lists(st.tuples(INDEX, TEXT), max_size=3),
+        ),
+        max_size=4,
+    ),
+)
+TYPES = {"real": float, "int": int, "boolean": bool, "text": str}
+
+
+def through_the_wire(report):
+    frame = encode(report)
+    return decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:])
+
+
+@given(REPORTS)
+def test_whatever_comes_is_refused_or_fits(report):
+    reports = Reports(REGISTRY, AGENTS)
+    try:
+        news = reports.read("bravo", through_the_wire(report), 1000.0)
+    except WireError:
+        return
+    for agent, condition in news.agents.items():
+        deployed = next(a for a in AGENTS if a.id == agent)
+        assert deployed.host == "bravo"
+        for name, sample in condition.samples.items():
+            assert name in PROVIDERS[deployed.type].live
+            assert type(sample.value) is TYPES[ATTRIBUTES[name].type]
+            assert not isinstance(sample.value, float) or math.isfinite(sample.value)
+            assert sample.age >= 0.0
+
+
+@given(st.floats(0.0, 100.0), st.floats(-5.0, 100.0), st.booleans())
+def test_times_become_ages_and_times_again(age, later, kept):
+    # Whoever says that something will only be true later has a clock that went wrong; it is new, then.
+    sample = Sample(0.5, age, 1000.0, kept)
+    change = Condition(Trouble("fc: not heard", 1000.0), {"battery": sample}, {"mode": "x" * 1000})
+    reports = Reports(REGISTRY, AGENTS)
+    report = through_the_wire(reports.write(News(7, 3, 4, {"arm2": change}), 1000.0 + later))
+    news = reports.read("bravo", report, 50.0)
+    assert (news.life, news.since, news.sequence) == (7, 3, 4)
+    found = news.agents["arm2"]
+    assert found.trouble == Trouble("fc: not heard", pytest.approx(50.0 - max(0.0, later)))
+    wanted = age if kept else max(0.0, age + later)
+    assert found.samples["battery"] == Sample(0.5, pytest.approx(wanted, abs=1e-9), 50.0, kept)
+    assert len(found.unknown["mode"]) == 256
