@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 from lfield.capability import messages
-from lfield.capability.messages import Message
 from lfield.capability.model import (
     Attribute,
     Composition,
@@ -19,6 +19,7 @@ from lfield.capability.model import (
     Value,
     Weights,
 )
+from lfield.findings import Message
 from lfield.lang.scanner import KEYWORDS
 from lfield.lang.suggest import did_you_mean
 from lfield.source import Diagnostics, Span
@@ -38,6 +39,9 @@ TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
 RULE = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 _EXAMPLES = {DOTTED: "skill.security.sentry", NAME: "goTo", TYPE_NAME: "GoTo", RULE: "grip-and-climb"}
+
+
+D = TypeVar("D", Attribute, Primitive)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +104,16 @@ class Draft:
     def redefined(self, what: str, name: str, span: Span, first: Span) -> None:
         """Report a mission that gives a name of the registry another meaning."""
         self.tell(messages.REDEFINED, span, what=what, name=name, file=first.source.name, line=first.line)
+
+    def define(self, known: dict[str, D], made: D, what: str, *, mission: bool) -> None:
+        """Take in an attribute or a primitive; a mission may repeat one of ours, but not change it."""
+        first = known.get(made.name)
+        if first is None:
+            known[made.name] = made
+        elif not mission:
+            self.twice(what, made.name, made.span, first.span)
+        elif replace(made, span=first.span, meaning=first.meaning) != first:
+            self.redefined(what, made.name, made.span, first.span)
 
     def like(self, name: str, known: Collection[str]) -> str | None:
         """`did you mean 'x'?`, or None when nothing is like it."""

@@ -8,39 +8,11 @@ knows, a list where text is expected) is Y1xx and stands in yaml_source.py.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from lfield.source import Diagnostic, Span
-
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """One kind of finding; `sentence` and `hint` are templates with `{names}` filled in by `at`."""
-
-    code: str
-    sentence: str
-    hint: str = ""
-
-    @property
-    def severity(self) -> str:
-        """'warning' for C19x, else 'error'."""
-        return "warning" if self.code.startswith("C19") else "error"
-
-    def at(self, span: Span, *, hint: str | None = None, **values: object) -> Diagnostic:
-        """The finding at a place; `hint`, when given, replaces the table's hint."""
-        advice = self.hint.format(**values) if hint is None else hint
-        return Diagnostic(self.code, self.sentence.format(**values), span, advice, self.severity)
-
+from lfield.findings import Table
 
 #: Every message by its code, in the order of the codes.
-TABLE: dict[str, Message] = {}
-
-
-def _message(code: str, sentence: str, hint: str = "") -> Message:
-    message = Message(code, sentence, hint)
-    assert code not in TABLE, code
-    TABLE[code] = message
-    return message
+TABLE = Table(warnings="C19")
+_message = TABLE.message
 
 
 # --- C10x: files and names ------------------------------------------------------------------------------

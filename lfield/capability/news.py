@@ -64,7 +64,7 @@ class Condition:
         """This with what has changed."""
         samples = {name: s for name, s in self.samples.items() if name not in change.unknown}
         unknown = {name: why for name, why in self.unknown.items() if name not in change.samples}
-        return Condition(change.trouble, samples | change.samples, unknown | change.unknown)
+        return Condition(change.trouble, {**samples, **change.samples}, {**unknown, **change.unknown})
 
 
 #: An agent of which nothing was said.

@@ -10,7 +10,6 @@ attributes:
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import cast, get_args
 
 from lfield.capability import messages
@@ -25,16 +24,11 @@ RESERVED_ATTRIBUTES = frozenset({"agent", "robot", "host", "distance", "min", "m
 
 
 def read_attributes(draft: Draft) -> None:
-    """All attributes of all files; a mission may repeat one of ours, but not change it."""
+    """All attributes of all files."""
     for file, entry, fields in draft.entries("attributes"):
-        attribute = _attribute(draft, entry, fields)
-        first = draft.attributes.get(entry.key)
-        if first is None:
-            draft.attributes[entry.key] = attribute
-        elif not file.mission:
-            draft.twice("the attribute", entry.key, entry.key_span, first.span)
-        elif replace(attribute, span=first.span, meaning=first.meaning) != first:
-            draft.redefined("the attribute", entry.key, entry.key_span, first.span)
+        draft.define(
+            draft.attributes, _attribute(draft, entry, fields), "the attribute", mission=file.mission
+        )
 
 
 def _attribute(draft: Draft, entry: Entry, fields: Fields) -> Attribute:

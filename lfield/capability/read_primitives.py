@@ -12,7 +12,6 @@ primitives:
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import cast, get_args
 
 from lfield.capability import messages
@@ -27,16 +26,11 @@ from lfield.yaml_source import Entry
 
 
 def read_primitives(draft: Draft) -> None:
-    """All primitives of all files; a mission may repeat one of ours, but not change it."""
+    """All primitives of all files."""
     for file, entry, fields in draft.entries("primitives"):
-        primitive = _primitive(draft, entry, fields)
-        first = draft.primitives.get(entry.key)
-        if first is None:
-            draft.primitives[entry.key] = primitive
-        elif not file.mission:
-            draft.twice("the primitive", entry.key, entry.key_span, first.span)
-        elif replace(primitive, span=first.span, meaning=first.meaning) != first:
-            draft.redefined("the primitive", entry.key, entry.key_span, first.span)
+        draft.define(
+            draft.primitives, _primitive(draft, entry, fields), "the primitive", mission=file.mission
+        )
 
 
 def _primitive(draft: Draft, entry: Entry, fields: Fields) -> Primitive:

@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass
 from urllib.parse import unquote_to_bytes
 
+from lfield.findings import Message
 from lfield.lang import messages
-from lfield.lang.messages import Message
 from lfield.source import Diagnostics, Span
 
 _COMMENT = re.compile(r"(?:^|(?<=\s))#")

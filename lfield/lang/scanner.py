@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, field
 from enum import Enum
 
+from lfield.findings import Message
 from lfield.lang import messages
 from lfield.source import Diagnostics, Source, Span
 
@@ -184,9 +185,7 @@ class _Scanner:
     def append(self, kind: Kind, span: Span, value: int | float | str | None = None) -> None:
         self.result.tokens.append(Token(kind, span.text, span, value))
 
-    def error(
-        self, message: messages.Message, span: Span, *, hint: str | None = None, **values: object
-    ) -> None:
+    def error(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
         self.found.add(message.at(span, hint=hint, **values))
         self.result.bad_lines.add(span.line)
 

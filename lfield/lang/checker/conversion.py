@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from lfield.findings import Message
 from lfield.lang import messages
 from lfield.lang.checker.symbols import Symbols
-from lfield.lang.messages import Message
 from lfield.lang.tree import Expr, Literal_, ToReal
 from lfield.lang.types import (
     BOOLEAN,

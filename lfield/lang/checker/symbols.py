@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
+from lfield.findings import Message
 from lfield.lang import messages, tree
 from lfield.lang.capabilities import Capabilities
 from lfield.lang.library import FUNCTIONS
-from lfield.lang.messages import Message
 from lfield.lang.suggest import FOREIGN_TYPES, closest
 from lfield.lang.syntax import BAD_TYPE, TypeName
 from lfield.lang.types import (

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Literal
 
+from lfield.findings import Message
 from lfield.lang import messages, tree
 from lfield.lang.checker.symbols import Symbols, describe, innermost
-from lfield.lang.messages import Message
 from lfield.lang.syntax import TypeName
 from lfield.lang.types import EXCEPTION, UNKNOWN, DeviceType, Type
 from lfield.source import Span

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from lfield.findings import Message
 from lfield.lang import messages
-from lfield.lang.messages import Message
 from lfield.lang.scanner import Kind, Scan, Token
 from lfield.lang.syntax import Expr
 from lfield.source import Diagnostic, Diagnostics, Span
