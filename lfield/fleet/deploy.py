@@ -9,14 +9,16 @@ from pathlib import Path
 from lfield.bytecode.encoding import MAX_SIZE, decode
 from lfield.bytecode.program import Program, UnitKind
 from lfield.capability.language import RegistryTypes
+from lfield.capability.live_units import settle_live
 from lfield.capability.model import Registry
+from lfield.capability.shipped import shipped
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import InputFileError, ProgramError, ProgramFileError
 from lfield.files import read_head, reason
 from lfield.fleet.bindings import Bindings, read_bindings
 from lfield.fleet.team import Team, make_team, parse_maps
 from lfield.lang.deployment import Deployment, read_deployment
-from lfield.source import Diagnostic
+from lfield.source import Diagnostic, Diagnostics
 from lfield.vm.offers import ways
 
 #: Suffixes of the files of a mission that stand beside its deployment.
@@ -66,7 +68,7 @@ def load_mission(
         plugins=plugins,
         simulate=simulate,
     )
-    registry = types.registry if ways(loaded) else None
+    registry = _settled(types.registry, loaded, plugins) if ways(loaded) else None
     return Mission(deploy.stem, loaded, deployment, team, bindings, plugins, tuple(warnings), registry)
 
 
@@ -85,6 +87,22 @@ def _registry_types(mission: Path | None, deploy: Path | None) -> RegistryTypes:
         return read_registry(mission=mission, agents=None if deploy is None else _agents(deploy))
 
     return RegistryTypes(read)
+
+
+def _settled(registry: Registry, program: Program, plugins: Plugins) -> Registry:
+    """The registry with live attributes in their units, whatever the unit in which a device tells them.
+
+    What we ship may not fit a resource of the program that only has the name of ours: then it does not count.
+    """
+    devices = {
+        record.name: {field.name: field.type for field in record.devices} for record in program.core.classes
+    }
+    found = Diagnostics()
+    settled = settle_live(registry, devices, plugins.device_types, found)
+    ours = {str(path) for path in shipped()}
+    if wrong := [mistake for mistake in found.errors if mistake.span.source.name not in ours]:
+        raise ProgramError(wrong)
+    return settled
 
 
 def _agents(deploy: Path) -> list[str] | None:

@@ -28,6 +28,12 @@ providers:
 agents:
   small: {payload: 1.5}
 """
+DEVICES = """
+agents:
+  small:
+    devices:
+      boom: {driver: dynamixel, endpoint: "serial:/dev/ttyUSB0:57600", id: 1}
+"""
 
 
 @pytest.fixture
@@ -105,3 +111,27 @@ def test_a_host_greets_with_its_registry(fleet) -> None:
         assert team.make(plain, "a").host.hello().registry == b""
 
     fleet(story)
+
+
+def test_live_attributes_come_in_their_own_units(folder: Path) -> None:
+    """A servo tells radians; the attribute of this mission is in degrees."""
+    turning = (CRANE + "coordinator").replace("resource Crane {", "resource Crane { Dynamixel boom;", 1)
+    write(folder, ".L", ASKING.replace(CRANE + "coordinator", turning))
+    write(folder, ".devices.yaml", DEVICES)
+    attribute = "attributes: {boom: {type: real, unit: deg, live: true}}\n"
+    live = CAPABILITIES.replace("    attributes:", "    live: {boom: boom.position}\n    attributes:")
+    write(folder, ".capabilities.yaml", live + attribute)
+    registry = load_mission(folder / "mission.dL").registry
+    assert registry is not None
+    assert registry.providers["Crane"].live["boom"].factor == pytest.approx(57.29578)
+
+
+def test_a_mission_that_names_no_device_of_its_program_is_refused(folder: Path) -> None:
+    write(
+        folder,
+        ".capabilities.yaml",
+        CAPABILITIES.replace("    attributes:", "    live: {fault: x.fault}\n    attributes:"),
+    )
+    with pytest.raises(ProgramError) as caught:
+        load_mission(folder / "mission.dL")
+    assert codes(caught) == ["C172"]
