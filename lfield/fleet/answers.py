@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 from lfield.capability.explain import render
 from lfield.capability.expression import Expression, compile_constraint
@@ -16,6 +16,8 @@ from lfield.vm.offers import Found
 
 #: How many conditions are kept compiled.
 MOST_CONSTRAINTS = 256
+
+T = TypeVar("T")
 
 _NO_PARTS: Mapping[str, Found] = {}
 
@@ -76,10 +78,10 @@ def found(offer: Offer, numbers: Mapping[str, int]) -> Found:
         offer.score,
         numbers[offer.agent] if direct else -1,
         {name: found(part, numbers) for name, part in offer.parts.items()} if offer.parts else _NO_PARTS,
-        tuple(offer.facts),
+        _same(tuple(offer.facts)),
         tuple(values),
-        tuple(texts),
-        tuple([fact.age for fact in facts]),
+        _same(tuple(texts)),
+        _same(tuple([fact.age for fact in facts])),
     )
 
 
@@ -102,6 +104,12 @@ def _aside(part: Offer, whole: bool) -> str:
     if part.kind != "direct":
         told.append(way_text(part))
     return f" ({', '.join(told)})" if told else ""
+
+
+@lru_cache(maxsize=1024)
+def _same(values: tuple[T, ...]) -> tuple[T, ...]:
+    """One tuple for all that are equal: the machine writes it once, and sees at a glance that it has."""
+    return values
 
 
 @lru_cache(maxsize=1024)

@@ -131,13 +131,13 @@ def ways(program: Program) -> dict[str, frozenset[str]]:
 def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[Found]) -> int:
     """An array of offers on the heap; raises Full, and UnknownWay when the program has no such way."""
     shape = shapes.of[capability]
-    least = 1 + sum([_least_words(shape, one) for one in found])
+    # What each needs in any case: itself, what it says, its numbers, its place in the array.
+    least = 1 + len(found) * (shape.words + _FACTS_WORDS + 2) + sum([len(one.numbers) for one in found])
     if block.top + least > block.end:
         # To write a thousand offers only to find that out would cost more than to count.
         raise Full(least)
     writer = _Writer(shapes, block.top)
-    places = [writer.offer(shape, one) for one in found]
-    array = writer.array(shapes.arrays[capability], places)
+    array = writer.array(shapes.arrays[capability], writer.offers(shape, found))
     data = b"".join(writer.chunks)
     end = block.top + (len(data) >> 3)
     if end > block.end:
@@ -145,11 +145,6 @@ def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[
     block.data[8 * block.top : 8 * end] = data
     block.top = end
     return array
-
-
-def _least_words(shape: Shape, found: Found) -> int:
-    """Words that an offer needs in any case: itself, what it says, its numbers, its place in the array."""
-    return shape.words + _FACTS_WORDS + len(found.numbers) + 2
 
 
 class _Writer:
@@ -161,50 +156,62 @@ class _Writer:
         self._texts: dict[str | None, int] = {None: 0}
         self._lists: dict[tuple[str | None, ...], int] = {}
         self._ages: dict[tuple[float, ...], int] = {}
+        #: The same by identity: a look at an object is cheaper than one at all it holds.
+        self._known_lists: dict[int, int] = {}
+        self._known_ages: dict[int, int] = {}
 
-    def offer(self, shape: Shape, found: Found) -> int:
-        """An offer with its parts; what it says of itself, its numbers and its proxy follow it directly."""
-        way, agent, host, kind, score, member, parts, names, numbers, texts, ages = found
-        if parts:
-            return self._of_parts(shape, found)
-        text = self._text
-        agent_at, host_at, kind_at = text(agent), text(host), text(kind)
-        names_at, texts_at, ages_at = self._strings(names), self._strings(texts), self._reals(ages)
-        count = len(numbers)
-        run, proxy = shape.direct(way, count)
-        place = self._top
-        facts = place + shape.words
-        array = facts + _FACTS_WORDS
-        behind = array + 1 + count
-        # One call with all words: whatever is put together first costs more than the writing.
-        data = run.pack(
-            shape.head,
-            facts,
-            behind,
-            self._shapes.facts,
-            agent_at,
-            host_at,
-            kind_at,
-            score,
-            names_at,
-            array,
-            texts_at,
-            ages_at,
-            self._shapes.reals | 1 + count << 32,
-            *numbers,
-            proxy,
-            member,
-        )
-        self.chunks.append(data)
-        self._top = behind + 2
-        return place
+    def offers(self, shape: Shape, found: Sequence[Found]) -> list[int]:
+        """The places of some offers; what each says of itself, its numbers and its proxy follow it."""
+        shapes, chunks = self._shapes, self.chunks
+        known_text, known_list, known_ages = self._texts.get, self._known_lists.get, self._known_ages.get
+        places = []
+        # Written out, because a thousand offers go through here: a call or two for each would be half of it.
+        for one in found:
+            way, agent, host, kind, score, member, parts, names, numbers, texts, ages = one
+            if parts:
+                places.append(self._of_parts(shape, one))
+                continue
+            agent_at = known_text(agent) or self._text(agent)
+            host_at = known_text(host) or self._text(host)
+            kind_at = known_text(kind) or self._text(kind)
+            names_at = known_list(id(names)) or self._strings(names)
+            texts_at = known_list(id(texts)) or self._strings(texts)
+            ages_at = known_ages(id(ages)) or self._reals(ages)
+            count = len(numbers)
+            run, proxy = shape.direct(way, count)
+            place = self._top
+            facts = place + shape.words
+            array = facts + _FACTS_WORDS
+            behind = array + 1 + count
+            data = run.pack(
+                shape.head,
+                facts,
+                behind,
+                shapes.facts,
+                agent_at,
+                host_at,
+                kind_at,
+                score,
+                names_at,
+                array,
+                texts_at,
+                ages_at,
+                shapes.reals | 1 + count << 32,
+                *numbers,
+                proxy,
+                member,
+            )
+            chunks.append(data)
+            self._top = behind + 2
+            places.append(place)
+        return places
 
     def _of_parts(self, shape: Shape, found: Found) -> int:
         """An offer that others stand in for."""
         ways = [0] * shape.ways_count
         for name, part in found.parts.items():
             number, of = shape.way(name, OBJECT)
-            ways[number] = self.offer(self._shapes.of[of], part)
+            (ways[number],) = self.offers(self._shapes.of[of], [part])
         text, count = self._text, len(found.numbers)
         said = (text(found.agent), text(found.host), text(found.kind), found.score)
         names, texts, ages = self._strings(found.names), self._strings(found.texts), self._reals(found.ages)
@@ -241,17 +248,19 @@ class _Writer:
         return place
 
     def _strings(self, texts: tuple[str | None, ...]) -> int:
-        place = self._lists.get(texts)
+        place = self._known_lists.get(id(texts)) or self._lists.get(texts)
         if place is None:
             places = [self._text(text) for text in texts]
             place = self._lists[texts] = self.array(self._shapes.strings, places)
+        self._known_lists[id(texts)] = place
         return place
 
     def _reals(self, numbers: tuple[float, ...]) -> int:
-        place = self._ages.get(numbers)
+        place = self._known_ages.get(id(numbers)) or self._ages.get(numbers)
         if place is None:
             head = self._shapes.reals | 1 + len(numbers) << 32
             place = self._ages[numbers] = self._put(struct.pack(f"<q{len(numbers)}d", head, *numbers))
+        self._known_ages[id(numbers)] = place
         return place
 
 
