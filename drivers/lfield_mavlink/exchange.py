@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections import defaultdict
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -36,8 +35,6 @@ class Exchange:
     def __init__(self, system: int, send: Callable[[Any], None]) -> None:
         self.px4 = False
         self._system, self._send = system, send
-        # Acknowledgements are matched by command number, so each number has one question open at a time.
-        self._locks: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._questions: dict[int, _Question] = {}
         self._timer: asyncio.TimerHandle | None = None
 
@@ -50,28 +47,28 @@ class Exchange:
         out as a COMMAND_INT, which has the precision for it, and the place is parameters 5 to 7. `once` is
         for a command that would act twice if only its answer was lost.
         """
+        # Acknowledgements are matched by command number, so each number has one question open at a time.
+        while (earlier := self._questions.get(number)) is not None:
+            await earlier.end()
+        loop = asyncio.get_running_loop()
+        question = self._questions[number] = _Question()
         attempts = 1 if once else RETRIES + 1
-        async with self._locks[number]:
+        try:
             for confirmation in range(attempts):
                 if place is None:
                     message = self._command_long(number, confirmation, values)
                 else:
                     message = self._command_int(number, values, place)
-                result = await self._ask(number, message)
+                question.ask(loop.create_future(), loop.time())
+                self._set_timer(question)
+                self._send(message)
+                result = await question.result
                 if result is not None:
                     return Answer(result, confirmation + 1)
             return Answer(None, attempts)
-
-    async def _ask(self, number: int, message: Any) -> int | None:
-        """The result that ends a command; None when it is time to ask again."""
-        loop = asyncio.get_running_loop()
-        question = self._questions[number] = _Question(loop.create_future(), loop.time())
-        self._set_timer(question)
-        try:
-            self._send(message)
-            return await question.result
         finally:
             del self._questions[number]
+            question.over()
 
     def _set_timer(self, question: _Question) -> None:
         """Look at the questions again when this one is due; a timer that is early enough is left alone.
@@ -135,9 +132,15 @@ def is_for_us(message: Any) -> bool:
 class _Question:
     """A command that waits for its answer, until it is `due`; `result` is None when it came too late."""
 
-    def __init__(self, result: asyncio.Future[int | None], asked: float) -> None:
-        self.result, self.due = result, asked + PATIENCE
-        self._latest = asked + LONGEST
+    result: asyncio.Future[int | None]
+    due: float
+
+    def __init__(self) -> None:
+        self._waiting: list[asyncio.Future[None]] = []
+
+    def ask(self, result: asyncio.Future[int | None], now: float) -> None:
+        """It is sent, once more."""
+        self.result, self.due, self._latest = result, now + PATIENCE, now + LONGEST
 
     def answer(self, result: int, now: float) -> None:
         """An answer has come; IN_PROGRESS only gives it more time."""
@@ -150,3 +153,14 @@ class _Question:
         """The first result is the one that counts."""
         if not self.result.done():
             self.result.set_result(result)
+
+    def end(self) -> asyncio.Future[None]:
+        """Done when nobody asks it any more."""
+        self._waiting.append(asyncio.get_running_loop().create_future())
+        return self._waiting[-1]
+
+    def over(self) -> None:
+        """Let those go on who have a question of the same number, the first come first."""
+        for waiting in self._waiting:
+            if not waiting.done():
+                waiting.set_result(None)
