@@ -36,7 +36,8 @@ class Exchange:
         self.px4 = False
         self._system, self._send = system, send
         self._questions: dict[int, _Question] = {}
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: asyncio.Handle | None = None
+        self._timer_at = 0.0
 
     async def command(
         self, number: int, *values: float | None, place: Place | None = None, once: bool = False
@@ -76,9 +77,11 @@ class Exchange:
         So most commands, which are answered at once, come and go without a timer of their own.
         """
         if self._timer is not None:
-            if self._timer.when() <= question.due:
+            if self._timer_at <= question.due:
                 return
             self._timer.cancel()
+        # Kept here: uvloop's handle of a timer that is due within half a millisecond cannot say when.
+        self._timer_at = question.due
         self._timer = asyncio.get_running_loop().call_at(question.due, self._give_up)
 
     def _give_up(self) -> None:

@@ -11,7 +11,9 @@ Several of them, with commas between, are links to the same vehicles.
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 from lfield.errors import DeviceError
@@ -21,6 +23,8 @@ from lfield_mavlink.serial_link import SerialLink
 AGAIN = 1.0
 #: Peers that a listening port answers.
 PEERS = 16
+#: Bytes of the largest datagram.
+LARGEST = 65535
 SYNTAX = "udp:HOST:PORT, udpin:HOST:PORT, tcp:HOST:PORT or serial:/dev/ttyX:BAUD"
 
 OnData = Callable[[bytes], None]
@@ -59,49 +63,68 @@ def make_link(endpoint: str, on_data: OnData) -> Link:
     return UdpLink(place, int(number), on_data, listens=kind == "udpin")
 
 
-class UdpLink(asyncio.DatagramProtocol):
-    """Datagrams to one peer that we were told, or to all that we have heard."""
+class UdpLink:
+    """Datagrams to one peer that we were told, or to all that we have heard.
+
+    A socket of its own on the loop, of which one datagram is taken at a time: whoever waits for the answer
+    that it is goes on before the next one is looked at.
+    """
 
     def __init__(self, host: str, port: int, on_data: OnData, *, listens: bool) -> None:
         self._address, self._on_data, self._listens = (host, port), on_data, listens
-        self._transport: asyncio.DatagramTransport | None = None
+        self._socket: socket.socket | None = None
         # Several vehicles may send to one port; each leaves alone what is addressed to another.
         self._peers: dict[tuple[str, int], None] = {}
 
     async def open(self) -> None:
         """Bind or connect the socket."""
-        local, remote = (self._address, None) if self._listens else (None, self._address)
+        loop = asyncio.get_running_loop()
         try:
-            loop = asyncio.get_running_loop()
-            transport, _ = await loop.create_datagram_endpoint(lambda: self, local, remote)
+            found = await loop.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)
+            family, kind, protocol, _, address = found[0]
+            opened = self._socket = socket.socket(family, kind, protocol)
+            opened.setblocking(False)
+            if self._listens:
+                opened.bind(address)
+            else:
+                opened.connect(address)
         except OSError as error:
+            self.close()
             raise _cannot("udp", self._address, error) from None
-        self._transport = transport
+        loop.add_reader(opened, self._receive, opened)
 
-    def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
+    def _receive(self, opened: socket.socket) -> None:
         """A packet from a vehicle."""
+        try:
+            data, peer = opened.recvfrom(LARGEST)
+        except OSError:
+            # Nobody listens there yet; the heartbeat says when somebody does.
+            return
         if self._listens:
             # The newest is last; the one that was silent longest is forgotten.
-            self._peers.pop(addr, None)
-            self._peers[addr] = None
+            self._peers.pop(peer, None)
+            self._peers[peer] = None
             if len(self._peers) > PEERS:
                 del self._peers[next(iter(self._peers))]
         self._on_data(data)
 
-    def error_received(self, exc: Exception) -> None:
-        """Nobody listens there yet; the heartbeat says when somebody does."""
-
     def send(self, data: bytes) -> None:
         """To the peers, if there are any."""
-        if self._transport is None:
+        if self._socket is None:
             return
-        for peer in tuple(self._peers) if self._listens else (None,):
-            self._transport.sendto(data, peer)
+        if not self._listens:
+            with suppress(OSError):
+                self._socket.send(data)
+        for peer in tuple(self._peers):
+            with suppress(OSError):
+                self._socket.sendto(data, peer)
 
     def close(self) -> None:
         """Close the socket."""
-        if self._transport is not None:
-            self._transport.close()
+        if self._socket is not None:
+            asyncio.get_running_loop().remove_reader(self._socket)
+            self._socket.close()
+            self._socket = None
 
 
 class TcpLink(asyncio.Protocol):

@@ -24,7 +24,7 @@ from lfield.fleet.kit_bench import LiveBench
 from lfield.testing.reports import KeptReports
 
 SYSTEMS, RATE, SECONDS = (1, 2, 3, 4), 200, 5.0
-ROUNDS, COMMANDS = 5, 200
+ROUNDS, COMMANDS = 15, 200
 TARGET = 0.9
 #: REQUEST_MESSAGE for AUTOPILOT_VERSION: asks, and moves nothing.
 REQUEST, VERSION = 512, 148.0
