@@ -197,7 +197,10 @@ coordinator Mission {{
 }}
 """
 BODIES = {
-    "axis": 'Axis a = findAxis("a"); a.home(); a.moveTo(1.0, 0.5); a.turnTo(a.velocity() + a.torque()); a.stop(); print(a.fault());',
+    "axis": (
+        'Axis a = findAxis("a"); a.home(); a.moveTo(1.0, 0.5); '
+        "a.turnTo(a.velocity() + a.torque()); a.stop(); print(a.fault());"
+    ),
     "winch": 'Winch w = findWinch("w"); w.home(); w.lower(w.lift(0.5)); w.reach(w.length()); w.hold();',
 }
 
