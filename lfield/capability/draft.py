@@ -71,6 +71,7 @@ class Draft:
     compositions: dict[str, Composition] = field(default_factory=dict)
     agents: dict[str, dict[str, Value]] = field(default_factory=dict)
     weights: Weights = field(default_factory=Weights)
+    version: int = 0
     # Comparing names takes long: a file of nothing but mistakes gets no more hints after so many of them.
     _comparisons: int = 20_000
 

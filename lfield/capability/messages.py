@@ -40,6 +40,11 @@ ALIAS_TAKEN = _message("C112", "'{alias}' already means the term '{id}'", "one i
 DEPRECATED_BY_DEPRECATED = _message(
     "C113", "'{id}' is out of use itself and cannot replace another term", "name the term that is in use"
 )
+TAXONOMY_VERSION = _message(
+    "C114",
+    "this needs version {wanted} of the taxonomy, and there is version {version}",
+    "a later lfield has it; or write what the terms of version {version} can say",
+)
 
 # --- C12x: attributes, values, units --------------------------------------------------------------------
 

@@ -233,6 +233,7 @@ class Weights:
 class Registry:
     """Everything together. Made by `reader.read_registry`, which checks that all of it fits.
 
+    `version` is that of the taxonomy: it grows with every change, and no id is ever taken away.
     `agents` are the attribute values of single agents of a mission, which count before all others.
     `digest` changes with anything that would change an answer: hosts of one mission must agree on it.
     """
@@ -245,4 +246,5 @@ class Registry:
     compositions: Mapping[str, Composition]
     agents: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     weights: Weights = field(default_factory=Weights)
+    version: int = 0
     digest: bytes = b""

@@ -1,12 +1,15 @@
 """The section `taxonomy`: terms with dotted ids, their other names, and those that are out of use.
 
 ```yaml
+taxonomy_version: 1
 taxonomy:
   skill: {name: Skill, meaning: behaviours that interact with the environment}
   skill.lifting: {meaning: raises a load, aliases: [skill.raising]}
   skill.hoisting: {meaning: an older word, deprecated: skill.lifting}
 ```
-A mission may add terms, and may give ours other ids or take them out of use.
+A mission may add terms, and may give ours other ids or take them out of use. The version grows whenever the
+taxonomy that we ship changes; an id is never taken away, it becomes an alias or goes out of use. So a file
+that was written for some version can be read with every later one, and says with which it cannot.
 """
 
 from __future__ import annotations
@@ -22,7 +25,8 @@ from lfield.yaml_source import Entry
 
 
 def read_taxonomy(draft: Draft) -> None:
-    """All terms of all files, then what they say of one another."""
+    """The version, all terms of all files, then what they say of one another."""
+    _read_version(draft)
     replacements: dict[str, Span] = {}
     alias_spans: dict[tuple[str, str], Span] = {}
     for file, entry, fields in draft.entries("taxonomy"):
@@ -39,6 +43,17 @@ def read_taxonomy(draft: Draft) -> None:
     _check_parents(draft)
     _take_aliases(draft, alias_spans)
     _take_replacements(draft, replacements)
+
+
+def _read_version(draft: Draft) -> None:
+    """The files that are no mission's have the version, a mission's says which it was written for."""
+    for file in sorted(draft.files, key=lambda file: file.mission):
+        wanted = file.top.integer("taxonomy_version", minimum=1, maximum=1_000_000)
+        if not file.mission:
+            draft.version = max(draft.version, wanted)
+        elif wanted > draft.version:
+            span = file.top.value_span("taxonomy_version")
+            draft.tell(messages.TAXONOMY_VERSION, span, wanted=wanted, version=draft.version)
 
 
 def _term(draft: Draft, entry: Entry, fields: Fields) -> Term:

@@ -3,7 +3,7 @@
 A file of a registry is YAML with any of these sections, each described where it is read:
 
     registry: 1         the version of the format; every file has it
-    taxonomy            read_taxonomy.py        terms as a tree
+    taxonomy            read_taxonomy.py        terms as a tree, and its version
     attributes          read_attributes.py      what offers differ in
     primitives          read_primitives.py      what can be called
     providers           read_providers.py       resource types and what they serve
@@ -115,5 +115,6 @@ def _registry(draft: Draft) -> Registry:
         compositions=draft.compositions,
         agents=draft.agents,
         weights=draft.weights,
+        version=draft.version,
     )
     return replace(registry, digest=digest(registry))

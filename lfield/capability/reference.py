@@ -55,7 +55,7 @@ def _taxonomy(registry: Registry) -> Iterator[str]:
     callable_as: dict[str, list[str]] = {}
     for primitive in registry.primitives.values():
         callable_as.setdefault(primitive.id, []).append(primitive.name)
-    yield from _heading("Taxonomy")
+    yield from _heading(f"Taxonomy, version {registry.version}")
     yield from _table(
         ("id", "name", "meaning", "called as"),
         (_term(term, callable_as.get(term.id, [])) for term in registry.terms.values()),

@@ -65,6 +65,8 @@ def _tree(args: argparse.Namespace) -> int:
     term = term_of(registry, args.id) if args.id else None
     if args.id and term is None:
         raise _unknown(registry, args.id)
+    if term is None:
+        print(f"taxonomy, version {registry.version}")
     print_tree(tree(registry, term.id if term is not None else ""))
     return 0
 

@@ -96,9 +96,10 @@ def test_the_tree_of_a_term(run):
 def test_the_whole_tree_has_every_term_once(run):
     status, out, _ = run("tree")
     assert status == 0
-    assert len(out) == len(read_registry().terms)
+    assert len(out) == 1 + len(read_registry().terms)
     assert "    lifting: raises a load and holds it [Lift]" in out
-    assert out[0].startswith("descriptive: ")
+    assert out[0] == f"taxonomy, version {read_registry().version}"
+    assert out[1].startswith("descriptive: ")
 
 
 def test_what_is_out_of_use_says_what_to_write(run):
