@@ -194,7 +194,7 @@ class Directory:
             }
             if len(condition.samples) + len(unknown) < len(live):
                 untold = (name for name in live if name not in facts and name not in unknown)
-                unknown = {**dict.fromkeys(untold, f"{agent.host} has not told it yet"), **unknown}
+                unknown = {**{name: f"{agent.host} has not told {name} yet" for name in untold}, **unknown}
         refusal = trouble.sentence(now) if trouble else ""
         hops = 0 if agent.host == self._here else 1
         candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown)

@@ -79,11 +79,11 @@ def test_answers_of_one_moment_are_the_same_until_something_has_changed(seats):
 
 def test_what_was_never_told_is_unknown_with_the_reason(seats):
     alpha, _ = seats
-    assert alpha.candidate("rover1").unknown == {"battery": "bravo has not told it yet"}
+    assert alpha.candidate("rover1").unknown == {"battery": "bravo has not told battery yet"}
     alpha.directory.own("arm1", Condition(unknown={"mode": "fc has not reported mode"}))
     unknown = alpha.candidate("arm1").unknown
     assert unknown["mode"] == "fc has not reported mode"
-    assert unknown["battery"] == "alpha has not told it yet"
+    assert unknown["battery"] == "alpha has not told battery yet"
 
 
 def test_the_value_of_another_host_ages_only_while_nothing_is_heard(seats):
@@ -172,7 +172,7 @@ def test_a_restarted_host_begins_anew(seats):
     tell(bravo, alpha, late)
     again = Seat("bravo", life=8)
     alpha.directory.linked("bravo", 8)
-    assert alpha.candidate("rover1").unknown == {"battery": "bravo has not told it yet"}
+    assert alpha.candidate("rover1").unknown == {"battery": "bravo has not told battery yet"}
     tell(bravo, alpha, bravo.directory.everything())
     assert "battery" not in alpha.candidate("rover1").facts
     again.directory.own("rover1", Condition(samples={"battery": again.sample(0.3)}))
