@@ -6,13 +6,13 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 
-from lfield.capability import expression
-from lfield.capability.expression import Mistake, Scope
 from lfield.capability.generate import Served, class_text, prelude
+from lfield.capability.matching import expression
+from lfield.capability.matching.expression import Mistake, Scope
 from lfield.capability.model import Provider, Registry
-from lfield.capability.program_check import check_against, check_classes
-from lfield.capability.shipped import shipped
-from lfield.capability.signatures import signatures_of
+from lfield.capability.reading.program_check import check_against, check_classes
+from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.signatures import signatures_of
 from lfield.lang import syntax
 from lfield.lang.capabilities import Generated
 from lfield.source import Diagnostic, Diagnostics, Source, Span

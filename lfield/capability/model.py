@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from lfield.capability.expression import Expression
+from lfield.lang import syntax
 from lfield.manifest import Effect, Parameter
 from lfield.source import Span
 
@@ -26,6 +26,14 @@ Better = Literal["more", "less", "none"]
 
 #: What an attribute can be worth: a number, a truth, a text, or the members of a set.
 Value = float | int | bool | str | frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """A condition or value over attributes, parsed and checked (matching/expression.py)."""
+
+    text: str
+    tree: syntax.Expr
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +224,7 @@ class Composition:
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """What the parts of a cost count (ranking.py has the formula); a mission may set its own.
+    """What the parts of a cost count (matching/ranking.py has the formula); a mission may set its own.
 
     `attributes` weighs single attributes within the fitness; one that is not there counts 1.
     """
@@ -231,7 +239,7 @@ class Weights:
 
 @dataclass(frozen=True, slots=True)
 class Registry:
-    """Everything together. Made by `reader.read_registry`, which checks that all of it fits.
+    """Everything together. Made by `reading.reader.read_registry`, which checks that all of it fits.
 
     `version` is that of the taxonomy: it grows with every change, and no id is ever taken away.
     `agents` are the attribute values of single agents of a mission, which count before all others.

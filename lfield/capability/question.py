@@ -1,8 +1,8 @@
 """A question to the registry in one text: `Lift where payload >= 2.0`.
 
 Before `where` stands a primitive by its type in L, or an id of the taxonomy, which asks for everything that
-can be called there or below. Behind it stands a condition over attributes (expression.py); both may be left
-out together.
+can be called there or below. Behind it stands a condition over attributes (matching/expression.py); both may
+be left out together.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lfield.capability import messages
-from lfield.capability.expression import Expression, Mistake, Scope, check, parse
-from lfield.capability.model import Primitive, Registry
+from lfield.capability.matching.expression import Mistake, Scope, check, parse
+from lfield.capability.model import Expression, Primitive, Registry
+from lfield.capability.reading import messages
 from lfield.capability.show import primitives_below, term_of
 from lfield.errors import ProgramError, UsageError
 from lfield.lang.suggest import did_you_mean

@@ -22,7 +22,7 @@ from lfield.capability.model import (
     Term,
     Value,
 )
-from lfield.capability.reader import read_registry
+from lfield.capability.reading.reader import read_registry
 from lfield.capability.words import call, signature, with_unit, worth
 
 PAGE = Path(__file__).parents[1] / "docs" / "capability-reference.md"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lfield.capability.model import Argument, Portal, PortalMap, Value
-from lfield.capability.signatures import written
+from lfield.capability.reading.signatures import written
 from lfield.lang.suggest import listed
 
 

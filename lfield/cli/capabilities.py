@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _tree(args: argparse.Namespace) -> int:
-    from lfield.capability.reader import read_registry
+    from lfield.capability.reading.reader import read_registry
     from lfield.capability.show import term_of, tree
     from lfield.cli.trees import print_tree
 
@@ -72,7 +72,7 @@ def _tree(args: argparse.Namespace) -> int:
 
 
 def _show(args: argparse.Namespace) -> int:
-    from lfield.capability.reader import read_registry
+    from lfield.capability.reading.reader import read_registry
     from lfield.capability.show import describe
 
     if args.program is not None:
@@ -97,7 +97,7 @@ def _show_class(args: argparse.Namespace) -> int:
     """The class of a capability, for a program or for one that has all resources of the registry."""
     from lfield.capability.generate import Served, class_text
     from lfield.capability.language import RegistryTypes
-    from lfield.capability.reader import read_registry
+    from lfield.capability.reading.reader import read_registry
     from lfield.errors import ProgramError
     from lfield.fleet.registry_check import program_files
     from lfield.source import Diagnostics
@@ -151,7 +151,7 @@ def _check(args: argparse.Namespace) -> int:
 def _import(args: argparse.Namespace) -> int:
     """Write what carries over; what does not is told on stderr and in the file."""
     from lfield.capability.importers import import_files
-    from lfield.capability.reader import read_registry
+    from lfield.capability.reading.reader import read_registry
     from lfield.cli.files import write_bytes
 
     if args.output is not None and args.output.exists() and not args.force:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import argparse
 import asyncio
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from lfield.capability.model import Registry
-    from lfield.capability.offer import Team
+    from lfield.cli.query_view import Known
     from lfield.errors import LfieldError
     from lfield.lang.deployment import Deployment
 
@@ -34,30 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Known:
-    """The team as far as it is known, and how: the hosts that answered, and why the others did not."""
-
-    team: Team
-    answered: tuple[str, ...] = ()
-    silent: tuple[tuple[str, str], ...] = ()
-
-    @property
-    def running(self) -> bool:
-        """Whether any of it was heard."""
-        return bool(self.answered)
-
-    def __str__(self) -> str:
-        if not self.running:
-            why = "no host tells more" if self.silent else "nothing is running"
-            return f"from the files: {why}, live attributes are not known"
-        hosts = len(self.answered) + len(self.silent)
-        return f"from the running team: {len(self.answered)} of {hosts} hosts answered"
-
-
 def run(args: argparse.Namespace) -> int:
     """0 when there are offers, 1 when there are none."""
-    from lfield.capability.matching import Matcher
+    from lfield.capability.matching.matcher import Matcher
     from lfield.capability.question import read_question
     from lfield.cli import query_view
     from lfield.fleet.query import mission_registry
@@ -87,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _known(args: argparse.Namespace, deployment: Deployment, registry: Registry, at: str) -> Known:
+    from lfield.cli.query_view import Known
     from lfield.errors import AddressError
     from lfield.fleet.query import from_files, from_hosts, views_of
 

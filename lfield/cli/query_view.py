@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from lfield.capability.explain import render
+from lfield.capability.matching.explain import render
+from lfield.capability.matching.search import named
 from lfield.capability.model import Primitive, Registry
-from lfield.capability.offer import Fact, Offer, Refusal
+from lfield.capability.offer import Fact, Offer, Refusal, Team
 from lfield.capability.question import Question
-from lfield.capability.search import named
 from lfield.capability.show import Branch
 from lfield.capability.words import printable, worth
 from lfield.cli.trees import plain_console, print_tree
@@ -19,10 +19,30 @@ from lfield.cli.trees import plain_console, print_tree
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from lfield.cli.query import Known
 
 #: So many attributes of an offer are shown, the most telling ones first; `--json` has all.
 SHOWN = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """The team as far as it is known, and how: the hosts that answered, and why the others did not."""
+
+    team: Team
+    answered: tuple[str, ...] = ()
+    silent: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def running(self) -> bool:
+        """Whether any of it was heard."""
+        return bool(self.answered)
+
+    def __str__(self) -> str:
+        if not self.running:
+            why = "no host tells more" if self.silent else "nothing is running"
+            return f"from the files: {why}, live attributes are not known"
+        hosts = len(self.answered) + len(self.silent)
+        return f"from the running team: {len(self.answered)} of {hosts} hosts answered"
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,10 @@ from collections.abc import Collection, Mapping
 from functools import lru_cache
 from typing import Any, TypeVar
 
-from lfield.capability.explain import render
-from lfield.capability.expression import Expression, compile_constraint
-from lfield.capability.matching import Matcher
-from lfield.capability.model import Registry
+from lfield.capability.matching.explain import render
+from lfield.capability.matching.expression import compile_constraint
+from lfield.capability.matching.matcher import Matcher
+from lfield.capability.model import Expression, Registry
 from lfield.capability.offer import Offer, Team
 from lfield.vm.offers import Found
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from lfield.bytecode.encoding import MAX_SIZE, decode
 from lfield.bytecode.program import Program, UnitKind
 from lfield.capability.language import RegistryTypes
-from lfield.capability.live_units import settle_live
 from lfield.capability.model import Registry
-from lfield.capability.shipped import shipped
+from lfield.capability.reading.live_units import settle_live
+from lfield.capability.reading.shipped import shipped
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import InputFileError, ProgramError, ProgramFileError
 from lfield.files import read_head, reason
@@ -82,7 +82,7 @@ def _registry_types(mission: Path | None, deploy: Path | None) -> RegistryTypes:
     """The registry with what a mission adds to it, read only when a program names a capability."""
 
     def read() -> Registry:
-        from lfield.capability.reader import read_registry
+        from lfield.capability.reading.reader import read_registry
 
         return read_registry(mission=mission, agents=None if deploy is None else _agents(deploy))
 

@@ -11,7 +11,7 @@ import msgspec
 from lfield.capability.directory import Deployed, live_attributes
 from lfield.capability.model import Attribute, Registry
 from lfield.capability.offer import Candidate, Fact
-from lfield.capability.reader import read_registry
+from lfield.capability.reading.reader import read_registry
 from lfield.errors import LfieldError, WireError
 from lfield.fleet.deploy import CAPABILITIES
 from lfield.lang.deployment import Deployment

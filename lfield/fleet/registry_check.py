@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from lfield.capability.live_units import settle_live
 from lfield.capability.model import Registry
-from lfield.capability.program_check import check_against, check_classes
-from lfield.capability.reader import check_files
-from lfield.capability.shipped import shipped
-from lfield.capability.signatures import Signature, signatures_of
+from lfield.capability.reading.live_units import settle_live
+from lfield.capability.reading.program_check import check_against, check_classes
+from lfield.capability.reading.reader import check_files
+from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.signatures import Signature, signatures_of
 from lfield.driver.plugins import discover
 from lfield.errors import InputFileError, ProgramError
 from lfield.files import read_bytes

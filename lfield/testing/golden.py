@@ -20,7 +20,7 @@ from pathlib import Path
 from lfield.bytecode.program import DeviceCall, Program
 from lfield.capability.language import RegistryTypes
 from lfield.capability.model import Registry
-from lfield.capability.reader import read_registry
+from lfield.capability.reading.reader import read_registry
 from lfield.clock import ManualClock
 from lfield.compiler.build import compile_program
 from lfield.errors import DeviceError, ProgramError

@@ -12,12 +12,13 @@ from pathlib import Path
 
 from harness import Figure, Row, median, milliseconds, percentile, timed, times
 
-from lfield.capability.expression import Expression, Scope, check, compile_constraint, parse
-from lfield.capability.matching import Matcher
+from lfield.capability.matching.expression import Scope, check, compile_constraint, parse
+from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import (
     Attribute,
     Composition,
     Equivalence,
+    Expression,
     Need,
     Primitive,
     Provider,

@@ -16,11 +16,11 @@ from pathlib import Path
 from harness import Figure, Row, in_turns, median, milliseconds, percentile, timed, times
 
 from lfield.bytecode.program import Program
-from lfield.capability.expression import compile_constraint
-from lfield.capability.matching import Matcher
+from lfield.capability.matching.expression import compile_constraint
+from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
-from lfield.capability.reader import read_registry
+from lfield.capability.reading.reader import read_registry
 from lfield.clock import SystemClock
 from lfield.fleet.answers import Answers
 from lfield.testing.golden import Desk, compile_text, team_for

@@ -14,7 +14,7 @@ from lfield.bytecode.encoding import decode, encode
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import INT, Core, FieldRecord, Program, Quad, encode_quads
 from lfield.bytecode.verify import verify
-from lfield.capability.reader import read_registry
+from lfield.capability.reading.reader import read_registry
 from lfield.errors import ProgramFileError
 from lfield.testing.golden import compile_text
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from lfield.capability.model import Registry
 from lfield.capability.question import read_question
-from lfield.capability.reader import read_registry
+from lfield.capability.reading.reader import read_registry
 from lfield.errors import ProgramError, UsageError
 
 

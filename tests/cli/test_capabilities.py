@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from lfield.capability.reader import read_registry
+from lfield.capability.reading.reader import read_registry
 from lfield.capability.show import describe
 from lfield.cli.main import main
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import pytest
 
-from lfield.capability.expression import compile_constraint
-from lfield.capability.matching import Matcher
+from lfield.capability.matching.expression import compile_constraint
+from lfield.capability.matching.matcher import Matcher
 from lfield.capability.offer import Fact
-from lfield.capability.reader import check_files
-from lfield.capability.shipped import shipped
+from lfield.capability.reading.reader import check_files
+from lfield.capability.reading.shipped import shipped
 from lfield.errors import AddressError, WireError
 from lfield.fleet.query import from_files, from_hosts, views_of
 

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from lfield.capability.language import RegistryTypes
-from lfield.capability.reader import read_registry
+from lfield.capability.reading.reader import read_registry
 from lfield.manifest import DeviceManifest, Instruction, Parameter
 from lfield.source import Diagnostic
 

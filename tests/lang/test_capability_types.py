@@ -12,7 +12,7 @@ from lfield.capability import language
 from lfield.capability.generate import classes
 from lfield.capability.language import RegistryTypes
 from lfield.capability.model import Registry
-from lfield.capability.reader import read_registry
+from lfield.capability.reading.reader import read_registry
 from lfield.lang.frontend import Checked, check_text
 
 CRANE = """

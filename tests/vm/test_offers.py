@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from lfield.bytecode.program import Program
 from lfield.capability.model import Registry
-from lfield.capability.reader import read_registry
+from lfield.capability.reading.reader import read_registry
 from lfield.clock import ManualClock
 from lfield.testing.golden import Desk, compile_text, settle
 from lfield.vm import layout

@@ -7,9 +7,9 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
-from lfield.capability.draft import MAX_NAME
 from lfield.capability.model import Registry
-from lfield.capability.signatures import RESERVED, RESERVED_TYPES
+from lfield.capability.reading.draft import MAX_NAME
+from lfield.capability.reading.signatures import RESERVED, RESERVED_TYPES
 from lfield.lang.scanner import KEYWORDS
 
 #: Most notes that are kept of one file, and most characters of a foreign text in any of them.

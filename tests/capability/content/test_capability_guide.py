@@ -12,15 +12,15 @@ import pytest
 from shipped_registry import DEVICES, REGISTRY, find_include
 
 from lfield.capability import units
-from lfield.capability.expression import compile_constraint
 from lfield.capability.language import RegistryTypes
-from lfield.capability.matching import Matcher
+from lfield.capability.matching.expression import compile_constraint
+from lfield.capability.matching.matcher import Matcher
+from lfield.capability.matching.search import Limits
 from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
-from lfield.capability.program_check import check_against, check_classes
-from lfield.capability.reader import check_files, read_registry
-from lfield.capability.search import Limits
-from lfield.capability.signatures import signatures_of
+from lfield.capability.reading.program_check import check_against, check_classes
+from lfield.capability.reading.reader import check_files, read_registry
+from lfield.capability.reading.signatures import signatures_of
 from lfield.lang.frontend import check_text
 from lfield.lang.parser import parse
 from lfield.source import Diagnostics, Source

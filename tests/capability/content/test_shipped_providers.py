@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from shipped_registry import DEVICES, PLUGINS, REGISTRY, stock_source
 
-from lfield.capability.signatures import Signature, argument_type, fits, signatures_of
+from lfield.capability.reading.signatures import Signature, argument_type, fits, signatures_of
 from lfield.lang.parser import parse
 from lfield.manifest import DeviceManifest
 from lfield.source import Diagnostics, Source

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from lfield.capability.importers import Imported, import_files
 from lfield.capability.model import Registry
-from lfield.capability.reader import check_files, read_registry
-from lfield.capability.shipped import shipped
+from lfield.capability.reading.reader import check_files, read_registry
+from lfield.capability.reading.shipped import shipped
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lfield.capability.subsumption import subsumptions
+from lfield.capability.reading.subsumption import subsumptions
 from lfield.errors import ProgramError
 
 GRIPPER = """\

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from lfield.capability.expression import (
+from lfield.capability.matching.expression import (
     Expression,
     Scope,
     Wanted,

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_registry import over_parts, wish
 
-from lfield.capability.evaluate import conjuncts, evaluator, names
+from lfield.capability.matching.evaluate import conjuncts, evaluator, names
+from lfield.capability.matching.reasons import reasons
 from lfield.capability.model import Value
-from lfield.capability.reasons import reasons
 
 FACTS: Mapping[str, Value] = {
     "agent": "arm1",

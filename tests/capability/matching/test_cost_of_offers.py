@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from small_registry import Crew, candidate, composition, equivalence, provider, registry, wish
 
-from lfield.capability.matching import Matcher
+from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import Registry, Weights
 from lfield.capability.offer import Candidate, Fact
 

@@ -17,10 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_registry import ATTRIBUTES, Crew, candidate, composition, equivalence, provider, registry, wish
 
-from lfield.capability.matching import Matcher
+from lfield.capability.matching.matcher import Matcher
+from lfield.capability.matching.search import Limits
 from lfield.capability.model import Composition, Equivalence, Registry
 from lfield.capability.offer import Candidate, Offer, Refusal
-from lfield.capability.search import Limits
 
 DEPTH = 3
 EVERYTHING = Limits(depth=DEPTH, per_rule=10**6, combinations=10**6, tried=10**6, offers=10**6)

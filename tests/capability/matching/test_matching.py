@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from small_registry import Crew, candidate, composition, equivalence, provider, registry, wish
 
-from lfield.capability.explain import render
-from lfield.capability.matching import Matcher
+from lfield.capability.matching.explain import render
+from lfield.capability.matching.matcher import Matcher
+from lfield.capability.matching.search import Limits
 from lfield.capability.offer import Fact, Offer
-from lfield.capability.search import Limits
 
 CRANE = provider("Crane", ["Lift"], payload=50.0, environment=frozenset(["terrestrial"]))
 ARM = provider("Arm", ["Grip"], payload=0.5)

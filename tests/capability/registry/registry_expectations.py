@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from lfield.capability.live_units import settle_live
 from lfield.capability.model import Registry
-from lfield.capability.program_check import check_against, check_classes
-from lfield.capability.reader import check_files
-from lfield.capability.signatures import signatures_of
+from lfield.capability.reading.live_units import settle_live
+from lfield.capability.reading.program_check import check_against, check_classes
+from lfield.capability.reading.reader import check_files
+from lfield.capability.reading.signatures import signatures_of
 from lfield.lang.parser import parse
 from lfield.manifest import DeviceManifest, Quantity
 from lfield.source import Diagnostic, Diagnostics, Source

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from registry_expectations import BASE, ROVER
 
-from lfield.capability.live_units import settle_live
 from lfield.capability.model import Registry
-from lfield.capability.program_check import check_against, check_classes
-from lfield.capability.reader import check_files, read_registry
-from lfield.capability.signatures import Signature, signatures_of
+from lfield.capability.reading.live_units import settle_live
+from lfield.capability.reading.program_check import check_against, check_classes
+from lfield.capability.reading.reader import check_files, read_registry
+from lfield.capability.reading.signatures import Signature, signatures_of
 from lfield.capability.units import known
 from lfield.driver.plugins import discover
 from lfield.lang.parser import parse

@@ -8,11 +8,14 @@ import pytest
 from registry_expectations import BASE, GOLDEN
 
 from lfield.capability import ways
+from lfield.capability.generate import prelude
 from lfield.capability.model import Argument, Live, Registry, Weights
-from lfield.capability.reader import check_files, read_registry
-from lfield.capability.shipped import shipped
+from lfield.capability.reading.reader import check_files, read_registry
+from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.signatures import RESERVED
 from lfield.errors import InputFileError, ProgramError
-from lfield.source import Diagnostic
+from lfield.lang.parser import parse
+from lfield.source import Diagnostic, Diagnostics
 
 CRANE = """
 registry: 1
@@ -298,3 +301,8 @@ def test_a_finding_is_drawn_with_a_caret_and_a_hint(write) -> None:
         "                           ^~~~~~\n"
         "    hint: did you mean 'payload'?"
     ]
+
+
+def test_no_portal_may_be_named_like_what_offers_tell_of_themselves():
+    offer = parse(prelude(), Diagnostics()).units[0]
+    assert {method.name for method in offer.methods if method.public} == RESERVED

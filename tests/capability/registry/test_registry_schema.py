@@ -14,12 +14,12 @@ from jsonschema import Draft202012Validator
 from registry_expectations import BASE, GOLDEN
 from registry_texts import plain, registries
 
-from lfield.capability.draft import MAX_NAME
 from lfield.capability.model import AttributeType, Better, Weights
-from lfield.capability.read_rules import MAX_NEEDS
-from lfield.capability.reader import check_files
-from lfield.capability.shipped import shipped, shipped_folder
-from lfield.capability.signatures import PORTAL_TYPES, RESERVED
+from lfield.capability.reading.draft import MAX_NAME
+from lfield.capability.reading.reader import check_files
+from lfield.capability.reading.rules import MAX_NEEDS
+from lfield.capability.reading.shipped import shipped, shipped_folder
+from lfield.capability.reading.signatures import PORTAL_TYPES, RESERVED
 from lfield.manifest import Effect
 
 SCHEMA = json.loads((shipped_folder() / "schema.json").read_text(encoding="utf-8"))

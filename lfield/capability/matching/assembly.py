@@ -1,0 +1,134 @@
+"""Parts put together by the rule of a composition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+
+from lfield.capability import ways
+from lfield.capability.matching.evaluate import Facts, conjuncts, evaluator, names
+from lfield.capability.matching.expression import POSITION
+from lfield.capability.matching.plan import Plan
+from lfield.capability.matching.ranking import Ranking
+from lfield.capability.matching.reasons import reasons
+from lfield.capability.model import Composition, Value
+from lfield.capability.offer import Fact, Offer
+
+
+class Assembly:
+    """A composition, ready to judge and to make combinations of parts in the order of its needs."""
+
+    def __init__(self, rule: Composition, ranking: Ranking) -> None:
+        self.rule = rule
+        self._ranking = ranking
+        self._needs = list(rule.needs)
+        self._way = ways.composed(rule.name)
+        self._fields = [ways.part(rule.name, need) for need in rule.needs]
+        self._attributes = [(name, evaluator(e), e) for name, e in sorted(rule.attributes.items())]
+        self._where = [evaluator(c) for condition in rule.where for c in conjuncts(condition)]
+        expressions = [*rule.where, *rule.attributes.values()]
+        self._looked_at = [
+            (name, *self._place(name))
+            for name in dict.fromkeys(name for e in expressions for name in names(e))
+            if "." in name
+        ]
+
+    def _place(self, name: str) -> tuple[int, str]:
+        """Which part, and which of its attributes, `need.attribute` is."""
+        need, _, attribute = name.partition(".")
+        return self._needs.index(need), attribute
+
+    def cost(self, parts: Sequence[Plan]) -> float:
+        """What the whole costs."""
+        return self._ranking.whole((part.cost for part in parts), self.rule.loss)
+
+    def least(self, costs: Mapping[str, float]) -> float | None:
+        """The least the whole can cost when primitives cost that; None when one of them is not there."""
+        found = [costs.get(need.primitive) for need in self.rule.needs.values()]
+        known = [cost for cost in found if cost is not None]
+        return self._ranking.whole(known, self.rule.loss) if len(known) == len(found) else None
+
+    def plan(self, parts: Sequence[Plan]) -> Plan | None:
+        """The whole, or None when the parts do not fit together."""
+        facts = self._facts(parts)
+        if any(judge(facts) is not True for judge in self._where):
+            return None
+        return self._whole(parts, facts)
+
+    def misfits(self, parts: Sequence[Plan]) -> tuple[str, ...]:
+        """Why the parts do not fit together; () when they do."""
+        facts, why = self._facts(parts), self._why(parts)
+        return tuple(reason for condition in self.rule.where for reason in reasons(condition, facts, why))
+
+    def _facts(self, parts: Sequence[Plan]) -> dict[str, Value]:
+        """What the rule's expressions look at: of the parts, and of the whole."""
+        facts: dict[str, Value] = {}
+        for name, index, attribute in self._looked_at:
+            value = parts[index].values.get(attribute)
+            if value is not None:
+                facts[name] = value
+        return facts | {
+            name: value for name, judge, _ in self._attributes if (value := judge(facts)) is not None
+        }
+
+    def _whole(self, parts: Sequence[Plan], facts: Facts) -> Plan:
+        values = {name: facts[name] for name, _, _ in self._attributes if name in facts}
+        values["agent"] = _joined([part.values["agent"] for part in parts])
+        values["robot"] = values["host"] = _joined([part.values["host"] for part in parts])
+        why = self._why(parts)
+        unknown = {name: why(name) for name, _, _ in self._attributes if name not in facts}
+        cost = self.cost(parts)
+        return Plan(partial(self._offer, parts, facts, cost), cost, values, unknown, self.rule.name)
+
+    def _offer(self, parts: Sequence[Plan], facts: Facts, cost: float) -> Offer:
+        rule, offers = self.rule, [part.offer for part in parts]
+        known = {
+            name: Fact(facts[name], self._age(names(expression), offers))
+            for name, _, expression in self._attributes
+            if name in facts
+        }
+        return Offer(
+            rule.serves,
+            "composed",
+            self._way,
+            _listed(offer.agent for offer in offers),
+            _listed(offer.host for offer in offers),
+            cost,
+            known,
+            dict(zip(self._fields, offers, strict=True)),
+            rule.name,
+        )
+
+    def _age(self, looked_at: Sequence[str], offers: Sequence[Offer]) -> float:
+        """How old the oldest of some facts of the parts is."""
+        places = [self._place(name) for name in looked_at]
+        found = [offers[index].facts.get(attribute) for index, attribute in places]
+        return max((fact.age for fact in found if fact is not None), default=0.0)
+
+    def _why(self, parts: Sequence[Plan]) -> Callable[[str], str]:
+        """Says why an attribute of a part, or of the whole, has no value."""
+
+        def why(name: str) -> str:
+            if "." not in name:
+                facts = self._facts(parts)
+                lacking = [n for n in names(self.rule.attributes[name]) if n not in facts]
+                return ", ".join([f"{name} is not known", *dict.fromkeys(map(why, lacking))])
+            index, attribute = self._place(name)
+            if attribute in POSITION:
+                return f"the position of {self._needs[index]} is not known"
+            return f"of {self._needs[index]}, {parts[index].why(attribute)}"
+
+        return why
+
+
+def _joined(found: Sequence[Value]) -> Value:
+    """Names of several parts: one when all are the same, else the set of them."""
+    members: frozenset[str] = frozenset()
+    for value in found:
+        members |= value if isinstance(value, frozenset) else {str(value)}
+    return next(iter(members)) if len(members) == 1 else members
+
+
+def _listed(found: Iterable[str]) -> str:
+    """The same for people, in the order of the needs."""
+    return "+".join(dict.fromkeys(name for names in found for name in names.split("+")))

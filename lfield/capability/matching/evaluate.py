@@ -1,0 +1,235 @@
+"""What expressions over attributes are worth, given facts; made once into closures, called for every offer.
+
+Facts are flat: values by attribute (`payload`), or by part and attribute (`grip.payload`). What is not
+stated, not known or too old is not in them, and its value is None: unknown. Logic is Kleene's: an unknown
+side leaves `&&` and `||` unknown unless the other side decides. Arithmetic is in reals; a result that is
+none (a division by 0) is unknown too.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+from lfield.capability.matching.expression import POSITION
+from lfield.capability.model import Expression, Value
+from lfield.lang import syntax
+
+Facts = Mapping[str, Value]
+Judge = Callable[[Facts], Value | None]
+
+
+def same(left: Value, right: Value) -> bool:
+    """Equality; of sets, whether they have a member in common, where a text is a set of one."""
+    if isinstance(left, frozenset):
+        return not left.isdisjoint(right if isinstance(right, frozenset) else (right,))
+    return left in right if isinstance(right, frozenset) else left == right
+
+
+def differ(left: Value, right: Value) -> bool:
+    """The opposite of `same`."""
+    return not same(left, right)
+
+
+_COMPARISONS: Mapping[str, Callable[[Any, Any], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": same,
+    "!=": differ,
+}
+_ARITHMETIC: Mapping[str, Callable[[float, float], float]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+}
+_FUNCTIONS: Mapping[str, Callable[..., float]] = {"min": min, "max": max, "abs": abs}
+
+
+@lru_cache(maxsize=4096)
+def conjuncts(expression: Expression) -> tuple[Expression, ...]:
+    """What its top-level `&&` join, in order: all of them must be true."""
+    return tuple(Expression(tree.span.text, tree) for tree in _conjoined(expression.tree))
+
+
+def _conjoined(tree: syntax.Expr) -> Iterator[syntax.Expr]:
+    if isinstance(tree, syntax.Binary) and tree.operator == "&&":
+        yield from _conjoined(tree.left)
+        yield from _conjoined(tree.right)
+    else:
+        yield tree
+
+
+@lru_cache(maxsize=4096)
+def names(expression: Expression) -> tuple[str, ...]:
+    """The facts that it looks at, each once, in the order of the text."""
+    return tuple(dict.fromkeys(named(expression.tree)))
+
+
+def named(tree: syntax.Expr) -> Iterator[str]:
+    """The facts that a part of an expression looks at."""
+    match tree:
+        case syntax.Name() | syntax.Member():
+            yield key(tree)
+        case syntax.Unary(operand=operand):
+            yield from named(operand)
+        case syntax.Binary(left=left, right=right):
+            yield from named(left)
+            yield from named(right)
+        case syntax.Call(arguments=arguments) if function(tree) == "distance":
+            yield from (f"{key(part)}.{axis}" for part in arguments for axis in POSITION)
+        case syntax.Call(arguments=arguments):
+            for argument in arguments:
+                yield from named(argument)
+
+
+def key(tree: syntax.Expr) -> str:
+    """The name of the fact that a Name or a Member stands for."""
+    match tree:
+        case syntax.Name(name=name):
+            return name
+        case syntax.Member(object=syntax.Name(name=need), name=name):
+            return f"{need}.{name}"
+        case _:
+            raise _unchecked(tree)
+
+
+def function(tree: syntax.Call) -> str:
+    """The name of the function that is called."""
+    return tree.function.name
+
+
+@lru_cache(maxsize=4096)
+def evaluator(expression: Expression) -> Judge:
+    """A function from facts to the value of the checked expression; None when it is unknown."""
+    return value_of(expression.tree)
+
+
+def value_of(tree: syntax.Expr) -> Judge:
+    """The same for a part of an expression."""
+    match tree:
+        case syntax.Literal_(value=value):
+            return lambda facts: value
+        case syntax.Name() | syntax.Member():
+            name = key(tree)
+            return lambda facts: facts.get(name)
+        case syntax.Unary(operator="!", operand=operand):
+            return _not(value_of(operand))
+        case syntax.Unary(operand=operand):
+            return _applied(operator.neg, [value_of(operand)])
+        case syntax.Binary():
+            return _binary(tree)
+        case syntax.Call(arguments=arguments) if function(tree) == "distance":
+            return _distance(key(arguments[0]), key(arguments[1]))
+        case syntax.Call(arguments=arguments):
+            return _applied(_FUNCTIONS[function(tree)], [value_of(argument) for argument in arguments])
+        case _:
+            raise _unchecked(tree)
+
+
+def _unchecked(tree: syntax.Expr) -> ValueError:
+    return ValueError(f"this expression was not checked: {tree.span.text}")
+
+
+# --- logic --------------------------------------------------------------------------------------------
+
+
+def _binary(tree: syntax.Binary) -> Judge:
+    sign = tree.operator
+    if sign in _COMPARISONS:
+        return _comparison(_COMPARISONS[sign], tree.left, tree.right)
+    left, right = value_of(tree.left), value_of(tree.right)
+    match sign:
+        case "&&":
+            return _and(left, right)
+        case "||":
+            return _not(_and(_not(left), _not(right)))
+        case _:
+            return _calculated(_ARITHMETIC[sign], left, right)
+
+
+def _and(left: Judge, right: Judge) -> Judge:
+    def judge(facts: Facts) -> bool | None:
+        first = left(facts)
+        if first is False:
+            return False
+        second = right(facts)
+        if second is False:
+            return False
+        return None if first is None or second is None else True
+
+    return judge
+
+
+def _not(operand: Judge) -> Judge:
+    def judge(facts: Facts) -> bool | None:
+        value = operand(facts)
+        return None if value is None else not value
+
+    return judge
+
+
+# --- values -------------------------------------------------------------------------------------------
+
+
+def _comparison(compare: Callable[[Any, Any], bool], left: syntax.Expr, right: syntax.Expr) -> Judge:
+    if isinstance(left, syntax.Name | syntax.Member) and isinstance(right, syntax.Literal_):
+        return _compared_with(compare, key(left), right.value)
+    return _applied(compare, [value_of(left), value_of(right)])
+
+
+def _compared_with(compare: Callable[[Any, Any], bool], name: str, constant: object) -> Judge:
+    """The usual comparison: a thousand offers are judged by it."""
+
+    def judge(facts: Facts) -> bool | None:
+        value = facts.get(name)
+        return None if value is None else compare(value, constant)
+
+    return judge
+
+
+def _applied(call: Callable[..., Value], operands: list[Judge]) -> Judge:
+    def judge(facts: Facts) -> Value | None:
+        values = [operand(facts) for operand in operands]
+        return None if None in values else call(*values)
+
+    return judge
+
+
+def _calculated(calculate: Callable[[float, float], float], left: Judge, right: Judge) -> Judge:
+    def judge(facts: Facts) -> float | None:
+        first, second = left(facts), right(facts)
+        if first is None or second is None:
+            return None
+        try:
+            result = calculate(_real(first), _real(second))
+        except ZeroDivisionError:
+            return None
+        return result if math.isfinite(result) else None
+
+    return judge
+
+
+def _real(value: Value) -> float:
+    assert isinstance(value, int | float)
+    return float(value)
+
+
+def _distance(one: str, other: str) -> Judge:
+    axes = [(f"{one}.{axis}", f"{other}.{axis}") for axis in POSITION]
+
+    def judge(facts: Facts) -> float | None:
+        squares = 0.0
+        for here, there in axes:
+            first, second = facts.get(here), facts.get(there)
+            if first is None or second is None:
+                return None
+            squares += (_real(first) - _real(second)) ** 2
+        return math.sqrt(squares)
+
+    return judge

@@ -1,0 +1,347 @@
+"""Conditions and values over attributes, in L's own syntax: `payload >= 2.0 && environment == aerial`.
+
+Operators are && || ! == != < <= > >= + - * / with L's precedence, functions are min, max and abs. A name is
+an attribute, or a member that a set or text attribute may have (`aerial`, which can be written as text too);
+of every offer `agent`, `robot` and `host` are text attributes as well. In the rule of a composition names
+are `need.attribute`, and `distance(need, need)` is in metres. Equality with a set asks for a common member.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from lfield.capability.model import Attribute, Expression
+from lfield.errors import ConstraintError
+from lfield.lang import messages, syntax
+from lfield.lang.parser import expressions
+from lfield.lang.parser.stream import GiveUp, Recover, TokenStream
+from lfield.lang.scanner import scan
+from lfield.lang.suggest import did_you_mean, listed
+from lfield.source import Diagnostic, Diagnostics, Source, Span
+
+#: The longest text that is read, in characters; nesting is limited by L's own parser.
+MAX_LENGTH = 2000
+
+#: Text attributes that every offer has: who it is, and on which robot (a robot is a host).
+IDENTITY = ("agent", "robot", "host")
+
+#: The attributes from which `distance` is computed: metres from the team's common origin.
+POSITION = ("north", "east", "down")
+
+#: Functions of numbers with the least and the most arguments they take.
+FUNCTIONS: Mapping[str, tuple[int, int]] = {"min": (2, 16), "max": (2, 16), "abs": (1, 1)}
+
+Sort = Literal["number", "boolean", "text", "set", "part", "nothing"]
+Wanted = Literal["boolean", "number", "text", "set", "any"]
+
+#: What the parser advises about these is of use in a method only.
+_ABOUT_STATEMENTS = (messages.NO_TERNARY.code, messages.TOO_DEEP.code)
+
+#: Operators of other languages that are words.
+_WORDS = {"and": "write &&", "or": "write ||", "not": "write !", "in": "write set == member"}
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """What is wrong with a text, where: characters `start` to `end` of it."""
+
+    start: int
+    end: int
+    message: str
+    hint: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.message} ({self.hint})" if self.hint else self.message
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What an expression is worth: its sort, with all members or texts it may have (() for any).
+
+    The sort of something with a mistake is 'nothing'; no more is said about it.
+    """
+
+    sort: Sort
+    values: tuple[str, ...] = ()
+
+
+_NUMBER, _BOOLEAN, _TEXT = Kind("number"), Kind("boolean"), Kind("text")
+_PART, _NOTHING = Kind("part"), Kind("nothing")
+
+
+@dataclass(frozen=True, slots=True)
+class Scope:
+    """What names mean: bare `names`, and for each of the `needs` of a composition its `members`."""
+
+    names: Mapping[str, Kind]
+    needs: Collection[str] = ()
+    members: Mapping[str, Kind] = field(default_factory=dict)
+
+    @staticmethod
+    def of_offer(attributes: Mapping[str, Attribute]) -> Scope:
+        """In a constraint, or the `when` of a rule: the attributes of one offer."""
+        return Scope(_kinds(attributes))
+
+    @staticmethod
+    def of_parts(
+        attributes: Mapping[str, Attribute], needs: Collection[str], whole: Collection[str] = ()
+    ) -> Scope:
+        """In the `where` and `attributes` of a composition: its needs by name.
+
+        A `where` may also name what the rule says the `whole` is worth.
+        """
+        kinds = _kinds(attributes)
+        return Scope({name: kinds[name] for name in whole if name in kinds}, needs, kinds)
+
+
+def _kinds(attributes: Mapping[str, Attribute]) -> dict[str, Kind]:
+    kinds = {name: _kind(attribute) for name, attribute in attributes.items()}
+    return kinds | dict.fromkeys(IDENTITY, _TEXT)
+
+
+def _kind(attribute: Attribute) -> Kind:
+    match attribute.type:
+        case "real" | "int":
+            return _NUMBER
+        case sort:
+            return Kind(sort, attribute.values)
+
+
+def compile_constraint(text: str, attributes: Mapping[str, Attribute]) -> Expression:
+    """A condition over the attributes of one offer. Raises ConstraintError with everything wrong in it."""
+    expression, mistakes = parse(text)
+    if expression is not None:
+        mistakes = check(expression, Scope.of_offer(attributes), "boolean")
+    if expression is None or mistakes:
+        shown = text if len(text) <= 80 else f"{text[:77]}..."
+        raise ConstraintError(shown, [str(mistake) for mistake in mistakes])
+    return expression
+
+
+# --- syntax -------------------------------------------------------------------------------------------
+
+
+def parse(text: str) -> tuple[Expression | None, list[Mistake]]:
+    """The expression in a text, or None and what is wrong. What its names mean is not looked at."""
+    if len(text) > MAX_LENGTH:
+        return None, [Mistake(0, len(text), f"this is longer than {MAX_LENGTH} characters")]
+    if not text.strip():
+        return None, [Mistake(0, len(text), "nothing is written here", "such as payload >= 2.0")]
+    found = Diagnostics()
+    stream = TokenStream(scan(Source("", text), found), found)
+    tree: syntax.Expr | None = None
+    try:
+        tree = expressions.expression(stream)
+        if not stream.at_end():
+            found.add(_unexpected(stream))
+    except (Recover, GiveUp):
+        pass
+    if tree is None or found.found:
+        return None, [_mistake(diagnostic) for diagnostic in found.in_order()]
+    return Expression(text, tree), []
+
+
+def _unexpected(stream: TokenStream) -> Diagnostic:
+    token, before = stream.current, stream.previous
+    hint = _WORDS.get(token.text) or _WORDS.get(before.text, "the condition ends before it")
+    return Diagnostic("", f"{token} is not expected here", token.span, hint)
+
+
+def _mistake(found: Diagnostic) -> Mistake:
+    # The parser speaks of files and statements; here there are none.
+    message = found.message.replace("the end of the file", "the end of the text")
+    hint = "" if found.code in _ABOUT_STATEMENTS else found.hint
+    return Mistake(found.span.start, found.span.end, message, hint)
+
+
+# --- meaning ------------------------------------------------------------------------------------------
+
+
+def check(expression: Expression, scope: Scope, wanted: Wanted) -> list[Mistake]:
+    """What is wrong with the names and types of an expression that shall be `wanted`.
+
+    The bare name of a member is replaced in the tree by the text it stands for.
+    """
+    checker = _Checker(scope)
+    kind = checker.kind(expression.tree)
+    if not checker.found and kind.sort != wanted and (wanted != "any" or kind.sort == "part"):
+        should = "a value" if wanted == "any" else _said(wanted)
+        hint = "compare it, as in payload >= 2.0" if wanted == "boolean" else ""
+        checker.report(expression.tree.span, f"this is {_said(kind.sort)}, not {should}", hint)
+    return checker.found
+
+
+def _said(sort: str) -> str:
+    """A sort in words."""
+    return {"boolean": "true or false", "text": "text", "nothing": "nothing"}.get(sort, f"a {sort}")
+
+
+class _Checker:
+    """One walk over one tree."""
+
+    def __init__(self, scope: Scope) -> None:
+        self._scope = scope
+        self.found: list[Mistake] = []
+
+    def report(self, place: Span, message: str, hint: str | None = None) -> Kind:
+        """Keep a mistake; the kind of what has one."""
+        self.found.append(Mistake(place.start, place.end, message, hint or ""))
+        return _NOTHING
+
+    def kind(self, tree: syntax.Expr) -> Kind:
+        """What the tree is worth."""
+        match tree:
+            case syntax.Literal_(value=value):
+                return self._literal(value, tree.span)
+            case syntax.Name(name=name):
+                return self._name(name, tree.span)
+            case syntax.Member():
+                return self._member(tree)
+            case syntax.Unary(operator=operator, operand=operand):
+                return self._all([operand], _BOOLEAN if operator == "!" else _NUMBER, operator)
+            case syntax.Binary():
+                return self._binary(tree)
+            case syntax.Call():
+                return self._call(tree)
+            case syntax.Assign(sign=sign):
+                return self.report(sign, "'=' would assign", "compare with ==")
+            case _:
+                return self.report(tree.span, "this has no meaning in a condition over attributes")
+
+    def _literal(self, value: bool | int | float | str | None, place: Span) -> Kind:
+        match value:
+            case None:
+                return self.report(place, "null is no value of an attribute")
+            case bool():
+                return _BOOLEAN
+            case str():
+                return _TEXT
+            case _:
+                return _NUMBER
+
+    # --- names ----------------------------------------------------------------------------------------
+
+    def _name(self, name: str, place: Span) -> Kind:
+        scope = self._scope
+        if name in scope.names:
+            return scope.names[name]
+        if name in scope.needs:
+            return _PART
+        if name in scope.members:
+            parts = listed(f"{need}.{name}" for need in scope.needs)
+            return self.report(place, f"whose '{name}' is meant?", f"write {parts}")
+        hint = did_you_mean(name, [*scope.names, *scope.needs])
+        return self.report(place, f"there is no attribute '{name}'", hint or "text stands in double quotes")
+
+    def _member(self, tree: syntax.Member) -> Kind:
+        scope, owner = self._scope, tree.object
+        if not scope.needs:
+            return self.report(tree.span, "an attribute has no members", "write its name alone")
+        if not isinstance(owner, syntax.Name):
+            return self.report(tree.span, "this is no part", "write need.attribute")
+        if owner.name not in scope.needs:
+            hint = did_you_mean(owner.name, scope.needs) or f"the parts are {listed(scope.needs)}"
+            return self.report(owner.span, f"there is no part '{owner.name}'", hint)
+        if tree.name not in scope.members:
+            message = f"there is no attribute '{tree.name}'"
+            return self.report(tree.place, message, did_you_mean(tree.name, scope.members))
+        return scope.members[tree.name]
+
+    # --- operators and functions ----------------------------------------------------------------------
+
+    def _binary(self, tree: syntax.Binary) -> Kind:
+        operands = [tree.left, tree.right]
+        match tree.operator:
+            case "&&" | "||":
+                return self._all(operands, _BOOLEAN, tree.operator)
+            case "<" | "<=" | ">" | ">=":
+                kind = self._all(operands, _NUMBER, tree.operator)
+                return _BOOLEAN if kind is _NUMBER else kind
+            case "+" | "-" | "*" | "/":
+                return self._all(operands, _NUMBER, tree.operator)
+            case "==" | "!=":
+                return self._equality(tree)
+            case operator:
+                return self.report(tree.sign, f"'{operator}' has no meaning over attributes")
+
+    def _all(self, operands: list[syntax.Expr], wanted: Kind, what: str) -> Kind:
+        """The kind wanted, which all operands must have."""
+        good = True
+        for operand in operands:
+            kind = self.kind(operand)
+            good = good and kind.sort == wanted.sort
+            if kind.sort not in (wanted.sort, "nothing"):
+                need = "numbers" if wanted is _NUMBER else "what is true or false"
+                self.report(operand.span, f"'{what}' takes {need}; this is {_said(kind.sort)}")
+        return wanted if good else _NOTHING
+
+    def _equality(self, tree: syntax.Binary) -> Kind:
+        left = self._or_member(tree.left, tree.right, lambda text: setattr(tree, "left", text))
+        right = self._or_member(tree.right, tree.left, lambda text: setattr(tree, "right", text))
+        sorts = {left.sort, right.sort}
+        if "nothing" in sorts:
+            return _NOTHING
+        if "part" in sorts:
+            return self.report(tree.span, "parts cannot be compared", "compare their agent or robot")
+        if len(sorts) > 1 and sorts != {"text", "set"}:
+            message = f"'{tree.operator}' compares {_said(left.sort)} with {_said(right.sort)}"
+            return self.report(tree.span, message)
+        return _BOOLEAN
+
+    def _or_member(
+        self, tree: syntax.Expr, other: syntax.Expr, replace: Callable[[syntax.Literal_], None]
+    ) -> Kind:
+        """The kind of one side of a comparison, which may be a member of what the `other` may have."""
+        values = self._declared(other)
+        match tree:
+            case syntax.Name(name=name) if name in values or (values and not self._known(name)):
+                pass
+            case syntax.Literal_(value=str(name)) if values:
+                pass
+            case _:
+                return self.kind(tree)
+        if name not in values:
+            hint = did_you_mean(name, values) or f"it can be {listed(values)}"
+            return self.report(tree.span, f"'{other.span.text}' is never '{name}'", hint)
+        replace(syntax.Literal_(tree.span, 1, name))
+        return _TEXT
+
+    def _declared(self, tree: syntax.Expr) -> tuple[str, ...]:
+        """All that an attribute may be; () when it may be anything, or this is none."""
+        match tree:
+            case syntax.Name(name=name) if name in self._scope.names:
+                return self._scope.names[name].values
+            case syntax.Member(name=name) if name in self._scope.members:
+                return self._scope.members[name].values
+            case _:
+                return ()
+
+    def _known(self, name: str) -> bool:
+        return name in self._scope.names or name in self._scope.needs
+
+    def _call(self, tree: syntax.Call) -> Kind:
+        name = tree.function.span.text
+        if name == "distance":
+            return self._distance(tree)
+        if name not in FUNCTIONS:
+            hint = did_you_mean(name, [*FUNCTIONS, "distance"]) or "there are min, max and abs"
+            return self.report(tree.function.span, f"there is no function '{name}' here", hint)
+        least, most = FUNCTIONS[name]
+        if not least <= len(tree.arguments) <= most:
+            count = "1 argument" if least == most else f"{least} to {most} arguments"
+            return self.report(tree.span, f"{name}() takes {count}, not {len(tree.arguments)}")
+        return self._all(tree.arguments, _NUMBER, f"{name}()")
+
+    def _distance(self, tree: syntax.Call) -> Kind:
+        scope = self._scope
+        if not scope.needs:
+            hint = "only the rule of a composition has parts"
+            return self.report(tree.span, "distance() is between two parts", hint)
+        if lacking := [name for name in POSITION if name not in scope.members]:
+            return self.report(tree.span, f"distance() needs the attributes {listed(lacking)}")
+        parts = [a for a in tree.arguments if isinstance(a, syntax.Name) and a.name in scope.needs]
+        if len(parts) != 2 or len(tree.arguments) != 2:
+            return self.report(tree.span, "distance() takes two parts", f"these are {listed(scope.needs)}")
+        return _NUMBER

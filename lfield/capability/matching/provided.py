@@ -1,0 +1,100 @@
+"""Agents of a resource type as plans for a primitive that the type serves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from functools import partial
+
+from lfield.capability import ways
+from lfield.capability.matching.evaluate import conjuncts, evaluator
+from lfield.capability.matching.plan import Plan, fulfilling
+from lfield.capability.matching.ranking import Ranking
+from lfield.capability.matching.reasons import reasons
+from lfield.capability.model import Attribute, Provider, Value
+from lfield.capability.offer import Candidate, Fact, Offer
+
+
+class Provided:
+    """One primitive as one resource type serves it."""
+
+    def __init__(
+        self, primitive: str, provider: Provider, attributes: Mapping[str, Attribute], ranking: Ranking
+    ) -> None:
+        served = provider.serves[primitive]
+        self.primitive, self.type = primitive, provider.type
+        self._when = served.when
+        self._judges = [evaluator(c) for c in conjuncts(served.when)] if served.when else []
+        self._ranking = ranking
+        self._live = {name: attribute.max_age for name, attribute in attributes.items() if attribute.live}
+        self._way = ways.direct(provider.type)
+        self._values: dict[str, Value] = {**provider.attributes, **served.attributes}
+        self._facts = {name: Fact(value) for name, value in self._values.items()}
+        self._kept: dict[str, tuple[Candidate, Plan]] = {}
+        self._named: frozenset[str] = frozenset()
+        self._counted = ranking.counted(primitive, ())
+
+    def plans(self, candidates: Iterable[Candidate], named: frozenset[str]) -> list[Plan]:
+        """Of the candidates that can do it now; `named` are the attributes in the constraint."""
+        found = [self.plan(candidate, named) for candidate in candidates if not candidate.refusal]
+        return list(fulfilling(found, self._judges)) if self._judges else found
+
+    def refusal(self, candidate: Candidate, named: frozenset[str]) -> tuple[str, ...]:
+        """Why a candidate cannot do it whatever is wished; () when it can."""
+        if candidate.refusal:
+            return (candidate.refusal,)
+        if self._when is None:
+            return ()
+        plan = self.plan(candidate, named)
+        return reasons(self._when, plan.values, plan.why)
+
+    def plan(self, candidate: Candidate, named: frozenset[str]) -> Plan:
+        """What a candidate would be, made anew only when something about it changed."""
+        if named != self._named:
+            self._count(named)
+        kept = self._kept.get(candidate.agent)
+        if kept is not None and (kept[0] is candidate or kept[0] == candidate):
+            return kept[1]
+        plan = self._made(candidate)
+        self._kept[candidate.agent] = candidate, plan
+        return plan
+
+    def _count(self, named: frozenset[str]) -> None:
+        """From now on the ages of what the constraint names count too."""
+        counted = self._ranking.counted(self.primitive, named)
+        if counted != self._counted:
+            self._kept.clear()
+        self._named, self._counted = named, counted
+
+    def _made(self, candidate: Candidate) -> Plan:
+        host, known, staleness = candidate.host, candidate.facts, 0.0
+        facts = {**self._facts, **known}
+        values = {**self._values, "agent": candidate.agent, "robot": host, "host": host}
+        unknown = dict(candidate.unknown)
+        for name, fact in known.items():
+            values[name] = fact.value
+            if name in self._live:
+                unknown |= self._useless(name, fact)
+            if name in self._counted:
+                staleness = max(staleness, fact.age / self._counted[name])
+        for name in unknown:
+            facts.pop(name, None)
+            values.pop(name, None)
+        cost = self._ranking.agent(self.primitive, values, candidate.hops, staleness)
+        make = partial(Offer, self.primitive, "direct", self._way, candidate.agent, host, cost, facts)
+        return Plan(make, cost, values, unknown)
+
+    def _useless(self, name: str, fact: Fact) -> dict[str, str]:
+        """Why a live fact says nothing; {} when it does."""
+        limit = self._live[name]
+        if fact.age > limit:
+            return {name: f"{name} is {_seconds(fact.age, limit)} old, at most {limit:g} s"}
+        if isinstance(fact.value, float) and not math.isfinite(fact.value):
+            return {name: f"{name} is not a number"}
+        return {}
+
+
+def _seconds(age: float, limit: float) -> str:
+    """An age in few digits, yet not so few that it looks within its limit."""
+    rounded = round(age)
+    return f"{rounded} s" if rounded > limit else f"{age:g} s"

@@ -1,0 +1,1 @@
+"""From YAML to a checked registry: every mistake in every file at its place, in one run."""

@@ -1,0 +1,56 @@
+"""The section `attributes`: what offers differ in.
+
+```yaml
+attributes:
+  payload: {type: real, unit: kg, better: more, typical: 2.0, meaning: what it can carry or lift}
+  environment: {type: set, values: [aerial, aquatic, terrestrial], meaning: where it can work}
+  battery: {type: real, better: more, live: true, max_age: 10.0, meaning: charge from 0 to 1}
+```
+"""
+
+from __future__ import annotations
+
+from typing import cast, get_args
+
+from lfield.capability.model import Attribute, AttributeType, Better
+from lfield.capability.reading import messages
+from lfield.capability.reading.draft import NAME, Draft
+from lfield.capability.reading.values import check_unit
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry
+
+#: What conditions call something of their own.
+RESERVED_ATTRIBUTES = frozenset({"agent", "robot", "host", "distance", "min", "max", "abs"})
+
+
+def read_attributes(draft: Draft) -> None:
+    """All attributes of all files."""
+    for file, entry, fields in draft.entries("attributes"):
+        draft.define(
+            draft.attributes, _attribute(draft, entry, fields), "the attribute", mission=file.mission
+        )
+
+
+def _attribute(draft: Draft, entry: Entry, fields: Fields) -> Attribute:
+    name, span = entry.key, entry.key_span
+    draft.check_name(name, NAME, "an attribute", span)
+    if name in RESERVED_ATTRIBUTES:
+        draft.tell(messages.RESERVED_ATTRIBUTE, span, name=name)
+    kind = fields.text("type", "real", required=True, choices=get_args(AttributeType))
+    attribute = Attribute(
+        name=name,
+        type=cast(AttributeType, kind),
+        span=span,
+        unit=fields.text("unit"),
+        better=cast(Better, fields.text("better", "none", choices=get_args(Better))),
+        typical=fields.number("typical", 1.0, minimum=1e-9),
+        values=fields.texts("values"),
+        live=fields.flag("live"),
+        max_age=fields.number("max_age", 10.0, minimum=0.1, maximum=86400.0),
+        meaning=fields.text("meaning"),
+    )
+    fields.done()
+    check_unit(draft, attribute.unit, kind, f"'{name}'", fields.value_span("unit"))
+    if attribute.values and kind not in ("set", "text"):
+        draft.tell(messages.VALUES_OF_NUMBER, fields.value_span("values"), name=name, type=kind)
+    return attribute

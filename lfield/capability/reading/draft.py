@@ -1,0 +1,147 @@
+"""A registry while it is read: what has been found so far, and what every section's reader needs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeVar
+
+from lfield.capability.model import (
+    Attribute,
+    Composition,
+    Equivalence,
+    Primitive,
+    Provider,
+    Term,
+    Value,
+    Weights,
+)
+from lfield.capability.reading import messages
+from lfield.findings import Message
+from lfield.lang.scanner import KEYWORDS
+from lfield.lang.suggest import did_you_mean
+from lfield.source import Diagnostics, Span
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry
+
+#: Most entries that one section of a registry may have, all files together.
+MAX_ENTRIES = 5000
+
+#: Longest name of anything in a registry, in characters.
+MAX_NAME = 80
+
+#: Dotted, as in the taxonomy; a name in L that begins small; a type in L; a rule, a need, an agent.
+DOTTED = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
+NAME = re.compile(r"[a-z][A-Za-z0-9_]*")
+TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
+RULE = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+
+_EXAMPLES = {DOTTED: "skill.security.sentry", NAME: "goTo", TYPE_NAME: "GoTo", RULE: "grip-and-climb"}
+
+
+D = TypeVar("D", Attribute, Primitive)
+
+
+@dataclass(frozen=True, slots=True)
+class RegistryFile:
+    """One file of a registry; that of a mission may override what the others say."""
+
+    path: Path
+    top: Fields
+    mission: bool
+
+
+@dataclass(slots=True)
+class Draft:
+    """What is read so far, section by section: a section may refer to those that were read before it.
+
+    `aliases` are the other ids of terms, and the ids out of use, with the id that counts.
+    """
+
+    files: tuple[RegistryFile, ...]
+    found: Diagnostics
+    terms: dict[str, Term] = field(default_factory=dict)
+    aliases: dict[str, str] = field(default_factory=dict)
+    attributes: dict[str, Attribute] = field(default_factory=dict)
+    primitives: dict[str, Primitive] = field(default_factory=dict)
+    providers: dict[str, Provider] = field(default_factory=dict)
+    equivalences: dict[str, Equivalence] = field(default_factory=dict)
+    compositions: dict[str, Composition] = field(default_factory=dict)
+    agents: dict[str, dict[str, Value]] = field(default_factory=dict)
+    weights: Weights = field(default_factory=Weights)
+    version: int = 0
+    # Comparing names takes long: a file of nothing but mistakes gets no more hints after so many of them.
+    _comparisons: int = 20_000
+
+    def tell(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
+        """Add a finding."""
+        self.found.add(message.at(span, hint=hint, **values))
+
+    def entries(self, section: str) -> Iterator[tuple[RegistryFile, Entry, Fields]]:
+        """The entries of a section in all files, in their order, up to MAX_ENTRIES."""
+        count = 0
+        for file in self.files:
+            for entry, fields in file.top.section(section).entries():
+                count += 1
+                if count > MAX_ENTRIES:
+                    self.tell(messages.TOO_MANY, entry.key_span, limit=MAX_ENTRIES, what=section)
+                    return
+                yield file, entry, fields
+
+    def check_name(self, name: str, pattern: re.Pattern[str], what: str, span: Span) -> None:
+        """Report a name that is none, or that L keeps for itself."""
+        if len(name) > MAX_NAME or not pattern.fullmatch(name):
+            shown = name if len(name) <= MAX_NAME else f"{name[:MAX_NAME]}..."
+            self.tell(messages.BAD_NAME, span, name=shown, what=what, example=_EXAMPLES[pattern])
+        elif pattern is NAME and name in KEYWORDS:
+            self.tell(messages.KEYWORD, span, name=name, what=what)
+
+    def twice(self, what: str, name: str, span: Span, first: Span) -> None:
+        """Report a second definition of something that has one already."""
+        self.tell(messages.TWICE, span, what=what, name=name, file=first.source.name, line=first.line)
+
+    def redefined(self, what: str, name: str, span: Span, first: Span) -> None:
+        """Report a mission that gives a name of the registry another meaning."""
+        self.tell(messages.REDEFINED, span, what=what, name=name, file=first.source.name, line=first.line)
+
+    def define(self, known: dict[str, D], made: D, what: str, *, mission: bool) -> None:
+        """Take in an attribute or a primitive; a mission may repeat one of ours, but not change it."""
+        first = known.get(made.name)
+        if first is None:
+            known[made.name] = made
+        elif not mission:
+            self.twice(what, made.name, made.span, first.span)
+        elif replace(made, span=first.span, meaning=first.meaning) != first:
+            self.redefined(what, made.name, made.span, first.span)
+
+    def like(self, name: str, known: Collection[str]) -> str | None:
+        """`did you mean 'x'?`, or None when nothing is like it."""
+        self._comparisons -= len(known)
+        return did_you_mean(name[:MAX_NAME], known) if self._comparisons >= 0 else None
+
+    def term(self, id: str, span: Span) -> str:
+        """The id that counts for a term that is mentioned, '' when there is none."""
+        if id in self.terms and not self.terms[id].deprecated:
+            return id
+        if id in self.aliases:
+            if id in self.terms:
+                self.tell(messages.DEPRECATED_TERM, span, id=id, instead=self.aliases[id])
+            return self.aliases[id]
+        self.tell(messages.UNKNOWN_TERM, span, hint=self.like(id, (*self.terms, *self.aliases)), id=id)
+        return ""
+
+    def attribute(self, name: str, span: Span) -> Attribute | None:
+        """An attribute that is mentioned, None when there is none."""
+        attribute = self.attributes.get(name)
+        if attribute is None:
+            self.tell(messages.UNKNOWN_ATTRIBUTE, span, hint=self.like(name, self.attributes), name=name)
+        return attribute
+
+    def primitive(self, name: str, span: Span) -> Primitive | None:
+        """A primitive that is mentioned, None when there is none."""
+        primitive = self.primitives.get(name)
+        if primitive is None and name:
+            self.tell(messages.UNKNOWN_PRIMITIVE, span, hint=self.like(name, self.primitives), name=name)
+        return primitive

@@ -1,0 +1,134 @@
+"""The section `providers`: resource types with the primitives they serve.
+
+```yaml
+providers:
+  Winch:
+    include: can/winch.L
+    attributes: {payload: 50.0, speed: 0.2, environment: [terrestrial]}
+    live: {battery: fc.battery, north: "fc.position[0]", heat: {from: drive.temperature, unit: degC}}
+    serves:
+      Lift:
+        when: "tools == winch"             # not every one of the type can
+        attributes: {accuracy: 0.01}       # count before those of the type
+        portals: {lift: {portal: lift, arguments: [height]}}
+```
+A mission may add to a provider of ours: what it says of an attribute or of a primitive replaces what we say.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+from lfield.capability.matching.expression import Scope
+from lfield.capability.model import Live, Provider, Served
+from lfield.capability.reading import messages
+from lfield.capability.reading.draft import TYPE_NAME, Draft
+from lfield.capability.reading.expressions import read_expression
+from lfield.capability.reading.portals import read_portals
+from lfield.capability.reading.values import read_conversion, read_values
+from lfield.source import Span
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry, Mapping
+
+_NAME = r"[a-z][A-Za-z0-9_]*"
+_SOURCE = re.compile(rf"(?P<device>{_NAME})\.(?P<quantity>{_NAME})(\[(?P<index>[0-9]{{1,4}})\])?")
+
+
+def read_providers(draft: Draft) -> None:
+    """All providers of all files."""
+    scope = Scope.of_offer(draft.attributes)
+    for file, entry, fields in draft.entries("providers"):
+        provider = _provider(draft, entry, fields, scope)
+        first = draft.providers.get(entry.key)
+        if first is None:
+            draft.providers[entry.key] = provider
+        elif not file.mission:
+            draft.twice("the provider", entry.key, entry.key_span, first.span)
+        else:
+            draft.providers[entry.key] = _joined(first, provider)
+
+
+def _provider(draft: Draft, entry: Entry, fields: Fields, scope: Scope) -> Provider:
+    name, span = entry.key, entry.key_span
+    draft.check_name(name, TYPE_NAME, "a resource type", span)
+    if name in draft.primitives:
+        draft.tell(messages.TYPE_TAKEN, span, name=name, what="a provider")
+    provider = Provider(
+        type=name,
+        include=fields.text("include"),
+        meaning=fields.text("meaning"),
+        attributes=read_values(draft, fields.section("attributes")),
+        live=_lives(draft, fields.section("live")),
+        serves=_serves(draft, fields.section("serves"), scope),
+        span=span,
+    )
+    fields.done()
+    return provider
+
+
+def _joined(ours: Provider, mission: Provider) -> Provider:
+    """A provider with what a mission says of it, which counts before ours."""
+    return replace(
+        ours,
+        include=mission.include or ours.include,
+        meaning=mission.meaning or ours.meaning,
+        attributes={**ours.attributes, **mission.attributes},
+        live={**ours.live, **mission.live},
+        serves={**ours.serves, **mission.serves},
+    )
+
+
+def _serves(draft: Draft, section: Fields, scope: Scope) -> dict[str, Served]:
+    serves = {}
+    for entry, fields in section.entries():
+        primitive = draft.primitive(entry.key, entry.key_span)
+        if primitive is None:
+            continue
+        serves[entry.key] = Served(
+            primitive=entry.key,
+            portals=read_portals(draft, fields, primitive, entry.key_span),
+            attributes=read_values(draft, fields.section("attributes")),
+            when=read_expression(draft, fields.node("when"), scope, "boolean"),
+            span=entry.key_span,
+        )
+        fields.done()
+    return serves
+
+
+# --- live attributes ----------------------------------------------------------------------------------
+
+
+def _lives(draft: Draft, section: Fields) -> dict[str, Live]:
+    lives = {}
+    for entry in section.named():
+        live = _live(draft, entry)
+        if live is not None:
+            lives[entry.key] = live
+    return lives
+
+
+def _live(draft: Draft, entry: Entry) -> Live | None:
+    """`fc.battery`, `fc.position[0]`, or `{from: fc.battery, unit: "%"}`."""
+    attribute = draft.attribute(entry.key, entry.key_span)
+    text, place, unit = _source(draft, entry)
+    match = _SOURCE.fullmatch(text)
+    if match is None:
+        draft.tell(messages.BAD_LIVE, place, text=text[:80])
+        return None
+    if attribute is None:
+        return None
+    factor, offset = read_conversion(draft, unit, attribute.unit, place) if unit else (1.0, 0.0)
+    index = int(match["index"]) if match["index"] else None
+    return Live(entry.key, match["device"], match["quantity"], place, factor, offset, index, unit)
+
+
+def _source(draft: Draft, entry: Entry) -> tuple[str, Span, str]:
+    """Where a live value comes from, where that stands, and its unit when it is said."""
+    section = Fields(Mapping({entry.key: entry}, entry.key_span), draft.found, "'live'")
+    if not isinstance(entry.value, Mapping):
+        return section.text(entry.key), entry.value.span, ""
+    fields = section.section(entry.key)
+    text, unit = fields.text("from", required=True), fields.text("unit")
+    fields.done()
+    return text, fields.value_span("from"), unit

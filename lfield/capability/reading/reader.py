@@ -1,0 +1,120 @@
+"""Reads a registry: files in, one checked `Registry` or every mistake in any of them out.
+
+A file of a registry is YAML with any of these sections, each described where it is read:
+
+    registry: 1         the version of the format; every file has it
+    taxonomy            taxonomy.py             terms as a tree, and its version
+    attributes          attributes.py           what offers differ in
+    primitives          primitives.py           what can be called
+    providers           providers.py            resource types and what they serve
+    equivalences        rules.py                who stands in for whom
+    agents, ranking     mission.py              values of single agents, weights
+
+Sections refer to those above them, in whatever file. Files are equals, and nothing is defined twice; only a
+mission's own file, `NAME.capabilities.yaml` beside `NAME.dL`, may override what the others say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from lfield.capability.model import Registry
+from lfield.capability.reading import messages
+from lfield.capability.reading.attributes import read_attributes
+from lfield.capability.reading.digest import digest
+from lfield.capability.reading.draft import Draft, RegistryFile
+from lfield.capability.reading.mission import read_agents, read_ranking
+from lfield.capability.reading.primitives import read_primitives
+from lfield.capability.reading.providers import read_providers
+from lfield.capability.reading.rule_cycles import check_cycles
+from lfield.capability.reading.rule_ways import check_ways
+from lfield.capability.reading.rules import read_rules
+from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.subsumption import subsumptions
+from lfield.capability.reading.taxonomy import read_taxonomy
+from lfield.errors import ProgramError
+from lfield.source import Diagnostic, Diagnostics
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Scalar, read
+
+#: The version of the format.
+VERSION = 1
+
+
+def read_registry(
+    files: Sequence[Path] | None = None,
+    *,
+    mission: Path | None = None,
+    agents: Collection[str] | None = None,
+) -> Registry:
+    """The registry in some files, those that come with lfield when none are given, and in a mission's own.
+
+    `agents` are the agents of the deployment. Raises ProgramError with all mistakes in all files, and
+    InputFileError for a file that cannot be read.
+    """
+    registry, found = check_files(files, mission=mission, agents=agents)
+    if registry is None:
+        raise ProgramError([d for d in found if d.severity == "error"])
+    return registry
+
+
+def check_files(
+    files: Sequence[Path] | None = None,
+    *,
+    mission: Path | None = None,
+    agents: Collection[str] | None = None,
+) -> tuple[Registry | None, list[Diagnostic]]:
+    """As `read_registry`, with everything found, warnings too; the registry is None when there are errors."""
+    found = Diagnostics()
+    paths = [(path, False) for path in (shipped() if files is None else files)]
+    if mission is not None:
+        paths.append((mission, True))
+    opened = (_open(path, is_mission, found) for path, is_mission in paths)
+    draft = Draft(tuple(file for file in opened if file is not None), found)
+    _read_sections(draft, agents)
+    return (None if found.errors else _registry(draft)), found.in_order()
+
+
+def _open(path: Path, mission: bool, found: Diagnostics) -> RegistryFile | None:
+    """A file with its version checked; None when it is not YAML."""
+    node = read(str(path), found)
+    if node is None:
+        return None
+    top = Fields(node, found, "a registry")
+    version = top.node("registry")
+    if not isinstance(version, Scalar) or (type(version.value), version.value) != (int, VERSION):
+        found.add(messages.VERSION.at(version.span if version is not None else top.span))
+    return RegistryFile(path, top, mission)
+
+
+def _read_sections(draft: Draft, agents: Collection[str] | None) -> None:
+    """All sections in the order in which they refer to one another."""
+    read_taxonomy(draft)
+    read_attributes(draft)
+    read_primitives(draft)
+    read_providers(draft)
+    read_rules(draft)
+    read_agents(draft, agents)
+    read_ranking(draft)
+    for file in draft.files:
+        file.top.done()
+    draft.equivalences.update(subsumptions(draft.primitives))
+    check_cycles(draft)
+    check_ways(draft)
+
+
+def _registry(draft: Draft) -> Registry:
+    registry = Registry(
+        terms=draft.terms,
+        attributes=draft.attributes,
+        primitives=draft.primitives,
+        providers=draft.providers,
+        equivalences=draft.equivalences,
+        compositions=draft.compositions,
+        agents=draft.agents,
+        weights=draft.weights,
+        version=draft.version,
+    )
+    return replace(registry, digest=digest(registry))

@@ -1,0 +1,159 @@
+"""The section `equivalences`: who stands in for whom, one for one or several together.
+
+```yaml
+equivalences:
+  climb-lifts:                       # one-to-one: has `by`
+    serves: Lift
+    by: Climb
+    portals: {lift: {portal: climb, arguments: [height], emit: {parameter: height}}}
+    when: "payload >= 0.2"
+    loss: 0.3
+  grip-and-climb:                    # one-to-many: has `needs`
+    serves: Lift
+    needs: {grip: {capability: Grip, when: "payload >= 0.1"}, climb: {capability: Climb}}
+    where: ["grip.robot != climb.robot"]
+    through: GripAndClimb            # the class in L, in the file `source` beside this one
+    source: L/grip_and_climb.L
+    attributes: {payload: "min(grip.payload, climb.payload)"}
+    loss: 0.5
+```
+A mission may replace a rule of ours by one of the same name.
+"""
+
+from __future__ import annotations
+
+import os.path
+from pathlib import Path
+
+from lfield.capability.matching.expression import Scope
+from lfield.capability.model import Composition, Equivalence, Expression, Need, Primitive
+from lfield.capability.reading import messages
+from lfield.capability.reading.draft import NAME, RULE, TYPE_NAME, Draft
+from lfield.capability.reading.expressions import read_attribute_expression, read_expression
+from lfield.capability.reading.portals import read_portals
+from lfield.capability.reading.rule_calls import check_calls
+from lfield.source import Span
+from lfield.yaml_fields import Fields
+from lfield.yaml_source import Entry
+
+#: Most parts that a composition can have: what can be put together grows with each of them.
+MAX_NEEDS = 8
+
+
+def read_rules(draft: Draft) -> None:
+    """All rules of all files."""
+    spans: dict[str, Span] = {}
+    for file, entry, fields in draft.entries("equivalences"):
+        name = entry.key
+        draft.check_name(name, RULE, "a rule", entry.key_span)
+        if name in spans and not file.mission:
+            draft.twice("the rule", name, entry.key_span, spans[name])
+            continue
+        spans[name] = entry.key_span
+        draft.equivalences.pop(name, None)
+        draft.compositions.pop(name, None)
+        _read_rule(draft, entry, fields, file.path.parent)
+
+
+def _read_rule(draft: Draft, entry: Entry, fields: Fields, folder: Path) -> None:
+    serves = draft.primitive(fields.text("serves", required=True), fields.value_span("serves"))
+    if ("by" in fields) == ("needs" in fields):
+        draft.tell(messages.NEITHER_NOR, entry.key_span, name=entry.key)
+    elif serves is None:
+        pass  # nothing of the rule could be judged
+    elif "by" in fields:
+        _one_to_one(draft, entry, fields, serves)
+    else:
+        draft.compositions[entry.key] = _one_to_many(draft, entry, fields, serves, folder)
+
+
+def _one_to_one(draft: Draft, entry: Entry, fields: Fields, serves: Primitive) -> None:
+    by = draft.primitive(fields.text("by", required=True), fields.value_span("by"))
+    if by is serves:
+        draft.tell(messages.SERVES_ITSELF, fields.value_span("by"), primitive=serves.name)
+    portals = read_portals(draft, fields, serves, entry.key_span)
+    rule = Equivalence(
+        name=entry.key,
+        serves=serves.name,
+        by=by.name if by is not None else "",
+        portals=portals,
+        when=read_expression(draft, fields.node("when"), Scope.of_offer(draft.attributes), "boolean"),
+        loss=fields.number("loss", minimum=0.0, maximum=1.0),
+        meaning=fields.text("meaning"),
+        span=entry.key_span,
+    )
+    fields.done()
+    if by is not None:
+        check_calls(draft, rule, serves, by)
+        draft.equivalences[entry.key] = rule
+
+
+def _one_to_many(draft: Draft, entry: Entry, fields: Fields, serves: Primitive, folder: Path) -> Composition:
+    stated, worth = fields.section("needs"), fields.section("attributes")
+    parts = Scope.of_parts(draft.attributes, [need.key for need in stated.named()])
+    whole = Scope.of_parts(draft.attributes, parts.needs, [attribute.key for attribute in worth.named()])
+    composition = Composition(
+        name=entry.key,
+        serves=serves.name,
+        needs={need.name: need for need in _needs(draft, stated, fields.key_span("needs"))},
+        through=_through(draft, fields),
+        source=_source(draft, fields, folder),
+        where=_conditions(draft, fields, whole),
+        attributes=_worth(draft, worth, parts),
+        loss=fields.number("loss", minimum=0.0, maximum=1.0),
+        meaning=fields.text("meaning"),
+        span=entry.key_span,
+    )
+    fields.done()
+    return composition
+
+
+def _needs(draft: Draft, section: Fields, span: Span) -> list[Need]:
+    if not 0 < len(section) <= MAX_NEEDS:
+        draft.tell(messages.NUMBER_OF_NEEDS, span, most=MAX_NEEDS, count=len(section))
+    scope, needs = Scope.of_offer(draft.attributes), []
+    for entry, fields in section.entries():
+        draft.check_name(entry.key, NAME, "a part", entry.key_span)
+        name, place = fields.text("capability", required=True), fields.value_span("capability")
+        when = read_expression(draft, fields.node("when"), scope, "boolean")
+        fields.done()
+        if draft.primitive(name, place) is not None:
+            needs.append(Need(entry.key, name, entry.key_span, when))
+    return needs
+
+
+def _through(draft: Draft, fields: Fields) -> str:
+    """The class in L; its name must be free for it."""
+    name, place = fields.text("through", required=True), fields.value_span("through")
+    if name:
+        draft.check_name(name, TYPE_NAME, "a class", place)
+    if name in draft.primitives:
+        draft.tell(messages.TYPE_TAKEN, place, name=name, what="a class")
+    return name
+
+
+def _source(draft: Draft, fields: Fields, folder: Path) -> Path:
+    """The file with the class in L, seen from the folder of the registry file."""
+    text = fields.text("source", required=True)
+    path = folder / text
+    if text and not os.path.isfile(path):
+        draft.tell(messages.NO_SOURCE, fields.value_span("source"), path=repr(text))
+    return path
+
+
+def _conditions(draft: Draft, fields: Fields, scope: Scope) -> tuple[Expression, ...]:
+    read = (read_expression(draft, node, scope, "boolean") for node in fields.items("where"))
+    return tuple(expression for expression in read if expression is not None)
+
+
+def _worth(draft: Draft, section: Fields, scope: Scope) -> dict[str, Expression]:
+    """What the whole is worth: an expression over the parts for each attribute."""
+    worth = {}
+    for entry in section.named():
+        attribute = draft.attribute(entry.key, entry.key_span)
+        if attribute is None:
+            continue
+        expression = read_attribute_expression(draft, entry.value, scope, attribute)
+        if expression is not None:
+            worth[entry.key] = expression
+    return worth
