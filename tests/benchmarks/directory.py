@@ -80,7 +80,9 @@ def measure(swing: float) -> tuple[float, float]:
         (folder / "large.capabilities.yaml").write_text(_CAPABILITIES)
         cranes = [f"//Crane:crane{h}.{a}@host{h}" for h in range(HOSTS) for a in range(AGENTS)]
         (folder / "large.dL").write_text("\n".join([*cranes, "//Foreman:foreman@host0"]))
-        maps = [f"host{number}=127.0.0.1:{free_port()}" for number in range(HOSTS)]
+        # An address for each: of fifty free ports some would be taken again before they are listened on.
+        port = free_port()
+        maps = [f"host{number}=127.0.1.{number + 1}:{port}" for number in range(HOSTS)]
         words = (name, str(swing), str(SECONDS), *maps)
         others = children.start(sys.executable, _HOSTS, "others", *words)
         host = children.start(sys.executable, _HOSTS, "host", *words)
