@@ -6,6 +6,7 @@ The primitives are asked for one after the other, each by a new query.
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,6 +30,8 @@ from lfield.capability.offer import Candidate
 from lfield.source import Source, Span
 
 RULES, PRIMITIVES, AGENTS = 200, 40, 20
+#: How many agents the growth is measured from.
+FEW = 100
 #: Seconds that a search may take.
 TARGET = 50e-3
 
@@ -40,7 +43,8 @@ _PAYLOAD = {"payload": Attribute("payload", "real", _HERE, better="more", typica
 class _Team:
     """Agents of ten types."""
 
-    members: Sequence[Candidate] = [Candidate(f"a{i}", f"T{i % 10}", f"host{i}", 1) for i in range(AGENTS)]
+    def __init__(self, count: int = AGENTS) -> None:
+        self.members = [Candidate(f"a{i}", f"T{i % 10}", f"host{i}", 1) for i in range(count)]
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
         return [member for member in self.members if member.type == resource]
@@ -51,11 +55,12 @@ def figure() -> Figure:
     rows = [
         *_rows("half compositions", compositions=0.5),
         *_rows("all compositions", compositions=1.0),
+        *_growth(),
     ]
     notes = (
         f"{RULES} rules over {PRIMITIVES} primitives, {AGENTS} agents, depth 4, the best 16 of each rule",
     )
-    return Figure("A search for compositions; ratio to the target", rows, notes)
+    return Figure("A search for compositions; ratio to the target, of growth to n log n", rows, notes)
 
 
 def _rows(case: str, compositions: float) -> list[Row]:
@@ -76,6 +81,22 @@ def _rows(case: str, compositions: float) -> list[Row]:
                 milliseconds(TARGET),
             )
         )
+    return rows
+
+
+def _growth() -> list[Row]:
+    """The same search among more and more agents, against n log n."""
+    constraint = compile_constraint("payload >= 1.5", _PAYLOAD)
+    registry, rows, before = _registry(0.5), [], 0.0
+    for count in (FEW, 4 * FEW):
+        matcher = Matcher(registry, _Team(count))
+        took = median([_query(matcher, name, constraint) for _ in range(3) for name in _NAMES])
+        bound = 4 * math.log(4 * FEW) / math.log(FEW)
+        ratio = times(took / before / bound) if before else ""
+        target = f"{bound:.2f}x, n log n" if before else ""
+        shown = f"{milliseconds(took)}, {times(took / before)}" if before else milliseconds(took)
+        rows.append(Row("growth" if not before else "", f"{count} agents", shown, "", ratio, target))
+        before = took
     return rows
 
 
