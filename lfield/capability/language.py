@@ -11,7 +11,7 @@ from lfield.capability.matching import expression
 from lfield.capability.matching.expression import Mistake, Scope
 from lfield.capability.model import Provider, Registry
 from lfield.capability.reading.program_check import check_against, check_classes
-from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.shipped import is_shipped
 from lfield.capability.reading.signatures import signatures_of
 from lfield.lang import syntax
 from lfield.lang.capabilities import Generated
@@ -53,8 +53,7 @@ class RegistryTypes:
         rules = {rule.name: rule for name in used for rule in served.compositions(name)}
         found = Diagnostics()
         check_classes(replace(self.registry, compositions=rules), found)
-        ours = _ours()
-        told = (d for d in _misfits(self.registry, files) if d.span.source.name not in ours)
+        told = (d for d in _misfits(self.registry, files) if not is_shipped(d))
         return [*told, *found.in_order()]
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
@@ -73,8 +72,7 @@ def _served(registry: Registry, files: Sequence[syntax.File]) -> Served:
     """
     units = [unit for file in files for unit in file.units]
     resources = {unit.name for unit in units if unit.kind == "resource"}
-    ours = _ours()
-    wrong = {d.span for d in _misfits(registry, files) if d.span.source.name in ours}
+    wrong = {d.span for d in _misfits(registry, files) if is_shipped(d)}
     if wrong:
         providers = {name: _without(provider, wrong) for name, provider in registry.providers.items()}
         registry = replace(registry, providers=providers)
@@ -96,8 +94,3 @@ def _without(provider: Provider, wrong: Collection[Span]) -> Provider:
         if not any(mapped.span in wrong for mapped in served.portals.values())
     }
     return replace(provider, serves=serves)
-
-
-def _ours() -> set[str]:
-    """The files of the registry that we ship, by the names in spans."""
-    return {str(path) for path in shipped()}

@@ -11,7 +11,7 @@ from lfield.bytecode.program import Program, UnitKind
 from lfield.capability.language import RegistryTypes
 from lfield.capability.model import Registry
 from lfield.capability.reading.live_units import settle_live
-from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.shipped import is_shipped
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import InputFileError, ProgramError, ProgramFileError
 from lfield.files import read_head, reason
@@ -58,12 +58,12 @@ def load_mission(
     registry `NAME.capabilities.yaml`, unless they are given.
     """
     plugins = discover()
-    types = _registry_types(capabilities or _beside(deploy, CAPABILITIES), deploy)
+    types = _registry_types(capabilities or beside(deploy, CAPABILITIES), deploy)
     loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types)
     deployment = read_deployment(deploy, loaded.units)
     team = make_team(deployment, parse_maps(maps, deployment))
     bindings = read_bindings(
-        devices or _beside(deploy, DEVICES),
+        devices or beside(deploy, DEVICES),
         needed=needed_devices(loaded, deployment),
         plugins=plugins,
         simulate=simulate,
@@ -72,7 +72,7 @@ def load_mission(
     return Mission(deploy.stem, loaded, deployment, team, bindings, plugins, tuple(warnings), registry)
 
 
-def _beside(path: Path, suffix: str) -> Path | None:
+def beside(path: Path, suffix: str) -> Path | None:
     """The mission's file with another suffix, if there is one."""
     found = path.with_suffix(suffix)
     return found if found.exists() else None
@@ -84,7 +84,7 @@ def _registry_types(mission: Path | None, deploy: Path | None) -> RegistryTypes:
     def read() -> Registry:
         from lfield.capability.reading.reader import read_registry
 
-        return read_registry(mission=mission, agents=None if deploy is None else _agents(deploy))
+        return read_registry(mission=mission, agents=None if deploy is None else agents_of(deploy))
 
     return RegistryTypes(read)
 
@@ -99,14 +99,13 @@ def _settled(registry: Registry, program: Program, plugins: Plugins) -> Registry
     }
     found = Diagnostics()
     settled = settle_live(registry, devices, plugins.device_types, found)
-    ours = {str(path) for path in shipped()}
-    if wrong := [mistake for mistake in found.errors if mistake.span.source.name not in ours]:
+    if wrong := [mistake for mistake in found.errors if not is_shipped(mistake)]:
         raise ProgramError(wrong)
     return settled
 
 
-def _agents(deploy: Path) -> list[str] | None:
-    """The ids of a deployment; None when it has mistakes, which are reported when the program is known."""
+def agents_of(deploy: Path) -> list[str] | None:
+    """The ids of a deployment; None when it has mistakes: whoever needs the rest of it reports them."""
     try:
         return [agent.id for agent in read_deployment(deploy, None).agents]
     except (ProgramError, InputFileError):
@@ -157,7 +156,7 @@ def compile_file(
         path,
         devices=known.device_types,
         find_include=known.find_source,
-        capabilities=types or _registry_types(_beside(path, CAPABILITIES), _beside(path, ".dL")),
+        capabilities=types or _registry_types(beside(path, CAPABILITIES), beside(path, ".dL")),
     )
     if checked.program is None:
         raise ProgramError(checked.diagnostics)

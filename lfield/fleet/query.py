@@ -13,7 +13,7 @@ from lfield.capability.model import Attribute, Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.capability.reading.reader import read_registry
 from lfield.errors import LfieldError, WireError
-from lfield.fleet.deploy import CAPABILITIES
+from lfield.fleet.deploy import CAPABILITIES, beside
 from lfield.lang.deployment import Deployment
 
 #: What a live attribute can be worth.
@@ -50,8 +50,7 @@ def mission_registry(deploy: Path, deployment: Deployment, capabilities: Path | 
 
     Raises ProgramError, and InputFileError for a file that cannot be read.
     """
-    beside = deploy.with_suffix(CAPABILITIES)
-    mission = capabilities or (beside if beside.exists() else None)
+    mission = capabilities or beside(deploy, CAPABILITIES)
     return read_registry(mission=mission, agents=[agent.id for agent in deployment.agents])
 
 

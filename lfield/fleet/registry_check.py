@@ -12,10 +12,8 @@ from lfield.capability.reading.reader import check_files
 from lfield.capability.reading.shipped import shipped
 from lfield.capability.reading.signatures import Signature, signatures_of
 from lfield.driver.plugins import discover
-from lfield.errors import InputFileError, ProgramError
 from lfield.files import read_bytes
-from lfield.fleet.deploy import CAPABILITIES
-from lfield.lang.deployment import read_deployment
+from lfield.fleet.deploy import CAPABILITIES, agents_of
 from lfield.lang.includes import FileSet
 from lfield.lang.reading import MAX_BYTES
 from lfield.lang.syntax import File
@@ -69,8 +67,4 @@ def _agents(mission: Path | None) -> list[str] | None:
     """The ids in the deployment beside a mission's file; None when there is none to be read."""
     if mission is None:
         return None
-    deployment = mission.with_name(f"{mission.name.removesuffix(CAPABILITIES)}.dL")
-    try:
-        return [agent.id for agent in read_deployment(deployment, None).agents]
-    except (ProgramError, InputFileError):
-        return None
+    return agents_of(mission.with_name(f"{mission.name.removesuffix(CAPABILITIES)}.dL"))

@@ -156,14 +156,11 @@ class _Writer:
         self._texts: dict[str | None, int] = {None: 0}
         self._lists: dict[tuple[str | None, ...], int] = {}
         self._ages: dict[tuple[float, ...], int] = {}
-        #: The same by identity: a look at an object is cheaper than one at all it holds.
-        self._known_lists: dict[int, int] = {}
-        self._known_ages: dict[int, int] = {}
 
     def offers(self, shape: Shape, found: Sequence[Found]) -> list[int]:
         """The places of some offers; what each says of itself, its numbers and its proxy follow it."""
         shapes, chunks = self._shapes, self.chunks
-        known_text, known_list, known_ages = self._texts.get, self._known_lists.get, self._known_ages.get
+        known_text, known_list, known_ages = self._texts.get, self._lists.get, self._ages.get
         places = []
         # Written out, because a thousand offers go through here: a call or two for each would be half of it.
         for one in found:
@@ -174,9 +171,9 @@ class _Writer:
             agent_at = known_text(agent) or self._text(agent)
             host_at = known_text(host) or self._text(host)
             kind_at = known_text(kind) or self._text(kind)
-            names_at = known_list(id(names)) or self._strings(names)
-            texts_at = known_list(id(texts)) or self._strings(texts)
-            ages_at = known_ages(id(ages)) or self._reals(ages)
+            names_at = known_list(names) or self._strings(names)
+            texts_at = known_list(texts) or self._strings(texts)
+            ages_at = known_ages(ages) or self._reals(ages)
             count = len(numbers)
             run, proxy = shape.direct(way, count)
             place = self._top
@@ -248,19 +245,17 @@ class _Writer:
         return place
 
     def _strings(self, texts: tuple[str | None, ...]) -> int:
-        place = self._known_lists.get(id(texts)) or self._lists.get(texts)
+        place = self._lists.get(texts)
         if place is None:
             places = [self._text(text) for text in texts]
             place = self._lists[texts] = self.array(self._shapes.strings, places)
-        self._known_lists[id(texts)] = place
         return place
 
     def _reals(self, numbers: tuple[float, ...]) -> int:
-        place = self._known_ages.get(id(numbers)) or self._ages.get(numbers)
+        place = self._ages.get(numbers)
         if place is None:
             head = self._shapes.reals | 1 + len(numbers) << 32
             place = self._ages[numbers] = self._put(struct.pack(f"<q{len(numbers)}d", head, *numbers))
-        self._known_ages[id(numbers)] = place
         return place
 
 

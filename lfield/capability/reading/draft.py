@@ -21,7 +21,7 @@ from lfield.capability.model import (
 from lfield.capability.reading import messages
 from lfield.findings import Message
 from lfield.lang.scanner import KEYWORDS
-from lfield.lang.suggest import did_you_mean
+from lfield.lang.suggest import did_you_mean, listed
 from lfield.source import Diagnostics, Span
 from lfield.yaml_fields import Fields
 from lfield.yaml_source import Entry
@@ -115,6 +115,18 @@ class Draft:
             self.twice(what, made.name, made.span, first.span)
         elif replace(made, span=first.span, meaning=first.meaning) != first:
             self.redefined(what, made.name, made.span, first.span)
+
+    def no_portal(self, primitive: Primitive, name: str, span: Span) -> None:
+        """Report a portal that a primitive does not have."""
+        known = primitive.portals
+        self.tell(
+            messages.NOT_ITS_PORTAL,
+            span,
+            hint=self.like(name, known),
+            primitive=primitive.name,
+            name=name,
+            portals=listed(known),
+        )
 
     def like(self, name: str, known: Collection[str]) -> str | None:
         """`did you mean 'x'?`, or None when nothing is like it."""

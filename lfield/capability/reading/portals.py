@@ -33,14 +33,7 @@ def read_portals(draft: Draft, fields: Fields, primitive: Primitive, span: Span)
     for entry in section.named():
         portal = primitive.portals.get(entry.key)
         if portal is None:
-            draft.tell(
-                messages.NOT_ITS_PORTAL,
-                entry.key_span,
-                hint=draft.like(entry.key, primitive.portals),
-                primitive=primitive.name,
-                name=entry.key,
-                portals=listed(primitive.portals),
-            )
+            draft.no_portal(primitive, entry.key, entry.key_span)
         else:
             maps[entry.key] = _map(draft, entry, primitive, portal)
     left_out = {

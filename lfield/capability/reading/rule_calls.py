@@ -22,14 +22,7 @@ def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitiv
         elif served.span is rule.span:
             missing.append(name)
         else:
-            draft.tell(
-                messages.NOT_ITS_PORTAL,
-                served.span,
-                hint=draft.like(served.target, by.portals),
-                primitive=by.name,
-                name=served.target,
-                portals=listed(by.portals),
-            )
+            draft.no_portal(by, served.target, served.span)
     if missing:
         draft.tell(
             messages.MISSING_PORTAL, rule.span, portals=listed(missing), serves=serves.name, by=by.name

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import lfield
+from lfield.source import Diagnostic
 
 
 def shipped_folder() -> Path:
@@ -12,6 +13,11 @@ def shipped_folder() -> Path:
     package = Path(lfield.__file__).resolve().parent
     installed = package / "registry"
     return installed if installed.is_dir() else package.parent / "capabilities"
+
+
+def is_shipped(finding: Diagnostic) -> bool:
+    """Whether a finding is about a file that comes with lfield."""
+    return Path(finding.span.source.name).parent == shipped_folder()
 
 
 def shipped() -> list[Path]:
