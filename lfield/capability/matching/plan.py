@@ -40,13 +40,9 @@ class Plan:
         """Why an attribute has no value."""
         return self.unknown.get(name) or f"{name} is not stated"
 
-    def fulfils(self, judges: Iterable[Judge]) -> bool:
-        """Whether all conditions are true of it; one that is unknown is not."""
-        return all(judge(self.values) is True for judge in judges)
-
 
 def fulfilling(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]:
-    """Those that fulfil all conditions, one by one."""
+    """Those of which all conditions are true, one by one; one that is unknown is not."""
     # Written out, because a thousand plans go through here in a query.
     for plan in plans:
         values = plan.values
