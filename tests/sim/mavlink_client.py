@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.autopilot import FLAVOURS, Autopilot
+from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.mavlink.link.wire import make_faults
 from lfield_sim.mavlink.protocol import MavlinkFake
-from lfield_sim.mavlink.wire import make_faults
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 ARM, TAKEOFF, LAND, MODE, YAW, SPEED, RTL, STREAM, ONCE = 400, 22, 21, 176, 115, 178, 20, 511, 512

@@ -25,8 +25,8 @@ from mavlink_client import (
 )
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.battery import Battery
-from lfield_sim.mavlink.telemetry import MESSAGES
+from lfield_sim.autopilot.equipment import Battery
+from lfield_sim.mavlink.telemetry.messages import MESSAGES
 
 
 def kinds(messages) -> set[str]:
@@ -250,11 +250,11 @@ def test_parameters():
 def test_the_battery_drains_faster_in_the_air_and_says_when_it_is_low():
     c = Client(battery=Battery(0.21))
     c.wait(60.0)
-    on_ground = 0.21 - c.autopilot.charge
+    on_ground = 0.21 - c.autopilot.battery.charge
     c.up()
-    before = c.autopilot.charge
+    before = c.autopilot.battery.charge
     c.wait(60.0)
-    assert before - c.autopilot.charge > 10 * on_ground
+    assert before - c.autopilot.battery.charge > 10 * on_ground
     assert any(text.startswith("Battery 1 is low") for text in c.texts())
 
 

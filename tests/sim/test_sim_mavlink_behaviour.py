@@ -8,10 +8,9 @@ import pytest
 from mavlink_client import ACCEPTED, ARM, DENIED, FAILED, GUIDED, MODE, ONCE, STREAM, UNSUPPORTED, Client
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.autopilot import FLAVOURS, Autopilot
-from lfield_sim.mavlink.link import MavlinkLink
-from lfield_sim.mavlink.protocol import MavlinkFake
-from lfield_sim.mavlink.wire import make_faults
+from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.mavlink.link.wire import make_faults
+from lfield_sim.mavlink.protocol import MavlinkFake, MavlinkLink
 
 NAN = math.nan
 POSITION, VELOCITY = 0x0DF8, 0x0DC7

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from mavlink_client import ACCEPTED, ARM, GUIDED, MODE, ONCE, TAKEOFF, Client
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.autopilot import FLAVOURS
-from lfield_sim.mavlink.protocol import _HANDLERS
-from lfield_sim.mavlink.telemetry import MESSAGES
+from lfield_sim.autopilot.autopilot import FLAVOURS
+from lfield_sim.mavlink.protocol import HANDLERS
+from lfield_sim.mavlink.telemetry.messages import MESSAGES
 
 numbers = st.floats(width=32)
 flavours = st.sampled_from(sorted(FLAVOURS))
@@ -28,7 +28,7 @@ WIDTHS = {"uint8_t": 8, "int8_t": 8, "char": 8, "uint16_t": 16, "int16_t": 16, "
 def tell_everything(c: Client) -> None:
     """Every message can be built, whatever state the fake is in."""
     for kind in MESSAGES:
-        c.fake._pack(c.fake.build(kind))
+        c.fake._pack(c.fake.sender.build(kind))
 
 
 def fly(c: Client) -> None:
@@ -58,7 +58,7 @@ def value(field: str, length: int) -> st.SearchStrategy:
 def messages(draw: st.DrawFn):
     """A message of a kind that something in the fake handles, for it or for anybody, with any values."""
     c = Client()
-    handled = {*_HANDLERS, *(kind for service in c.fake.services for kind in service.handles)}
+    handled = {*HANDLERS, *(kind for service in c.fake.services for kind in service.handles)}
     made = dialect.mavlink_map[draw(st.sampled_from(sorted(handled)))]
     values = []
     for name in made.fieldnames:

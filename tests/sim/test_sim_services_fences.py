@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield_sim.mavlink.fences import BOUNDARY, NO_BREACH, Circle, Fence, Polygon, shapes_of
-from lfield_sim.mavlink.place import Place
-from lfield_sim.mavlink.plan_items import Item
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.services.fences import BOUNDARY, NO_BREACH, Circle, Fence, Polygon, shapes_of
+from lfield_sim.mavlink.services.plan_items import Item
 
 SQUARE = ((-10.0, -10.0), (-10.0, 10.0), (10.0, 10.0), (10.0, -10.0))
 #: An L: its notch is the quarter north-east of the middle.

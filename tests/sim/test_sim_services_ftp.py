@@ -9,8 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lfield_sim.mavlink.ftp import ACK, DATA, MAX_SESSIONS, NAK, PAYLOAD, FtpPacket, FtpServer, Op, ftp_crc32
-from lfield_sim.mavlink.tree import MAX_ENTRIES, MAX_FILE, FtpError, Tree
+from lfield_sim.mavlink.services.ftp import (
+    ACK,
+    DATA,
+    MAX_SESSIONS,
+    NAK,
+    PAYLOAD,
+    FtpPacket,
+    FtpServer,
+    Op,
+    ftp_crc32,
+)
+from lfield_sim.mavlink.services.tree import MAX_ENTRIES, MAX_FILE, FtpError, Tree
 
 PEER = (255, 190)
 LOG = bytes(range(256)) * 100

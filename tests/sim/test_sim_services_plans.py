@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.mavlink.plan_items import Item, PlanResult, PlanType
-from lfield_sim.mavlink.plan_protocol import ARDUPILOT, HANDLED, PX4, PlanProtocol
+from lfield_sim.mavlink.services.plan_items import Item, PlanResult, PlanType
+from lfield_sim.mavlink.services.plan_protocol import ARDUPILOT, HANDLED, PX4, PlanProtocol
 
 HOME = Item(16, 0, (0, 0, 0, 0), 473977420, 85455940, 488.0)
 HERE = (473977420, 85455940)

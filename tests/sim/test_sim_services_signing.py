@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.mavlink.signing import MAX_STREAMS, PER_SECOND, Signing
+from lfield_sim.mavlink.link.signing import MAX_STREAMS, PER_SECOND, Signing
 
 KEY, OTHER = bytes(range(32)), bytes(32 * [7])
 #: 2026, in units of 10 us since 2015.

@@ -10,16 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.autopilot import FLAVOURS, Autopilot
-from lfield_sim.flavours import Result, Role
+from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.autopilot.flavours import Result, Role
 from lfield_sim.mavlink.command import Command
-from lfield_sim.mavlink.files import Files, packed_parameters
-from lfield_sim.mavlink.ftp import FtpPacket, Op
-from lfield_sim.mavlink.parameter_tables import ParameterType, parameter_table
-from lfield_sim.mavlink.parameters import Parameters
-from lfield_sim.mavlink.place import Place
-from lfield_sim.mavlink.plan_items import Item, PlanResult, PlanType
-from lfield_sim.mavlink.plans import Plans
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.services.files import Files, packed_parameters
+from lfield_sim.mavlink.services.ftp import FtpPacket, Op
+from lfield_sim.mavlink.services.parameters import Parameters, ParameterType, parameter_table
+from lfield_sim.mavlink.services.plan_items import Item, PlanResult, PlanType
+from lfield_sim.mavlink.services.plans import Plans
 
 STEP = 0.02
 TAKEOFF, WAYPOINT, LAND, RETURN, SPEED, JUMP = 22, 16, 21, 20, 178, 177

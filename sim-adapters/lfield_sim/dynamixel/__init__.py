@@ -12,8 +12,7 @@ from pathlib import Path
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import UsageError
 from lfield_sim.dynamixel.ax import make_servo
-from lfield_sim.dynamixel.chain import Chain
-from lfield_sim.dynamixel.faults import FAULTS
+from lfield_sim.dynamixel.chain import FAULTS, Chain
 from lfield_sim.dynamixel.model import BAUDS, model_named
 from lfield_sim.dynamixel.server import Server
 from lfield_sim.dynamixel.servo import Servo
