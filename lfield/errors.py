@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lfield.source import Diagnostic
+    from lfield.text.source import Diagnostic
 
 
 class LfieldError(Exception):

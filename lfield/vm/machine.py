@@ -14,15 +14,15 @@ from lfield.bytecode.program import REFERENCES, Program
 from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
-from lfield.vm import layout, portals, traceback
+from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
-from lfield.vm.block import Block, Full
-from lfield.vm.collector import collect, compact
-from lfield.vm.engine import Engine
-from lfield.vm.engine.registers import Trap
-from lfield.vm.engine.run import new_exception
 from lfield.vm.exits import Blocked, Done, Exit, NoRoom, Outside, Spent, Thrown
-from lfield.vm.layout import (
+from lfield.vm.inspect import traceback
+from lfield.vm.limits import Limits
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.collector import collect, compact
+from lfield.vm.memory.layout import (
     BLOCKED,
     CALLING,
     DEAD,
@@ -32,15 +32,17 @@ from lfield.vm.layout import (
     THREAD_PC,
     THREAD_STATE,
 )
-from lfield.vm.limits import Limits
-from lfield.vm.liveness import Liveness
+from lfield.vm.memory.liveness import Liveness
+from lfield.vm.memory.soundness import Soundness
+from lfield.vm.memory.values import word_for
 from lfield.vm.offers import Shapes
 from lfield.vm.outside import Outsiders
 from lfield.vm.readings import Reading
-from lfield.vm.soundness import Soundness
+from lfield.vm.reference import Engine
+from lfield.vm.reference.registers import Trap
+from lfield.vm.reference.run import new_exception
 from lfield.vm.threads import new_thread, place_of, unlink
 from lfield.vm.turns import Turns
-from lfield.vm.values import word_for
 from lfield.vm.world import World
 
 #: Instructions a thread may run before the next one's turn.

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 from lfield.bytecode.opcodes import BY_CODE
 from lfield.bytecode.program import ARRAY, PROXY
 from lfield.errors import ConstraintError, DeviceError
-from lfield.vm import layout, portals
-from lfield.vm.engine.library import real_text
+from lfield.vm import portals
 from lfield.vm.exits import Outside
-from lfield.vm.layout import PARKED, WAITING
+from lfield.vm.memory import layout
+from lfield.vm.memory.layout import PARKED, WAITING
+from lfield.vm.memory.values import plain, real_of, word_for, word_of
 from lfield.vm.offers import UnknownWay, write_offers
+from lfield.vm.reference.library import real_text
 from lfield.vm.threads import still_image
-from lfield.vm.values import plain, real_of, word_for, word_of
 from lfield.vm.world import Pending
 
 if TYPE_CHECKING:

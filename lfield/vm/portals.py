@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from lfield.bytecode.program import BUILTIN_CLASSES, REFERENCES, TRACE
-from lfield.vm import traceback
-from lfield.vm.copier import deep_copy
-from lfield.vm.engine.registers import Trap
-from lfield.vm.layout import CALLING, THREAD_CALL, THREAD_PC, W_SELF, W_THREADS
+from lfield.vm.inspect import traceback
+from lfield.vm.memory.copier import deep_copy
+from lfield.vm.memory.layout import CALLING, THREAD_CALL, THREAD_PC, W_SELF, W_THREADS
+from lfield.vm.reference.registers import Trap
 from lfield.vm.threads import count, place_of, threads
 
 if TYPE_CHECKING:

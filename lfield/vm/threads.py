@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lfield.vm import layout
-from lfield.vm.block import Block
-from lfield.vm.layout import (
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import (
     FRAME,
     FRAME_DEPTH,
     FRAME_SLOTS,

@@ -22,7 +22,7 @@ from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.capability.reading.reader import read_registry
 from lfield.clock import SystemClock
-from lfield.fleet.answers import Answers
+from lfield.host.answers import Answers
 from lfield.testing.golden import Desk, compile_text, team_for
 from lfield.vm.limits import Limits
 from lfield.vm.machine import Machine

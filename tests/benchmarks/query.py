@@ -16,8 +16,8 @@ from lfield.testing.golden import Desk, team_for
 from lfield.vm.agent import Agent
 from lfield.vm.limits import Limits
 from lfield.vm.machine import Machine
+from lfield.vm.memory.values import word_of
 from lfield.vm.readings import Reading
-from lfield.vm.values import word_of
 
 BATCHES, READS, ROUNDS = 10, 2000, 10
 #: What a query may cost more than a variable, in seconds.

@@ -14,12 +14,12 @@ import msgspec
 import pytest
 
 from lfield.clock import SystemClock
+from lfield.devices.fakes import Fake, start_fake
+from lfield.devices.guards import Guards
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import Sims
 from lfield.errors import BindingError, DeviceError
-from lfield.fleet.bindings import SIMULATED, read_bindings
-from lfield.fleet.guards import Guards
-from lfield.fleet.sims import Fake, start_fake
+from lfield.mission.bindings import SIMULATED, read_bindings
 from lfield.vm.world import PENDING
 
 pytestmark = pytest.mark.process

@@ -13,10 +13,10 @@ from lfield.bytecode.program import Program
 from lfield.clock import ManualClock
 from lfield.errors import BlockError
 from lfield.testing.golden import Desk, compile_text, settle
-from lfield.vm import layout
 from lfield.vm.agent import Agent, Member
 from lfield.vm.limits import Limits
 from lfield.vm.machine import Machine
+from lfield.vm.memory import layout
 
 WANDERER = """
 resource Post {

@@ -16,17 +16,17 @@ from lfield.capability.model import Registry
 from lfield.capability.reading.reader import read_registry
 from lfield.clock import ManualClock
 from lfield.testing.golden import Desk, compile_text, settle
-from lfield.vm import layout
 from lfield.vm.agent import Member
-from lfield.vm.block import Block, Full
-from lfield.vm.collector import collect
-from lfield.vm.copier import deep_copy
-from lfield.vm.engine.prepare import prepare
-from lfield.vm.layout import Layouts
 from lfield.vm.limits import Limits
 from lfield.vm.machine import Machine
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.collector import collect
+from lfield.vm.memory.copier import deep_copy
+from lfield.vm.memory.layout import Layouts
+from lfield.vm.memory.soundness import Soundness
 from lfield.vm.offers import Found, Shapes, UnknownWay, ways, write_offers
-from lfield.vm.soundness import Soundness
+from lfield.vm.reference.prepare import prepare
 
 TEAM = """
 resource Crane {

@@ -1,0 +1,85 @@
+"""What a host tells `lfield ps`: plain data, strings and numbers only."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from lfield.vm.agent import Agent
+from lfield.vm.memory.layout import (
+    BLOCKED,
+    CALLING,
+    DEAD,
+    PARKED,
+    READY,
+    SLEEPING,
+    STATE_NAMES,
+    THREAD_STATE,
+    WAITING,
+)
+from lfield.vm.threads import threads
+from lfield.wire.messages import Known
+
+if TYPE_CHECKING:
+    from lfield.host.host import Host
+
+#: The states of threads, the liveliest first.
+_LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
+
+
+def status_of(host: Host) -> dict[str, Any]:
+    """The agents, coordinators, links and devices of a host."""
+    now = host.clock.monotonic()
+    return {
+        "host": host.name,
+        "address": host.address,
+        "up": round(now - host.started, 3),
+        "program": host.mission.program.digest.hex()[:16],
+        "deployment": host.team.deployment.hex()[:16],
+        "agents": [_agent(agent) for agent in host.machine.agents.values()],
+        "coordinators": coordinators_of(host),
+        "linked": sorted(host.peers.incarnations),
+        "away": {name: round(now - since, 3) for name, since in host.peers.away.items()},
+        "devices": {name: dict(values) for name, values in host.guards.telemetry.items()},
+        "silences": {name: round(seconds, 3) for name, seconds in host.guards.silences.items()},
+        "latched": dict(host.guards.latched),
+        "directory": host.reporting.status(),
+    }
+
+
+def coordinators_of(host: Host) -> list[dict[str, Any]]:
+    """What a host knows of every coordinator it has seen."""
+    return [_coordinator(known) for known in host.mobility.knowledge()]
+
+
+def _agent(agent: Agent) -> dict[str, Any]:
+    block = agent.block
+    states = [block.w[place + THREAD_STATE] for place in threads(block)]
+    return {
+        "id": agent.id,
+        "type": agent.member.type,
+        "kind": agent.member.kind,
+        "state": agent.ended or ("leaving" if agent.frozen else _busiest(states)),
+        "hops": agent.hops,
+        "served": agent.served,
+        "heap": 8 * block.top,
+        "limit": agent.limits.heap,
+        "threads": len(states),
+    }
+
+
+def _busiest(states: list[int]) -> str:
+    """One word for all threads of an agent: what the liveliest does."""
+    return STATE_NAMES[min(states, key=_LIVELIEST.index)] if states else "idle"
+
+
+def _coordinator(known: Known) -> dict[str, Any]:
+    return {
+        "id": known.agent,
+        "generation": known.generation,
+        "sequence": known.sequence,
+        "hops": known.hops,
+        "state": known.state,
+        "where": known.where,
+        "outcome": known.outcome,
+        "detail": known.detail,
+    }
