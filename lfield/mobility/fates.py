@@ -12,8 +12,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lfield.mission.team import Team
-
 _ALIVE = ("RUN", "FROZEN", "PREPARED")
 
 
@@ -29,22 +27,22 @@ class Fate:
 Records = Sequence[Mapping[str, Any]]
 
 
-def fates(team: Team, records: Mapping[str, Records], gone: Collection[str]) -> dict[str, Fate]:
+def fates(homes: Mapping[str, str], records: Mapping[str, Records], gone: Collection[str]) -> dict[str, Fate]:
     """The coordinators that have ended or are lost.
 
-    `records` has, for each host that answered, its coordinators as `lfield.host.status` gives them; `gone`
+    `homes` has the host where each coordinator is started. `records` has, for each host that answered, its coordinators as `lfield.host.status` gives them; `gone`
     are the hosts given up. Hosts do not answer at the same moment: only a loss that two censuses in a row
     find is one.
     """
     found = {}
-    for member in team.coordinators:
+    for agent, home in homes.items():
         by_host = {
-            host: [r for r in rows if r["id"] == member.id and r["outcome"] != "superseded"]
+            host: [r for r in rows if r["id"] == agent and r["outcome"] != "superseded"]
             for host, rows in records.items()
         }
-        fate = _fate(member.id, team.hosts[member.host], by_host, gone)
+        fate = _fate(agent, home, by_host, gone)
         if fate:
-            found[member.id] = fate
+            found[agent] = fate
     return found
 
 
