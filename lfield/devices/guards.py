@@ -13,13 +13,12 @@ from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
 from lfield.devices.fakes import Fake, start_fake
 from lfield.devices.keeper import Answered, Guard, OpenFailed
-from lfield.driver.binding import DeviceBinding
+from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import discover_sims
 from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.guard.core import SILENCE
 from lfield.manifest import DeviceManifest, DeviceValue
-from lfield.mission.bindings import SIMULATED
 from lfield.vm.readings import Reading
 from lfield.vm.world import PENDING, Pending
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import random
 import secrets
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -74,7 +75,9 @@ class Host:
         self.clock = options.clock
         self.started = self.clock.monotonic()
         self.incarnation = secrets.randbits(62) + 1
-        self.machine = Machine(mission.program, self.team.members, self.here, self, self.clock)
+        self.machine = Machine(
+            mission.program, self.team.members, self.here, self, self.clock, random.Random()
+        )
         self.peers = Peers(self, transport, self.clock, self.team.hosts, self.team.addresses, self.here)
         self.guards = Guards(mission.plugins, self.clock, self.note, silence=mission.bindings.silence)
         self.changed = asyncio.Event()

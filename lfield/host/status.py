@@ -16,7 +16,7 @@ from lfield.vm.memory.layout import (
     THREAD_STATE,
     WAITING,
 )
-from lfield.vm.threads import threads
+from lfield.vm.memory.threads import threads
 from lfield.wire.messages import Known
 
 if TYPE_CHECKING:
