@@ -80,6 +80,8 @@ class Machine:
             self._scheduler.with_room(agent, lambda: self._begin(agent, record))
         except Trap as trap:
             self._scheduler.die(agent, f"LimitException: {trap.message}")
+        except Exception as error:
+            self._break(agent, 0, error)
         return agent
 
     def _begin(self, agent: Agent, record: int) -> None:
