@@ -36,9 +36,9 @@ from lfield.mobility.effects import Send, SendTransfer
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
 from lfield.vm.agent import Agent
+from lfield.vm.contract import Reading
 from lfield.vm.inspect import dump
 from lfield.vm.machine import Machine
-from lfield.vm.readings import Reading
 from lfield.vm.world import Pending
 from lfield.wire.messages import (
     Control,

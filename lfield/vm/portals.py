@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lfield.bytecode.program import BUILTIN_CLASSES, REFERENCES, TRACE
 from lfield.vm.agent import Agent, Member
-from lfield.vm.exits import Trap
+from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import CALLING, W_SELF
