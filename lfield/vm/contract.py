@@ -1,13 +1,51 @@
-"""Why an engine came back. Everything the world can see happens between two calls of run."""
+"""What an engine is given and what it gives back: limits, readings, exits and traps.
+
+Everything the world can see happens between two calls of an engine's `run`, so one engine may take over from
+another in the middle of an execution. All that engines share is this file and the block.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from lfield.bytecode.program import BOOLEAN, INT, REAL
+
+#: The kinds of values that are one word and need no room on a heap.
+PLAIN = (BOOLEAN, INT, REAL)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What one agent may use. Every limit ends in a `LimitException` that L code can catch.
+
+    `heap` in bytes; `call_depth` in calls; lengths in elements and characters; `threads` at one time.
+    """
+
+    heap: int = 1 << 20
+    call_depth: int = 1000
+    array_length: int = 1 << 20
+    string_length: int = 1 << 20
+    threads: int = 64
+
+
+class Reading:
+    """One quantity of one device: `word` is valid while the host's monotonic clock is before `until`.
+
+    A query without parameters asks the host once. From then on the engine reads the word itself, which costs
+    hardly more than a variable. Whatever is not plain (too old, never reported, text, an array) still leaves
+    the engine. The host changes readings only between two runs: one run sees one state of the world.
+    """
+
+    __slots__ = ("until", "word")
+
+    def __init__(self) -> None:
+        self.word, self.until = 0, -math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class Exit:
-    """Root of the exits."""
+    """Why an engine came back."""
 
 
 @dataclass(frozen=True, slots=True)
