@@ -11,7 +11,7 @@ from lfield.driver import DeviceBinding, Driver
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, dialect
 from lfield_mavlink.link.links import AGAIN, Link, make_link, split_endpoint
-from lfield_mavlink.link.ports import LinkCounts, Port, Route, count
+from lfield_mavlink.link.ports import LinkCounts, Port, Route
 from lfield_mavlink.link.signing import open_signing, sign_link
 from lfield_mavlink.vehicle import MavlinkVehicle
 
@@ -78,8 +78,7 @@ class MavlinkDriver(Driver):
         return Port(link, reader, writer, signing)
 
     def _counts(self) -> LinkCounts:
-        """Over all links."""
-        return count(self._ports, self._signing)
+        return LinkCounts.over(self._ports, self._signing)
 
     async def _open_links(self) -> None:
         """Open them all. One that cannot be opened is tried again, as long as there is another."""

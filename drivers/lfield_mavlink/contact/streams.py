@@ -43,8 +43,6 @@ GROUPS: Mapping[int, int] = {
     dialect.MAVLINK_MSG_ID_ATTITUDE: dialect.MAV_DATA_STREAM_EXTRA1,
     dialect.MAVLINK_MSG_ID_VFR_HUD: dialect.MAV_DATA_STREAM_EXTRA2,
 }
-
-
 #: Messages that parts listen for beside telemetry, and at how many Hz they are wanted.
 LISTENED: Mapping[int, float] = {
     dialect.MAVLINK_MSG_ID_HOME_POSITION: 0.5,

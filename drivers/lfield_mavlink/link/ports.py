@@ -40,15 +40,15 @@ class LinkCounts:
     bad_signatures: int = 0
     unsigned: int = 0
 
-
-def count(ports: Sequence[Port], signing: Signing | None) -> LinkCounts:
-    """Over all links."""
-    return LinkCounts(
-        broken=sum(port.reader.broken for port in ports),
-        good_signatures=signing.good if signing else 0,
-        bad_signatures=signing.bad if signing else 0,
-        unsigned=sum(port.signing.unsigned for port in ports if port.signing),
-    )
+    @classmethod
+    def over(cls, ports: Sequence[Port], signing: Signing | None) -> LinkCounts:
+        """What they have counted up to now."""
+        return cls(
+            broken=sum(port.reader.broken for port in ports),
+            good_signatures=signing.good if signing else 0,
+            bad_signatures=signing.bad if signing else 0,
+            unsigned=sum(port.signing.unsigned for port in ports if port.signing),
+        )
 
 
 class Route:

@@ -94,7 +94,7 @@ class Fences:
         await self._parameters.write("GF_ACTION" if profile.px4 else "FENCE_ACTION", actions[action])
         await self._switch_on()
 
-    # -- parts ----------------------------------------------------------------------------------------
+    # -- steps ----------------------------------------------------------------------------------------
 
     async def _set_fence(self, what: str, make: Callable[[], list[Item]], *, add: bool) -> None:
         try:

@@ -124,7 +124,7 @@ class Flight:
             return False
         return await self._vehicle.seen(lambda: not self._state.armed, SHOWS)
 
-    # -- parts ----------------------------------------------------------------------------------------
+    # -- steps ----------------------------------------------------------------------------------------
 
     @property
     def _down(self) -> bool:

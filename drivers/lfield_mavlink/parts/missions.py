@@ -113,7 +113,7 @@ class Missions:
         await self._plans.clear(PlanKind.MISSION)
         self._count, self._reached = 0, -1
 
-    # -- parts ----------------------------------------------------------------------------------------
+    # -- steps ----------------------------------------------------------------------------------------
 
     async def _make_current(self, what: str, number: int) -> None:
         """Set the current item and see that it is. Raises DeviceError."""

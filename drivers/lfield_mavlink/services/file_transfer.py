@@ -87,7 +87,7 @@ class FileTransfer:
         async with self._transfer(path) as name:
             await self._do(f"making {path}", Opcode.MAKE_FOLDER, data=name)
 
-    # -- parts ------------------------------------------------------------------------------------------
+    # -- steps ------------------------------------------------------------------------------------------
 
     @asynccontextmanager
     async def _transfer(self, path: str) -> AsyncIterator[bytes]:
