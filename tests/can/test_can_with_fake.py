@@ -18,10 +18,10 @@ from can_fake_bench import running, tcp
 
 import lfield_sim.can
 from lfield.clock import SystemClock
+from lfield.devices.guards import Guards
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import control_folder
 from lfield.errors import DeviceError
-from lfield.fleet.guards import Guards
 from lfield.vm.world import PENDING
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(90)]

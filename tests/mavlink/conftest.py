@@ -10,7 +10,7 @@ import pytest
 
 from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
-from lfield.testing.jumping import LoopClock, run_jumping
+from lfield.simulate.time import LoopClock, run_jumping
 from lfield_mavlink import PLUGIN
 from lfield_mavlink.driver import MavlinkDriver
 from lfield_sim.autopilot import FLAVOURS, Autopilot

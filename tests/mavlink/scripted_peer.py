@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from lfield.errors import DeviceError
-from lfield.testing.jumping import run_jumping
+from lfield.simulate.time import run_jumping
 from lfield_mavlink.link.dialect import Reader, Writer, dialect
 
 
