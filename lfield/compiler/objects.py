@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from lfield.bytecode.program import MESSAGE
 from lfield.compiler.calls import Calls
-from lfield.compiler.code import Label
-from lfield.compiler.frame import Evaluator, Frame
+from lfield.compiler.frame import Evaluator, Frame, Label
 from lfield.lang import types
 from lfield.lang.tree import Expr, New, NewArray
 from lfield.lang.types import ArrayType

@@ -265,6 +265,32 @@ class DeviceCall(Expr):
     arguments: list[Expr]
 
 
+def parts(expr: Expr) -> list[Expr]:
+    """The expressions directly inside one."""
+    match expr:
+        case Assign():
+            return [expr.target, expr.value]
+        case Binary() | Logical():
+            return [expr.left, expr.right]
+        case Not() | Negate() | ToReal():
+            return [expr.operand]
+        case FieldGet():
+            return [expr.object]
+        case Element():
+            return [expr.array, expr.index]
+        case Call():
+            return [expr.object, *expr.arguments]
+        case PortalCall():
+            return [expr.proxy, *expr.arguments]
+        case New() | Library() | DeviceCall():
+            return expr.arguments
+        case NewArray():
+            return expr.lengths
+        case Find(id=Expr() as argument) | Query(constraint=Expr() as argument):
+            return [argument]
+    return []
+
+
 # --- statements ---------------------------------------------------------------------------------------
 
 
