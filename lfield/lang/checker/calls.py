@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.capabilities import asked_of
-from lfield.lang.checker.conversion import shown, unknown
+from lfield.lang.checker.finds import ask, find_resource, names_of_finds
+from lfield.lang.checker.fitting import Candidate, choose, of_methods, shown, unknown
 from lfield.lang.checker.names import method_names
-from lfield.lang.checker.overloads import Candidate, choose, of_methods
-from lfield.lang.checker.queries import query
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
 from lfield.lang.checker.visibility import visible_type
@@ -35,11 +34,11 @@ def bare(body: Body, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]
         return _method(body, raw, name.span, body.this(name.span), body.methods(name.name), given)
     resource = body.symbols.resource(name.name.removeprefix("find"))
     if resource is not None and name.name.startswith("find"):
-        return _find(body, raw, name.span, resource, given)
+        return find_resource(body, raw, name.span, resource, given)
     asked = asked_of(name.name)
     capability = body.symbols.capability(asked[1]) if asked is not None else None
     if asked is not None and capability is not None:
-        return query(body, raw, name.span, asked[0], capability, given)
+        return ask(body, raw, name.span, asked[0], capability, given)
     if name.name in LIBRARY_NAMES:
         return _library(body, raw, name, given)
     _unknown_function(body, name)
@@ -125,26 +124,6 @@ def _method(
     if method.kind == "portal":
         return tree.PortalCall(raw.span, method.result, owner, method, arguments)
     return tree.Call(raw.span, method.result, owner, method, arguments)
-
-
-def _find(
-    body: Body, raw: syntax.Call, place: Span, resource: tree.Unit, given: list[tree.Expr]
-) -> tree.Expr:
-    """`findR(id)` or `findR()`; only where resources are visible."""
-    if body.unit.usage != "coordinator":
-        body.report(messages.FIND_PLACE, place, viewer=describe(body.unit), what="resources")
-        return unknown(raw.span)
-    proxy = ResourceType(resource.name)
-    name = f"find{resource.name}"
-    candidates: list[Candidate[Type]] = [
-        Candidate(name, (STRING,), proxy),
-        Candidate(name, (), array_of(proxy)),
-    ]
-    chosen = choose(body.symbols, place, candidates, given)
-    if chosen is None:
-        return unknown(raw.span)
-    kind, arguments = chosen
-    return tree.Find(raw.span, kind, resource, arguments[0] if arguments else None)
 
 
 def _library(body: Body, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]) -> tree.Expr:
@@ -233,17 +212,11 @@ def _function_hint(body: Body, called: str) -> str | None:
     if called in FOREIGN_FUNCTIONS:
         return f"in L it is {FOREIGN_FUNCTIONS[called]}(...)"
     own = [m.name for m in body.unit.methods if m.kind == "method"]
-    finds = _finds(body) if body.unit.usage == "coordinator" else []
+    finds = names_of_finds(body) if body.unit.usage == "coordinator" else []
     keyword = closest(called, ("if", "while", "for", "return", "catch"))
     return did_you_mean(called, [*own, *finds, *LIBRARY_NAMES]) or (
         f"did you mean {keyword} ?" if keyword else None
     )
-
-
-def _finds(body: Body) -> list[str]:
-    capabilities = body.symbols.capability_names()
-    found = [f"find{name}" for name in (*body.symbols.resource_names(), *capabilities)]
-    return [*found, *(f"explain{name}" for name in capabilities)]
 
 
 def _unknown_member(body: Body, function: syntax.Member, kind: Type, unit: tree.Unit | None) -> None:

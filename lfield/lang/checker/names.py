@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lfield.lang import messages, syntax, tree
-from lfield.lang.checker.conversion import shown, unknown
+from lfield.lang.checker.fitting import shown, unknown
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import LIBRARY_NAMES
 from lfield.lang.library import EXCEPTION_METHODS, STRING_METHODS
