@@ -1,4 +1,4 @@
-"""`findR(...)` of a resource; `findC(...)`, `explainC(...)` of a capability: who offers it, why others do not."""
+"""`findR(...)` of a resource; `findC(...)`, `explainC(...)` of a capability: who offers it, who does not."""
 
 from __future__ import annotations
 
