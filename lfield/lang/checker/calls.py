@@ -30,8 +30,8 @@ from lfield.text.suggest import FOREIGN_FUNCTIONS, closest, did_you_mean, listed
 
 def bare(body: Body, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]) -> tree.Expr:
     """`name(arguments)`: an own method, a find or explain method, or a library function."""
-    if body.methods(name.name):
-        return _method(body, raw, name.span, body.this(name.span), body.methods(name.name), given)
+    if own := body.methods(name.name):
+        return _method(body, raw, name.span, body.this(name.span), own, given)
     resource = body.symbols.resource(name.name.removeprefix("find"))
     if resource is not None and name.name.startswith("find"):
         return find_resource(body, raw, name.span, resource, given)
@@ -56,8 +56,7 @@ def member(
     if isinstance(kind, DeviceType):
         return _device(body, raw, function, owner, given)
     if unit is not None:
-        wanted = "portal" if isinstance(kind, ResourceType) else "method"
-        methods = [m for m in unit.methods if m.name == name and m.kind == wanted]
+        methods = unit.overloads(name, "portal" if isinstance(kind, ResourceType) else "method")
         if methods:
             return _method(body, raw, place, owner, methods, given)
     else:
@@ -91,8 +90,7 @@ def new(body: Body, raw: syntax.New, given: list[tree.Expr]) -> tree.Expr:
         if kind is not UNKNOWN:
             body.report(messages.NEW_TYPE, place, given=name)
         return unknown(raw.span)
-    constructors = [m for m in unit.methods if m.kind == "constructor"]
-    constructor = _chosen(body, place, constructors, given)
+    constructor = _chosen(body, place, unit.overloads(name, "constructor"), given)
     return unknown(raw.span) if constructor is None else tree.New(raw.span, kind, *constructor)
 
 
@@ -196,7 +194,7 @@ def _unknown_function(body: Body, name: syntax.Name) -> None:
     """Report a bare call of something that is no own method and no function."""
     called = name.name
     unit = body.symbols.units.get(called)
-    if any(m.kind == "portal" and m.name == called for m in body.unit.methods):
+    if body.unit.overloads(called, "portal"):
         body.report(messages.PORTAL_INSIDE, name.span, name=called)
     elif unit is not None or called in EXCEPTION_NAMES:
         may_be_made = unit is None or unit.kind == "class"
@@ -223,15 +221,15 @@ def _unknown_member(body: Body, function: syntax.Member, kind: Type, unit: tree.
     """Report a call of something the receiver does not have."""
     name, place = function.name, function.place
     if unit is not None and isinstance(kind, ResourceType):
-        if any(m.name == name and m.kind == "method" for m in unit.methods):
+        if unit.overloads(name, "method"):
             body.report(messages.ONLY_PORTALS, place, name=name, resource=unit.name)
             return
-    elif unit is not None and any(m.name == name and m.kind == "portal" for m in unit.methods):
+    elif unit is not None and unit.overloads(name, "portal"):
         body.report(messages.PORTAL_INSIDE, place, name=name)
         return
     if unit is not None and unit.name in body.symbols.broken_units:
         return
-    if unit is not None and not isinstance(kind, ResourceType) and any(f.name == name for f in unit.fields):
+    if unit is not None and not isinstance(kind, ResourceType) and unit.field(name) is not None:
         body.report(messages.NOT_A_METHOD, place, name=name)
         return
     known = method_names(body, kind, unit)

@@ -60,7 +60,7 @@ def member(body: Body, raw: syntax.Member, owner: tree.Expr) -> tree.Expr:
     if isinstance(owner.type, ResourceType):
         body.report(messages.PROXY_FIELD, raw.place, name=raw.name, resource=owner.type.name)
         return unknown(raw.span)
-    field = next((f for f in unit.fields if f.name == raw.name), None) if unit is not None else None
+    field = unit.field(raw.name) if unit is not None else None
     if unit is None or field is None:
         _unknown_field(body, raw, owner.type, unit)
         return unknown(raw.span)
