@@ -107,7 +107,6 @@ class CheckedProgram:
 
     units: list[Unit]
     sources: list[Source]
-    devices: dict[str, DeviceManifest]
 
 
 # --- expressions --------------------------------------------------------------------------------------

@@ -28,8 +28,7 @@ def check(
 ) -> CheckedProgram:
     """The checked program of some parsed files; it is meant for the compiler only when nothing was found.
 
-    `complete` is False when a file is missing. Its `devices` are those the program names, so that installing
-    another driver does not change the program. `generated` are the classes made from `capabilities`.
+    `complete` is False when a file is missing. `generated` are the classes made from `capabilities`.
     """
     incomplete = not complete or any(file.broken for file in files)
     symbols = Symbols(devices, found, incomplete=incomplete, capabilities=capabilities, generated=generated)
@@ -37,7 +36,7 @@ def check(
     for declared in units:
         _check_bodies(symbols, declared)
     sources = [file.source for file in files]
-    return CheckedProgram([declared.unit for declared in units], sources, symbols.used_devices)
+    return CheckedProgram([declared.unit for declared in units], sources)
 
 
 def _check_bodies(symbols: Symbols, declared: Declared) -> None:
