@@ -152,7 +152,6 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
         telemetry=telemetry,
         safe_states=safe_states,
         meaning=meaning,
-        bindings={option.name: option.meaning for option in options},
         capabilities=capabilities,
     )
     return Manifest(device, options, limits, waivers)

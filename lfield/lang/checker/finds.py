@@ -1,18 +1,44 @@
-"""`findC(...)` and `explainC(...)` of a capability: who offers it, and why nobody else does."""
+"""`findR(...)` of a resource; `findC(...)`, `explainC(...)` of a capability: who offers it, who does not."""
 
 from __future__ import annotations
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.capabilities import Verb
-from lfield.lang.checker.conversion import unknown
-from lfield.lang.checker.overloads import Candidate, choose
+from lfield.lang.checker.fitting import Candidate, choose, unknown
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import describe
-from lfield.lang.types import STRING, ClassType, Type, array_of
+from lfield.lang.types import STRING, ClassType, ResourceType, Type, array_of
 from lfield.text.source import Span
 
 
-def query(
+def find_resource(
+    body: Body, raw: syntax.Call, place: Span, resource: tree.Unit, given: list[tree.Expr]
+) -> tree.Expr:
+    """`findR(id)` or `findR()`; only where resources are visible."""
+    if body.unit.usage != "coordinator":
+        body.report(messages.FIND_PLACE, place, viewer=describe(body.unit), what="resources")
+        return unknown(raw.span)
+    proxy = ResourceType(resource.name)
+    name = f"find{resource.name}"
+    candidates: list[Candidate[Type]] = [
+        Candidate(name, (STRING,), proxy),
+        Candidate(name, (), array_of(proxy)),
+    ]
+    chosen = choose(body.symbols, place, candidates, given)
+    if chosen is None:
+        return unknown(raw.span)
+    kind, arguments = chosen
+    return tree.Find(raw.span, kind, resource, arguments[0] if arguments else None)
+
+
+def names_of_finds(body: Body) -> list[str]:
+    """The names of all methods that find something in this program, for hints."""
+    capabilities = body.symbols.capability_names()
+    found = [f"find{name}" for name in (*body.symbols.resource_names(), *capabilities)]
+    return [*found, *(f"explain{name}" for name in capabilities)]
+
+
+def ask(
     body: Body, raw: syntax.Call, place: Span, verb: Verb, capability: tree.Unit, given: list[tree.Expr]
 ) -> tree.Expr:
     """A query with or without a constraint, where capabilities are visible."""
