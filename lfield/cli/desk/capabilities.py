@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.errors import OutputFileError, UsageError
+from lfield.errors import UsageError
 
 if TYPE_CHECKING:
     from lfield.capability.model import Registry
@@ -30,10 +30,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check.add_argument("files", metavar="FILE", nargs="*", type=Path, help="files of a registry or a mission")
     check.add_argument("--alone", action="store_true", help="without the registry that comes with lfield")
     check.add_argument("--program", metavar="FILE.L", type=Path, help="also against this program's resources")
-    imported = actions.add_parser("import", help="ROS capabilities and VDA 5050 factsheets as a registry")
-    imported.add_argument("files", metavar="FILE", nargs="+", type=Path, help="YAML specs, JSON factsheets")
-    imported.add_argument("-o", "--output", metavar="OUT.yaml", type=Path, help="where to (stdout)")
-    imported.add_argument("--force", action="store_true", help="write over a file that exists")
 
 
 def _add_mission(parser: argparse.ArgumentParser) -> None:
@@ -47,10 +43,8 @@ def run(args: argparse.Namespace) -> int:
             return _tree(args)
         case "show":
             return _show_class(args) if args.as_class else _show(args)
-        case "check":
-            return _check(args)
         case _:
-            return _import(args)
+            return _check(args)
 
 
 # --- tree and show ------------------------------------------------------------------------------------
@@ -142,25 +136,4 @@ def _check(args: argparse.Namespace) -> int:
         print(f"lfield: {counted}", file=sys.stderr)
         return 65
     print(f"no mistakes{f', {len(found)} warning(s)' if found else ''}")
-    return 0
-
-
-# --- import -------------------------------------------------------------------------------------------
-
-
-def _import(args: argparse.Namespace) -> int:
-    """Write what carries over; what does not is told on stderr and in the file."""
-    from lfield.capability.importers import import_files
-    from lfield.capability.reading.reader import read_registry
-    from lfield.cli.files import write_bytes
-
-    if args.output is not None and args.output.exists() and not args.force:
-        raise OutputFileError(str(args.output), "it exists already; --force writes over it")
-    imported = import_files(args.files, read_registry())
-    for note in imported.notes:
-        print(note, file=sys.stderr)
-    if args.output is None:
-        print(imported.text, end="")
-    else:
-        write_bytes(args.output, imported.text.encode("utf-8"))
     return 0
