@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from lfield.lang import syntax
 from lfield.manifest import Effect, Parameter
 from lfield.text.source import Span
 
@@ -29,11 +28,30 @@ Value = float | int | bool | str | frozenset[str]
 
 
 @dataclass(frozen=True, slots=True)
-class Expression:
-    """A condition or value over attributes, parsed and checked (matching/expression.py)."""
+class Tree:
+    """A part of an expression, with the `text` as it was written.
+
+    `form` is 'constant' with its `value`; 'fact' with the name of an attribute there, or of one of a part
+    (`grip.payload`); 'part' with its name; or else the operator or function that takes the `operands`.
+    """
 
     text: str
-    tree: syntax.Expr
+    form: str
+    operands: tuple[Tree, ...] = ()
+    value: float | int | bool | str = ""
+
+    @property
+    def name(self) -> str:
+        """The name of a fact or a part."""
+        return str(self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """A condition or value over attributes, read and checked (matching/expression.py)."""
+
+    text: str
+    tree: Tree = field(hash=False)
 
 
 @dataclass(frozen=True, slots=True)

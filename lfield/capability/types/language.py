@@ -6,8 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 
-from lfield.capability.matching import expression
-from lfield.capability.matching.expression import Mistake, Scope
+from lfield.capability.matching.expression import Mistake, Scope, read
 from lfield.capability.model import Provider, Registry
 from lfield.capability.reading.shipped import is_shipped
 from lfield.capability.reading.signatures import signatures_of
@@ -58,10 +57,7 @@ class RegistryTypes:
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""
-        parsed, found = expression.parse(constraint)
-        if parsed is None:
-            return found
-        return expression.check(parsed, Scope.of_offer(self.registry.attributes), "boolean")
+        return read(constraint, Scope.of_offer(self.registry.attributes), "boolean")[1]
 
 
 def _served(registry: Registry, files: Sequence[syntax.File]) -> Served:
