@@ -14,7 +14,7 @@ from lfield.capability.matching.expression import compile_constraint
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import Expression, Registry, Value
 from lfield.capability.offer import Offer, Team
-from lfield.host.reporting import Reporting
+from lfield.host.directory import TeamDirectory
 from lfield.mission.load import Mission
 from lfield.vm.offers import Found, ways
 
@@ -25,19 +25,19 @@ MOST_CONSTRAINTS = 256
 class Offers:
     """The capabilities of a mission's team, as far as its program was built with them."""
 
-    def __init__(self, reporting: Reporting, mission: Mission) -> None:
+    def __init__(self, directory: TeamDirectory, mission: Mission) -> None:
         numbers = {member.id: member.number for member in mission.team.members}
-        self._reporting = reporting
-        self._answers = Answers(reporting.registry, reporting.directory, ways(mission.program), numbers)
+        self._directory = directory
+        self._answers = Answers(directory.registry, directory.directory, ways(mission.program), numbers)
 
     def offers(self, capability: str, constraint: str | None) -> list[Found]:
         """Who offers a capability and fulfils the condition, best first. Raises ConstraintError."""
-        self._reporting.look()
+        self._directory.look()
         return self._answers.offers(capability, constraint)
 
     def explain(self, capability: str, constraint: str | None) -> str:
         """Why everybody else does not, a line each. Raises ConstraintError."""
-        self._reporting.look()
+        self._directory.look()
         return self._answers.explain(capability, constraint)
 
 

@@ -91,10 +91,11 @@ class Flight:
                 await self.noted.wait()
 
     async def call(self, instruction: str, *arguments: float):
-        answer = asyncio.get_running_loop().create_future()
-        value = self.guards.call("alpha", "fc", instruction, arguments, answer.set_result)
+        value = self.guards.query("alpha", "fc", instruction)
         if value is not PENDING:
             return value
+        answer = asyncio.get_running_loop().create_future()
+        self.guards.call("alpha", "fc", instruction, arguments, answer.set_result)
         async with asyncio.timeout(20):
             value = await answer
         if isinstance(value, DeviceError):
