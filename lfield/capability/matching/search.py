@@ -17,10 +17,9 @@ from itertools import chain as joined
 from operator import attrgetter
 
 from lfield.capability.matching.assembly import Assembly
-from lfield.capability.matching.bounds import least_costs
 from lfield.capability.matching.evaluate import Judge, conjuncts, evaluator, names
 from lfield.capability.matching.plan import Plan, fulfilling, standing_in
-from lfield.capability.matching.rules import Chain, Rules
+from lfield.capability.matching.rules import Chain, Rules, least_costs
 from lfield.capability.model import Expression, Need
 from lfield.capability.offer import Candidate, Team
 
