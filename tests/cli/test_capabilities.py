@@ -13,7 +13,7 @@ import pytest
 
 from lfield.capability.reading.reader import read_registry
 from lfield.cli.main import main
-from lfield.operator.registry.show import describe
+from lfield.operator.registry.sheets import describe
 
 #: Written by `lfield capabilities import` of version 0.3, from specs of ROS and a factsheet of VDA 5050.
 IMPORTED = Path(__file__).with_name("imported-0.3.yaml")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,6 @@ from lfield.errors import UsageError
 
 if TYPE_CHECKING:
     from lfield.capability.model import Registry
-    from lfield.operator.registry.show import Sheet
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 def _tree(args: argparse.Namespace) -> int:
     from lfield.capability.reading.reader import read_registry
     from lfield.cli.views.trees import print_tree
-    from lfield.operator.registry.show import term_of, tree
+    from lfield.operator.registry.taxonomy import term_of, tree
 
     registry = read_registry(mission=args.capabilities)
     term = term_of(registry, args.id) if args.id else None
@@ -67,7 +65,7 @@ def _tree(args: argparse.Namespace) -> int:
 
 def _show(args: argparse.Namespace) -> int:
     from lfield.capability.reading.reader import read_registry
-    from lfield.operator.registry.show import describe
+    from lfield.operator.registry.sheets import describe, in_terminal
 
     if args.program is not None:
         raise UsageError("--program is for the class of a capability: give --L too")
@@ -75,16 +73,8 @@ def _show(args: argparse.Namespace) -> int:
     sheets = describe(registry, args.name)
     if not sheets:
         raise _unknown(registry, args.name)
-    print("\n\n".join("\n".join(_lines(sheet)) for sheet in sheets))
+    print("\n\n".join("\n".join(in_terminal(sheet)) for sheet in sheets))
     return 0
-
-
-def _lines(sheet: Sheet) -> Iterator[str]:
-    width = max((len(label) for label, _ in sheet.rows), default=0)
-    yield sheet.title
-    for label, lines in sheet.rows:
-        for number, line in enumerate(lines):
-            yield f"  {label if number == 0 else '':{width}}  {line}"
 
 
 def _show_class(args: argparse.Namespace) -> int:
@@ -114,7 +104,7 @@ def _show_class(args: argparse.Namespace) -> int:
 
 
 def _unknown(registry: Registry, name: str) -> UsageError:
-    from lfield.operator.registry.show import unknown_name
+    from lfield.operator.registry.taxonomy import unknown_name
 
     return UsageError(f"the registry has no '{name}': {unknown_name(registry, name)}")
 

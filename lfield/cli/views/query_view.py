@@ -13,8 +13,8 @@ from lfield.capability.model import Primitive, Registry
 from lfield.capability.offer import Fact, Offer, Refusal, Team
 from lfield.cli.views.trees import plain_console, print_tree
 from lfield.operator.question import Question
-from lfield.operator.registry.show import Branch
-from lfield.operator.registry.words import printable, worth
+from lfield.operator.registry.sheets import printable, worth
+from lfield.operator.registry.taxonomy import Branch
 
 if TYPE_CHECKING:
     from rich.table import Table
