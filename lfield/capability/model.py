@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from lfield.lang import syntax
 from lfield.manifest import Effect, Parameter
 from lfield.text.source import Span
 
@@ -28,30 +29,11 @@ Value = float | int | bool | str | frozenset[str]
 
 
 @dataclass(frozen=True, slots=True)
-class Tree:
-    """A part of an expression, with the `text` as it was written.
-
-    `form` is 'constant' with its `value`; 'fact' with the name of an attribute there, or of one of a part
-    (`grip.payload`); 'part' with its name; or else the operator or function that takes the `operands`.
-    """
-
-    text: str
-    form: str
-    operands: tuple[Tree, ...] = ()
-    value: float | int | bool | str = ""
-
-    @property
-    def name(self) -> str:
-        """The name of a fact or a part."""
-        return str(self.value)
-
-
-@dataclass(frozen=True, slots=True)
 class Expression:
-    """A condition or value over attributes, read and checked (matching/expression.py)."""
+    """A condition or value over attributes, parsed and checked (matching/expression.py)."""
 
     text: str
-    tree: Tree = field(hash=False)
+    tree: syntax.Expr
 
 
 @dataclass(frozen=True, slots=True)

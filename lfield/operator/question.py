@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lfield.capability.matching.expression import Mistake, Scope, read
+from lfield.capability.matching.expression import Mistake, Scope, check, parse
 from lfield.capability.model import Expression, Primitive, Registry
 from lfield.capability.reading import messages
 from lfield.errors import ProgramError, UsageError
@@ -42,10 +42,9 @@ def read_question(text: str, registry: Registry) -> Question:
     source = Source("query", text)
     found: list[Diagnostic] = []
     primitives = _primitives(match["what"], Span(source, *match.span("what")), registry, found)
-    constraint = None
-    if match["where"] is not None:
-        constraint, mistakes = read(match["where"], Scope.of_offer(registry.attributes), "boolean")
-        found += [_diagnostic(mistake, match.start("where"), source) for mistake in mistakes]
+    constraint, mistakes = _constraint(match["where"], registry)
+    start = match.start("where")
+    found += [_diagnostic(mistake, start, source) for mistake in mistakes]
     if found:
         raise ProgramError(found)
     return Question(text.strip(), tuple(primitives), constraint)
@@ -65,6 +64,15 @@ def _primitives(what: str, place: Span, registry: Registry, found: list[Diagnost
         problem = f"nothing at or below '{term.id}' can be called"
         found.append(messages.BAD_EXPRESSION.at(place, problem=problem))
     return below
+
+
+def _constraint(where: str | None, registry: Registry) -> tuple[Expression | None, Sequence[Mistake]]:
+    if where is None:
+        return None, ()
+    expression, mistakes = parse(where)
+    if expression is not None:
+        mistakes = check(expression, Scope.of_offer(registry.attributes), "boolean")
+    return expression, mistakes
 
 
 def _diagnostic(mistake: Mistake, start: int, source: Source) -> Diagnostic:

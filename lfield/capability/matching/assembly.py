@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 from lfield.capability import ways
-from lfield.capability.matching.evaluate import POSITION, Facts, conjuncts, evaluator, names
+from lfield.capability.matching.evaluate import Facts, conjuncts, evaluator, names
+from lfield.capability.matching.expression import POSITION
 from lfield.capability.matching.plan import Plan
 from lfield.capability.matching.ranking import Ranking
 from lfield.capability.matching.reasons import reasons

@@ -14,10 +14,9 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any
 
-from lfield.capability.model import Expression, Tree, Value
-
-#: The attributes from which `distance` is computed: metres from the team's common origin.
-POSITION = ("north", "east", "down")
+from lfield.capability.matching.expression import POSITION
+from lfield.capability.model import Expression, Value
+from lfield.lang import syntax
 
 Facts = Mapping[str, Value]
 Judge = Callable[[Facts], Value | None]
@@ -55,13 +54,13 @@ _FUNCTIONS: Mapping[str, Callable[..., float]] = {"min": min, "max": max, "abs":
 @lru_cache(maxsize=4096)
 def conjuncts(expression: Expression) -> tuple[Expression, ...]:
     """What its top-level `&&` join, in order: all of them must be true."""
-    return tuple(Expression(tree.text, tree) for tree in _conjoined(expression.tree))
+    return tuple(Expression(tree.span.text, tree) for tree in _conjoined(expression.tree))
 
 
-def _conjoined(tree: Tree) -> Iterator[Tree]:
-    if tree.form == "&&":
-        for side in tree.operands:
-            yield from _conjoined(side)
+def _conjoined(tree: syntax.Expr) -> Iterator[syntax.Expr]:
+    if isinstance(tree, syntax.Binary) and tree.operator == "&&":
+        yield from _conjoined(tree.left)
+        yield from _conjoined(tree.right)
     else:
         yield tree
 
@@ -72,51 +71,86 @@ def names(expression: Expression) -> tuple[str, ...]:
     return tuple(dict.fromkeys(named(expression.tree)))
 
 
-def named(tree: Tree) -> Iterator[str]:
+def named(tree: syntax.Expr) -> Iterator[str]:
     """The facts that a part of an expression looks at."""
-    match tree.form:
-        case "fact":
-            yield tree.name
-        case "part":
-            yield from (f"{tree.name}.{axis}" for axis in POSITION)
+    match tree:
+        case syntax.Name() | syntax.Member():
+            yield key(tree)
+        case syntax.Unary(operand=operand):
+            yield from named(operand)
+        case syntax.Binary(left=left, right=right):
+            yield from named(left)
+            yield from named(right)
+        case syntax.Call(arguments=arguments) if function(tree) == "distance":
+            yield from (f"{key(part)}.{axis}" for part in arguments for axis in POSITION)
+        case syntax.Call(arguments=arguments):
+            for argument in arguments:
+                yield from named(argument)
+
+
+def key(tree: syntax.Expr) -> str:
+    """The name of the fact that a Name or a Member stands for."""
+    match tree:
+        case syntax.Name(name=name):
+            return name
+        case syntax.Member(object=syntax.Name(name=need), name=name):
+            return f"{need}.{name}"
         case _:
-            for operand in tree.operands:
-                yield from named(operand)
+            raise _unchecked(tree)
+
+
+def function(tree: syntax.Call) -> str:
+    """The name of the function that is called."""
+    return tree.function.name
 
 
 @lru_cache(maxsize=4096)
 def evaluator(expression: Expression) -> Judge:
-    """A function from facts to the value of the expression; None when it is unknown."""
+    """A function from facts to the value of the checked expression; None when it is unknown."""
     return value_of(expression.tree)
 
 
-def value_of(tree: Tree) -> Judge:
+def value_of(tree: syntax.Expr) -> Judge:
     """The same for a part of an expression."""
-    form, value, name = tree.form, tree.value, tree.name
-    match form, tree.operands:
-        case "constant", _:
+    match tree:
+        case syntax.Literal_(value=value):
             return lambda facts: value
-        case "fact", _:
+        case syntax.Name() | syntax.Member():
+            name = key(tree)
             return lambda facts: facts.get(name)
-        case "distance", (one, other):
-            return _distance(one.name, other.name)
-        case _, (left, right) if form in _COMPARISONS:
-            return _comparison(_COMPARISONS[form], left, right)
-        case "!", (operand,):
+        case syntax.Unary(operator="!", operand=operand):
             return _not(value_of(operand))
-        case "-", (operand,):
+        case syntax.Unary(operand=operand):
             return _applied(operator.neg, [value_of(operand)])
-        case "&&", (left, right):
-            return _and(value_of(left), value_of(right))
-        case "||", (left, right):
-            return _not(_and(_not(value_of(left)), _not(value_of(right))))
-        case _, (left, right) if form in _ARITHMETIC:
-            return _calculated(_ARITHMETIC[form], value_of(left), value_of(right))
-        case _, operands:
-            return _applied(_FUNCTIONS[form], [value_of(operand) for operand in operands])
+        case syntax.Binary():
+            return _binary(tree)
+        case syntax.Call(arguments=arguments) if function(tree) == "distance":
+            return _distance(key(arguments[0]), key(arguments[1]))
+        case syntax.Call(arguments=arguments):
+            return _applied(_FUNCTIONS[function(tree)], [value_of(argument) for argument in arguments])
+        case _:
+            raise _unchecked(tree)
+
+
+def _unchecked(tree: syntax.Expr) -> ValueError:
+    return ValueError(f"this expression was not checked: {tree.span.text}")
 
 
 # --- logic --------------------------------------------------------------------------------------------
+
+
+def _binary(tree: syntax.Binary) -> Judge:
+    sign = tree.operator
+    if sign in _COMPARISONS:
+        return _comparison(_COMPARISONS[sign], tree.left, tree.right)
+    left, right = value_of(tree.left), value_of(tree.right)
+    match sign:
+        case "&&":
+            return _and(left, right)
+        case "||":
+            return _not(_and(_not(left), _not(right)))
+        case _:
+            return _calculated(_ARITHMETIC[sign], left, right)
 
 
 def _and(left: Judge, right: Judge) -> Judge:
@@ -143,14 +177,14 @@ def _not(operand: Judge) -> Judge:
 # --- values -------------------------------------------------------------------------------------------
 
 
-def _comparison(compare: Callable[[Any, Any], bool], left: Tree, right: Tree) -> Judge:
-    if (left.form, right.form) == ("fact", "constant"):
-        return _compared_with(compare, left.name, right.value)
+def _comparison(compare: Callable[[Any, Any], bool], left: syntax.Expr, right: syntax.Expr) -> Judge:
+    if isinstance(left, syntax.Name | syntax.Member) and isinstance(right, syntax.Literal_):
+        return _compared_with(compare, key(left), right.value)
     return _applied(compare, [value_of(left), value_of(right)])
 
 
 def _compared_with(compare: Callable[[Any, Any], bool], name: str, constant: object) -> Judge:
-    """The usual comparison: every candidate is judged by it."""
+    """The usual comparison: a thousand offers are judged by it."""
 
     def judge(facts: Facts) -> bool | None:
         value = facts.get(name)

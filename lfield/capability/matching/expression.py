@@ -8,12 +8,11 @@ are `need.attribute`, and `distance(need, need)` is in metres. Equality with a s
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from lfield.capability.matching.evaluate import POSITION
-from lfield.capability.model import Attribute, Expression, Tree
+from lfield.capability.model import Attribute, Expression
 from lfield.errors import ConstraintError
 from lfield.lang import messages, syntax
 from lfield.lang.parser import expressions
@@ -27,6 +26,9 @@ MAX_LENGTH = 2000
 
 #: Text attributes that every offer has: who it is, and on which robot (a robot is a host).
 IDENTITY = ("agent", "robot", "host")
+
+#: The attributes from which `distance` is computed: metres from the team's common origin.
+POSITION = ("north", "east", "down")
 
 #: Functions of numbers with the least and the most arguments they take.
 FUNCTIONS: Mapping[str, tuple[int, int]] = {"min": (2, 16), "max": (2, 16), "abs": (1, 1)}
@@ -109,30 +111,20 @@ def _kind(attribute: Attribute) -> Kind:
 
 def compile_constraint(text: str, attributes: Mapping[str, Attribute]) -> Expression:
     """A condition over the attributes of one offer. Raises ConstraintError with everything wrong in it."""
-    expression, mistakes = read(text, Scope.of_offer(attributes), "boolean")
-    if expression is None:
+    expression, mistakes = parse(text)
+    if expression is not None:
+        mistakes = check(expression, Scope.of_offer(attributes), "boolean")
+    if expression is None or mistakes:
         shown = text if len(text) <= 80 else f"{text[:77]}..."
         raise ConstraintError(shown, [str(mistake) for mistake in mistakes])
     return expression
 
 
-def read(text: str, scope: Scope, wanted: Wanted) -> tuple[Expression | None, list[Mistake]]:
-    """The expression in a text, which shall be `wanted`; or None and everything that is wrong with it."""
-    tree, mistakes = _parse(text)
-    if tree is None:
-        return None, mistakes
-    checker = _Checker(scope)
-    checker.check(tree, wanted)
-    if checker.found:
-        return None, checker.found
-    return Expression(text, _plain(tree, checker)), []
-
-
 # --- syntax -------------------------------------------------------------------------------------------
 
 
-def _parse(text: str) -> tuple[syntax.Expr | None, list[Mistake]]:
-    """The tree of a text, or None and what is wrong. What its names mean is not looked at."""
+def parse(text: str) -> tuple[Expression | None, list[Mistake]]:
+    """The expression in a text, or None and what is wrong. What its names mean is not looked at."""
     if len(text) > MAX_LENGTH:
         return None, [Mistake(0, len(text), f"this is longer than {MAX_LENGTH} characters")]
     if not text.strip():
@@ -148,7 +140,7 @@ def _parse(text: str) -> tuple[syntax.Expr | None, list[Mistake]]:
         pass
     if tree is None or found.found:
         return None, [_mistake(diagnostic) for diagnostic in found.in_order()]
-    return tree, []
+    return Expression(text, tree), []
 
 
 def _unexpected(stream: TokenStream) -> Diagnostic:
@@ -167,6 +159,20 @@ def _mistake(found: Diagnostic) -> Mistake:
 # --- meaning ------------------------------------------------------------------------------------------
 
 
+def check(expression: Expression, scope: Scope, wanted: Wanted) -> list[Mistake]:
+    """What is wrong with the names and types of an expression that shall be `wanted`.
+
+    The bare name of a member is replaced in the tree by the text it stands for.
+    """
+    checker = _Checker(scope)
+    kind = checker.kind(expression.tree)
+    if not checker.found and kind.sort != wanted and (wanted != "any" or kind.sort == "part"):
+        should = "a value" if wanted == "any" else _said(wanted)
+        hint = "compare it, as in payload >= 2.0" if wanted == "boolean" else ""
+        checker.report(expression.tree.span, f"this is {_said(kind.sort)}, not {should}", hint)
+    return checker.found
+
+
 def _said(sort: str) -> str:
     """A sort in words."""
     return {"boolean": "true or false", "text": "text", "nothing": "nothing"}.get(sort, f"a {sort}")
@@ -178,16 +184,6 @@ class _Checker:
     def __init__(self, scope: Scope) -> None:
         self._scope = scope
         self.found: list[Mistake] = []
-        #: The bare names that stand for a member, as in `environment == aerial`.
-        self.members: list[syntax.Name] = []
-
-    def check(self, tree: syntax.Expr, wanted: Wanted) -> None:
-        """Find what is wrong with the names and types of an expression that shall be `wanted`."""
-        kind = self.kind(tree)
-        if not self.found and kind.sort != wanted and (wanted != "any" or kind.sort == "part"):
-            should = "a value" if wanted == "any" else _said(wanted)
-            hint = "compare it, as in payload >= 2.0" if wanted == "boolean" else ""
-            self.report(tree.span, f"this is {_said(kind.sort)}, not {should}", hint)
 
     def report(self, place: Span, message: str, hint: str | None = None) -> Kind:
         """Keep a mistake; the kind of what has one."""
@@ -282,8 +278,8 @@ class _Checker:
         return wanted if good else _NOTHING
 
     def _equality(self, tree: syntax.Binary) -> Kind:
-        left = self._or_member(tree.left, tree.right)
-        right = self._or_member(tree.right, tree.left)
+        left = self._or_member(tree.left, tree.right, lambda text: setattr(tree, "left", text))
+        right = self._or_member(tree.right, tree.left, lambda text: setattr(tree, "right", text))
         sorts = {left.sort, right.sort}
         if "nothing" in sorts:
             return _NOTHING
@@ -294,12 +290,14 @@ class _Checker:
             return self.report(tree.span, message)
         return _BOOLEAN
 
-    def _or_member(self, tree: syntax.Expr, other: syntax.Expr) -> Kind:
+    def _or_member(
+        self, tree: syntax.Expr, other: syntax.Expr, replace: Callable[[syntax.Literal_], None]
+    ) -> Kind:
         """The kind of one side of a comparison, which may be a member of what the `other` may have."""
         values = self._declared(other)
         match tree:
             case syntax.Name(name=name) if name in values or (values and not self._known(name)):
-                self.members.append(tree)
+                pass
             case syntax.Literal_(value=str(name)) if values:
                 pass
             case _:
@@ -307,6 +305,7 @@ class _Checker:
         if name not in values:
             hint = did_you_mean(name, values) or f"it can be {listed(values)}"
             return self.report(tree.span, f"'{other.span.text}' is never '{name}'", hint)
+        replace(syntax.Literal_(tree.span, 1, name))
         return _TEXT
 
     def _declared(self, tree: syntax.Expr) -> tuple[str, ...]:
@@ -321,10 +320,6 @@ class _Checker:
 
     def _known(self, name: str) -> bool:
         return name in self._scope.names or name in self._scope.needs
-
-    def form(self, name: str) -> str:
-        """Whether a bare name is a fact or a part; an attribute counts before a part of the same name."""
-        return "fact" if name in self._scope.names else "part"
 
     def _call(self, tree: syntax.Call) -> Kind:
         name = tree.function.span.text
@@ -350,28 +345,3 @@ class _Checker:
         if len(parts) != 2 or len(tree.arguments) != 2:
             return self.report(tree.span, "distance() takes two parts", f"these are {listed(scope.needs)}")
         return _NUMBER
-
-
-# --- the checked tree as data -------------------------------------------------------------------------
-
-
-def _plain(tree: syntax.Expr, checked: _Checker) -> Tree:
-    """A tree without mistakes, as the registry keeps it."""
-    text = tree.span.text
-    match tree:
-        case syntax.Name(name=name) if any(tree is member for member in checked.members):
-            return Tree(text, "constant", value=name)
-        case syntax.Name(name=name):
-            return Tree(text, checked.form(name), value=name)
-        case syntax.Member(object=syntax.Name(name=need), name=name):
-            return Tree(text, "fact", value=f"{need}.{name}")
-        case syntax.Literal_(value=bool() | int() | float() | str() as value):
-            return Tree(text, "constant", value=value)
-        case syntax.Unary(operator=operator, operand=operand):
-            return Tree(text, operator, (_plain(operand, checked),))
-        case syntax.Binary(operator=operator, left=left, right=right):
-            return Tree(text, operator, (_plain(left, checked), _plain(right, checked)))
-        case syntax.Call(function=syntax.Name(name=name), arguments=arguments):
-            return Tree(text, name, tuple(_plain(argument, checked) for argument in arguments))
-        case _:
-            raise AssertionError(f"this expression was not checked: {text}")

@@ -6,7 +6,7 @@ import math
 import re
 
 from lfield.capability import units
-from lfield.capability.matching.expression import Mistake, Scope, Wanted, read
+from lfield.capability.matching.expression import Mistake, Scope, Wanted, check, parse
 from lfield.capability.model import Attribute, Expression, Value
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft
@@ -162,11 +162,13 @@ def read_expression(draft: Draft, node: Node | None, scope: Scope, wanted: Wante
         draft.tell(messages.BAD_EXPRESSION, node.span, problem=problem)
         return None
     text = node.value if isinstance(node.value, str) else node.span.text
-    expression, mistakes = read(text, scope, wanted)
+    expression, mistakes = parse(text)
+    if expression is not None:
+        mistakes = check(expression, scope, wanted)
     for mistake in mistakes:
         span = _within(node.span, text, mistake)
         draft.tell(messages.BAD_EXPRESSION, span, hint=mistake.hint, problem=mistake.message)
-    return expression
+    return expression if not mistakes else None
 
 
 def read_attribute_expression(

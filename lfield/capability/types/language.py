@@ -6,7 +6,8 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 
-from lfield.capability.matching.expression import Mistake, Scope, read
+from lfield.capability.matching import expression
+from lfield.capability.matching.expression import Mistake, Scope
 from lfield.capability.model import Provider, Registry
 from lfield.capability.reading.reader import is_shipped
 from lfield.capability.reading.signatures import signatures_of
@@ -57,7 +58,10 @@ class RegistryTypes:
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""
-        return read(constraint, Scope.of_offer(self.registry.attributes), "boolean")[1]
+        parsed, found = expression.parse(constraint)
+        if parsed is None:
+            return found
+        return expression.check(parsed, Scope.of_offer(self.registry.attributes), "boolean")
 
 
 def _served(registry: Registry, files: Sequence[syntax.File]) -> Served:

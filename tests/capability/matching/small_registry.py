@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from lfield.capability.matching.expression import Scope, Wanted, compile_constraint, read
+from lfield.capability.matching.expression import (
+    Expression,
+    Scope,
+    Wanted,
+    check,
+    compile_constraint,
+    parse,
+)
 from lfield.capability.model import (
     Attribute,
     Composition,
     Equivalence,
-    Expression,
     Need,
     Primitive,
     Provider,
@@ -51,8 +57,11 @@ def over_parts(
     text: str, needs: Iterable[str], wanted: Wanted = "any", whole: Iterable[str] = ()
 ) -> Expression:
     """An expression in the rule of a composition."""
-    expression, mistakes = read(text, Scope.of_parts(ATTRIBUTES, list(needs), list(whole)), wanted)
+    expression, mistakes = parse(text)
     assert expression is not None, mistakes
+    assert not (found := check(expression, Scope.of_parts(ATTRIBUTES, list(needs), list(whole)), wanted)), (
+        found
+    )
     return expression
 
 

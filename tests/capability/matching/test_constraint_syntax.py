@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_registry import ATTRIBUTES, wish
 
-from lfield.capability.matching.expression import MAX_LENGTH, Mistake, Scope, compile_constraint, read
+from lfield.capability.matching.expression import MAX_LENGTH, Mistake, Scope, check, compile_constraint, parse
 from lfield.errors import ConstraintError
 
 
@@ -112,15 +112,18 @@ def test_all_mistakes_are_told_at_once() -> None:
     ],
 )
 def test_a_condition_over_the_parts_of_a_composition(text: str, message: str | None) -> None:
-    _, found = read(text, Scope.of_parts(ATTRIBUTES, ["grip", "climb"], ["payload"]), "boolean")
+    expression, found = parse(text)
+    assert expression is not None
+    found = check(expression, Scope.of_parts(ATTRIBUTES, ["grip", "climb"], ["payload"]), "boolean")
     messages = [mistake.message for mistake in found]
     assert messages[:1] == ([] if message is None else [message])
 
 
 def test_distance_needs_positions() -> None:
+    expression, _ = parse("distance(grip, climb) < 1")
+    assert expression is not None
     attributes = {name: a for name, a in ATTRIBUTES.items() if name != "down"}
-    scope = Scope.of_parts(attributes, ["grip", "climb"])
-    _, (mistake,) = read("distance(grip, climb) < 1", scope, "boolean")
+    (mistake,) = check(expression, Scope.of_parts(attributes, ["grip", "climb"]), "boolean")
     assert mistake.message == "distance() needs the attributes down"
 
 
@@ -135,7 +138,9 @@ def test_distance_needs_positions() -> None:
     ],
 )
 def test_what_an_expression_shall_be(text: str, wanted: str, message: str | None) -> None:
-    _, found = read(text, Scope.of_offer(ATTRIBUTES), wanted)  # type: ignore[arg-type]  # a parameter
+    expression, _ = parse(text)
+    assert expression is not None
+    found = check(expression, Scope.of_offer(ATTRIBUTES), wanted)  # type: ignore[arg-type]  # a parameter
     assert [m.message for m in found] == ([] if message is None else [message])
 
 
@@ -187,10 +192,11 @@ _SIGNS = [
 def test_a_hostile_text_is_refused_with_places_within_it(text: str) -> None:
     with contextlib.suppress(ConstraintError):
         compile_constraint(text, ATTRIBUTES)
-    for mistake in mistakes(text):
+    for mistake in parse(text)[1]:
         assert 0 <= mistake.start <= mistake.end <= max(len(text), 1)
 
 
 def mistakes(text: str) -> list[Mistake]:
     """What is wrong with a condition on an offer."""
-    return read(text, Scope.of_offer(ATTRIBUTES), "boolean")[1]
+    expression, found = parse(text)
+    return found if expression is None else check(expression, Scope.of_offer(ATTRIBUTES), "boolean")
