@@ -25,7 +25,7 @@ from lfield.capability.reading.reader import read_registry
 from lfield.clock import SystemClock
 from lfield.host.offers import Answers
 from lfield.testing.golden import Desk, compile_text, team_for
-from lfield.vm.limits import Limits as HeapLimits
+from lfield.vm.contract import Limits as HeapLimits
 from lfield.vm.machine import Machine
 from lfield.vm.offers import ways
 

@@ -62,10 +62,11 @@ class Team:
                 await asyncio.sleep(0.02)
 
     async def call(self, field: str, instruction: str, *arguments):
-        answer = asyncio.get_running_loop().create_future()
-        value = self.guards.call("winch", field, instruction, arguments, answer.set_result)
+        value = self.guards.query("winch", field, instruction)
         if value is not PENDING:
             return value
+        answer = asyncio.get_running_loop().create_future()
+        self.guards.call("winch", field, instruction, arguments, answer.set_result)
         async with asyncio.timeout(BOUND):
             value = await answer
         if isinstance(value, DeviceError):

@@ -10,7 +10,7 @@ import pytest
 from lfield.errors import DeviceError
 from lfield_mavlink.dialect import Writer, dialect
 from lfield_mavlink.state import SOURCES
-from lfield_sim.autopilot import Autopilot
+from lfield_sim.autopilot.autopilot import Autopilot
 
 
 async def up(fc, height=5.0):

@@ -17,7 +17,7 @@ from lfield_mavlink import PLUGIN
 from lfield_mavlink.dialect import Reader, dialect
 from lfield_mavlink.geo import Place
 from lfield_mavlink.vehicle import MavlinkVehicle
-from lfield_sim.mavlink.codec import Writer
+from lfield_sim.mavlink.link.codec import Writer
 
 MANIFEST = PLUGIN.read_manifests()["Mavlink"]
 MESSAGES = sorted(dialect.mavlink_map)

@@ -8,7 +8,7 @@ import pytest
 
 from lfield.errors import DeviceError
 from lfield_mavlink.plan_items import PlanKind, waypoints
-from lfield_sim.mavlink.signing import Signing as Gate
+from lfield_sim.mavlink.link.signing import Signing as Gate
 
 BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 

@@ -10,7 +10,7 @@ from lfield.errors import DeviceError
 from lfield_mavlink.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.watchdog import SETTINGS
-from lfield_sim.mavlink.codec import Writer
+from lfield_sim.mavlink.link.codec import Writer
 
 
 def read(b, *names):
