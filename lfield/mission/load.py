@@ -9,7 +9,7 @@ from pathlib import Path
 from lfield.bytecode.encoding import MAX_SIZE, decode
 from lfield.bytecode.program import Program, UnitKind
 from lfield.capability.model import Registry
-from lfield.capability.reading.shipped import is_shipped
+from lfield.capability.reading.reader import is_shipped
 from lfield.capability.types.language import RegistryTypes
 from lfield.capability.types.live_units import settle_live
 from lfield.driver.plugins import Plugins, discover

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import check_files
-from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.reader import check_files, shipped
 from lfield.capability.reading.signatures import Signature, signatures_of
 from lfield.capability.types.live_units import settle_live
 from lfield.capability.types.program_check import check_against, check_classes

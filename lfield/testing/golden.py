@@ -24,7 +24,7 @@ from lfield.capability.types.language import RegistryTypes
 from lfield.clock import ManualClock
 from lfield.compiler.build import compile_program
 from lfield.errors import DeviceError
-from lfield.host.answers import Answers
+from lfield.host.offers import Answers
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceValue
 from lfield.testing.offers import still_answers

@@ -18,13 +18,14 @@ from harness import Figure, Row, in_turns, median, milliseconds, percentile, tim
 from lfield.bytecode.program import Program
 from lfield.capability.matching.expression import compile_constraint
 from lfield.capability.matching.matcher import Matcher
+from lfield.capability.matching.search import Limits
 from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.capability.reading.reader import read_registry
 from lfield.clock import SystemClock
-from lfield.host.answers import Answers
+from lfield.host.offers import Answers
 from lfield.testing.golden import Desk, compile_text, team_for
-from lfield.vm.contract import Limits
+from lfield.vm.contract import Limits as HeapLimits
 from lfield.vm.machine import Machine
 from lfield.vm.offers import ways
 
@@ -60,7 +61,7 @@ coordinator Boss {{
             real start = now();
             Lift[] who = findLift("{_CONDITION}");
             print(now() - start);
-            if (who.length() != %d) throw new Exception("who is missing?");
+            if (who.length() != {Limits().offers}) throw new Exception("who is missing?");
         }}
     }}
 }}
@@ -143,7 +144,7 @@ def _matching(made: Registry, team: Cranes) -> Callable[[], list[float]]:
     """Seconds of each of some queries, the condition compiled before."""
     matcher = Matcher(made, team)
     constraint = compile_constraint(_CONDITION, made.attributes)
-    assert len(matcher.offers("Lift", constraint)) == len(team.members)
+    assert matcher.count("Lift", constraint) == len(team.members)
 
     def queries() -> list[float]:
         samples = []
@@ -156,8 +157,8 @@ def _matching(made: Registry, team: Cranes) -> Callable[[], list[float]]:
 
 
 def _from_l(made: Registry, team: Cranes) -> Callable[[], list[float]]:
-    """Seconds as an L program measures them itself, with all offers as objects in its heap."""
-    program: Program = compile_text(_PROGRAM % len(team.members), registry=made)
+    """Seconds as an L program measures them itself, with the offers as objects in its heap."""
+    program: Program = compile_text(_PROGRAM, registry=made)
     agents = [("Boss", "boss", ""), *(("Crane", member.agent, "") for member in team.members)]
     members = team_for(program, agents)
     answers = Answers(made, team, ways(program), {member.id: member.number for member in members})
@@ -165,7 +166,7 @@ def _from_l(made: Registry, team: Cranes) -> Callable[[], list[float]]:
     def queries() -> list[float]:
         desk = Desk(answers=answers)
         machine = Machine(program, members, 0, desk, SystemClock(), random.Random(1))
-        machine.start(members[0], Limits(heap=1 << 24), generation=1)
+        machine.start(members[0], HeapLimits(heap=1 << 24), generation=1)
         while machine.run() is not None:
             pass
         if desk.endings[0].ended == "died":

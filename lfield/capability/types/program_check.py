@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from lfield.capability.model import Composition, Portal, PortalMap, Primitive, Provider, Registry
 from lfield.capability.reading import messages
-from lfield.capability.reading.rule_calls import result_type, wrong_result
+from lfield.capability.reading.rule_checks import result_type, wrong_result
 from lfield.capability.reading.signatures import (
     Overload,
     Signature,

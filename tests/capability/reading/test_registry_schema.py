@@ -16,9 +16,8 @@ from registry_texts import plain, registries
 
 from lfield.capability.model import AttributeType, Better, Weights
 from lfield.capability.reading.draft import MAX_NAME
-from lfield.capability.reading.reader import check_files
+from lfield.capability.reading.reader import check_files, shipped, shipped_folder
 from lfield.capability.reading.rules import MAX_NEEDS
-from lfield.capability.reading.shipped import shipped, shipped_folder
 from lfield.capability.reading.signatures import PORTAL_TYPES, RESERVED
 from lfield.manifest import Effect
 

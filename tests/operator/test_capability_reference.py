@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from shipped_registry import REGISTRY
-
+from lfield.capability.reading.reader import read_registry
 from lfield.operator.registry import reference
+
+REGISTRY = read_registry()
 
 
 def test_the_page_is_current() -> None:

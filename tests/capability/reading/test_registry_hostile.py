@@ -12,7 +12,6 @@ from registry_expectations import BASE, GOLDEN
 
 from lfield.capability.reading.draft import MAX_ENTRIES
 from lfield.capability.reading.reader import check_files
-from lfield.capability.reading.rule_cycles import MAX_CYCLES
 from lfield.text.yaml_source import MAX_BYTES
 
 #: Processor seconds that no file may take: a hundred times what a big and good one does.
@@ -93,15 +92,6 @@ def test_a_section_of_too_many(tmp_path: Path) -> None:
     assert codes(tmp_path, f"registry: 1\ntaxonomy:\n{terms}") == ["C101"]
 
 
-def test_thousands_of_mistakes_take_no_hour(tmp_path: Path) -> None:
-    terms = "".join(f"  skill.term{n}: {{}}\n" for n in range(MAX_ENTRIES - 100))
-    prims = "".join(f"  P{n}: {{id: skil.term{n}, portals: {{p: {{}}}}}}\n" for n in range(MAX_ENTRIES - 100))
-    assert (
-        codes(tmp_path, f"registry: 1\ntaxonomy:\n{terms}primitives:\n{prims}").count("C111")
-        == MAX_ENTRIES - 100
-    )
-
-
 def test_a_tree_as_deep_as_names_allow(tmp_path: Path) -> None:
     ids = [".".join(["a"] * depth) for depth in range(1, 41)]
     terms = "".join(f"  {id}: {{}}\n" for id in ids)
@@ -120,7 +110,7 @@ def test_a_ring_of_thousands(tmp_path: Path) -> None:
         f"  c{n}: {{serves: P{n}, needs: {{a: {{capability: P{n}}}}}, through: C, source: {source}}}\n"
         for n in range(count)
     )
-    assert codes(tmp_path, text) == ["C152"] * MAX_CYCLES
+    assert codes(tmp_path, text) == ["C152"] * count
 
 
 _WORDS = st.sampled_from(

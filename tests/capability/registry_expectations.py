@@ -14,7 +14,7 @@ from lfield.lang.parser import parse
 from lfield.manifest import DeviceManifest, Quantity
 from lfield.text.source import Diagnostic, Diagnostics, Source
 
-GOLDEN = Path(__file__).parent / "golden"
+GOLDEN = Path(__file__).parent / "reading" / "golden"
 BASE = GOLDEN / "base.yaml"
 
 _EXPECTED = re.compile(r"# (?P<severity>error|warning) (?P<code>[CY]\d{3}): (?P<part>.*)$")

@@ -9,8 +9,7 @@ from registry_expectations import BASE, GOLDEN
 
 from lfield.capability import ways
 from lfield.capability.model import Argument, Live, Registry, Weights
-from lfield.capability.reading.reader import check_files, read_registry
-from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.reader import check_files, read_registry, shipped
 from lfield.capability.reading.signatures import RESERVED
 from lfield.capability.types.generate import prelude
 from lfield.errors import InputFileError, ProgramError
