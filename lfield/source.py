@@ -28,11 +28,18 @@ class Source:
         line = bisect_right(self._starts, offset) - 1
         return line + 1, offset - self._starts[line] + 1
 
-    def line_text(self, line: int) -> str:
-        """The text of a line (counted from 1) without its newline."""
+    def line_bounds(self, line: int) -> tuple[int, int]:
+        """The offsets at which a line (counted from 1) begins and, without its newline, ends."""
         start = self._starts[line - 1]
         end = self._starts[line] - 1 if line < len(self._starts) else len(self.text)
-        return self.text[start:end].rstrip("\r")
+        while end > start and self.text[end - 1] == "\r":
+            end -= 1
+        return start, end
+
+    def line_text(self, line: int) -> str:
+        """The text of a line (counted from 1) without its newline."""
+        start, end = self.line_bounds(line)
+        return self.text[start:end]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +83,7 @@ class Diagnostic:
     def render(self) -> str:
         """`file:line:col: error[LNNN]: sentence`, the source line, a caret, and the hint."""
         line, column = self.span.source.line_column(self.span.start)
-        text, before = _window(self.span.source.line_text(line), column - 1)
+        text, before = _window(self.span.source, line, self.span.start)
         # A file may hold anything: what a terminal would obey is shown as a dot, one for one.
         shown = "".join(ch if ch.isprintable() or ch == "\t" else "·" for ch in text)
         # Tabs are kept in the margin so that the caret stands under the character it means.
@@ -92,12 +99,14 @@ class Diagnostic:
         return "\n".join(lines)
 
 
-def _window(text: str, place: int) -> tuple[str, int]:
-    """What is shown of a line, and where in it `place` is: its surroundings, if it is long."""
-    if len(text) <= MAX_SHOWN:
-        return text, place
-    start = max(0, min(place - MAX_SHOWN // 2, len(text) - MAX_SHOWN))
-    return text[start : start + MAX_SHOWN], place - start
+def _window(source: Source, line: int, place: int) -> tuple[str, int]:
+    """What is shown of a line, and where in it the offset `place` is: its surroundings, if it is long."""
+    start, end = source.line_bounds(line)
+    if end - start > MAX_SHOWN:
+        # The whole line is never copied: a long one may have a finding on every word.
+        start = max(start, min(place - MAX_SHOWN // 2, end - MAX_SHOWN))
+        end = start + MAX_SHOWN
+    return source.text[start:end], place - start
 
 
 @dataclass(slots=True)
