@@ -13,10 +13,13 @@ import tempfile
 import threading
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+
+from lfield.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 #: Seconds for anything that is only a matter of time on a busy machine.
@@ -232,6 +235,15 @@ class Lfield:
                 reader.join(PATIENCE)
 
 
+@dataclass(frozen=True)
+class Said:
+    """What a command came to that ran in this process."""
+
+    status: int
+    out: list[str]
+    err: list[str]
+
+
 @pytest.fixture(scope="session")
 def ports() -> Iterator[Ports]:
     made = Ports()
@@ -244,6 +256,22 @@ def lfield(tmp_path: Path, ports: Ports) -> Iterator[Lfield]:
     made = Lfield(tmp_path, ports)
     yield made
     made.end()
+
+
+@pytest.fixture
+def here(
+    lfield: Lfield, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., Said]:
+    """`here(*words)`: a command in this process, in the folder of `lfield`: one more would add nothing."""
+    monkeypatch.chdir(lfield.folder)
+
+    def run(*words: object) -> Said:
+        status = main([str(word) for word in words])
+        said = capfd.readouterr()
+        assert "a bug in lfield" not in said.err
+        return Said(status, said.out.splitlines(), said.err.splitlines())
+
+    return run
 
 
 @pytest.fixture(scope="module")
