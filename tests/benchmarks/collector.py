@@ -11,9 +11,9 @@ from functools import partial
 from harness import Figure, Row, in_turns, median, microseconds, percentile, play, size, stage, timed, times
 
 from lfield.testing.golden import compile_text
-from lfield.vm.block import Block
-from lfield.vm.collector import collect
-from lfield.vm.layout import Layouts
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.collector import collect
+from lfield.vm.memory.layout import Layouts
 
 SIZES = (1 << 10, 16 << 10, 128 << 10, 1 << 20)
 ROUNDS = 40

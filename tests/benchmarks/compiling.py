@@ -9,8 +9,8 @@ from pathlib import Path
 
 from harness import ROOT, Figure, Row, in_turns, median, milliseconds, percentile, timed, times
 
-from lfield.capability.language import RegistryTypes
 from lfield.capability.reading.reader import read_registry
+from lfield.capability.types.language import RegistryTypes
 from lfield.compiler.build import compile_program
 from lfield.driver.plugins import Plugins
 from lfield.lang.frontend import check_text

@@ -17,11 +17,11 @@ import sys
 import time
 
 from lfield.clock import SystemClock
+from lfield.devices.guards import Guards
+from lfield.devices.try_out import LiveBench
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.errors import DeviceError
-from lfield.fleet.guards import Guards
-from lfield.fleet.kit_bench import LiveBench
 
 #: Seconds between two setpoints, and metres of height to fall safe from.
 PACE, HEIGHT = 0.1, 80.0

@@ -13,7 +13,7 @@ from harness import Figure, Row, in_turns, median, milliseconds, percentile, pla
 
 from lfield.bytecode.program import Program
 from lfield.testing.golden import compile_text
-from lfield.vm.engine.registers import Registers, Step
+from lfield.vm.reference.registers import Registers, Step
 
 ROUNDS = 9
 

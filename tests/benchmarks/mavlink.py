@@ -17,10 +17,10 @@ from harness import Child, Children, Figure, Row, in_turns, median, microseconds
 
 from lfield import loop
 from lfield.clock import SystemClock
+from lfield.devices.guards import Guards
+from lfield.devices.try_out import LiveBench
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
-from lfield.fleet.guards import Guards
-from lfield.fleet.kit_bench import LiveBench
 from lfield.testing.reports import KeptReports
 
 SYSTEMS, RATE, SECONDS = (1, 2, 3, 4), 200, 5.0

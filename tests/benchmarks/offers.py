@@ -22,9 +22,9 @@ from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.capability.reading.reader import read_registry
 from lfield.clock import SystemClock
-from lfield.fleet.answers import Answers
+from lfield.host.answers import Answers
 from lfield.testing.golden import Desk, compile_text, team_for
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
 from lfield.vm.offers import ways
 
@@ -164,7 +164,7 @@ def _from_l(made: Registry, team: Cranes) -> Callable[[], list[float]]:
 
     def queries() -> list[float]:
         desk = Desk(answers=answers)
-        machine = Machine(program, members, 0, desk, SystemClock())
+        machine = Machine(program, members, 0, desk, SystemClock(), random.Random(1))
         machine.start(members[0], Limits(heap=1 << 24), generation=1)
         while machine.run() is not None:
             pass

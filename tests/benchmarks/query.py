@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Callable
 
 from harness import Figure, Row, in_turns, median, microseconds, percentile, times
@@ -14,10 +15,9 @@ from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction
 from lfield.testing.golden import Desk, team_for
 from lfield.vm.agent import Agent
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits, Reading
 from lfield.vm.machine import Machine
-from lfield.vm.readings import Reading
-from lfield.vm.values import word_of
+from lfield.vm.memory.values import word_of
 
 BATCHES, READS, ROUNDS = 10, 2000, 10
 #: What a query may cost more than a variable, in seconds.
@@ -86,7 +86,7 @@ def _reads(expression: str) -> Callable[[], list[float]]:
 
     def batches() -> list[float]:
         world = _World()
-        machine = Machine(program, team_for(program, []), 0, world, SystemClock())
+        machine = Machine(program, team_for(program, []), 0, world, SystemClock(), random.Random(1))
         machine.start(machine.team[0], Limits(heap=1 << 20), 1)
         while machine.run() is not None:
             pass
