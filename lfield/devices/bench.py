@@ -9,10 +9,10 @@ from typing import Any
 from lfield.devices.guards import Guards
 from lfield.devices.keeper import Guard
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import Manifest
 from lfield.driver.kit import SAFE, CheckFailed
-from lfield.driver.manifest_file import Manifest
 from lfield.errors import DeviceError
-from lfield.guard.core import SILENCE
+from lfield.guard.core import QUIET_BY, SILENCE
 from lfield.manifest import DeviceValue
 from lfield.vm.world import PENDING
 
@@ -35,7 +35,7 @@ class LiveBench:
         silence: float = SILENCE,
     ) -> None:
         self._guards, self.binding, self.manifest, self.notes = guards, binding, manifest, notes
-        self.silence = silence
+        self.silence, self.quiet_after = silence, silence + QUIET_BY
 
     @property
     def _guard(self) -> Guard:

@@ -19,8 +19,8 @@ import dynamixel_sdk
 from harness import Children, Figure, Row, in_turns, median, microseconds, percentile, timed, times
 
 from lfield import loop
-from lfield_can.bus import Bus as CanBus
-from lfield_can.frames import Frame
+from lfield_can.bus.bus import Bus as CanBus
+from lfield_can.bus.frames import Frame
 from lfield_dynamixel.bus import Bus as ServoBus
 from lfield_dynamixel.chain import Chain, Node
 from lfield_dynamixel.port import SerialPort

@@ -18,10 +18,9 @@ from typing import Any
 
 import can
 
-from lfield.errors import DeviceError
-from lfield_can.endpoint import Place
-from lfield_can.frames import Frame
-from lfield_can.interface import GONE, Listener
+from lfield.driver import DeviceError
+from lfield_can.bus.endpoint import Place
+from lfield_can.bus.frames import GONE, Frame, Listener
 
 #: Seconds that one look for a frame lasts; also how soon a closed connection is noticed.
 WAIT = 0.2

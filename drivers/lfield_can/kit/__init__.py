@@ -7,7 +7,7 @@ DBC file is sent nothing but its own safe state.
 from __future__ import annotations
 
 from lfield.driver.kit import Kit
-from lfield_can.kit_axis import AXIS
-from lfield_can.kit_signals import SIGNALS
+from lfield_can.kit.axis import AXIS
+from lfield_can.kit.signals import SIGNALS
 
 KIT = Kit([*AXIS.checks, *SIGNALS.checks])

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
+from lfield_can.bus.frames import Frame
 from lfield_can.dbc import DbcError, DbcFile
-from lfield_can.frames import Frame
 
 DBC = Path(__file__).with_name("can_demo.dbc")
 FILE = DbcFile(str(DBC))
@@ -28,41 +28,36 @@ DETAIL = FILE.key("Detail") & 0x1FFFFFFF
 class Pump:
     """Turns as it is told, and says so ten times a second."""
 
-    def __init__(self, bench) -> None:
-        self.bench, self.speed, self.silent, self.deaf = bench, 0.0, False, False
+    def __init__(self, bus) -> None:
+        self.bus, self.speed, self.silent, self.deaf = bus, 0.0, False, False
+        bus.device = self.on_frame
 
     def on_frame(self, frame: Frame) -> None:
         if not self.deaf:
-            self.speed = FILE._by_name["Command"].decode(frame.data)["speed"]
+            self.speed = FILE.message("Command").decode(frame.data)["speed"]
 
     async def live(self) -> None:
         while True:
             await asyncio.sleep(0.1)
             if not self.silent:
-                data = FILE._by_name["Status"].encode({"speed": self.speed, "heat": 60.0})
-                self.bench.bus.say(512, data)
+                data = FILE.message("Status").encode({"speed": self.speed, "heat": 60.0})
+                self.bus.say(512, data)
 
 
 @pytest.fixture
-def rig(bench, binding):
+def rig(bench, binding, bus):
     def make(*, waivers=("device_watchdog",), **options):
-        b = bench(binding("CanSignals", field="pump", options={**OPTIONS, **options}, waivers=list(waivers)))
-        b.pump = Pump(b)
-        opens = b.kind._open
-
-        async def live_and_open(driver):
-            await opens(driver)
-            b.bus.device = b.pump.on_frame
-            driver.spawn(b.pump.live())
-
-        b.kind._open = live_and_open
+        pump = Pump(bus)
+        bound = binding("CanSignals", field="pump", options={**OPTIONS, **options}, waivers=list(waivers))
+        b = bench(bound, bus=bus, fakes=[pump.live])
+        b.pump = pump
         return b
 
     return make
 
 
 def carried(frame: Frame) -> dict:
-    return FILE._by_name["Command"].decode(frame.data)
+    return FILE.message("Command").decode(frame.data)
 
 
 def test_who_it_is(rig):

@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
-from lfield.errors import DeviceError
-from lfield_can.connection import open_connection
-from lfield_can.endpoint import parse_endpoint
-from lfield_can.frames import BUS_OFF, Frame, error_words
-from lfield_can.interface import Interface, Listener
-from lfield_can.socketcand import open_socketcand
+from lfield.driver import DeviceError
+from lfield_can.bus.connection import open_connection
+from lfield_can.bus.endpoint import parse_endpoint
+from lfield_can.bus.frames import BUS_OFF, Frame, Interface, Listener, error_words
+from lfield_can.bus.socketcand import open_socketcand
 
 #: Seconds to the first try to open a lost bus again, and the longest between two tries.
 FIRST_RETRY, LAST_RETRY = 0.2, 2.0

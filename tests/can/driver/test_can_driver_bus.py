@@ -18,11 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
-from lfield_can import connection, socketcand
-from lfield_can.bus import Bus
-from lfield_can.frames import Frame
-from lfield_can.interface import Listener
-from lfield_can.socketcand import Socketcand
+from lfield_can.bus import connection, socketcand
+from lfield_can.bus.bus import Bus
+from lfield_can.bus.frames import Frame, Listener
+from lfield_can.bus.socketcand import Socketcand
 
 # python-can leaves the socket of an opening that failed to the garbage collector.
 pytestmark = pytest.mark.filterwarnings(

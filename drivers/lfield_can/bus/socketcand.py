@@ -12,10 +12,9 @@ import threading
 from contextlib import suppress
 from typing import cast
 
-from lfield.errors import DeviceError
-from lfield_can.endpoint import Place
-from lfield_can.frames import Frame
-from lfield_can.interface import GONE, Listener
+from lfield.driver import DeviceError
+from lfield_can.bus.endpoint import Place
+from lfield_can.bus.frames import GONE, Frame, Listener
 
 #: Seconds that a server may take to connect and to answer.
 ANSWER = 2.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from lfield.driver import DeviceError
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused
-from lfield.errors import DeviceError
 from lfield_can.dbc import DbcFile, representable
 
 SIGNALS = Kit()

@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl
 
 import can
 
-from lfield.errors import DeviceError
+from lfield.driver import DeviceError
 
 SYNTAX = (
     "INTERFACE:CHANNEL[?key=value&...], as in socketcan:can0, slcan:/dev/ttyACM0@115200?bitrate=500000 "

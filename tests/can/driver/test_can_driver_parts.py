@@ -16,15 +16,14 @@ from lfield.errors import DeviceError
 from lfield.lang.frontend import check_text
 from lfield.simulate.time import LoopClock, run_jumping
 from lfield_can import PLUGIN
-from lfield_can.endpoint import parse_endpoint
-from lfield_can.frames import EXTENDED, Frame
-from lfield_can.frames import error_words as bus_error_words
+from lfield_can.bus.endpoint import parse_endpoint
+from lfield_can.bus.frames import EXTENDED, Frame
+from lfield_can.bus.frames import error_words as bus_error_words
 from lfield_can.protocols import PROTOCOLS
 from lfield_can.protocols.canopen_node import read_eds, standard_dictionary
-from lfield_can.protocols.cia402_tables import OBJECTS, STATES, error_words, state_of
-from lfield_can.protocols.cia402_units import Units
+from lfield_can.protocols.cia402_tables import OBJECTS, STATES, Units, error_words, state_of
 from lfield_can.protocols.odrive_tables import error_words as odrive_error_words
-from lfield_can.protocols.repeating import Repeating
+from lfield_can.timing import Repeating
 
 MANIFESTS = PLUGIN.read_manifests()
 
@@ -227,7 +226,7 @@ def test_any_frames_of_a_node_are_survived(bench, binding, frames):
     b = bench(binding("CanAxis", options={"protocol": "cia402", "node": 5, "counts": 1000}))
 
     async def mission(axis):
-        axis.protocol._mapped = frozenset({0x180, 0x280, 0x380})
+        axis.protocol.mapped = frozenset({0x180, 0x280, 0x380})
         for code, data in frames:
             b.bus.say(code + 5, data)
         assert axis.malformed <= len(frames)

@@ -15,7 +15,7 @@ LIMITS = {"speed": 20.0}
 
 
 @pytest.fixture
-def rig(bench, binding):
+def rig(bench, binding, bus):
     """A bench whose drive is there before the driver looks for it."""
 
     def make(drive=None, *, others=(), **given):
@@ -25,25 +25,13 @@ def rig(bench, binding):
             **given,
             "options": {**OPTIONS, **given.get("options", {})},
         }
-        b = bench(binding("CanAxis", **given), *others)
-        b.drive = drive or LocalDrive()
-        opens = b.kind._open
-
-        async def attach_and_open(driver):
-            await opens(driver)
-            b.drive.attach(b)
-
-        b.kind._open = attach_and_open
+        drive = drive or LocalDrive()
+        drive.bus = bus
+        b = bench(binding("CanAxis", **given), *others, bus=bus, fakes=[drive.live])
+        b.drive = drive
         return b
 
     return make
-
-
-async def soon(condition, bound=2.0):
-    end = asyncio.get_running_loop().time() + bound
-    while not condition():
-        assert asyncio.get_running_loop().time() < end, "it did not happen"
-        await asyncio.sleep(0.01)
 
 
 def test_a_drive_is_identified_set_up_and_moves(rig):
@@ -88,7 +76,7 @@ def test_its_watchdog_is_set_read_back_and_fed_until_the_bus_is_quiet(rig):
         await asyncio.sleep(0.3)
         assert len(b.drive.beats) <= sent + 1
         b.driver.resume()
-        await soon(lambda: len(b.drive.beats) > sent + 2)
+        await b.until(lambda: len(b.drive.beats) > sent + 2)
 
     b.run_real(mission)
 
@@ -108,7 +96,7 @@ def test_setpoints_are_sent_once(rig):
     async def mission(axis):
         await axis.execute("enable", [])
         await axis.execute("setVelocity", [3.0])
-        await soon(lambda: b.values["velocity"] == pytest.approx(3.0, abs=0.01))
+        await b.until(lambda: b.values["velocity"] == pytest.approx(3.0, abs=0.01))
         sent = [frame for frame in b.bus.sent if frame.id == 0x405]
         await asyncio.sleep(0.3)
         assert [frame for frame in b.bus.sent if frame.id == 0x405] == sent
@@ -139,7 +127,7 @@ def test_the_drive_hears_a_heartbeat_as_soon_as_it_watches_for_it(rig):
     b = rig(ttl=5.0)
 
     async def mission(axis):
-        await soon(lambda: b.drive.beats, 0.5)
+        await b.until(lambda: b.drive.beats, 0.5)
         watched = [
             frame.data
             for frame in b.bus.sent
@@ -187,7 +175,7 @@ def test_safe_states_are_seen(rig, state, control, status):
     async def mission(axis):
         await axis.execute("enable", [])
         await axis.execute("setVelocity", [5.0])
-        await soon(lambda: b.values["velocity"] > 4.0)
+        await b.until(lambda: b.values["velocity"] > 4.0)
         await axis.make_safe()
         assert b.drive.state == status
         assert b.drive.controls[-1] == control
@@ -218,14 +206,14 @@ def test_a_fault_is_told_in_words_and_reset(rig):
         await axis.execute("enable", [])
         await axis.execute("setVelocity", [5.0])
         b.drive.fail(0x7121)
-        await soon(lambda: b.values["fault"] != "")
+        await b.until(lambda: b.values["fault"] != "")
         assert b.values["fault"] == "motor blocked (0x7121)"
         for call in (("setVelocity", [1.0]), ("enable", [])):
             with pytest.raises(DeviceError, match=r"motor blocked \(0x7121\); resetFault\(\) clears it"):
                 await axis.execute(*call)
         await axis.make_safe()
         await axis.execute("resetFault", [])
-        await soon(lambda: b.values["fault"] == "")
+        await b.until(lambda: b.values["fault"] == "")
         await axis.execute("enable", [])
 
     b.run_real(mission)
@@ -254,7 +242,7 @@ def test_homing_gives_the_positions_a_meaning(rig):
         with pytest.raises(DeviceError, match=r"has not been homed; call home\(\) first"):
             await axis.execute("moveTo", [1.0, 5.0])
         await axis.execute("home", [])
-        await soon(lambda: b.values["referenced"])
+        await b.until(lambda: b.values["referenced"])
         await axis.execute("moveTo", [1.0, 5.0])
 
     b.run_real(mission)
@@ -268,7 +256,7 @@ def test_a_drive_that_restarts_is_set_up_again_and_stays_off(rig):
     async def mission(axis):
         await axis.execute("enable", [])
         b.drive.restart()
-        await soon(lambda: any("set up again" in note for note in b.notes), 5.0)
+        await b.until(lambda: any("set up again" in note for note in b.notes), 5.0)
         assert b.drive.get(0x1016, 1) == 127 << 16 | 1000
         assert b.values["enabled"] is False
         await axis.execute("enable", [])
@@ -289,9 +277,9 @@ def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(rig):
             await travel
         assert error.value.kind == "DeviceTimeoutException"
         assert b.driver.clock.monotonic() - start < 3.0
-        await soon(lambda: b.values["online"] is False)
+        await b.until(lambda: b.values["online"] is False)
         b.drive.silent = False
-        await soon(lambda: b.values["online"] and b.drive.state != 0x0237)
+        await b.until(lambda: b.values["online"] and b.drive.state != 0x0237)
         await axis.make_safe()
 
     b.run_real(mission)

@@ -1,9 +1,13 @@
-"""A CAN frame as the protocols see it, and error frames in words. Nothing here knows python-can."""
+"""A CAN frame as the protocols see it, error frames in words, and what carries them.
+
+Nothing here knows python-can.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 #: Set in the key of a frame with an extended id, so that 0x123 and 0x00000123 stay two ids.
 EXTENDED = 1 << 31
@@ -58,3 +62,41 @@ def error_words(identifier: int, data: bytes) -> str:
         details = ", ".join(text for mask, text in CONTROLLER.items() if detail & mask)
         words.append(f"{meaning} ({details})" if details else meaning)
     return ", ".join(words) or "an error of no class"
+
+
+# -- interfaces ------------------------------------------------------------------------------------------
+
+#: Why a frame was not sent by an interface that has failed.
+GONE = "the bus is lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Listener:
+    """What an interface calls, on the loop: with every data frame, with the id and data of every error frame,
+    and once with the reason why the interface has failed."""
+
+    frame: Callable[[Frame], None]
+    error: Callable[[int, bytes], None]
+    lost: Callable[[str], None]
+
+
+class Interface(Protocol):
+    """It works until its first failure; then it is closed and another one is opened.
+
+    `malformed` counts what came in and was no frame.
+    """
+
+    malformed: int
+
+    @property
+    def off(self) -> bool:
+        """Whether the interface itself says that its controller is off the bus."""
+
+    async def send(self, frame: Frame) -> str:
+        """Send a frame; '' once the interface has taken it, else the reason why it has not."""
+
+    def post(self, frame: Frame) -> None:
+        """Send a frame, or not. From any thread; never waits."""
+
+    async def close(self) -> None:
+        """Give it back."""

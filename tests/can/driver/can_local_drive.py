@@ -11,7 +11,7 @@ import canopen
 from canopen.objectdictionary import ODRecord, ODVariable
 from canopen.objectdictionary import datatypes as t
 
-from lfield_can.frames import Frame
+from lfield_can.bus.frames import Frame
 
 STEP = 0.005
 U8, U16, U32, I8, I16, I32 = t.UNSIGNED8, t.UNSIGNED16, t.UNSIGNED32, t.INTEGER8, t.INTEGER16, t.INTEGER32
@@ -107,7 +107,9 @@ class Periodic:
 
 
 class LocalDrive:
-    """`await run(bench)` in a task beside the driver."""
+    """`live()` runs beside the driver; `bus` is where it is."""
+
+    bus: Any
 
     def __init__(self, node: int = 5, *, without: set[int] = frozenset(), modes: int | None = None) -> None:
         self.id, self.without = node, without
@@ -118,27 +120,31 @@ class LocalDrive:
         self.beats: list[float] = []
         self.silent = self.stuck = False
 
-    def attach(self, bench: Any) -> None:
-        self.bench, self.loop = bench, asyncio.get_running_loop()
+    async def live(self) -> None:
+        self.attach()
+        await asyncio.Event().wait()
+
+    def attach(self) -> None:
+        self.loop = asyncio.get_running_loop()
         self.network = Network(self.say)
         self.node = canopen.LocalNode(self.id, dictionary(self.without))
         self.network.add_node(self.node)
         self.node.add_write_callback(self.on_write)
         self.node.nmt.state = "INITIALISING"
         self.node.nmt.state = "PRE-OPERATIONAL"
-        bench.bus.device = self.on_frame
+        self.bus.device = self.on_frame
         self.task = self.loop.create_task(self.run())
 
     def say(self, can_id: int, data: bytes) -> None:
         if not self.silent:
-            self.bench.bus.say(can_id, data)
+            self.bus.say(can_id, data)
 
     def restart(self) -> None:
         """Power off and on."""
         self.node.nmt.stop_heartbeat()
         self.task.cancel()
         self.__init__(self.id, without=self.without)
-        self.attach(self.bench)
+        self.attach()
 
     # -- objects
 

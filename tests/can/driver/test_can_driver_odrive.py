@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
-from lfield_can.frames import Frame
+from lfield_can.bus.frames import Frame
 
 OPTIONS = {"protocol": "odrive", "node": 3}
 WAIVED = ["device_watchdog", "no_homing"]
@@ -21,8 +21,9 @@ STEP = 0.01
 class Axis:
     """Position, velocity and torque control without inertia."""
 
-    def __init__(self, bench) -> None:
-        self.bench, self.state, self.errors = bench, 1, 0
+    def __init__(self, bus) -> None:
+        self.bus, self.state, self.errors = bus, 1, 0
+        bus.device = self.on_frame
         self.mode = (0, 0)
         self.position = self.velocity = self.torque = self.goal = self.rate = 0.0
         self.speed = 1.0
@@ -31,7 +32,7 @@ class Axis:
 
     def say(self, command: int, layout: str, *values) -> None:
         if not self.silent:
-            self.bench.bus.say(3 << 5 | command, struct.pack(layout, *values))
+            self.bus.say(3 << 5 | command, struct.pack(layout, *values))
 
     def on_frame(self, frame: Frame) -> None:
         command = frame.id & 0x1F
@@ -78,19 +79,13 @@ class Axis:
 
 
 @pytest.fixture
-def rig(bench, binding):
+def rig(bench, binding, bus):
     def make(**given):
         given = {"waivers": WAIVED, "limits": {"speed": 20.0}, **given}
-        b = bench(binding("CanAxis", **{**given, "options": {**OPTIONS, **given.get("options", {})}}))
-        b.axis = Axis(b)
-        opens = b.kind._open
-
-        async def live_and_open(driver):
-            await opens(driver)
-            b.bus.device = b.axis.on_frame
-            driver.spawn(b.axis.live())
-
-        b.kind._open = live_and_open
+        axis = Axis(bus)
+        bound = binding("CanAxis", **{**given, "options": {**OPTIONS, **given.get("options", {})}})
+        b = bench(bound, bus=bus, fakes=[axis.live])
+        b.axis = axis
         return b
 
     return make
