@@ -47,6 +47,11 @@ class LiveBench:
         return self._guard.identities[self.binding.name]
 
     @property
+    def guard_pid(self) -> int:
+        """The id of its guard's process, 0 while there is none."""
+        return self._guard.pid
+
+    @property
     def latched(self) -> str:
         """Why the device is held in its safe state, '' when it is free."""
         return self._guard.latched.get(self.binding.name, "")

@@ -56,6 +56,8 @@ Story = Callable[..., Awaitable[T]]
 LONGEST, LONGEST_REAL = 1e6, 60.0
 #: Seconds that something may take to happen, unless a test says otherwise, and between two looks.
 BOUND, LOOK = 20.0, 0.01
+#: Seconds for a fake to end.
+END = 20.0
 #: How long a host may be silent, in seconds: longer than on a robot, since a test's computer may be busy.
 SILENCE = 2.0
 
@@ -197,28 +199,32 @@ class RunningFake:
         """Where it answers, as a binding has it."""
         return self.words[0]
 
-    def fault(self, *settings: str) -> None:
-        """Set what is wrong with it, as `lfield sim fault` does. Raises AssertionError when it cannot be."""
+    def fault(self, *settings: str) -> dict[str, Any]:
+        """Set what is wrong with it, `NAME[@DEVICE]=VALUE`; its answer. Raises AssertionError."""
         answer = ask_fake(control_folder() / f"{self._driver}-{self.process.pid}.sock", settings)
         if "error" in answer:
             raise AssertionError(answer["error"])
+        return answer
 
 
 @contextmanager
 def running_fake(driver: str, *options: str) -> Iterator[RunningFake]:
     """The installed fake of a driver, with options of `lfield sim DRIVER`; it ends with the block."""
     command = (sys.executable, "-m", "lfield.driver.sims", discover_sims().references[driver])
-    with subprocess.Popen(
+    process = subprocess.Popen(
         [*command, *options, "--until-stdin-closes"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
-    ) as process:
+    )
+    try:
         assert process.stdout is not None
-        ready, *words = process.stdout.readline().split() or [""]
+        ready, *words = process.stdout.readline().split() or ["nothing"]
         if ready != "ready":
-            raise AssertionError(f"the fake did not start: {ready} {' '.join(words)}")
+            raise AssertionError(f"the fake '{driver}' did not start; it said: {ready} {' '.join(words)}")
         yield RunningFake(driver, process, words)
+    finally:
+        process.communicate(timeout=END)
 
 
 class GuardedDevice(LiveBench):
@@ -226,7 +232,12 @@ class GuardedDevice(LiveBench):
 
     async def told(self, words: str, bound: float = BOUND) -> None:
         """Wait until a note of the guards has these words. Raises CheckFailed."""
-        await self.until(lambda: any(words in note for note in self.notes), bound, f"a note: {words}")
+        await self.until(lambda: any(words in note for note in self.notes), bound, f"the note '{words}'")
+
+    async def reads(self, quantity: str, fits: Callable[[Any], bool], bound: float = BOUND) -> Any:
+        """Wait until a quantity of its telemetry has a value that fits; that value. Raises CheckFailed."""
+        await self.until(lambda: fits(self.query(quantity)), bound, f"{quantity} to fit")
+        return self.query(quantity)
 
 
 @asynccontextmanager

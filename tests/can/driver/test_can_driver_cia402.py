@@ -186,7 +186,8 @@ def test_safe_states_are_seen(rig, state, control, status):
     assert (b.drive.get(0x605A) == 6) is (state == "torque_hold")
 
 
-def test_a_safe_state_that_does_not_come_is_told(rig):
+def test_a_safe_state_that_does_not_come_is_told(rig, monkeypatch):
+    monkeypatch.setattr("lfield_can.axis.SAFE_BY", 0.5)
     b = rig()
 
     async def mission(axis):

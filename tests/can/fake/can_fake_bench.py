@@ -1,12 +1,8 @@
-"""A bus with fake devices on given time, and fakes as processes."""
+"""A bus with fake devices on given time, without any client of a real library."""
 
 from __future__ import annotations
 
-import contextlib
 import struct
-import subprocess
-import sys
-from collections.abc import Iterator
 
 from lfield_sim.can.bus import Port
 from lfield_sim.can.fleet import build, parse
@@ -104,28 +100,3 @@ class DriveBench(Bench):
     def emergencies(self) -> list[tuple[int, int]]:
         """Error codes with error registers."""
         return [struct.unpack_from("<HB", f.data) for f in self.heard if f.identifier == 0x85]
-
-
-@contextlib.contextmanager
-def running(*options: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
-    """The fake as a process, and the words of its one line."""
-    command = [sys.executable, "-m", "lfield.driver.sims", "lfield_sim.can:SIM", *options]
-    process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
-        yield process, process.stdout.readline().split()
-    finally:
-        process.terminate()
-        process.communicate(timeout=10)
-
-
-def tcp(endpoint: str) -> dict[str, object]:
-    """What python-can wants to know of a socketcand endpoint."""
-    host, port = endpoint.removeprefix("socketcand:").removesuffix("/can0").split(":")
-    return {"interface": "socketcand", "channel": "can0", "host": host, "port": int(port), "tcp_tune": True}
-
-
-def serial(endpoint: str) -> dict[str, object]:
-    """What python-can wants to know of an slcan endpoint."""
-    return {"interface": "slcan", "channel": endpoint.removeprefix("slcan:"), "sleep_after_open": 0}

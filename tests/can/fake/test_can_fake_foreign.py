@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 
 import canopen
 import pytest
-from can_fake_bench import running, serial, tcp
+from can_places import serial, tcp
 from canopen import objectdictionary
 from canopen.profiles.p402 import BaseNode402
 
+from lfield.testing.driver_bench import running_fake
 from lfield_sim.can.objects402 import INCREMENTS, entries
 
 pytestmark = pytest.mark.process
@@ -45,9 +46,9 @@ def node(request) -> Iterator[BaseNode402]:
     """The drive, operational, through each door."""
     doors = {"socketcand": ("socketcand:127.0.0.1:0", tcp), "slcan": ("slcan-pty", serial)}
     door, place = doors[request.param]
-    with running("--listen", door, "--device", "cia402:5,load=0.2") as (_, words):
+    with running_fake("can", "--listen", door, "--device", "cia402:5,load=0.2") as fake:
         network = canopen.Network()
-        network.connect(**place(words[1]))
+        network.connect(**place(fake.endpoint))
         try:
             drive = BaseNode402(5, dictionary())
             network.add_node(drive)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import signal
 import socket
 import subprocess
@@ -12,12 +11,13 @@ import time
 
 import can
 import pytest
-from can_fake_bench import running, serial, tcp
+from can_places import serial, tcp
 from test_can_fake_dbc import GRIPPER
 
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.sims import Sim, control_folder, main
+from lfield.driver.sims import Sim, main
 from lfield.errors import UsageError
+from lfield.testing.driver_bench import running_fake
 from lfield_sim.can import SIM, parse_listen
 
 pytestmark = pytest.mark.process
@@ -38,18 +38,10 @@ def frame(identifier: int, data: bytes = b"", **options) -> can.Message:
     return can.Message(arbitration_id=identifier, data=data, is_extended_id=identifier > 0x7FF, **options)
 
 
-def set_faults(process: subprocess.Popen[str], *texts: str) -> dict[str, object]:
-    with socket.socket(socket.AF_UNIX) as door:
-        door.settimeout(10)
-        door.connect(str(control_folder() / f"can-{process.pid}.sock"))
-        door.sendall(json.dumps({"set": texts}).encode() + b"\n")
-        return json.loads(door.makefile().readline())
-
-
 def test_python_can_at_both_doors():
     with contextlib.ExitStack() as stack:
-        _, words = stack.enter_context(running(*BOTH))
-        places = (tcp(words[1]), tcp(words[1]), serial(words[2]))
+        fake = stack.enter_context(running_fake("can", *BOTH))
+        places = (tcp(fake.words[0]), tcp(fake.words[0]), serial(fake.words[1]))
         a, b, c = (stack.enter_context(can.Bus(**place)) for place in places)
         assert c.get_version(5.0) == (10, 13)
         a.send(frame(0x123, b"\x01\xfe"))
@@ -64,9 +56,9 @@ def test_python_can_at_both_doors():
 
 def test_fd_and_remote_frames_pass_the_serial_doors():
     with contextlib.ExitStack() as stack:
-        _, words = stack.enter_context(running("--listen", "slcan-pty", "--listen", "slcan-pty"))
-        a = stack.enter_context(can.Bus(**serial(words[1]), bitrate=1_000_000))
-        b = stack.enter_context(can.Bus(**serial(words[2])))
+        fake = stack.enter_context(running_fake("can", "--listen", "slcan-pty", "--listen", "slcan-pty"))
+        a = stack.enter_context(can.Bus(**serial(fake.words[0]), bitrate=1_000_000))
+        b = stack.enter_context(can.Bus(**serial(fake.words[1])))
         assert b.get_version(5.0) == (10, 13)
         a.send(frame(0x123, bytes(range(48)), is_fd=True, bitrate_switch=True))
         message = heard(b, 0x123)
@@ -77,25 +69,25 @@ def test_fd_and_remote_frames_pass_the_serial_doors():
 
 
 def test_a_dongle_with_the_wrong_bit_rate_hears_nothing():
-    with running(*BOTH, "--device", "odrive:3") as (_, words):
-        with can.Bus(**serial(words[2]), bitrate=250_000) as wrong:
+    with running_fake("can", *BOTH, "--device", "odrive:3") as fake:
+        with can.Bus(**serial(fake.words[1]), bitrate=250_000) as wrong:
             assert wrong.recv(0.5) is None
-        with can.Bus(**serial(words[2]), bitrate=1_000_000) as right:
+        with can.Bus(**serial(fake.words[1]), bitrate=1_000_000) as right:
             heard(right, 0x61)
 
 
 def test_clients_come_and_go_and_a_mute_one_harms_nobody():
-    with running("--device", "odrive:3") as (_, words):
-        mute = socket.create_connection(("127.0.0.1", tcp(words[1])["port"]))
+    with running_fake("can", "--device", "odrive:3") as fake:
+        mute = socket.create_connection(("127.0.0.1", tcp(fake.words[0])["port"]))
         mute.sendall(b"< open can0 >< rawmode >")
         for _ in range(5):
-            with can.Bus(**tcp(words[1])) as bus:
+            with can.Bus(**tcp(fake.words[0])) as bus:
                 heard(bus, 0x61)
         mute.close()
 
 
 def test_many_frames_at_once_are_slowed_down_but_not_lost():
-    with running() as (_, words), can.Bus(**tcp(words[1])) as a, can.Bus(**tcp(words[1])) as b:
+    with running_fake("can") as fake, can.Bus(**tcp(fake.words[0])) as a, can.Bus(**tcp(fake.words[0])) as b:
         for n in range(3000):
             a.send(frame(0x100, n.to_bytes(2, "big")))
         got = [int.from_bytes(heard(b, 0x100).data, "big") for _ in range(3000)]
@@ -103,21 +95,22 @@ def test_many_frames_at_once_are_slowed_down_but_not_lost():
 
 
 def test_faults_while_it_runs():
-    with running("--device", "cia402:5:alpha.winch", "--fault", "lost_heartbeat@5=true") as (process, words):
-        assert words[2:] == ["cia402:5"]
-        with can.Bus(**tcp(words[1])) as bus:
+    with running_fake("can", "--device", "cia402:5:alpha.winch", "--fault", "lost_heartbeat@5=true") as fake:
+        assert fake.words[1:] == ["cia402:5"]
+        with can.Bus(**tcp(fake.words[0])) as bus:
             with pytest.raises(AssertionError):
                 heard(bus, 0x705, 0.5)
-            answer = set_faults(process, "lost_heartbeat@alpha.winch=false")
+            answer = fake.fault("lost_heartbeat@alpha.winch=false")
             assert answer["devices"] == {"5": "alpha.winch"}
-            assert answer["endpoint"] == words[1]
+            assert answer["endpoint"] == fake.words[0]
             heard(bus, 0x705)
-            set_faults(process, "corrupt=1")
+            fake.fault("corrupt=1")
             bus.send(frame(0x100))
             end = time.monotonic() + 10
             while not (message := bus.recv(1.0)) or not message.is_error_frame:
                 assert time.monotonic() < end
-            assert "error" in set_faults(process, "corrupt=2")
+            with pytest.raises(AssertionError, match="corrupt"):
+                fake.fault("corrupt=2")
 
 
 def unplugged(place: dict[str, object]) -> bool:
@@ -132,20 +125,20 @@ def unplugged(place: dict[str, object]) -> bool:
 def test_doors_that_are_pulled_out_and_plugged_in_again(tmp_path):
     link = tmp_path / "dongle"
     doors = ("--listen", f"slcan-pty:{link}", "--listen", "socketcand:127.0.0.1:0")
-    with running(*doors, "--device", "odrive:3") as (process, words):
-        assert words[1] == f"slcan:{link}@115200"
-        bus = can.Bus(**serial(words[1]))
+    with running_fake("can", *doors, "--device", "odrive:3") as fake:
+        assert fake.words[0] == f"slcan:{link}@115200"
+        bus = can.Bus(**serial(fake.words[0]))
         heard(bus, 0x61)
-        set_faults(process, "unplug=true")
+        fake.fault("unplug=true")
         with pytest.raises(can.CanOperationError):
             heard(bus, 0x555)
         with contextlib.suppress(can.CanOperationError):
             bus.shutdown()
         bus.serialPortOrig.close()
         assert not link.is_symlink()
-        assert unplugged(tcp(words[2]))
-        set_faults(process, "unplug=false")
-        for place in (serial(words[1]), tcp(words[2])):
+        assert unplugged(tcp(fake.words[1]))
+        fake.fault("unplug=false")
+        for place in (serial(fake.words[0]), tcp(fake.words[1])):
             with can.Bus(**place) as again:
                 heard(again, 0x61)
 
@@ -158,17 +151,17 @@ def test_a_link_never_replaces_a_file(tmp_path, capsys):
     assert "exists" in capsys.readouterr().err
 
 
-def test_it_ends_with_its_stdin():
-    with running("--until-stdin-closes", *BOTH) as (process, _):
-        out, err = process.communicate(timeout=10)
-        assert (out, err, process.returncode) == ("", "", 0)
+def test_it_ends_with_its_stdin(capfd):
+    with running_fake("can", *BOTH) as fake:
+        out, _ = fake.process.communicate(timeout=10)
+        assert (out, capfd.readouterr().err, fake.process.returncode) == ("", "", 0)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signals_end_it(number):
-    with running("--device", "cia402:1") as (process, _):
-        process.send_signal(number)
-        assert process.wait(10) == 0
+    with running_fake("can", "--device", "cia402:1") as fake:
+        fake.process.send_signal(number)
+        assert fake.process.wait(10) == 0
 
 
 @pytest.mark.parametrize(
@@ -220,8 +213,8 @@ def test_the_bus_of_bindings():
         *("--device", "odrive:3:a.wheel"),
         *("--device", f"dbc:{GRIPPER}:a.grip,commands=GripperCommand"),
     ]
-    with running(*SIM.arguments(devices)) as (_, words):
-        assert words[2:] == ["cia402:5", "odrive:3", "dbc:gripper"]
+    with running_fake("can", *SIM.arguments(devices)) as fake:
+        assert fake.words[1:] == ["cia402:5", "odrive:3", "dbc:gripper"]
 
 
 @pytest.mark.parametrize("text", ["", "slcan", "socketcand:127.0.0.1", "socketcand::1", "socketcand:a:99999"])
