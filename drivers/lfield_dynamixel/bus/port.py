@@ -11,7 +11,7 @@ from typing import Protocol
 
 import serial
 
-from lfield.errors import DeviceError
+from lfield.driver import DeviceError
 
 SYNTAX = "serial:PATH:BAUD, for instance serial:/dev/ttyUSB0:1000000"
 #: Seconds between two attempts to open a port that was unplugged.

@@ -21,10 +21,10 @@ from dynamixel_sdk.robotis_def import (
     INST_WRITE,
 )
 
-from lfield.errors import DeviceError
-from lfield_dynamixel.bus import COMMAND, Bus
-from lfield_dynamixel.packets import PROTOCOLS, AnyProtocol, Status, split_fast
-from lfield_dynamixel.words import refusal
+from lfield.driver import DeviceError
+from lfield_dynamixel.bus.bus import COMMAND, Bus
+from lfield_dynamixel.bus.packets import PROTOCOLS, AnyProtocol, Status, split_fast
+from lfield_dynamixel.bus.words import refusal
 
 #: How often a question is asked before a servo counts as silent.
 TRIES = 5

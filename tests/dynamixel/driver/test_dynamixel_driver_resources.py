@@ -7,8 +7,7 @@ import pytest
 from lfield.driver.device import check_methods
 from lfield.lang.frontend import check_file, check_text
 from lfield_dynamixel import PLUGIN
-from lfield_dynamixel.group import DynamixelGroup
-from lfield_dynamixel.single import Dynamixel
+from lfield_dynamixel.devices import Dynamixel, DynamixelGroup
 
 DEVICES = {name: manifest.device for name, manifest in PLUGIN.read_manifests().items()}
 

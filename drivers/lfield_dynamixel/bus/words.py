@@ -7,7 +7,7 @@ which of them switch the torque off).
 
 from __future__ import annotations
 
-from lfield_dynamixel.packets import Status
+from lfield_dynamixel.bus.packets import Status
 
 ALERT = 0x80
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from lfield_dynamixel.chain import Chain, Node
-from lfield_dynamixel.packets import Status
+from lfield_dynamixel.bus.chain import Chain, Node
+from lfield_dynamixel.bus.packets import Status
+from lfield_dynamixel.bus.words import alerted, faults, refusal
 from lfield_dynamixel.servo import MODES, Servo, condition, present
 from lfield_dynamixel.tables import Item, Model, models
-from lfield_dynamixel.words import alerted, faults, refusal
 
 X = models()[2, 1200]
 AX = models()[1, 12]

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import count
 
-from lfield_dynamixel.packets import AnyProtocol, Reader, Status
-from lfield_dynamixel.port import MakePort, Port
+from lfield_dynamixel.bus.packets import AnyProtocol, Reader, Status
+from lfield_dynamixel.bus.port import MakePort, Port
 
 #: Seconds that a servo and this computer may take beyond what the wire needs.
 SLACK = 0.025

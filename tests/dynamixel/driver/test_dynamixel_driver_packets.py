@@ -7,7 +7,7 @@ from dynamixel_sdk import PacketHandler
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from lfield_dynamixel.packets import (
+from lfield_dynamixel.bus.packets import (
     KEPT,
     Protocol1,
     Protocol2,
