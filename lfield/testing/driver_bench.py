@@ -4,7 +4,7 @@ In memory, without a guard, on time that jumps over every wait:
 
     fake = FakeLamp()
     make = partial(LampDriver, connect=fake.connect)
-    bench = DriverBench(PLUGIN, bind(PLUGIN), make=make, fakes=[fake.live])
+    bench = DriverBench(PLUGIN, bind(PLUGIN, "Lamp"), make=make, fakes=[fake.live])
 
     async def story(lamp):
         await lamp.execute("moveTo", [0.5])
@@ -16,7 +16,7 @@ As processes, in real time, the driver behind its guard as a host has it:
 
     async def story():
         with running_fake("lamp") as fake:
-            async with guarded(bind(PLUGIN, endpoint=fake.endpoint)) as (lamp,):
+            async with guarded(bind(PLUGIN, "Lamp", endpoint=fake.endpoint)) as (lamp,):
                 fake.fault("stuck=true")
                 await lamp.call("moveTo", 0.5)
 
@@ -122,44 +122,52 @@ class DriverBench:
         return self.reported[self.bindings[0].name]
 
     def run(self, story: Story[T], *, opened: bool = True, within: float = LONGEST) -> T:
-        """Run `story(*devices)` on jumping time, and return what it returns.
-
-        The devices are open unless `opened` is False. Raises what the story raises, TimeoutError after
-        `within` seconds, AssertionError when something crashed.
-        """
-        return self._sound(run_jumping(self._play(story, LoopClock(), opened, within)))
+        """`play` on jumping time, so that hours take milliseconds; the bench has a loop of its own."""
+        return run_jumping(self.play(story, LoopClock(), opened=opened, within=within))
 
     def run_real(self, story: Story[T], *, opened: bool = True, within: float = LONGEST_REAL) -> T:
-        """The same in real time, on the loop of a guard: for fakes that are processes, and for threads."""
-        return self._sound(loop.run(self._play(story, SystemClock(), opened, within)))
+        """`play` in real time, on the loop of a guard: for fakes that are processes, and for threads."""
+        return loop.run(self.play(story, SystemClock(), opened=opened, within=within))
 
-    async def _play(self, story: Story[T], clock: Clock, opened: bool, within: float) -> T:
+    async def play(
+        self, story: Story[T], clock: Clock, *, opened: bool = True, within: float = LONGEST_REAL
+    ) -> T:
+        """Make the driver, open it, run `story(*devices)`, close it; what the story returns.
+
+        The devices are open unless `opened` is False. Raises what the story raises, TimeoutError after
+        `within` seconds, AssertionError when something crashed meanwhile.
+        """
         self.driver = self._make(self.bindings, self._manifests, clock, self)
         beside = [asyncio.ensure_future(self._live(fake)) for fake in self._fakes]
         try:
             async with asyncio.timeout(within):
                 # The fakes are there before the driver looks for them.
                 await asyncio.sleep(0)
-                await self.driver.open()
-                devices = tuple(self.driver.devices.values())
-                if opened:
-                    await asyncio.gather(*(device.open() for device in devices))
-                return await story(*devices)
+                result = await self._tell(story, opened)
+        except BaseException as error:
+            for crash in self.crashes:
+                error.add_note(f"meanwhile: {crash}")
+            raise
         finally:
             for task in beside:
                 task.cancel()
             await self.driver.close()
+        if self.crashes:
+            raise AssertionError(f"broken meanwhile: {'; '.join(self.crashes)}")
+        return result
+
+    async def _tell(self, story: Story[T], opened: bool) -> T:
+        await self.driver.open()
+        devices = tuple(self.driver.devices.values())
+        if opened:
+            await asyncio.gather(*(device.open() for device in devices))
+        return await story(*devices)
 
     async def _live(self, fake: Callable[[], Coroutine[Any, Any, None]]) -> None:
         try:
             await fake()
         except Exception as error:  # nobody waits for it
             self.crashed(f"the fake: {error!r}")
-
-    def _sound(self, result: T) -> T:
-        if self.crashes:
-            raise AssertionError(f"broken meanwhile: {'; '.join(self.crashes)}")
-        return result
 
     async def until(self, condition: Callable[[], bool], bound: float = BOUND) -> None:
         """Let time pass until the condition holds. Raises AssertionError after `bound` seconds."""
@@ -225,6 +233,8 @@ def running_fake(driver: str, *options: str) -> Iterator[RunningFake]:
         yield RunningFake(driver, process, words)
     finally:
         process.communicate(timeout=END)
+    if process.returncode:
+        raise AssertionError(f"the fake '{driver}' ended with status {process.returncode}")
 
 
 class GuardedDevice(LiveBench):

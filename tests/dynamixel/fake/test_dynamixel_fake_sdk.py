@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import socket
-import subprocess
-import sys
 import termios
 import time
 from collections.abc import Iterator
@@ -17,8 +13,8 @@ import dynamixel_sdk as sdk
 import pytest
 
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.sims import control_folder
 from lfield.driver.sims import main as run_sim
+from lfield.testing.driver_bench import RunningFake, running_fake
 from lfield_sim.dynamixel import SIM
 from lfield_sim.dynamixel.ax import make_servo
 from lfield_sim.dynamixel.chain import Chain, Reply
@@ -187,31 +183,14 @@ def test_an_ax():
 
 
 @contextmanager
-def running(*options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def running(*options: str) -> Iterator[tuple[RunningFake, str]]:
     """The fake as a process, and the path of its port."""
-    command = [sys.executable, "-m", "lfield.driver.sims", "lfield_sim.dynamixel:SIM", *options]
-    process = subprocess.Popen(
-        [*command, "--until-stdin-closes"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    try:
-        ready, endpoint, *_ = process.stdout.readline().split()
-        kind, path, _ = endpoint.split(":")
-        assert (ready, kind) == ("ready", "serial")
-        yield process, path
-    finally:
-        process.communicate(timeout=10)
-    assert process.returncode == 0
+    with running_fake("dynamixel", *options) as fake:
+        kind, path, _ = fake.endpoint.split(":")
+        assert kind == "serial"
+        yield fake, path
+    assert fake.process.returncode == 0
     assert not os.path.lexists(path), "it leaves nothing behind"
-
-
-def tell(process: subprocess.Popen[str], *faults: str) -> dict[str, object]:
-    """Set faults of a running fake."""
-    with socket.socket(socket.AF_UNIX) as door:
-        door.settimeout(10)
-        door.connect(str(control_folder() / f"dynamixel-{process.pid}.sock"))
-        door.sendall(json.dumps({"set": list(faults)}).encode() + b"\n")
-        answer: dict[str, object] = json.loads(door.makefile().readline())
-    return answer
 
 
 @pytest.fixture
@@ -230,7 +209,7 @@ def opened(path: str, baud: int) -> sdk.PortHandler:
 @pytest.mark.process
 def test_a_session_through_a_terminal(packets, patient):
     servos = [f"--servo={id}:XL330-M288:arm.joint{id}" for id in IDS]
-    with running("--baud", "1000000", *servos) as (process, path):
+    with running("--baud", "1000000", *servos) as (fake, path):
         port = opened(path, 1_000_000)
         assert packets.ping(port, 1) == (1200, 0, 0)
         assert sorted(packets.broadcastPing(port)[0]) == list(IDS)
@@ -243,9 +222,10 @@ def test_a_session_through_a_terminal(packets, patient):
         deadline = time.monotonic() + 10.0
         while packets.read4ByteTxRx(port, 1, POSITION)[0] != 2600:
             assert time.monotonic() < deadline
-        assert tell(process, "dead@arm.joint2=true")["devices"]["2"] == "arm.joint2"
+        assert fake.fault("dead@arm.joint2=true")["devices"]["2"] == "arm.joint2"
         assert packets.ping(port, 2)[1] == sdk.COMM_RX_TIMEOUT
-        assert "error" in tell(process, "dead@arm.joint9=true")
+        with pytest.raises(AssertionError, match="joint9"):
+            fake.fault("dead@arm.joint9=true")
         port.closePort()
 
 
@@ -266,15 +246,15 @@ def test_the_wrong_baud_rate_is_not_heard_and_one_without_a_name_is(packets, pat
 @pytest.mark.process
 def test_a_pulled_plug(packets, patient, tmp_path):
     path = str(tmp_path / "ttyDXL")
-    with running("--listen", path) as (process, where):
+    with running("--listen", path) as (fake, where):
         assert where == path
         port = opened(path, 57_600)
         assert packets.write1ByteTxRx(port, 1, LED, 1) == (0, 0)
-        tell(process, "unplug=true")
+        fake.fault("unplug=true")
         assert not os.path.lexists(path)
         with pytest.raises((OSError, termios.error), match="Input/output error"):
             packets.ping(port, 1)
-        tell(process, "unplug=false")
+        fake.fault("unplug=false")
         port.ser.close()
         port = opened(path, 57_600)
         assert packets.read1ByteTxRx(port, 1, LED) == (1, 0, 0), "the servos kept their power"
@@ -284,9 +264,9 @@ def test_a_pulled_plug(packets, patient, tmp_path):
 @pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signals_end_it(number):
-    with running() as (process, _):
-        process.send_signal(number)
-        assert process.wait(10) == 0
+    with running() as (fake, _):
+        fake.process.send_signal(number)
+        assert fake.process.wait(10) == 0
 
 
 @pytest.mark.parametrize(
