@@ -14,7 +14,7 @@ from lfield.driver.kit import SAFE, CheckFailed
 from lfield.errors import DeviceError
 from lfield.guard.core import QUIET_BY, SILENCE
 from lfield.manifest import DeviceValue
-from lfield.vm.world import PENDING
+from lfield.vm.world import Pending
 
 #: Seconds between two looks at a condition: telemetry comes 20 times a second at most.
 LOOK = 0.02
@@ -63,6 +63,10 @@ class LiveBench:
 
     async def call(self, instruction: str, *arguments: object) -> Any:
         """Carry an instruction out and return its result. Raises DeviceError."""
+        agent, field = self.binding.agent, self.binding.field
+        value = self._guards.query(agent, field, instruction)
+        if not isinstance(value, Pending):
+            return value
         answer: asyncio.Future[DeviceValue] = asyncio.get_running_loop().create_future()
 
         def answered(value: DeviceValue | DeviceError) -> None:
@@ -73,9 +77,8 @@ class LiveBench:
             else:
                 answer.set_result(value)
 
-        agent, field = self.binding.agent, self.binding.field
-        value = self._guards.call(agent, field, instruction, list(arguments), answered)
-        return await answer if value is PENDING else value
+        self._guards.call(agent, field, instruction, list(arguments), answered)
+        return await answer
 
     def query(self, quantity: str) -> Any:
         """The present value of a telemetry quantity. Raises DeviceError when there is none."""

@@ -183,7 +183,7 @@ def _instruction(name: str, fields: Fields) -> Instruction:
         fields.text("channel", "motion"),
         fields.texts("raises") or DEVICE_EXCEPTIONS,
     )
-    if effect == "query" and not instruction.blocking:
+    if instruction.is_query:
         fields.report(
             "Y113",
             f"'{name}' is a query that asks nobody",

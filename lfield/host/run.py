@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import os
 import signal
 import sys
+from functools import partial
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from lfield.errors import UsageError
 from lfield.host.host import Host, Options
@@ -47,19 +49,31 @@ async def run_host(
     stopping = _stop_signals()
     if leash:
         _end_with_parent(stopping)
+    asyncio.get_running_loop().set_exception_handler(partial(_failed, host))
     life = asyncio.ensure_future(_live(host, lost_after))
     stopped = asyncio.ensure_future(stopping.wait())
+    failed = asyncio.ensure_future(host.failed.wait())
     try:
-        await asyncio.wait([life, stopped], return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait([life, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
+        if host.failure is not None:
+            return host.failure.exit_status
         if life.done():
             return life.result()
         # Without --until-done there is no other end than to be told to stop.
         return 0 if lost_after is None else 130
     finally:
-        for task in (life, stopped):
+        for task in (life, stopped, failed):
             task.cancel()
-        await asyncio.gather(life, stopped, return_exceptions=True)
+        await asyncio.gather(life, stopped, failed, return_exceptions=True)
         await host.stop()
+
+
+def _failed(host: Host, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """What was raised beside the core, in a task or a callback of a socket, ends the host as well."""
+    error = context.get("exception")
+    host.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
+    if os.environ.get("LFIELD_TRACEBACK"):
+        loop.default_exception_handler(context)
 
 
 async def _live(host: Host, lost_after: float | None) -> int:

@@ -20,14 +20,15 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
     One that has not come up yet is not given up before portal calls to it are.
     """
     unmet = max(lost_after, host.options.unreachable_after)
-    wanted = {member.id for member in host.team.coordinators}
+    homes = {member.id: host.team.hosts[member.host] for member in host.team.coordinators}
+    wanted = homes.keys()
     before: dict[str, Fate] = {}
     while True:
         host.changed.clear()
-        found = fates(host.team, {host.name: coordinators_of(host)}, ())
+        found = fates(homes, {host.name: coordinators_of(host.core)}, ())
         gone = host.peers.gone_for(lost_after, unmet)
-        if wanted - found.keys() and (gone or host.restarted):
-            now = fates(host.team, await host.ask_others(), gone)
+        if wanted - found.keys() and (gone or host.core.restarted):
+            now = fates(homes, await host.ask_others(), gone)
             found = {agent: fate for agent, fate in now.items() if fate.outcome != "lost" or agent in before}
             before = now
         if not wanted - found.keys():

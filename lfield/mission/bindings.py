@@ -10,14 +10,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from lfield.driver.binding import DeviceBinding
+from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.plugins import Installed, Plugins
 from lfield.errors import BindingError
-from lfield.mission.bindings_file import SIMULATED, Bindings, BindingsReader, Needed
+from lfield.mission.bindings_file import Bindings, BindingsReader, Needed
 from lfield.text.source import Diagnostics
 from lfield.text.yaml_source import read
 
-__all__ = ["SIMULATED", "Bindings", "Needed", "read_bindings"]
+__all__ = ["Bindings", "Needed", "read_bindings"]
 
 
 def read_bindings(path: Path | None, needed: Needed, plugins: Plugins, *, simulate: bool = False) -> Bindings:

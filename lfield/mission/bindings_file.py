@@ -31,7 +31,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from lfield.driver.binding import DeviceBinding, OptionValue
+from lfield.driver.binding import SIMULATED, DeviceBinding, OptionValue
 from lfield.driver.contract import Manifest, Option
 from lfield.driver.plugins import Plugins
 from lfield.guard.core import SILENCE
@@ -42,9 +42,6 @@ from lfield.vm.limits import Limits
 
 #: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
 Needed = Mapping[str, Mapping[str, str]]
-
-#: The endpoint of a device whose fake has not been started yet begins so; what follows names the bus.
-SIMULATED = "sim:"
 
 #: A heap is addressed by 32-bit offsets; below a page not even an empty agent fits.
 MIN_HEAP, MAX_HEAP = 1 << 12, 1 << 31

@@ -30,9 +30,9 @@ Records = Sequence[Mapping[str, Any]]
 def fates(homes: Mapping[str, str], records: Mapping[str, Records], gone: Collection[str]) -> dict[str, Fate]:
     """The coordinators that have ended or are lost.
 
-    `homes` has the host where each coordinator is started. `records` has, for each host that answered, its coordinators as `lfield.host.status` gives them; `gone`
-    are the hosts given up. Hosts do not answer at the same moment: only a loss that two censuses in a row
-    find is one.
+    `homes` has the host where each coordinator starts, `records`, for each host that answered, its
+    coordinators as `lfield.host.status` gives them; `gone` are the hosts given up. Hosts do not answer at the
+    same moment: only a loss that two censuses in a row find is one.
     """
     found = {}
     for agent, home in homes.items():

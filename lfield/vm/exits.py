@@ -54,5 +54,13 @@ class NoRoom(Exit):
     words: int
 
 
+class Trap(Exception):
+    """What cannot be done and becomes an L exception of the class `kind`."""
+
+    def __init__(self, kind: str, message: str, source: str = "") -> None:
+        self.kind, self.message, self.source = kind, message, source
+        super().__init__(message)
+
+
 SPENT = Spent()
 BLOCKED = Blocked()

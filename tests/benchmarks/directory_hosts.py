@@ -21,9 +21,9 @@ from lfield.capability.directory.directory import Directory
 from lfield.capability.directory.news import Condition, Sample
 from lfield.clock import SystemClock
 from lfield.devices.guards import Guards
+from lfield.host.directory import LOOK_EVERY
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
-from lfield.host.reporting import LOOK_EVERY
 from lfield.host.reports import Reports
 from lfield.loop import run
 from lfield.mission.load import Mission, load_mission
@@ -64,7 +64,7 @@ async def measured_host(mission: Mission, swing: float, seconds: float) -> None:
         processor, start = time.process_time(), time.monotonic()
         await asyncio.sleep(seconds)
         print(time.process_time() - processor, time.monotonic() - start, flush=True)
-        known = sum(len(candidate.unknown) == 0 for candidate in host.reporting.directory.everybody())
+        known = sum(len(candidate.unknown) == 0 for candidate in host.core.directory.directory.everybody())
         print(known, flush=True)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import random
 import select
 import signal
 import socket
@@ -233,7 +234,7 @@ def stage(program: Program, heap: int = 1 << 23) -> tuple[Machine, Desk]:
     """A machine on which one agent of every unit of the program is about to start; `heap` in bytes."""
     desk = Desk()
     team = team_for(program, [])
-    machine = Machine(program, team, 0, desk, SystemClock())
+    machine = Machine(program, team, 0, desk, SystemClock(), random.Random(1))
     for member in team:
         machine.start(member, Limits(heap=heap), generation=1)
     return machine, desk

@@ -164,7 +164,7 @@ def _from_l(made: Registry, team: Cranes) -> Callable[[], list[float]]:
 
     def queries() -> list[float]:
         desk = Desk(answers=answers)
-        machine = Machine(program, members, 0, desk, SystemClock())
+        machine = Machine(program, members, 0, desk, SystemClock(), random.Random(1))
         machine.start(members[0], Limits(heap=1 << 24), generation=1)
         while machine.run() is not None:
             pass

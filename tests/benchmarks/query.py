@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Callable
 
 from harness import Figure, Row, in_turns, median, microseconds, percentile, times
@@ -86,7 +87,7 @@ def _reads(expression: str) -> Callable[[], list[float]]:
 
     def batches() -> list[float]:
         world = _World()
-        machine = Machine(program, team_for(program, []), 0, world, SystemClock())
+        machine = Machine(program, team_for(program, []), 0, world, SystemClock(), random.Random(1))
         machine.start(machine.team[0], Limits(heap=1 << 20), 1)
         while machine.run() is not None:
             pass

@@ -4,19 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from lfield.mission.team import Team
 from lfield.mobility.fates import Fate, fates
-from lfield.vm.agent import Member
 
-TEAM = Team(
-    members=(
-        Member(0, "tom", "Tourist", "coordinator", 0, ()),
-        Member(1, "echo", "Echo", "resource", 1, ()),
-    ),
-    hosts=("alpha", "bravo", "carol"),
-    addresses=("alpha:1", "bravo:1", "carol:1"),
-    deployment=bytes(32),
-)
+HOMES = {"tom": "alpha"}
 
 
 def row(state, sequence=0, where="", *, generation=1, outcome="", detail="", id="tom"):
@@ -27,7 +17,7 @@ def row(state, sequence=0, where="", *, generation=1, outcome="", detail="", id=
 
 
 def fate(records, gone=()):
-    return fates(TEAM, records, gone).get("tom")
+    return fates(HOMES, records, gone).get("tom")
 
 
 @pytest.mark.parametrize("outcome", ["done", "died", "lost"])
@@ -100,4 +90,4 @@ def test_one_that_nobody_has_seen_is_lost_with_its_host():
 
 def test_only_coordinators_of_the_team_are_counted():
     strangers = [row("EXITED", outcome="done", id="echo"), row("EXITED", outcome="done", id="stranger")]
-    assert fates(TEAM, {"alpha": strangers}, ()) == {}
+    assert fates(HOMES, {"alpha": strangers}, ()) == {}

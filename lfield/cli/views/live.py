@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.live import Live
 
-from lfield.cli.team.ps import picture
+from lfield.cli.views.picture import picture
 from lfield.net.tcp import TcpTransport
 from lfield.operator.ask import ask_all
 

@@ -18,9 +18,8 @@ from lfield.vm.memory.layout import (
     THREAD_ID,
     THREAD_STATE,
 )
-from lfield.vm.memory.values import real_of
-from lfield.vm.reference.library import real_text
-from lfield.vm.threads import threads
+from lfield.vm.memory.threads import threads
+from lfield.vm.memory.values import real_of, real_text
 
 #: How much of a string and how many elements or fields are shown.
 SHOWN_CHARACTERS = 60

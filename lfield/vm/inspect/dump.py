@@ -15,8 +15,8 @@ from lfield.bytecode.program import Program
 from lfield.errors import BlockError
 from lfield.vm.agent import Member
 from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import Layouts
 from lfield.vm.memory.soundness import Soundness
-from lfield.vm.reference.prepare import prepare
 
 MAGIC = b"LFDP\x01\x00\x00\x00"
 MAX_SIZE = 512 << 20
@@ -62,5 +62,5 @@ def decode(data: bytes) -> tuple[Dump, Program, Block]:
     except (msgspec.DecodeError, RecursionError) as error:
         raise BlockError(f"its record is malformed ({error})") from None
     program = decode_program(dump.program)
-    checker = Soundness(prepare(program), dump.types)
+    checker = Soundness(program, Layouts(program), dump.types)
     return dump, program, checker.check_heap(dump.block, len(dump.block) // 8 + 1)

@@ -10,7 +10,7 @@ from lfield.bytecode.opcodes import BY_CODE, BY_NAME
 from lfield.bytecode.program import MethodRecord, Program
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, FRAME_SLOTS, THREAD_FRAME, THREAD_PC, Layouts
-from lfield.vm.threads import threads
+from lfield.vm.memory.threads import threads
 
 _ENDS = frozenset(BY_NAME[name].code for name in ("jmp", "return", "rtn", "throw", "noreturn"))
 

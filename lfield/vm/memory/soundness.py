@@ -31,23 +31,25 @@ from lfield.vm.memory.layout import (
     THREAD_PC,
     THREAD_STATE,
     THREAD_WORDS,
+    Layouts,
 )
-from lfield.vm.reference.prepare import Prepared
 
 #: For a reference: the low half of the header its target must have; ANY_OBJECT accepts every object.
 ANY_OBJECT = -1
 Expected = tuple[tuple[int, int], ...]
 
 STATES = len(layout.STATE_NAMES)
-_PCALL = BY_NAME["pcall"].code
+#: More migrations than any coordinator makes; so that counting them never leaves a word.
+MOST_HOPS = 1 << 48
+_PCALL, _PUSH, _CALL = BY_NAME["pcall"].code, BY_NAME["push"].code, BY_NAME["call"].code
 
 
 class Soundness:
     """The checks for blocks of one program; `members` are the types of the team's agents by number."""
 
-    def __init__(self, prepared: Prepared, members: Sequence[str]) -> None:
-        self.prepared = prepared
-        self.program: Program = prepared.program
+    def __init__(self, program: Program, layouts: Layouts, members: Sequence[str]) -> None:
+        self.program = program
+        self._portal_calls = _portal_calls(program)
         #: The class index of every member of the team, by its number.
         self.members = [self.program.class_index.get(name, -1) for name in members]
         core = self.program.core
@@ -56,12 +58,12 @@ class Soundness:
         self._sizes: dict[int, int] = {layout.STRING: 0, THREAD: THREAD_WORDS}
         self._expects: dict[int, Expected] = {layout.STRING: (), THREAD: ()}
         for i, record in enumerate(core.classes):
-            self._sizes[OBJECT | i << 8] = prepared.layouts.class_words[i]
+            self._sizes[OBJECT | i << 8] = layouts.class_words[i]
             self._sizes[layout.PROXY | i << 8] = 2
             self._expects[layout.PROXY | i << 8] = ()
             self._expects[OBJECT | i << 8] = self._references([f.type for f in record.fields], 1)
         for i, method in enumerate(core.methods):
-            self._sizes[FRAME | i << 8] = prepared.layouts.frame_words[i]
+            self._sizes[FRAME | i << 8] = layouts.frame_words[i]
             self._expects[FRAME | i << 8] = self._references(method.slots, FRAME_SLOTS)
         for i, kind in enumerate(core.types):
             if kind.kind == ARRAY_TYPE:
@@ -216,13 +218,12 @@ class Soundness:
         thread = w[layout.W_THREADS]
         if starts.get(thread) != THREAD or w[thread + THREAD_NEXT] or w[thread + THREAD_CALL]:
             raise BlockError("it has not exactly one thread", word=layout.W_THREADS)
-        if w[layout.W_OWNER] not in (0, w[thread + THREAD_ID]) or w[layout.W_HOPS] < 0:
+        if w[layout.W_OWNER] not in (0, w[thread + THREAD_ID]) or not 0 <= w[layout.W_HOPS] < MOST_HOPS:
             raise BlockError("its header is not sound", word=layout.W_OWNER)
         self._check_frames(w, starts, w[thread + THREAD_FRAME], w[thread + THREAD_PC])
 
     def _check_frames(self, w: memoryview[int], starts: dict[int, int], frame: int, pc: int) -> None:
-        group = self.prepared.groups.get(pc)
-        if group is None or group.head.op != _PCALL:
+        if pc not in self._portal_calls:
             raise BlockError("it does not stand at a portal call", word=frame)
         methods = self.program.core.methods
         callee = -1
@@ -234,7 +235,7 @@ class Soundness:
             method = methods[half >> 8]
             if not method.entry < pc < method.end or (depth and w[frame + FRAME_DEPTH] != depth - 1):
                 raise BlockError("a frame stands outside its method", word=frame)
-            if callee >= 0 and self.program.quads[pc - 1][:2] != (BY_NAME["call"].code, callee):
+            if callee >= 0 and self.program.quads[pc - 1][:2] != (_CALL, callee):
                 raise BlockError("a frame does not stand behind its call", word=frame)
             depth, callee, pc = w[frame + FRAME_DEPTH], half >> 8, w[frame + FRAME_RETURN]
             frame = w[frame + FRAME_CALLER]
@@ -242,3 +243,15 @@ class Soundness:
                 return
             if depth < 1:
                 raise BlockError("its frames are no chain", word=frame)
+
+
+def _portal_calls(program: Program) -> frozenset[int]:
+    """The instructions at which a coordinator may stand when it travels: the first of each portal call."""
+    found = set()
+    for pc, quad in enumerate(program.quads):
+        if quad.op != _PCALL:
+            continue
+        while program.quads[pc - 1].op == _PUSH:
+            pc -= 1
+        found.add(pc)
+    return frozenset(found)

@@ -1,15 +1,29 @@
-"""Between words of a block and the plain values that devices take and give."""
+"""Between words of a block and plain values: what devices take and give, texts, exceptions of the machine."""
 
 from __future__ import annotations
 
+import math
 import struct
 
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
-from lfield.bytecode.program import BOOLEAN, INT, REAL, STRING, Program
+from lfield.bytecode.program import (
+    BOOLEAN,
+    BUILTIN_CLASSES,
+    INT,
+    MESSAGE,
+    REAL,
+    SOURCE,
+    STRING,
+    Program,
+)
 from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.layout import ARRAY
+from lfield.vm.memory.layout import ARRAY, OBJECT
+
+#: The longest message an exception made by the machine carries, in characters, and its room in words.
+MESSAGE_LENGTH = 1000
+EXCEPTION_WORDS = 16 + MESSAGE_LENGTH // 8
 
 
 def real_of(word: int) -> float:
@@ -20,6 +34,13 @@ def real_of(word: int) -> float:
 def word_of(value: float) -> int:
     """The word that is a real's bits."""
     return int(struct.unpack("<q", struct.pack("<d", value))[0])
+
+
+def real_text(value: float) -> str:
+    """A real as L writes it: the shortest digits that read back the same, always with a point or exponent."""
+    if math.isnan(value) or math.isinf(value):
+        return str(value)
+    return repr(value)
 
 
 def plain(block: Block, program: Program, kind: int, word: int) -> DeviceValue:
@@ -66,4 +87,15 @@ def _array_for(block: Block, program: Program, kind: int, values: list[float] | 
     real = program.core.types[program.core.types[kind].of].kind == REAL
     for i, value in enumerate(values, place + 1):
         block.w[i] = word_of(float(value)) if real else int(value)
+    return place
+
+
+def new_exception(block: Block, kind: str, message: str, source: str = "") -> int:
+    """An object of a built-in exception class; raises Full before anything that matters is written."""
+    with block.reserve():
+        text = block.new_string(message[:MESSAGE_LENGTH])
+        about = block.new_string(source)
+        place = block.allocate(OBJECT, BUILTIN_CLASSES.index(kind), 4)
+    block.w[place + 1 + MESSAGE] = text
+    block.w[place + 1 + SOURCE] = about
     return place

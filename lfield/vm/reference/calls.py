@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from lfield.vm.exits import BLOCKED, Done, Outside
+from lfield.vm.exits import BLOCKED, Done, Outside, Trap
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import template
 from lfield.vm.memory.layout import FRAME, FRAME_CALLER, FRAME_DEPTH, FRAME_RETURN, FRAME_SLOTS
-from lfield.vm.reference.registers import LEAVE, Registers, Step, Trap, null_use
+from lfield.vm.reference.registers import LEAVE, Registers, Step, null_use
 
 #: An argument as prepared: the slot it is in, or None and the word of the constant.
 Argument = tuple[int | None, int]

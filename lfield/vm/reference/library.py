@@ -12,8 +12,10 @@ from collections.abc import Callable
 from typing import Any
 
 from lfield.bytecode.program import BUILTIN_CLASSES, MESSAGE, SOURCE
+from lfield.vm.exits import Trap
 from lfield.vm.memory import layout
-from lfield.vm.reference.registers import Registers, Trap, null_use
+from lfield.vm.memory.values import real_text
+from lfield.vm.reference.registers import Registers, null_use
 
 Function = Callable[..., Any]
 
@@ -75,13 +77,6 @@ def _s2f(m: Registers, place: int) -> float:
     if len(text) > 400 or not _REAL.fullmatch(text):
         raise Trap("ConversionException", f'"{text[:_SHOWN]}" is no real')
     return float(text)
-
-
-def real_text(value: float) -> str:
-    """A real as L writes it: the shortest digits that read back the same, always with a point or exponent."""
-    if math.isnan(value) or math.isinf(value):
-        return str(value)
-    return repr(value)
 
 
 def _digits(m: Registers, value: float, digits: int) -> int:

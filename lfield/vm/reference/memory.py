@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from lfield.vm.exits import Trap
 from lfield.vm.memory.block import template
 from lfield.vm.memory.layout import ARRAY, OBJECT
-from lfield.vm.reference.registers import Registers, Step, Trap, null_use
+from lfield.vm.reference.registers import Registers, Step, null_use
 
 
 def jump(label: int) -> Step:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from lfield.vm.exits import Exit
+from lfield.vm.exits import Exit, Trap
 from lfield.vm.limits import Limits
 from lfield.vm.memory.block import Block
 from lfield.vm.readings import Reading
@@ -52,14 +52,6 @@ class Registers:
 
 
 Step = Callable[[Registers], int]
-
-
-class Trap(Exception):
-    """An instruction that cannot be done: becomes an L exception of the class `kind`."""
-
-    def __init__(self, kind: str, message: str, source: str = "") -> None:
-        self.kind, self.message, self.source = kind, message, source
-        super().__init__(message)
 
 
 def null_use(what: str) -> Trap:

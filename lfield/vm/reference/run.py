@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
-from lfield.bytecode.program import BUILTIN_CLASSES, MESSAGE, SOURCE, Program
-from lfield.vm.exits import SPENT, Exit, NoRoom, Thrown
+from lfield.bytecode.program import Program
+from lfield.vm.exits import SPENT, Exit, NoRoom, Thrown, Trap
 from lfield.vm.limits import Limits
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import (
     FRAME_SLOTS,
-    OBJECT,
     THREAD_FRAME,
     THREAD_ID,
     THREAD_PC,
     Layouts,
 )
+from lfield.vm.memory.values import EXCEPTION_WORDS, new_exception
 from lfield.vm.readings import Reading
 from lfield.vm.reference.prepare import Group, Prepared, Raised, prepare
-from lfield.vm.reference.registers import LEAVE, Registers, Trap
+from lfield.vm.reference.registers import LEAVE, Registers
 from lfield.vm.reference.unwind import find_handler, unwind
-
-#: The longest message an exception made by the machine carries, in characters.
-MESSAGE_LENGTH = 1000
 
 
 class Engine:
@@ -110,7 +107,7 @@ class Engine:
                 # A number that does not fit its word in the block.
                 thrown = self._made(m.block, "ArithmeticException", "the result does not fit an int")
         if not thrown:
-            m.exit = NoRoom(_EXCEPTION_WORDS)
+            m.exit = NoRoom(EXCEPTION_WORDS)
             return False
         found = find_handler(m.block, self.program, m.frame, m.pc, thrown)
         if found is None:
@@ -148,17 +145,3 @@ class Engine:
         w[thread + THREAD_FRAME] = target
         w[thread + THREAD_PC] = handler.target
         return True
-
-
-_EXCEPTION_WORDS = 16 + MESSAGE_LENGTH // 8
-
-
-def new_exception(block: Block, kind: str, message: str, source: str = "") -> int:
-    """An object of a built-in exception class; raises Full before anything that matters is written."""
-    with block.reserve():
-        text = block.new_string(message[:MESSAGE_LENGTH])
-        about = block.new_string(source)
-        place = block.allocate(OBJECT, BUILTIN_CLASSES.index(kind), 4)
-    block.w[place + 1 + MESSAGE] = text
-    block.w[place + 1 + SOURCE] = about
-    return place

@@ -7,20 +7,19 @@ capability of a registry nothing of all this happens.
 
 from __future__ import annotations
 
-import asyncio
+from collections.abc import Mapping
 from typing import Any, Protocol
 
-from lfield.capability.directory.directory import Directory
+from lfield.capability.directory.directory import Directory, Links
 from lfield.capability.directory.news import News
 from lfield.capability.model import Registry
 from lfield.clock import Clock
-from lfield.devices.guards import Guards
 from lfield.errors import WireError
 from lfield.host.reports import Reports
-from lfield.host.sampling import Sampler
+from lfield.host.sampling import Devices, Sampler
 from lfield.mission.load import Mission, needed_devices
-from lfield.net.peers import Peers
-from lfield.vm.machine import Machine
+from lfield.mobility.effects import Send
+from lfield.vm.agent import Agent
 from lfield.wire.messages import Hello, Report
 
 #: The registry of a mission that asks for no capability.
@@ -30,70 +29,73 @@ NO_REGISTRY = Registry({}, {}, {}, {}, {}, {})
 LOOK_EVERY = 1.0
 
 
-class Station(Protocol):
-    """The host that reports."""
-
-    name: str
-    incarnation: int
-    machine: Machine
-    peers: Peers
-    guards: Guards
-    clock: Clock
+class Neighbours(Devices, Links, Protocol):
+    """What a directory may look at: the devices of this host, and its links."""
 
 
-class Reporting:
-    """Keeps the `directory` of a host up to date. Only agents that the `registry` knows are in it."""
+class TeamDirectory:
+    """Keeps the `directory` of a host up to date. Only agents that the `registry` knows are in it.
 
-    def __init__(self, station: Station, mission: Mission) -> None:
+    `life` tells this run of the host from the next, `running` are the agents of its machine. What is to be
+    told to others comes back as messages to send.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        name: str,
+        life: int,
+        running: Mapping[str, Agent],
+        nearby: Neighbours,
+        clock: Clock,
+    ) -> None:
         self.registry = registry = mission.registry or NO_REGISTRY
         agents = mission.deployment.agents
-        self._station, self._clock = station, station.clock
-        self.directory = Directory(
-            registry, agents, station.name, station.peers, station.clock, station.incarnation
-        )
+        self._clock = clock
+        self.directory = Directory(registry, agents, name, nearby, clock, life)
         self._reports = Reports(registry, agents)
         devices = needed_devices(mission.program, mission.deployment)
-        self._sampler = Sampler(
-            registry.attributes, station.machine.agents, devices, station.guards, station.clock
-        )
-        self._timer: asyncio.TimerHandle | None = None
+        self._sampler = Sampler(registry.attributes, running, devices, nearby, clock)
+        self._linked: dict[str, None] = {}
+        #: When `tick` has something to do next, None for never.
+        self.due: float | None = None
 
     def open(self) -> None:
         """Begin to look at this host's agents, if there are any to tell of."""
         if self.directory.own_agents:
-            self._tell_changes()
+            self.due = self._clock.monotonic()
 
-    def stop(self) -> None:
-        """Tell nothing more."""
-        if self._timer:
-            self._timer.cancel()
-
-    def linked(self, hello: Hello) -> None:
+    def linked(self, hello: Hello) -> list[Send]:
         """A host can be talked to: it is told everything, since it may have been away."""
+        self._linked[hello.host] = None
         self.directory.linked(hello.host, hello.incarnation)
         news = self.directory.everything()
-        if news is not None:
-            self._station.peers.send(hello.host, self._report(news))
+        return [] if news is None else [Send(hello.host, self._report(news))]
 
     def unlinked(self, host: str) -> None:
         """A host cannot be talked to any more."""
+        self._linked.pop(host, None)
         self.directory.unlinked(host)
 
-    def received(self, host: str, report: Report) -> None:
-        """A host tells how its agents are. What it cannot know is left out, and told to the log once."""
+    def received(self, host: str, report: Report) -> str:
+        """A host tells how its agents are. A report that cannot be is left out: the complaint, else ''."""
         try:
             self.directory.take(host, self._reports.read(host, report, self._clock.monotonic()))
         except WireError as error:
-            self._station.peers.complain(f"ignored a report: {error}")
+            return f"ignored a report: {error}"
+        return ""
 
-    def _tell_changes(self) -> None:
+    def tick(self, now: float) -> list[Send]:
+        """Look at this host's agents if it is time to, and tell the others what has changed."""
+        if self.due is None or now < self.due:
+            return []
+        self.due = now + LOOK_EVERY
         self.look()
         news = self.directory.news()
-        if news is not None:
-            report = self._report(news)
-            for host in self._station.peers.incarnations:
-                self._station.peers.send(host, report)
-        self._timer = asyncio.get_running_loop().call_later(LOOK_EVERY, self._tell_changes)
+        if news is None:
+            return []
+        report = self._report(news)
+        return [Send(host, report) for host in self._linked]
 
     def look(self) -> None:
         """Bring what the directory knows of this host's agents up to date."""
