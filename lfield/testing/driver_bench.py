@@ -41,9 +41,9 @@ from lfield.driver import DeviceBinding, Driver, Manifest, Plugin, Reports
 from lfield.driver.binding import OptionValue
 from lfield.driver.plugins import Plugins, discover
 from lfield.driver.sims import control_folder, discover_sims
-from lfield.manifest import DeviceValue
 from lfield.net.control import ask_fake
 from lfield.simulate.time import LoopClock, run_jumping
+from lfield.testing.reports import KeptReports
 
 T = TypeVar("T")
 
@@ -68,7 +68,7 @@ def bind(
     """A binding of a plugin's device with all that its manifest gives by default.
 
     `device_type` may be left out where the plugin has one only. `options` are those that the test sets, and
-    `given` any other field of a DeviceBinding.
+    `given` any other fields of a DeviceBinding. Raises KeyError for a device type that it has not.
     """
     manifests = _manifests(plugin)
     manifest = manifests[device_type or next(iter(manifests))]
@@ -90,12 +90,15 @@ def _manifests(plugin: Plugin) -> dict[str, Manifest]:
     return plugin.read_manifests()
 
 
-class DriverBench:
-    """A driver with its devices, without a guard; keeps what they report.
+class DriverBench(KeptReports):
+    """A driver with its devices, without a guard; keeps what they report. Whatever crashes fails the test.
 
     `make` makes the driver, by default its class: a test gives what joins it to a fake in memory. Each of
     `fakes` is a coroutine function that runs beside the driver, from before it opens until it is closed.
     """
+
+    #: Of the story that runs, or ran last.
+    driver: Any
 
     def __init__(
         self,
@@ -104,22 +107,9 @@ class DriverBench:
         make: MakeDriver | None = None,
         fakes: Sequence[Callable[[], Coroutine[Any, Any, None]]] = (),
     ) -> None:
+        super().__init__(*(binding.name for binding in bindings))
         self.bindings = bindings
         self._manifests, self._make, self._fakes = _manifests(plugin), make or plugin.load(), fakes
-        #: The newest value of every quantity, by the names of the devices.
-        self.reported: dict[str, dict[str, DeviceValue]] = {binding.name: {} for binding in bindings}
-        #: One sentence each, for the log of the host.
-        self.notes: list[str] = []
-        #: What broke where nobody waits for it: a story that leaves any here has failed.
-        self.crashes: list[str] = []
-
-    #: Of the story that runs, or ran last.
-    driver: Any
-
-    @property
-    def values(self) -> dict[str, DeviceValue]:
-        """What the first device has reported."""
-        return self.reported[self.bindings[0].name]
 
     def run(self, story: Story[T], *, opened: bool = True, within: float = LONGEST) -> T:
         """`play` on jumping time, so that hours take milliseconds; the bench has a loop of its own."""
@@ -177,23 +167,6 @@ class DriverBench:
             if running.time() >= end:
                 raise AssertionError(f"it was not so within {bound:g} s: {self.reported}, {self.notes}")
             await asyncio.sleep(LOOK)
-
-    # -- what the driver tells (lfield.driver.Reports) ---------------------------------------------------
-
-    def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
-        """New values of telemetry quantities."""
-        self.reported[device].update(values)
-
-    def heard(self, device: str) -> None:
-        """A sign of life; nobody asks for it."""
-
-    def note(self, device: str, text: str) -> None:
-        """One sentence."""
-        self.notes.append(text)
-
-    def crashed(self, reason: str) -> None:
-        """Something has broken."""
-        self.crashes.append(reason)
 
 
 class RunningFake:
