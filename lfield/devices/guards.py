@@ -19,7 +19,7 @@ from lfield.driver.sims import discover_sims
 from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.guard.core import SILENCE
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction
-from lfield.vm.readings import Reading
+from lfield.vm.contract import Reading
 from lfield.vm.world import PENDING, Pending
 
 #: Seconds for every device to confirm its safe state after an emergency stop.

@@ -21,10 +21,10 @@ from lfield.mission.load import Mission
 from lfield.mobility import effects as mobile
 from lfield.mobility.core import Mobility, MobilityMessage
 from lfield.vm.agent import Agent, Member
+from lfield.vm.contract import Reading
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
 from lfield.vm.offers import Found
-from lfield.vm.readings import Reading
 from lfield.vm.world import PENDING, Pending
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Control, Ended, EndedAck, Hello, Known, Outcome, Report, Transfer

@@ -10,6 +10,7 @@ import asyncio
 import os
 import random
 import secrets
+import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -35,9 +36,9 @@ from lfield.mobility.effects import Send, SendTransfer
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
 from lfield.vm.agent import Agent
+from lfield.vm.contract import Reading
 from lfield.vm.inspect import dump
 from lfield.vm.machine import Machine
-from lfield.vm.readings import Reading
 from lfield.vm.world import Pending
 from lfield.wire.messages import (
     Control,
@@ -182,7 +183,14 @@ class Host:
         if self.failure is None:
             self.failure = HostFailure(self.name, error)
             self.note(str(self.failure))
+            if os.environ.get("LFIELD_TRACEBACK"):
+                self.note("".join(traceback.format_exception(error)))
             self.failed.set()
+
+    def unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """The loop's exception handler: what was raised beside the core, in a task or a socket's callback."""
+        error = context.get("exception")
+        self.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
 
     def _carry_out(self, effect: Effect) -> None:
         match effect:

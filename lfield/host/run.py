@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import os
 import signal
 import sys
-from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from lfield.errors import UsageError
 from lfield.host.host import Host, Options
@@ -49,7 +47,7 @@ async def run_host(
     stopping = _stop_signals()
     if leash:
         _end_with_parent(stopping)
-    asyncio.get_running_loop().set_exception_handler(partial(_failed, host))
+    asyncio.get_running_loop().set_exception_handler(host.unhandled)
     life = asyncio.ensure_future(_live(host, lost_after))
     stopped = asyncio.ensure_future(stopping.wait())
     failed = asyncio.ensure_future(host.failed.wait())
@@ -66,14 +64,6 @@ async def run_host(
             task.cancel()
         await asyncio.gather(life, stopped, failed, return_exceptions=True)
         await host.stop()
-
-
-def _failed(host: Host, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """What was raised beside the core, in a task or a callback of a socket, ends the host as well."""
-    error = context.get("exception")
-    host.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
-    if os.environ.get("LFIELD_TRACEBACK"):
-        loop.default_exception_handler(context)
 
 
 async def _live(host: Host, lost_after: float | None) -> int:

@@ -38,7 +38,7 @@ from lfield.guard.core import SILENCE
 from lfield.text.source import Diagnostics
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Node, Scalar, describe
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 
 #: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
 Needed = Mapping[str, Mapping[str, str]]

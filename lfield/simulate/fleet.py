@@ -23,7 +23,7 @@ from lfield.host.effects import Call, Effect, Say, Write
 from lfield.manifest import DeviceValue
 from lfield.mission.load import Mission
 from lfield.mobility.effects import Send, SendTransfer
-from lfield.vm.readings import Reading
+from lfield.vm.contract import Reading
 from lfield.wire.messages import Control, Hello, Transfer
 
 #: Seconds until a link that can be is there (again), and that a message is under way: at least and at most.

@@ -35,8 +35,8 @@ from typing import Any, TypeVar
 
 from lfield import loop
 from lfield.clock import Clock, SystemClock
-from lfield.devices.bench import LiveBench
 from lfield.devices.guards import Guards
+from lfield.devices.try_out import LiveBench
 from lfield.driver import DeviceBinding, Driver, Manifest, Plugin, Reports
 from lfield.driver.binding import OptionValue
 from lfield.driver.plugins import Plugins, discover

@@ -29,10 +29,9 @@ from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceValue
 from lfield.testing.offers import still_answers
 from lfield.vm.agent import Agent, Member
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits, Reading
 from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
-from lfield.vm.readings import Reading
 from lfield.vm.world import Pending
 
 #: Virtual seconds after which a golden program that still sleeps is stopped.

@@ -17,8 +17,8 @@ import sys
 import time
 
 from lfield.clock import SystemClock
-from lfield.devices.bench import LiveBench
 from lfield.devices.guards import Guards
+from lfield.devices.try_out import LiveBench
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.errors import DeviceError

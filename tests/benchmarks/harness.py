@@ -23,7 +23,7 @@ from typing import Self
 from lfield.bytecode.program import Program
 from lfield.clock import SystemClock
 from lfield.testing.golden import Desk, team_for
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
 
 #: The repository: children run in it, so that the commands in the table can be copied.

@@ -24,7 +24,7 @@ from lfield.capability.reading.reader import read_registry
 from lfield.clock import SystemClock
 from lfield.host.answers import Answers
 from lfield.testing.golden import Desk, compile_text, team_for
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
 from lfield.vm.offers import ways
 

@@ -15,10 +15,9 @@ from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction
 from lfield.testing.golden import Desk, team_for
 from lfield.vm.agent import Agent
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits, Reading
 from lfield.vm.machine import Machine
 from lfield.vm.memory.values import word_of
-from lfield.vm.readings import Reading
 
 BATCHES, READS, ROUNDS = 10, 2000, 10
 #: What a query may cost more than a variable, in seconds.

@@ -13,9 +13,9 @@ from lfield.simulate.time import run_jumping
 from lfield.testing.driver_bench import DriverBench, bind
 from lfield_mavlink import PLUGIN
 from lfield_mavlink.driver import MavlinkDriver
-from lfield_sim.autopilot import FLAVOURS, Autopilot
+from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.mavlink.link.wire import make_faults
 from lfield_sim.mavlink.protocol import STEP, MavlinkFake
-from lfield_sim.mavlink.wire import make_faults
 
 
 class MemoryLink:

@@ -12,7 +12,7 @@ from canopen import objectdictionary
 from canopen.profiles.p402 import BaseNode402
 
 from lfield.testing.driver_bench import running_fake
-from lfield_sim.can.objects402 import INCREMENTS, entries
+from lfield_sim.can.cia402.table import INCREMENTS, entries
 
 pytestmark = pytest.mark.process
 TYPES = {
