@@ -19,11 +19,11 @@ import dynamixel_sdk
 from harness import Children, Figure, Row, in_turns, median, microseconds, percentile, timed, times
 
 from lfield import loop
-from lfield_can.bus import Bus as CanBus
-from lfield_can.frames import Frame
-from lfield_dynamixel.bus import Bus as ServoBus
-from lfield_dynamixel.chain import Chain, Node
-from lfield_dynamixel.port import SerialPort
+from lfield_can.bus.bus import Bus as CanBus
+from lfield_can.bus.frames import Frame
+from lfield_dynamixel.bus.bus import Bus as ServoBus
+from lfield_dynamixel.bus.chain import Chain, Node
+from lfield_dynamixel.bus.port import SerialPort
 
 ROUNDS, BATCHES, EXCHANGES, FLYING = 5, 5, 100, 8
 #: What the driver must reach of the raw library's exchanges a second.
