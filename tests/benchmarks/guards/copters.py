@@ -1,0 +1,27 @@
+"""Fake copters, and the bindings of agents that have them behind a guard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from harness.checkout import Checkout
+from harness.processes import Processes
+
+_DEVICE = """\
+  v%d:
+    devices:
+      fc: {driver: mavlink, endpoint: "udp:127.0.0.1:%s", system: %d, safe_state: land%s, waivers: [device_watchdog]}
+"""
+
+
+def fake_copters(checkout: Checkout, processes: Processes, systems: Iterable[int] = (1,), *words: str) -> str:
+    """Start vehicles on one link; returns their port."""
+    vehicles = [word for system in systems for word in ("--vehicle", str(system))]
+    endpoint = checkout.fake(processes, "mavlink", "--listen", "udp:127.0.0.1:0", *vehicles, *words)
+    return endpoint.rpartition(":")[2]
+
+
+def bindings(copters: Iterable[tuple[str, int]], more: str = "") -> str:
+    """A devices file: agents v0, v1, ... and the port and system of each. A host may stand still for long."""
+    devices = [_DEVICE % (n, port, system, more) for n, (port, system) in enumerate(copters)]
+    return "silence: 10.0\nagents:\n" + "".join(devices)
