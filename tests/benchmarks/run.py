@@ -20,7 +20,7 @@ FIGURES = {
     "telemetry": "guards.telemetry",
     "mavlink": "guards.mavlink",
     "streams": "guards.streams",
-    "can": "guards.can",
+    "can": "guards.can_bus",
     "dynamixel": "guards.dynamixel",
     "deadman": "guards.deadman",
     "query": "capability.query",

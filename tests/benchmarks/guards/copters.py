@@ -10,7 +10,7 @@ from harness.processes import Processes
 _DEVICE = """\
   v%d:
     devices:
-      fc: {driver: mavlink, endpoint: "udp:127.0.0.1:%s", system: %d, safe_state: land%s, waivers: [device_watchdog]}
+      fc: {driver: mavlink, endpoint: "udp:127.0.0.1:%s", system: %d, safe_state: land, ttl: %g, waivers: [device_watchdog]}
 """
 
 
@@ -21,7 +21,7 @@ def fake_copters(checkout: Checkout, processes: Processes, systems: Iterable[int
     return endpoint.rpartition(":")[2]
 
 
-def bindings(copters: Iterable[tuple[str, int]], more: str = "") -> str:
-    """A devices file: agents v0, v1, ... and the port and system of each. A host may stand still for long."""
-    devices = [_DEVICE % (n, port, system, more) for n, (port, system) in enumerate(copters)]
-    return "silence: 10.0\nagents:\n" + "".join(devices)
+def bindings(copters: Iterable[tuple[str, int]], silence: float = 10.0, ttl: float = 0.5) -> str:
+    """A devices file: agents v0, v1, ... and the port and system of each. By default a host may stand still."""
+    devices = [_DEVICE % (n, port, system, ttl) for n, (port, system) in enumerate(copters)]
+    return f"silence: {silence}\nagents:\n" + "".join(devices)
