@@ -16,7 +16,6 @@ FIGURES = {
     "memory": "machine.memory",
     "idle": "machine.idle",
     "compile": "machine.compile",
-    "registry": "machine.registry",
     "telemetry": "guards.telemetry",
     "mavlink": "guards.mavlink",
     "streams": "guards.streams",

@@ -8,15 +8,17 @@ that keep links.
 
 from __future__ import annotations
 
-import sys
-import tempfile
 from pathlib import Path
 
-from harness import Children, Figure, Row, free_port, times
+from harness.checkout import Checkout
+from harness.figure import Figure, Opener
+from harness.paced import Round
+from harness.processes import ChildError, Processes, free_port
+from harness.samples import Contender
+from harness.words import PERCENT, RATE
 
-HOSTS, AGENTS, SECONDS = 50, 5, 20.0
-#: Percent of a processor, and kilobytes per second and link in both directions together.
-TARGET_PROCESSOR, TARGET_LINK = 2.0, 20.0
+HOSTS, AGENTS, SECONDS = 50, 5, 15.0
+PROCESSOR, BYTES = "processor of a host", "bytes on each link"
 
 _PROGRAM = """
 resource Crane {
@@ -44,52 +46,44 @@ providers:
 _HOSTS = str(Path(__file__).with_name("directory_hosts.py"))
 
 
-def figure() -> Figure:
-    """Both teams."""
-    rows = [*_rows("all values change each second", swing=0.4), *_rows("nothing changes", swing=0.0)]
-    notes = (f"{HOSTS} hosts x {AGENTS} agents x 4 live attributes, {SECONDS:g} s; links: both directions",)
-    return Figure("Knowing a large team; ratio to the target", rows, notes)
+def knowing(swing: float) -> Opener:
+    """The team, with telemetry that swings so far."""
+
+    def opener(checkout: Checkout, _: Processes) -> Contender:
+        def measure() -> Round:
+            with Processes() as processes:
+                return _measure(checkout, processes, swing)
+
+        return measure
+
+    return opener
 
 
-def _rows(case: str, swing: float) -> list[Row]:
-    """The processor time of one host and the bytes of its links."""
-    processor, rate = measure(swing)
-    return [
-        Row(
-            case,
-            "processor time of a host",
-            f"{processor:.2f} %",
-            ratio=times(processor / TARGET_PROCESSOR),
-            target=f"{TARGET_PROCESSOR:g} %",
-        ),
-        Row(
-            "",
-            "bytes on each link",
-            f"{rate:.2f} kB/s",
-            ratio=times(rate / TARGET_LINK),
-            target=f"{TARGET_LINK:g} kB/s",
-        ),
-    ]
+def _measure(checkout: Checkout, processes: Processes, swing: float) -> Round:
+    folder = processes.folder()
+    (folder / "large.L").write_text(_PROGRAM)
+    (folder / "large.capabilities.yaml").write_text(_CAPABILITIES)
+    cranes = [f"//Crane:crane{h}.{a}@host{h}" for h in range(HOSTS) for a in range(AGENTS)]
+    (folder / "large.dL").write_text("\n".join([*cranes, "//Foreman:foreman@host0"]))
+    # An address for each: of fifty free ports some would be taken again before they are listened on.
+    port = free_port()
+    maps = [f"host{number}=127.0.1.{number + 1}:{port}" for number in range(HOSTS)]
+    words = str(folder), str(swing), str(SECONDS), *maps
+    others = checkout.run(processes, _HOSTS, "others", *words)
+    host = checkout.run(processes, _HOSTS, "host", *words)
+    came, went, seconds = map(float, others.line(4 * SECONDS).split())
+    processor, measured = map(float, host.line(4 * SECONDS).split())
+    known = int(host.line())
+    if known != HOSTS * AGENTS:
+        raise ChildError(f"the host knows {known} of {HOSTS * AGENTS} agents")
+    return {PROCESSOR: [100 * processor / measured], BYTES: [(came + went) / seconds / (HOSTS - 1) / 1000]}
 
 
-def measure(swing: float) -> tuple[float, float]:
-    """Percent of a processor that a host needs, and kilobytes per second on each of its links."""
-    with Children() as children, tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "large.L").write_text(_PROGRAM)
-        (folder / "large.capabilities.yaml").write_text(_CAPABILITIES)
-        cranes = [f"//Crane:crane{h}.{a}@host{h}" for h in range(HOSTS) for a in range(AGENTS)]
-        (folder / "large.dL").write_text("\n".join([*cranes, "//Foreman:foreman@host0"]))
-        # An address for each: of fifty free ports some would be taken again before they are listened on.
-        port = free_port()
-        maps = [f"host{number}=127.0.1.{number + 1}:{port}" for number in range(HOSTS)]
-        words = (name, str(swing), str(SECONDS), *maps)
-        others = children.start(sys.executable, _HOSTS, "others", *words)
-        host = children.start(sys.executable, _HOSTS, "host", *words)
-        came, went, seconds = map(float, others.line().split())
-        rate = (came + went) / seconds / (HOSTS - 1) / 1000
-        processor, seconds = map(float, host.line().split())
-        known = int(host.line())
-        if known != HOSTS * AGENTS:
-            raise RuntimeError(f"the host knows {known} of {HOSTS * AGENTS} agents")
-        return 100 * processor / seconds, rate
+FIGURE = Figure(
+    "Knowing a large team",
+    {"all values change each second": knowing(0.4), "nothing changes": knowing(0.0)},
+    rounds=1,
+    units={PROCESSOR: PERCENT, BYTES: RATE},
+    targets={PROCESSOR: "2 %", BYTES: "20 kB/s"},
+    notes=(f"{HOSTS} hosts x {AGENTS} agents x 4 live attributes, {SECONDS:g} s; links: both directions",),
+)

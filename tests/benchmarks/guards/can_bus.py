@@ -1,5 +1,5 @@
-"""A CAN frame to another client of the bus and its echo back: the driver's bus beside python-can, on the same kind
-of fake. Both run in this process; the guard's pipe, which costs every command the same, is left out."""
+"""A CAN frame to another client of the bus and its echo back: the driver's bus beside python-can, on the same
+kind of fake. Both run in this process; the guard's pipe, which costs every command the same, is left out."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import can
+from guards.exchanges import BATCHES, EXCHANGES, async_batches, batches
 from harness.checkout import Checkout
-from harness.figure import Contender, Figure, timed
+from harness.figure import Figure
 from harness.paced import Round
 from harness.processes import Processes
+from harness.samples import Contender, timed
 
-from guards.exchanges import BATCHES, EXCHANGES, async_batches, batches
 from lfield import loop
 from lfield_can.bus import Bus
 from lfield_can.frames import Frame

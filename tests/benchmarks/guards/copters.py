@@ -10,7 +10,9 @@ from harness.processes import Processes
 _DEVICE = """\
   v%d:
     devices:
-      fc: {driver: mavlink, endpoint: "udp:127.0.0.1:%s", system: %d, safe_state: land, ttl: %g, waivers: [device_watchdog]}
+      fc:
+        {driver: mavlink, endpoint: "udp:127.0.0.1:%s", system: %d, ttl: %g, safe_state: land,
+         waivers: [device_watchdog]}
 """
 
 
@@ -22,6 +24,6 @@ def fake_copters(checkout: Checkout, processes: Processes, systems: Iterable[int
 
 
 def bindings(copters: Iterable[tuple[str, int]], silence: float = 10.0, ttl: float = 0.5) -> str:
-    """A devices file: agents v0, v1, ... and the port and system of each. By default a host may stand still."""
+    """A devices file of agents v0, v1, ...: the port and system of each. By default hosts may stand still."""
     devices = [_DEVICE % (n, port, system, ttl) for n, (port, system) in enumerate(copters)]
     return f"silence: {silence}\nagents:\n" + "".join(devices)

@@ -20,13 +20,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from guards.copters import bindings, fake_copters
 from harness.checkout import Checkout, Mission
-from harness.figure import Contender, Figure, Opener
+from harness.figure import Figure, Opener
 from harness.paced import Round
 from harness.processes import Child, ChildError, Processes
+from harness.samples import Contender
 from harness.words import words
-
-from guards.copters import bindings, fake_copters
 
 TTL, SILENCE, GRACE, LATE = 0.5, 0.2, 0.050, 0.010
 VEHICLES, BUSY = 8, 4
@@ -35,7 +35,18 @@ SAFE, SETPOINT = "event to the first safe frame", "a setpoint after its time"
 
 _HERE = Path(__file__).parent
 #: A copter that is soon high up, and lands so slowly that it is never down when the next trial begins.
-_BRISK = "--climb 40 --acceleration 40 --land 0.02 --descend 0.02 --capacity 900000".split()
+_BRISK = [
+    "--climb",
+    "40",
+    "--acceleration",
+    "40",
+    "--land",
+    "0.02",
+    "--descend",
+    "0.02",
+    "--capacity",
+    "900000",
+]
 
 
 class Flights:

@@ -1,4 +1,4 @@
-"""One read of six servos at once: the Dynamixel driver's bus beside the vendor's library, on the same kind of fake.
+"""One read of six servos at once: the Dynamixel driver's bus beside the vendor's library, on the same fake.
 
 Both run in this process; the guard's pipe, which costs every command the same, is left out.
 """
@@ -6,11 +6,12 @@ Both run in this process; the guard's pipe, which costs every command the same, 
 from __future__ import annotations
 
 import dynamixel_sdk
-from harness.checkout import Checkout
-from harness.figure import Contender, Figure
-from harness.processes import Processes
-
 from guards.exchanges import EXCHANGES, async_batches, batches
+from harness.checkout import Checkout
+from harness.figure import Figure
+from harness.processes import Processes
+from harness.samples import Contender
+
 from lfield import loop
 from lfield_dynamixel.bus import Bus
 from lfield_dynamixel.chain import Chain, Node

@@ -1,5 +1,5 @@
-"""A MAVLink command until it is acknowledged, on the same kind of fake: from L through the host and its guard,
-by the driver alone, and by pymavlink's own connection."""
+"""A MAVLink command until it is acknowledged, on the same kind of fake: from L through the host and its
+guard, by the driver alone, and by pymavlink's own connection."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import asyncio
 import time
 from pathlib import Path
 
-from harness.checkout import Checkout
-from harness.figure import Contender, Figure
-from harness.paced import Paced, Round
-from harness.processes import Processes
-
 from guards.copters import fake_copters
 from guards.telemetry import asking
+from harness.checkout import Checkout
+from harness.figure import Figure
+from harness.paced import Paced, Round
+from harness.processes import Processes
+from harness.samples import Contender
+
 from lfield import loop
 from lfield.clock import SystemClock
 from lfield.driver.binding import DeviceBinding

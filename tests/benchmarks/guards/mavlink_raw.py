@@ -36,7 +36,9 @@ def listen(port: str, rate: str, seconds: str, *systems: str) -> None:
     start, cpu = time.monotonic(), time.process_time()
     while time.monotonic() < start + float(seconds):
         link.recv_match(blocking=True, timeout=0.5)
-    print(f"processor = {100 * (time.process_time() - cpu) / (time.monotonic() - start):.6f}\nend", flush=True)
+    print(
+        f"processor = {100 * (time.process_time() - cpu) / (time.monotonic() - start):.6f}\nend", flush=True
+    )
 
 
 def command(port: str, count: str) -> None:

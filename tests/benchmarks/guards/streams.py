@@ -1,19 +1,19 @@
-"""The processor time of hearing telemetry: four vehicles on one link, 200 messages a second each, by the guard of
-a host and by pymavlink's own connection."""
+"""The processor time of hearing telemetry: four vehicles on one link, 200 messages a second each, by the
+guard of a host and by pymavlink's own connection."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
 
-from harness.checkout import Checkout, Mission
-from harness.figure import Contender, Figure
-from harness.paced import Round, read_round
-from harness.processes import Processes
-from harness.words import PERCENT
-
 from guards.copters import bindings, fake_copters
 from guards.mavlink import RAW
+from harness.checkout import Checkout, Mission
+from harness.figure import Figure
+from harness.paced import Round, read_round
+from harness.processes import Processes
+from harness.samples import Contender
+from harness.words import PERCENT
 
 SYSTEMS, RATE, SECONDS = (1, 2, 3, 4), 200, 3.0
 
@@ -57,7 +57,7 @@ def guard(checkout: Checkout, processes: Processes) -> Contender:
 
 
 def _processor(pid: int) -> float:
-    """Seconds that a process has used, by what clock_getcpuclockid(3) gives; /proc counts in steps of 10 ms."""
+    """Seconds that it has used, by what clock_getcpuclockid(3) gives; /proc counts in steps of 10 ms."""
     return time.clock_gettime(~pid << 3 | 2)
 
 

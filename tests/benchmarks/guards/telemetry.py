@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from harness.checkout import Checkout, paced_mission
-from harness.figure import Contender, Figure, Opener
-from harness.processes import Processes
-
 from guards.copters import bindings, fake_copters
+from harness.checkout import Checkout, paced_mission
+from harness.figure import Figure, Opener
+from harness.processes import Processes
+from harness.samples import Contender
 
 BATCHES, READS = 20, 1000
 

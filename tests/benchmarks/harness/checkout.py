@@ -43,7 +43,9 @@ class Checkout:
         asked = (checkout.python, "-c", "import lfield; print(lfield.__file__)")
         found = subprocess.run(asked, capture_output=True, text=True, cwd="/", env=checkout.environment)
         if not found.stdout.startswith(f"{checkout.root}/"):
-            raise CheckoutError(f"the .venv of {root} has not lfield of that folder: run 'make test' there again")
+            raise CheckoutError(
+                f"the .venv of {root} has not lfield of that folder: run 'make test' there again"
+            )
         return checkout
 
     @property

@@ -1,11 +1,13 @@
 """Processes that measure themselves in rounds, and stand still while others are measured.
 
-The first of them writes a line `CASE = SECONDS...` for each case, then `end`, and rests for a quarter of a second:
-long enough to be stopped in. A line `error: ...` is the end of it.
+The first of them writes a line `CASE = SECONDS...` for each case, then `end`, and rests for a quarter of a
+second, long enough to be stopped in. A line `error: ...` is the end of it.
 """
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Sequence
 
 from harness.processes import Child, ChildError
@@ -31,6 +33,15 @@ class Paced:
         for child in self._children:
             child.pause()
         return found
+
+
+def whole_run(child: Child, case: str) -> Round:
+    """Seconds of a command from its start to its end, and of a processor: less of it is the computer's mood."""
+    before = os.times()
+    child.wait()
+    took, after = time.perf_counter() - child.started, os.times()
+    used = after.children_user + after.children_system - before.children_user - before.children_system
+    return {case: [took], f"{case}, processor": [used]}
 
 
 def read_round(child: Child) -> Round:

@@ -32,9 +32,11 @@ class Child:
     Its stderr goes to a file, so that it never waits for a reader; with `merged` it is read with stdout.
     """
 
-    def __init__(self, words: Sequence[str], environment: Mapping[str, str], folder: Path, merged: bool) -> None:
+    def __init__(
+        self, words: Sequence[str], environment: Mapping[str, str], folder: Path, merged: bool
+    ) -> None:
         self._words, self._unread = words, b""
-        self._told: IO[bytes] = tempfile.TemporaryFile()
+        self._told: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  # open as long as the child
         self.started = time.perf_counter()
         self._process = subprocess.Popen(
             words,
@@ -76,16 +78,14 @@ class Child:
         """Let it run again."""
         os.kill(self.pid, signal.SIGCONT)
 
-    def wait(self) -> float:
-        """Seconds from its start to its end. Raises ChildError when it has not ended well."""
+    def wait(self) -> None:
+        """Until its end. Raises ChildError when it has not ended well."""
         try:
             status = self._process.wait(PATIENCE)
         except subprocess.TimeoutExpired:
             raise ChildError(self._obituary(f"did not end within {PATIENCE:g} s"))
-        took = time.perf_counter() - self.started
         if status:
             raise ChildError(self._obituary(f"ended with status {status}"))
-        return took
 
     def end(self) -> None:
         """Kill it and wait for it."""
@@ -107,8 +107,11 @@ class Child:
     def _obituary(self, what: str) -> str:
         self._told.seek(0)
         told = (self._told.read() + self._unread).decode(errors="replace").split("\n")
-        last = next((line.strip() for line in reversed(told) if line.strip()), "without a word")
-        return f"{' '.join(Path(word).name for word in self._words[:6])} {what}: {last}"
+        lines = [line.strip() for line in told if line.strip()] or ["without a word"]
+        # A refusal begins with what is wrong; a traceback or a log ends with it.
+        refused = "error" in lines[0]
+        command = " ".join(Path(word).name for word in self._words[:6])
+        return f"{command} {what}: {lines[0 if refused else -1]}"
 
 
 class Processes:
@@ -124,7 +127,11 @@ class Processes:
         self._open.close()
 
     def start(
-        self, *words: str, environment: Mapping[str, str] = os.environ, folder: Path | None = None, merged: bool = False
+        self,
+        *words: str,
+        environment: Mapping[str, str] = os.environ,
+        folder: Path | None = None,
+        merged: bool = False,
     ) -> Child:
         """Start a command, in a folder (default: where this process is)."""
         child = Child(words, environment, folder or Path.cwd(), merged)

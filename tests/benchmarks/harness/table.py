@@ -14,15 +14,27 @@ from rich.table import Table
 from rich.text import Text
 
 #: Widths that hold from figure to figure, as each is a table of its own.
-COLUMNS = {"CASE": 30, "MEASURED": 30, "MIN": 10, "MEDIAN": 10, "P99": 10, "MAX": 10, "RATIO": 8, "TARGET": 12}
+COLUMNS = {
+    "CASE": 36,
+    "MEASURED": 30,
+    "MIN": 10,
+    "MEDIAN": 10,
+    "P99": 10,
+    "MAX": 10,
+    "RATIO": 8,
+    "TARGET": 12,
+}
 
 
 class Progress:
-    """What is measured now, gone when it is done. It has no thread of its own, which would be measured too."""
+    """What is measured now, gone when it is done. It has no thread, which would be measured too."""
 
     def __init__(self, name: str) -> None:
         columns = SpinnerColumn(), TextColumn("{task.description}")
-        self._bar = Bar(*columns, console=Console(stderr=True), transient=True, auto_refresh=False)
+        console = Console(stderr=True)
+        self._bar = Bar(
+            *columns, console=console, transient=True, auto_refresh=False, disable=not console.is_terminal
+        )
         self._name = name
         self._task = self._bar.add_task(name)
 
@@ -45,7 +57,10 @@ def print_figure(out: Console, name: str, title: str, rows: Sequence[Row], notes
     table = Table(box=None, pad_edge=False)
     for column, width in COLUMNS.items():
         table.add_column(
-            column, min_width=width, justify="left" if column in ("CASE", "MEASURED") else "right", overflow="fold"
+            column,
+            min_width=width,
+            justify="left" if column in ("CASE", "MEASURED") else "right",
+            overflow="fold",
         )
     for row in rows:
         if not row.error:

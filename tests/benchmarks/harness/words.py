@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 #: Units of samples.
-SECONDS, BYTES, PERCENT, COUNT, TIMES, RATE = "s", "B", "%", "", "x", "kB/s"
+SECONDS, BYTES, PERCENT, COUNT, TIMES, RATE = "s", "B", "%", "messages", "x", "kB/s"
 
 
 def words(number: float, unit: str) -> str:

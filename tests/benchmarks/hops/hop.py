@@ -12,9 +12,9 @@ import time
 from pathlib import Path
 
 from harness.checkout import Checkout, paced_mission
-from harness.figure import Contender, Figure, Opener
+from harness.figure import Figure, Opener
 from harness.processes import Processes
-
+from harness.samples import Contender
 from hops.rpc import CLIENTS, Echo
 
 SIZES = (64, 1 << 10, 8 << 10, 64 << 10)

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from harness.checkout import Checkout, paced_mission
-from harness.figure import Contender, Figure, timed
+from harness.figure import Figure
 from harness.processes import Processes
+from harness.samples import Contender, timed
 
 BATCHES, CALLS, POINTS = 10, 200, 10
 #: Seconds that a sample of CPython takes at least.

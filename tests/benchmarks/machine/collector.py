@@ -9,8 +9,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from harness.checkout import Checkout, paced_mission
-from harness.figure import Contender, Figure, Opener, timed
+from harness.figure import Figure, Opener
 from harness.processes import Processes
+from harness.samples import Contender, timed
 
 SIZES = (16 << 10, 64 << 10, 128 << 10, 256 << 10)
 

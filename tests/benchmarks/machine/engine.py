@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from harness.checkout import Checkout, paced_mission
-from harness.figure import Contender, Figure, timed
+from harness.figure import Figure
 from harness.processes import Processes
-
+from harness.samples import Contender, timed
 from machine.kernels import KERNELS
 
 #: Seconds that a sample of CPython takes at least: one run would be over before it can be trusted.

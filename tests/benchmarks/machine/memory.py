@@ -1,4 +1,4 @@
-"""The memory of a host without devices: all its pages (resident), and its share of those that it shares (PSS)."""
+"""The memory of a host without devices: all its pages, and with its share only of those it shares (PSS)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from harness.figure import Figure
 from harness.paced import Round
 from harness.processes import Processes
 from harness.words import BYTES
-
 from machine.small import settled, small_host
 
 _KINDS = {"resident": "Rss:", "proportional": "Pss:"}

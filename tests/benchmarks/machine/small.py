@@ -7,9 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from harness.checkout import Checkout, Mission
-from harness.figure import Contender, Opener
+from harness.figure import Opener
 from harness.paced import Round
 from harness.processes import Child, Processes
+from harness.samples import Contender
 
 #: Measures one start of a host with these options.
 Measure = Callable[[Checkout, Sequence[str]], Round]
@@ -58,7 +59,14 @@ def started(checkout: Checkout, processes: Processes, words: Sequence[str]) -> t
     while (line := host.line()) != "called":
         if " is up on " in line:
             took["until it is up"] = [time.perf_counter() - host.started]
-    return host, took | {"to its first portal call": [time.perf_counter() - host.started]}
+    took["to the first portal call"] = [time.perf_counter() - host.started]
+    return host, took | {"the same, processor": [processor_seconds(Path(f"/proc/{host.pid}"))]}
+
+
+def processor_seconds(folder: Path) -> float:
+    """What all threads of a process have run, by its folder in /proc."""
+    tasks = (folder / "task").glob("*/schedstat")
+    return sum(int(task.read_text(encoding="ascii").split()[0]) for task in tasks) / 1e9
 
 
 def settled(checkout: Checkout, processes: Processes, words: Sequence[str]) -> Path:

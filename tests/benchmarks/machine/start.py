@@ -9,10 +9,10 @@ import time
 from collections.abc import Sequence
 
 from harness.checkout import Checkout
-from harness.figure import Contender, Figure
+from harness.figure import Figure
 from harness.paced import Round
 from harness.processes import Processes
-
+from harness.samples import Contender
 from machine.small import small_host, started
 
 
@@ -42,6 +42,6 @@ FIGURE = Figure(
         "bare Python that prints": bare_python,
     },
     rounds=9,
-    targets={"to its first portal call": "0.7 s"},
+    targets={"to the first portal call": "0.7 s"},
     between=("from L text", "from a program file"),
 )
