@@ -36,7 +36,7 @@ class Paced:
 
 
 def whole_run(child: Child, case: str) -> Round:
-    """Seconds of a command from its start to its end, and of a processor: less of it is the computer's mood."""
+    """Seconds of a command from start to end, and of a processor, in which load counts for less."""
     before = os.times()
     child.wait()
     took, after = time.perf_counter() - child.started, os.times()

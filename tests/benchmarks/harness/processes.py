@@ -71,8 +71,9 @@ class Child:
         return [line.decode() for line in lines]
 
     def pause(self) -> None:
-        """Stop it where it stands, so that it costs nothing while others are measured."""
+        """Stop it where it stands, so that it costs nothing while others are measured; returns when it is."""
         os.kill(self.pid, signal.SIGSTOP)
+        os.waitid(os.P_PID, self.pid, os.WSTOPPED | os.WEXITED | os.WNOWAIT)
 
     def go_on(self) -> None:
         """Let it run again."""

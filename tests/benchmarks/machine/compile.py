@@ -85,7 +85,7 @@ def _programs() -> dict[str, tuple[str, str]]:
 FIGURE = Figure(
     "Compiling: a command from its start to its end",
     {"lfield check": command("check"), "lfield build": command("build")},
-    rounds=6,
+    rounds=4,
     targets={f"it, {len(TYPES)} types, none used": "as without"},
     between=("lfield check", "lfield build"),
 )

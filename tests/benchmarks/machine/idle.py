@@ -12,7 +12,7 @@ from harness.processes import Processes
 from harness.words import PERCENT
 from machine.small import processor_seconds, settled, small_host
 
-SECONDS = 3.0
+SECONDS = 2.0
 
 
 def idle(checkout: Checkout, words: Sequence[str]) -> Round:
