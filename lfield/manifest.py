@@ -52,6 +52,11 @@ class Instruction:
     channel: str = "motion"
     raises: tuple[str, ...] = DEVICE_EXCEPTIONS
 
+    @property
+    def is_query(self) -> bool:
+        """Whether telemetry answers it: then it is never sent to the device."""
+        return self.effect == "query" and not self.blocking
+
 
 @dataclass(frozen=True, slots=True)
 class Quantity:

@@ -9,9 +9,9 @@ import asyncio
 import math
 import time
 
-from lfield.driver.guard_core import QUIET_BY
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused
 from lfield.driver.manifest_file import WATCHDOG
+from lfield.guard.core import QUIET_BY
 
 KIT = Kit()
 

@@ -19,7 +19,7 @@ from typing import Literal
 
 from lfield.lang import syntax
 from lfield.manifest import Effect, Parameter
-from lfield.source import Span
+from lfield.text.source import Span
 
 AttributeType = Literal["real", "int", "boolean", "text", "set"]
 Better = Literal["more", "less", "none"]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 
-from lfield.lang.suggest import did_you_mean
+from lfield.text.suggest import did_you_mean
 
 #: What units are made of, in the order of the exponents: SI's base units, the radian, and the byte.
 BASE = ("m", "kg", "s", "A", "K", "mol", "cd", "rad", "B")

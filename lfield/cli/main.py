@@ -17,9 +17,9 @@ from typing import NoReturn, Protocol
 
 from lfield import __version__
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
-from lfield.fleet.logbook import silence
+from lfield.host.logbook import silence
 
-#: Subcommands, each a module of this package, and what they are for.
+#: Subcommands, each a module of a room of this package, and what they are for.
 COMMANDS = {
     "check": "find the errors of a program or deployment",
     "build": "compile a program to a program file",
@@ -35,7 +35,14 @@ COMMANDS = {
     "kit": "try a device, fake or real, against what its driver promises",
     "sim": "run a stand-alone fake of a device, or make one go wrong",
 }
-_MODULES = {name: f"lfield.cli.{name}" for name in COMMANDS}
+_ROOMS = {
+    "desk": ("check", "build", "disasm", "inspect", "capabilities"),
+    "run": ("up",),
+    "team": ("ps", "query", "estop"),
+    "robot": ("doctor", "driver", "kit", "sim"),
+}
+#: The module of every subcommand.
+MODULES = {name: f"lfield.cli.{room}.{name}" for room, names in _ROOMS.items() for name in names}
 
 
 class Command(Protocol):
@@ -122,7 +129,7 @@ def _dispatch(words: list[str]) -> int:
 
 
 def _command(name: str) -> Command:
-    return import_module(_MODULES[name])
+    return import_module(MODULES[name])
 
 
 _STATUSES = "exit statuses:" + (__doc__ or "").partition("(after sysexits):")[2]

@@ -10,7 +10,7 @@ from lfield.compiler.frame import Frame
 from lfield.compiler.methods import compile_method, method_record
 from lfield.errors import ProgramError
 from lfield.lang.tree import CheckedProgram
-from lfield.source import Diagnostic
+from lfield.text.source import Diagnostic
 
 
 def compile_program(checked: CheckedProgram) -> Program:

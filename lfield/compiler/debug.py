@@ -6,7 +6,7 @@ from pathlib import PurePath
 
 from lfield.bytecode.program import Debug, MethodDebug, SourceText
 from lfield.compiler.frame import Frame
-from lfield.source import Source
+from lfield.text.source import Source
 
 
 def debug_information(sources: list[Source], frames: list[Frame]) -> Debug:

@@ -11,7 +11,7 @@ from lfield.compiler.slots import Slots
 from lfield.compiler.statements import Statements
 from lfield.lang import types
 from lfield.lang.tree import Method
-from lfield.source import Diagnostic
+from lfield.text.source import Diagnostic
 
 
 def compile_method(method: Method, tables: Tables, entry: int) -> Frame | Diagnostic:

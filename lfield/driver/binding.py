@@ -6,6 +6,9 @@ from typing import Any
 
 import msgspec
 
+#: The endpoint of a device whose fake has not been started yet begins so; what follows names the bus.
+SIMULATED = "sim:"
+
 #: A value of an option in a devices file.
 OptionValue = bool | int | float | str | list[int | str]
 

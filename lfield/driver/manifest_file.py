@@ -43,9 +43,9 @@ from lfield.manifest import (
     Parameter,
     Quantity,
 )
-from lfield.source import Diagnostics, Span
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import Listing, Node, Scalar, decode
+from lfield.text.source import Diagnostics, Span
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import Listing, Node, Scalar, decode
 
 #: What every device can do; the guard and the host answer them.
 RELEASE = Instruction(
@@ -236,7 +236,7 @@ def _instruction(name: str, fields: Fields) -> Instruction:
         fields.text("channel", "motion"),
         fields.texts("raises") or DEVICE_EXCEPTIONS,
     )
-    if effect == "query" and not instruction.blocking:
+    if instruction.is_query:
         fields.report(
             "Y113",
             f"'{name}' is a query that asks nobody",

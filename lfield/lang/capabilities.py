@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from lfield.lang import syntax
-from lfield.source import Diagnostic, Source
+from lfield.text.source import Diagnostic, Source
 
 Verb = Literal["find", "explain"]
 VERBS: tuple[Verb, ...] = ("find", "explain")

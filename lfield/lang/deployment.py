@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import Literal
 
 from lfield.errors import ProgramError, UsageError
-from lfield.files import read_bytes
 from lfield.lang import messages
 from lfield.lang.deployment_line import Entry, read_line
 from lfield.lang.reading import MAX_BYTES, bad_byte
-from lfield.lang.suggest import did_you_mean, listed
 from lfield.lang.tree import UnitKind
-from lfield.source import Diagnostic, Diagnostics, Source, Span
+from lfield.text.files import read_bytes
+from lfield.text.source import Diagnostic, Diagnostics, Source, Span
+from lfield.text.suggest import did_you_mean, listed
 
 #: 'unknown' when the deployment was read without its program.
 AgentKind = Literal["resource", "coordinator", "unknown"]

@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 from urllib.parse import unquote_to_bytes
 
-from lfield.findings import Message
 from lfield.lang import messages
-from lfield.source import Diagnostics, Span
+from lfield.text.findings import Message
+from lfield.text.source import Diagnostics, Span
 
 _COMMENT = re.compile(r"(?:^|(?<=\s))#")
 _NAME = re.compile(r"[A-Za-z0-9._-]+", re.ASCII)

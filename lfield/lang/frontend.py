@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lfield.errors import ProgramError
-from lfield.files import read_bytes
 from lfield.lang.capabilities import Capabilities, Generated, unknown_names
 from lfield.lang.checker import check
 from lfield.lang.checker.symbols import BUILTIN_TYPES
@@ -16,7 +15,8 @@ from lfield.lang.parser import parse
 from lfield.lang.reading import MAX_BYTES
 from lfield.lang.tree import CheckedProgram
 from lfield.manifest import DeviceManifest
-from lfield.source import Diagnostic, Diagnostics, Source
+from lfield.text.files import read_bytes
+from lfield.text.source import Diagnostic, Diagnostics, Source
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,12 +6,12 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from lfield.files import read_within, reason
 from lfield.lang import messages
 from lfield.lang.parser import parse
 from lfield.lang.reading import MAX_BYTES, bad_byte
 from lfield.lang.syntax import File, Include
-from lfield.source import Diagnostic, Diagnostics, Source
+from lfield.text.files import read_within, reason
+from lfield.text.source import Diagnostic, Diagnostics, Source
 
 FindInclude = Callable[[str], Path | None]
 

@@ -7,7 +7,7 @@ IV), L6xx files, L7xx deployments, L9xx warnings. A hint says what to do instead
 
 from __future__ import annotations
 
-from lfield.findings import Table
+from lfield.text.findings import Table
 
 #: Every message by its code, in the order of the codes.
 TABLE = Table(warnings="L9")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lfield.source import Source, Span
+from lfield.text.source import Source, Span
 
 #: The largest file of a program, or deployment, in bytes.
 MAX_BYTES = 16 << 20

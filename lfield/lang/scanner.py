@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass, field
 from enum import Enum
 
-from lfield.findings import Message
 from lfield.lang import messages
-from lfield.source import Diagnostics, Source, Span
+from lfield.text.findings import Message
+from lfield.text.source import Diagnostics, Source, Span
 
 #: Reserved words; `specific` is a word only after `resource` or `coordinator` in the head of a class.
 KEYWORDS = frozenset(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from lfield.lang.tree import UnitKind, Usage
-from lfield.source import Source, Span
+from lfield.text.source import Source, Span
 
 #: The name of a type that could not be read; nobody can write it.
 BAD_TYPE = "?"

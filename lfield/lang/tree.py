@@ -13,7 +13,7 @@ from typing import Literal
 
 from lfield.lang.types import ArrayType, Type
 from lfield.manifest import DeviceManifest, Instruction
-from lfield.source import Source, Span
+from lfield.text.source import Source, Span
 
 UnitKind = Literal["class", "resource", "coordinator"]
 Usage = Literal["global", "resource", "coordinator"]

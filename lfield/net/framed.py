@@ -9,8 +9,8 @@ from lfield.wire.codec import TRANSFER, decode, decode_transfer, encode, encode_
 
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
-    from lfield.framing import Buffer
     from lfield.net.transport import LinkHandler
+    from lfield.wire.framing import Buffer
     from lfield.wire.messages import Message, Transfer
 
 # Up to here one copy is cheaper than a second system call; a larger block is written by itself.

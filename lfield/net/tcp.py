@@ -15,8 +15,8 @@ from lfield.net.transport import join_address, split_address
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lfield.framing import Buffer
     from lfield.net.transport import Link, LinkHandler
+    from lfield.wire.framing import Buffer
     from lfield.wire.messages import Transfer
 
 _REASONS = {

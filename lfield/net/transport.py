@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfield.errors import LfieldError
-    from lfield.framing import Buffer
+    from lfield.wire.framing import Buffer
     from lfield.wire.messages import Message, Transfer
 
 #: The port of a host whose address gives none (chapter IV, figure 4.9).

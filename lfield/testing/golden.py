@@ -18,21 +18,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lfield.bytecode.program import DeviceCall, Program
-from lfield.capability.language import RegistryTypes
 from lfield.capability.model import Registry
 from lfield.capability.reading.reader import read_registry
+from lfield.capability.types.language import RegistryTypes
 from lfield.clock import ManualClock
 from lfield.compiler.build import compile_program
 from lfield.errors import DeviceError, ProgramError
-from lfield.fleet.answers import Answers
+from lfield.host.answers import Answers
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceValue
 from lfield.testing.offers import still_answers
 from lfield.vm.agent import Agent, Member
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits, Reading
 from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
-from lfield.vm.readings import Reading
 from lfield.vm.world import Pending
 
 #: Virtual seconds after which a golden program that still sleeps is stopped.

@@ -14,9 +14,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from lfield.bytecode.program import ARRAY, FACT_FIELDS, FACTS, OBJECT, PROXY, Program, TypeRecord
-from lfield.vm import layout
-from lfield.vm.block import Block, Full
-from lfield.vm.layout import header
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.layout import header
 
 #: Words of what an offer says of itself: header, agent, host, kind, score, names, numbers, texts, ages.
 _FACTS_WORDS = 1 + len(FACT_FIELDS)

@@ -2,38 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+import random
+from collections.abc import Callable, Sequence
 
 from lfield.bytecode.opcodes import BY_CODE
 from lfield.bytecode.program import ARRAY, PROXY
 from lfield.errors import ConstraintError, DeviceError
-from lfield.vm import layout, portals
-from lfield.vm.engine.library import real_text
-from lfield.vm.exits import Outside
-from lfield.vm.layout import PARKED, WAITING
-from lfield.vm.offers import UnknownWay, write_offers
-from lfield.vm.threads import still_image
-from lfield.vm.values import plain, real_of, word_for, word_of
+from lfield.vm import portals
+from lfield.vm.agent import Agent, Member
+from lfield.vm.contract import Outside
+from lfield.vm.memory import layout
+from lfield.vm.memory.layout import PARKED, WAITING
+from lfield.vm.memory.threads import still_image
+from lfield.vm.memory.values import plain, real_of, real_text, word_for, word_of
+from lfield.vm.offers import Shapes, UnknownWay, write_offers
+from lfield.vm.scheduler import Scheduler
 from lfield.vm.world import Pending
-
-if TYPE_CHECKING:
-    from lfield.vm.agent import Agent
-    from lfield.vm.machine import Machine
 
 #: A thread that does nothing but ask and yield, so often in a row, is polling ...
 POLLS = 16
 #: ... and gets its turn again after so many seconds, so that waiting costs next to nothing.
 POLL_INTERVAL = 0.005
 
-Handler = Callable[["Agent", int, int, list[int]], None]
+Handler = Callable[[Agent, int, int, list[int]], None]
 
 
 class Outsiders:
     """One method per kind of head; each ends by completing the thread's group, now or later."""
 
-    def __init__(self, machine: Machine) -> None:
-        self.machine = machine
+    def __init__(self, scheduler: Scheduler, team: Sequence[Member], here: int, dice: random.Random) -> None:
+        self._scheduler, self._team, self._here, self._dice = scheduler, team, here, dice
+        self._shapes = Shapes(scheduler.program)
         kinds: dict[str, Handler] = {
             "pcall": self._pcall,
             "yield": self._yield,
@@ -66,9 +65,9 @@ class Outsiders:
 
     def _go_on(self, agent: Agent, thread: int, word: int = 0) -> None:
         """Complete a group that took no time: the thread keeps its turn."""
-        machine = self.machine
-        machine.engine.complete(agent.block, machine.place(agent, thread), word)
-        machine.turns.next(agent, thread)
+        scheduler = self._scheduler
+        scheduler.engine.complete(agent.block, scheduler.place(agent, thread), word)
+        scheduler.turns.next(agent, thread)
 
     # --- output ---------------------------------------------------------------------------------------
 
@@ -78,7 +77,7 @@ class Outsiders:
         def output(agent: Agent, thread: int, operand: int, words: list[int]) -> None:
             text = _shown(agent, kind, words[0])
             if verb == "print":
-                self.machine.world.log(agent, text)
+                self._scheduler.world.log(agent, text)
             else:
                 self._write(agent, thread, text)
             self._go_on(agent, thread)
@@ -90,24 +89,24 @@ class Outsiders:
         whole = agent.lines.pop(thread, "") + text
         end = whole.rfind("\n") + 1
         if end:
-            self.machine.world.write(agent, whole[:end])
+            self._scheduler.world.write(agent, whole[:end])
         if rest := whole[end:]:
             agent.lines[thread] = rest
 
     # --- time and chance ------------------------------------------------------------------------------
 
     def _yield(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        machine = self.machine
-        place = machine.place(agent, thread)
-        parks = machine.engine.group(machine.standing(agent, thread)).parks
-        machine.engine.complete(agent.block, place, 0)
-        machine.open(agent)
+        scheduler = self._scheduler
+        place = scheduler.place(agent, thread)
+        parks = scheduler.engine.group(scheduler.standing(agent, thread)).parks
+        scheduler.engine.complete(agent.block, place, 0)
+        scheduler.open(agent)
         if parks:
-            machine.set_state(agent, thread, PARKED)
+            scheduler.set_state(agent, thread, PARKED)
             return
         agent.polls[thread] = polls = agent.polls.get(thread, 0) + 1
         if polls <= POLLS:
-            machine.turns.last(agent, thread)
+            scheduler.turns.last(agent, thread)
         else:
             self._poll(agent, thread)
 
@@ -118,67 +117,74 @@ class Outsiders:
         the agent has run: it is parked till then. If it asked the clock or a device, which may answer
         differently each time, it gets its turn by and by.
         """
-        machine = self.machine
+        scheduler = self._scheduler
         agent.polled = True
         image = still_image(agent.block)
         if image == agent.seen and thread not in agent.asked:
-            machine.set_state(agent, thread, PARKED)
+            scheduler.set_state(agent, thread, PARKED)
             agent.pollers.add(thread)
             return
         if image != agent.seen:
-            machine.stir(agent)
+            scheduler.stir(agent)
             agent.seen = image
         if thread in agent.asked:
             agent.asked.discard(thread)
-            machine.turns.sleep(agent, thread, POLL_INTERVAL)
+            scheduler.turns.sleep(agent, thread, POLL_INTERVAL)
         else:
-            machine.turns.last(agent, thread)
+            scheduler.turns.last(agent, thread)
 
     def _sleep(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        machine = self.machine
-        machine.engine.complete(agent.block, machine.place(agent, thread), 0)
-        machine.open(agent)
+        scheduler = self._scheduler
+        scheduler.engine.complete(agent.block, scheduler.place(agent, thread), 0)
+        scheduler.open(agent)
         seconds = real_of(words[0])
         # Not a number sleeps not at all; a wait beyond any mission is as good as for ever.
-        machine.turns.sleep(agent, thread, min(seconds, 1e9) if seconds > 0 else 0.0)
+        scheduler.turns.sleep(agent, thread, min(seconds, 1e9) if seconds > 0 else 0.0)
 
     def _now(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        self._go_on(agent, thread, word_of(self.machine.clock.time()))
+        self._go_on(agent, thread, word_of(self._scheduler.clock.time()))
 
     def _random(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        self._go_on(agent, thread, word_of(self.machine.dice.random()))
+        self._go_on(agent, thread, word_of(self._dice.random()))
 
     def _random_int(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         if words[0] <= 0:
-            self.machine.refuse(agent, thread, "ArithmeticException", f"random({words[0]}) has no result")
+            self._scheduler.refuse(agent, thread, "ArithmeticException", f"random({words[0]}) has no result")
             return
-        self._go_on(agent, thread, self.machine.dice.randrange(words[0]))
+        self._go_on(agent, thread, self._dice.randrange(words[0]))
 
     # --- the team -------------------------------------------------------------------------------------
 
     def _pcall(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        portals.call(self.machine, agent, thread, operand, words)
+        member = self._team[agent.block.w[words[0] + 1]]
+        if member.host == self._here:
+            portals.call(self._scheduler, member, agent, thread, operand, words)
+            return
+        self._scheduler.freeze(agent, thread)
+        self._scheduler.world.depart(agent, member)
 
     def _find(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        machine = self.machine
+        scheduler = self._scheduler
         wanted = agent.block.string(words[0])
-        name = machine.program.core.classes[operand].name
-        of_type = [m for m in machine.team if m.type == name]
+        name = scheduler.program.core.classes[operand].name
+        of_type = [m for m in self._team if m.type == name]
         found = next((m for m in of_type if m.id == wanted), None)
         if found is None:
             known = ", ".join(m.id for m in of_type[:10]) or "none"
             message = f"the deployment has no {name} '{wanted}' (it has {known})"
-            machine.refuse(agent, thread, "UnknownResourceException", message, wanted)
+            scheduler.refuse(agent, thread, "UnknownResourceException", message, wanted)
             return
         number = found.number
-        machine.complete(agent, thread, lambda: _proxy(agent, operand, number))
+        scheduler.complete(agent, thread, lambda: _proxy(agent, operand, number))
 
     def _find_all(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        machine = self.machine
-        name = machine.program.core.classes[operand].name
-        numbers = [m.number for m in machine.team if m.type == name]
-        of = next(i for i, t in enumerate(machine.program.core.types) if t.kind == PROXY and t.of == operand)
-        kind = next(i for i, t in enumerate(machine.program.core.types) if t.kind == ARRAY and t.of == of)
+        scheduler = self._scheduler
+        name = scheduler.program.core.classes[operand].name
+        numbers = [m.number for m in self._team if m.type == name]
+        of = next(
+            i for i, t in enumerate(scheduler.program.core.types) if t.kind == PROXY and t.of == operand
+        )
+        kind = next(i for i, t in enumerate(scheduler.program.core.types) if t.kind == ARRAY and t.of == of)
 
         def work() -> int:
             block = agent.block
@@ -187,47 +193,49 @@ class Outsiders:
                 block.w[i] = _proxy(agent, operand, number)
             return array
 
-        machine.complete(agent, thread, work)
+        scheduler.complete(agent, thread, work)
 
     def _offers(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        machine = self.machine
-        name = machine.program.core.classes[operand].name
+        scheduler = self._scheduler
+        name = scheduler.program.core.classes[operand].name
         constraint = agent.block.string(words[0]) if words[0] else None
         try:
-            found = machine.world.offers(agent, name, constraint)
-            machine.complete(agent, thread, lambda: write_offers(agent.block, machine.shapes, operand, found))
+            found = scheduler.world.offers(agent, name, constraint)
+            scheduler.complete(agent, thread, lambda: write_offers(agent.block, self._shapes, operand, found))
         except (ConstraintError, UnknownWay) as error:
-            machine.refuse(agent, thread, "ConstraintException", str(error), name)
+            scheduler.refuse(agent, thread, "ConstraintException", str(error), name)
 
     def _explain(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        machine = self.machine
-        name = machine.program.core.classes[operand].name
+        scheduler = self._scheduler
+        name = scheduler.program.core.classes[operand].name
         constraint = agent.block.string(words[0]) if words[0] else None
         try:
-            text = machine.world.explain(agent, name, constraint)
+            text = scheduler.world.explain(agent, name, constraint)
         except ConstraintError as error:
-            machine.refuse(agent, thread, "ConstraintException", str(error), name)
+            scheduler.refuse(agent, thread, "ConstraintException", str(error), name)
             return
-        machine.complete(agent, thread, lambda: agent.block.new_string(text))
+        scheduler.complete(agent, thread, lambda: agent.block.new_string(text))
 
     def _device(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        machine = self.machine
-        call = machine.program.core.device_calls[operand]
+        scheduler = self._scheduler
+        call = scheduler.program.core.device_calls[operand]
         values = [
-            plain(agent.block, machine.program, kind, word)
+            plain(agent.block, scheduler.program, kind, word)
             for kind, word in zip(call.parameters, words, strict=True)
         ]
-        machine.set_state(agent, thread, WAITING)
+        scheduler.set_state(agent, thread, WAITING)
         try:
-            value = machine.world.device(agent, thread, call, values)
+            value = scheduler.world.device(agent, thread, call, values)
             if isinstance(value, Pending):
                 return
-            agent.readings[operand] = machine.world.reading(agent, call)
-            machine.complete(
-                agent, thread, lambda: word_for(agent.block, machine.program, call.result, value, call.field)
+            agent.readings[operand] = scheduler.world.reading(agent, call)
+            scheduler.complete(
+                agent,
+                thread,
+                lambda: word_for(agent.block, scheduler.program, call.result, value, call.field),
             )
         except DeviceError as error:
-            machine.refuse(agent, thread, error.kind, f"{error.device}: {error.reason}", error.device)
+            scheduler.refuse(agent, thread, error.kind, f"{error.device}: {error.reason}", error.device)
 
 
 def _proxy(agent: Agent, record: int, number: int) -> int:

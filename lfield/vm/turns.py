@@ -7,8 +7,8 @@ from heapq import heappop, heappush
 
 from lfield.clock import Clock
 from lfield.vm.agent import Agent
-from lfield.vm.layout import READY, SLEEPING, THREAD_STATE
-from lfield.vm.threads import place_of
+from lfield.vm.memory.layout import READY, SLEEPING, THREAD_STATE
+from lfield.vm.memory.threads import place_of
 
 #: Turns that may follow one another without the end of the queue being looked at.
 STREAK = 50

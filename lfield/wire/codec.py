@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeVar
 import msgspec
 
 from lfield.errors import WireError
-from lfield.framing import Buffer, FrameDecoder, frame, frame_header
+from lfield.wire.framing import Buffer, FrameDecoder, frame, frame_header
 from lfield.wire.messages import MAX_TEXT, PROTOCOL, Control, ForeignHello, Hello, Message, Refuse, Transfer
 
 if TYPE_CHECKING:

@@ -8,11 +8,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 
-from lfield_sim.can.bus import Port
-from lfield_sim.can.fleet import build, parse
-from lfield_sim.can.frame import Frame
-from lfield_sim.can.sdo import TYPES
-from lfield_sim.can.troubles import FAULTS
+from lfield_sim.can.bus import FAULTS, Frame, Port
+from lfield_sim.can.canopen.sdo import TYPES
+from lfield_sim.can.specs import build, parse
 from lfield_sim.can.world import TICK, World
 from lfield_sim.faults import Faults
 

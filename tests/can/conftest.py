@@ -11,7 +11,7 @@ import pytest
 from lfield.clock import SystemClock
 from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
-from lfield.testing.jumping import LoopClock, run_jumping
+from lfield.simulate.time import LoopClock, run_jumping
 from lfield.testing.reports import KeptReports
 from lfield_can import PLUGIN
 from lfield_can.driver import CanDriver

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
 from lfield.lang.frontend import check_text
-from lfield.testing.jumping import LoopClock, run_jumping
+from lfield.simulate.time import LoopClock, run_jumping
 from lfield_can import PLUGIN
 from lfield_can.endpoint import parse_endpoint
 from lfield_can.frames import EXTENDED, Frame

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from can_fake_bench import Bench
 
-from lfield_sim.can.frame import ERROR_BUS_OFF, Frame
+from lfield_sim.can.bus import ERROR_BUS_OFF, Frame
 
 
 def identifiers(frames: list[Frame]) -> list[int]:

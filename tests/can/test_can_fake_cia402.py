@@ -7,8 +7,8 @@ import struct
 import pytest
 from can_fake_bench import DriveBench
 
-from lfield_sim.can.frame import Frame
-from lfield_sim.can.objects402 import CSP, CST, CSV, HM, INCREMENTS, PP, PT, PV, VENDOR
+from lfield_sim.can.bus import Frame
+from lfield_sim.can.cia402.table import CSP, CST, CSV, HM, INCREMENTS, PP, PT, PV, VENDOR
 
 ENABLED, QUICK_STOP, FAULT, DISABLED = 0x27, 0x07, 0x08, 0x40
 REACHED, LIMITED, ACKNOWLEDGED, HOMED = 1 << 10, 1 << 11, 1 << 12, 1 << 12
@@ -182,12 +182,12 @@ def test_profile_position_is_a_trapezoid(bench):
     speeds = []
     for _ in range(300):
         bench.wait(0.01)
-        speeds.append(bench.drive.axis.velocity / INCREMENTS)
+        speeds.append(bench.drive.axis.drive.velocity / INCREMENTS)
     assert max(speeds) == pytest.approx(5.0, abs=0.1), "0x6081: 5 turns per second"
     assert speeds[20] == pytest.approx(2.1, abs=0.3), "0x6083: 10 turns per second squared"
     assert bench.status & REACHED
     assert bench.read(0x6064) == pytest.approx(10 * INCREMENTS, abs=40)
-    assert max(bench.drive.axis.profile.position, bench.drive.axis.position) < 10.01 * INCREMENTS
+    assert max(bench.drive.axis.drive.profile.position, bench.drive.axis.drive.position) < 10.01 * INCREMENTS
 
 
 def test_set_points_queue_replace_and_add_up(bench):
@@ -245,7 +245,7 @@ def test_torque_modes(bench, mode):
     bench.write(0x6071, 100)
     bench.wait(0.1)
     assert bench.read(0x6077) == 100
-    assert bench.drive.axis.velocity > 0
+    assert bench.drive.axis.drive.velocity > 0
     bench.wait(5.0)
     assert bench.read(0x606C) <= 50 * INCREMENTS * 1.01
 

@@ -11,7 +11,7 @@ from can_fake_bench import running, serial, tcp
 from canopen import objectdictionary
 from canopen.profiles.p402 import BaseNode402
 
-from lfield_sim.can.objects402 import INCREMENTS, entries
+from lfield_sim.can.cia402.table import INCREMENTS, entries
 
 pytestmark = pytest.mark.process
 TYPES = {

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_can_fake_dbc import GRIPPER
 
-from lfield_sim.can import slcan, socketcand
-from lfield_sim.can.frame import FD_LENGTHS, Frame
-from lfield_sim.can.slcan import Slcan
-from lfield_sim.can.socketcand import Socketcand
+from lfield_sim.can.bus import FD_LENGTHS, Frame
+from lfield_sim.can.doors import slcan, socketcand
+from lfield_sim.can.doors.slcan import Slcan
+from lfield_sim.can.doors.socketcand import Socketcand
 
 CHUNKS = st.lists(st.binary(max_size=400), max_size=20)
 SLCAN = st.lists(
@@ -82,7 +82,7 @@ def test_frames_into_every_device(script):
     heard = bench.wait(0.1)
     assert len(heard) < 500
     drive, axis, _ = bench.devices
-    assert all(math.isfinite(value) for value in (drive.axis.position, axis.axis.position))
+    assert all(math.isfinite(value) for value in (drive.axis.drive.position, axis.axis.position))
     for frame in bench.heard:
         assert Slcan.encode(frame)
         assert len(frame.data) <= 8
@@ -109,5 +109,5 @@ def test_any_value_in_any_object_of_a_drive_that_moves(writes):
             word = (0x06, 0x07, 0x0F, 0x1F, 0x0B, 0x80)[kind]
             bench.send(0x605, bytes([0x2B, 0x40, 0x60, 0, word, 0, 0, 0]))
         bench.wait(0.02)
-    assert math.isfinite(drive.axis.position)
+    assert math.isfinite(drive.axis.drive.position)
     assert abs(drive.motor.speed) <= drive.motor.data.max_speed

@@ -8,7 +8,7 @@ import struct
 import pytest
 from can_fake_bench import Bench
 
-from lfield_sim.can.odrive_table import Control, Error, Input, Result, State
+from lfield_sim.can.odrive.table import Control, Error, Input, Result, State
 
 
 class OdriveBench(Bench):

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from lfield_sim.can import slcan, socketcand
-from lfield_sim.can.bus import BUS_OFF, PASSIVE, WARNING
-from lfield_sim.can.frame import ERROR_BUS_OFF, Frame
-from lfield_sim.can.slcan import Slcan
-from lfield_sim.can.socketcand import Socketcand
+from lfield_sim.can.bus import BUS_OFF, ERROR_BUS_OFF, PASSIVE, WARNING, Frame
+from lfield_sim.can.doors import slcan, socketcand
+from lfield_sim.can.doors.slcan import Slcan
+from lfield_sim.can.doors.socketcand import Socketcand
 
 
 def opened() -> Socketcand:

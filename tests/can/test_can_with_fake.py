@@ -18,10 +18,10 @@ from can_fake_bench import running, tcp
 
 import lfield_sim.can
 from lfield.clock import SystemClock
+from lfield.devices.guards import Guards
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import control_folder
 from lfield.errors import DeviceError
-from lfield.fleet.guards import Guards
 from lfield.vm.world import PENDING
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(90)]
@@ -62,10 +62,11 @@ class Team:
                 await asyncio.sleep(0.02)
 
     async def call(self, field: str, instruction: str, *arguments):
-        answer = asyncio.get_running_loop().create_future()
-        value = self.guards.call("winch", field, instruction, arguments, answer.set_result)
+        value = self.guards.query("winch", field, instruction)
         if value is not PENDING:
             return value
+        answer = asyncio.get_running_loop().create_future()
+        self.guards.call("winch", field, instruction, arguments, answer.set_result)
         async with asyncio.timeout(BOUND):
             value = await answer
         if isinstance(value, DeviceError):

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.capability.model import Registry
-from lfield.capability.question import read_question
 from lfield.capability.reading.reader import read_registry
 from lfield.errors import ProgramError, UsageError
+from lfield.operator.question import read_question
 
 
 @cache

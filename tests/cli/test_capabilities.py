@@ -11,8 +11,8 @@ import sys
 import pytest
 
 from lfield.capability.reading.reader import read_registry
-from lfield.capability.show import describe
 from lfield.cli.main import main
+from lfield.operator.registry.show import describe
 
 MISSION = """\
 registry: 1

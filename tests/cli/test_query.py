@@ -251,7 +251,7 @@ def told(folder, monkeypatch, capsys):
     """`told(answers, query, *options)`: as `ask`, with these answers of the hosts."""
 
     def asked(answers, query: str, *options: str) -> tuple[int, list[str], list[str]]:
-        monkeypatch.setattr("lfield.cli.query._ask", lambda args, deployment: answers)
+        monkeypatch.setattr("lfield.cli.team.query._ask", lambda args, deployment: answers)
         status = main(["query", query, "--deploy", "mission.dL", *options])
         said = capsys.readouterr()
         return status, said.out.splitlines(), said.err.splitlines()

@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import pytest
 
-from lfield.cli.main import COMMANDS
+from lfield.cli.main import COMMANDS, MODULES
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -48,7 +48,7 @@ def understand(line: str) -> None:
     if name not in COMMANDS:
         raise ValueError(f"there is no subcommand '{name}'")
     parser = Strict()
-    import_module(f"lfield.cli.{name}").add_arguments(parser)
+    import_module(MODULES[name]).add_arguments(parser)
     parser.parse_args(words)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from lfield.driver.plugins import Plugins
 from lfield.errors import BindingError, InputFileError
-from lfield.fleet.bindings import SIMULATED, read_bindings
+from lfield.mission.bindings import SIMULATED, read_bindings
 
 NEEDED = {"alpha": {"fc": "Mavlink"}, "beta": {"fc": "Mavlink"}, "tour": {}}
 

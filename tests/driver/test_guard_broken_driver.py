@@ -9,11 +9,11 @@ import sys
 import pytest
 
 from lfield.clock import SystemClock
+from lfield.devices.guards import Guards
+from lfield.devices.try_out import LiveBench
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
-from lfield.fleet.guards import Guards
-from lfield.fleet.kit_bench import LiveBench
 
 pytestmark = pytest.mark.process
 

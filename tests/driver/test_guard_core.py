@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from lfield.clock import ManualClock
-from lfield.driver.guard_core import QUIET_BY, Cancel, Execute, Exit, GuardCore, MakeSafe, Quiet, Tell
-from lfield.driver.messages import Call, Done, Latched, Refused, Released, Stopped
+from lfield.guard.core import QUIET_BY, Cancel, Execute, Exit, GuardCore, MakeSafe, Quiet, Tell
+from lfield.guard.messages import Call, Done, Latched, Refused, Released, Stopped
 from lfield.manifest import DeviceManifest, Instruction, Parameter
 
 TTL, SILENCE = 0.5, 0.2

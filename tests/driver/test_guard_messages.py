@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.messages import MESSAGES, Call, Done, MessageReader, Open, Snapshot, encode
 from lfield.driver.values import conform
 from lfield.errors import WireError
+from lfield.guard.messages import MESSAGES, Call, Done, MessageReader, Open, Snapshot, encode
 
 BINDING = DeviceBinding(
     agent="a",

@@ -14,12 +14,12 @@ import msgspec
 import pytest
 
 from lfield.clock import SystemClock
+from lfield.devices.fakes import Fake, start_fake
+from lfield.devices.guards import Guards
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import Sims
 from lfield.errors import BindingError, DeviceError
-from lfield.fleet.bindings import SIMULATED, read_bindings
-from lfield.fleet.guards import Guards
-from lfield.fleet.sims import Fake, start_fake
+from lfield.mission.bindings import SIMULATED, read_bindings
 from lfield.vm.world import PENDING
 
 pytestmark = pytest.mark.process
@@ -91,10 +91,11 @@ class Flight:
                 await self.noted.wait()
 
     async def call(self, instruction: str, *arguments: float):
-        answer = asyncio.get_running_loop().create_future()
-        value = self.guards.call("alpha", "fc", instruction, arguments, answer.set_result)
+        value = self.guards.query("alpha", "fc", instruction)
         if value is not PENDING:
             return value
+        answer = asyncio.get_running_loop().create_future()
+        self.guards.call("alpha", "fc", instruction, arguments, answer.set_result)
         async with asyncio.timeout(20):
             value = await answer
         if isinstance(value, DeviceError):

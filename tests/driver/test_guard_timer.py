@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.device import Device, Driver
-from lfield.driver.guard import Shell
-from lfield.driver.messages import Beat, Call, Latched, MessageReader, Open, encode
+from lfield.guard.messages import Beat, Call, Latched, MessageReader, Open, encode
+from lfield.guard.process import Shell
 from lfield.manifest import DeviceManifest, Instruction
-from lfield.testing.jumping import JumpingLoop, LoopClock
+from lfield.simulate.time import JumpingLoop, LoopClock
 
 SILENCE = 0.2
 

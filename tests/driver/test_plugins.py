@@ -108,7 +108,7 @@ def test_looking_at_plugins_and_fakes_imports_no_vendor_library():
         "p = Plugins(); p.add('lfield_mavlink:PLUGIN'); s = Sims(); s.add('lfield_sim.mavlink:SIM')\n"
         "assert p.device_types and s and not p.problems and not s.problems, (p.problems, s.problems)\n"
         "assert 'pymavlink' not in sys.modules\n"
-        "assert not any(m.startswith(('lfield.vm', 'lfield.lang', 'lfield.fleet')) for m in sys.modules)"
+        "assert not any(m.startswith(('lfield.vm', 'lfield.lang', 'lfield.host')) for m in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 

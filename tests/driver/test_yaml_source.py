@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lfield.errors import InputFileError
-from lfield.source import Diagnostics, Source
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import MAX_BYTES, Listing, Mapping, decode, parse, read
+from lfield.text.source import Diagnostics, Source
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import MAX_BYTES, Listing, Mapping, decode, parse, read
 
 
 def value(text: str):

@@ -6,7 +6,7 @@ import asyncio
 from typing import Any
 
 from lfield.driver import DeviceBinding
-from lfield.testing.jumping import LoopClock, run_jumping
+from lfield.simulate.time import LoopClock, run_jumping
 from lfield.testing.reports import KeptReports
 from lfield_dynamixel import PLUGIN
 from lfield_dynamixel.driver import DynamixelDriver

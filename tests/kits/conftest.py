@@ -8,11 +8,11 @@ import sys
 
 import pytest
 
+from lfield.devices.try_out import checks_of, try_devices
 from lfield.driver.kit import Check
 from lfield.driver.plugins import discover
 from lfield.driver.sims import control_folder
-from lfield.fleet.kit_devices import devices_in_file
-from lfield.fleet.kit_run import checks_of, try_devices
+from lfield.mission.one_device import devices_in_file
 from lfield.net.control import ask_fake
 
 #: Seconds that the host of a test may be silent: the machine may be busy.

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from lang_expectations import CAPABILITIES, REGISTRY
 
-from lfield.capability import language
-from lfield.capability.generate import classes
-from lfield.capability.language import RegistryTypes
 from lfield.capability.model import Registry
 from lfield.capability.reading.reader import read_registry
+from lfield.capability.types import language
+from lfield.capability.types.generate import classes
+from lfield.capability.types.language import RegistryTypes
 from lfield.lang.frontend import Checked, check_text
 
 CRANE = """

@@ -1,7 +1,7 @@
 """How a finding looks to the person who made the mistake."""
 
 from lfield.lang.frontend import check_text
-from lfield.source import MAX_SHOWN
+from lfield.text.source import MAX_SHOWN
 
 PROGRAM = """\
 resource Arm {

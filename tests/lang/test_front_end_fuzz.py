@@ -13,7 +13,7 @@ from lfield.lang.frontend import Checked, check_file, check_text
 from lfield.lang.parser import parse
 from lfield.lang.scanner import FOREIGN_OPERATORS, KEYWORDS, Kind, scan
 from lfield.lang.types import UNKNOWN, Type
-from lfield.source import Diagnostics, Source
+from lfield.text.source import Diagnostics, Source
 
 PROGRAM = (GOLDEN / "ok" / "everything.L").read_text(encoding="utf-8").replace('include "part.L";', "")
 PIECES = sorted(

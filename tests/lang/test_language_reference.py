@@ -5,8 +5,8 @@ from pathlib import Path
 
 from lang_expectations import ROVER
 
-from lfield.capability.language import RegistryTypes
 from lfield.capability.reading.reader import read_registry
+from lfield.capability.types.language import RegistryTypes
 from lfield.driver.plugins import Plugins
 from lfield.lang.checker.symbols import EXCEPTION_NAMES
 from lfield.lang.deployment import parse_deployment

@@ -2,10 +2,10 @@
 
 import pytest
 
-from lfield.lang import suggest
 from lfield.lang.frontend import check_text
 from lfield.lang.library import FUNCTIONS
 from lfield.lang.scanner import KEYWORDS
+from lfield.text import suggest
 
 LIKE_KEYWORDS = [
     "Report",

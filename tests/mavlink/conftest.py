@@ -10,12 +10,12 @@ import pytest
 
 from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
-from lfield.testing.jumping import LoopClock, run_jumping
+from lfield.simulate.time import LoopClock, run_jumping
 from lfield_mavlink import PLUGIN
 from lfield_mavlink.driver import MavlinkDriver
-from lfield_sim.autopilot import FLAVOURS, Autopilot
+from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.mavlink.link.wire import make_faults
 from lfield_sim.mavlink.protocol import STEP, MavlinkFake
-from lfield_sim.mavlink.wire import make_faults
 
 MANIFEST = PLUGIN.read_manifests()["Mavlink"]
 

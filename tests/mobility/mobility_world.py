@@ -10,8 +10,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from itertools import combinations
 
-from lfield.fleet.mobility import Mobility
-from lfield.fleet.mobility_effects import (
+from lfield.mobility.core import Mobility
+from lfield.mobility.effects import (
     Departed,
     Finished,
     InDoubt,

@@ -15,7 +15,7 @@ from hypothesis.stateful import (
 )
 from mobility_world import PATIENCE, World
 
-from lfield.fleet.mobility import Mobility
+from lfield.mobility.core import Mobility
 
 HOSTS = "abc"
 AGENTS = {"Tour:one": "a", "Tour:two": "b"}

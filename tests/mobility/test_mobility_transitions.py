@@ -2,9 +2,9 @@
 
 import pytest
 
-from lfield.fleet.mobility import Mobility
-from lfield.fleet.mobility_copies import MAX_STARTS
-from lfield.fleet.mobility_effects import (
+from lfield.mobility.copies import MAX_STARTS
+from lfield.mobility.core import Mobility
+from lfield.mobility.effects import (
     Departed,
     Finished,
     InDoubt,

@@ -8,8 +8,8 @@ import random
 import pytest
 from mobility_world import PATIENCE, World
 
-from lfield.fleet.mobility import Mobility
-from lfield.fleet.mobility_effects import Send
+from lfield.mobility.core import Mobility
+from lfield.mobility.effects import Send
 from lfield.wire.messages import NEVER_ARRIVED, Inquire, Refused
 
 

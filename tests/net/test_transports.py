@@ -8,9 +8,9 @@ import pytest
 
 from lfield.clock import ManualClock
 from lfield.errors import AddressError, WireError
-from lfield.net.memory import MemoryNetwork
 from lfield.net.tcp import TcpTransport, _reason
 from lfield.net.transport import join_address, split_address
+from lfield.simulate.network import MemoryNetwork
 from lfield.testing.transport_kit import MAX_BLOCK, Pair, Recorder, TransportKit, transfer
 from lfield.wire.messages import Ping
 

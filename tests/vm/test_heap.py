@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from lfield.bytecode.program import Program
 from lfield.testing.golden import compile_text
-from lfield.vm import layout
-from lfield.vm.block import Block, Full
-from lfield.vm.collector import collect
-from lfield.vm.copier import deep_copy
-from lfield.vm.layout import Layouts
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.collector import collect
+from lfield.vm.memory.copier import deep_copy
+from lfield.vm.memory.layout import Layouts
 
 NODES = """
 class Node { public int value; public Node left; public Node right; public string name; public int[] numbers;

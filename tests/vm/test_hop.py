@@ -13,10 +13,10 @@ from lfield.bytecode.program import Program
 from lfield.clock import ManualClock
 from lfield.errors import BlockError
 from lfield.testing.golden import Desk, compile_text, settle
-from lfield.vm import layout
 from lfield.vm.agent import Agent, Member
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
+from lfield.vm.memory import layout
 
 WANDERER = """
 resource Post {
@@ -161,6 +161,11 @@ def test_hostile_bytes_are_refused_or_harmless(data: st.DataObject) -> None:
     hosts.run()
 
 
+def with_word(image: bytes, word: int, value: int) -> bytes:
+    """A block with another word."""
+    return image[: 8 * word] + value.to_bytes(8, "little", signed=True) + image[8 * (word + 1) :]
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -169,6 +174,7 @@ def test_hostile_bytes_are_refused_or_harmless(data: st.DataObject) -> None:
         (lambda image: b"\0" * 8 + image[8:], "wrong magic or version"),
         (lambda image: image[:8] + b"\0" * 32 + image[40:], "it belongs to another program"),
         (lambda image: image[: 8 * layout.W_SELF] + b"\x01" + image[8 * layout.W_SELF + 1 :], "roots"),
+        (lambda image: with_word(image, layout.W_HOPS, (1 << 63) - 1), "its header is not sound"),
     ],
 )
 def test_unsound_blocks_say_why(change, reason) -> None:  # type: ignore[no-untyped-def]

@@ -16,17 +16,16 @@ from lfield.capability.model import Registry
 from lfield.capability.reading.reader import read_registry
 from lfield.clock import ManualClock
 from lfield.testing.golden import Desk, compile_text, settle
-from lfield.vm import layout
 from lfield.vm.agent import Member
-from lfield.vm.block import Block, Full
-from lfield.vm.collector import collect
-from lfield.vm.copier import deep_copy
-from lfield.vm.engine.prepare import prepare
-from lfield.vm.layout import Layouts
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.collector import collect
+from lfield.vm.memory.copier import deep_copy
+from lfield.vm.memory.layout import Layouts
+from lfield.vm.memory.soundness import Soundness
 from lfield.vm.offers import Found, Shapes, UnknownWay, ways, write_offers
-from lfield.vm.soundness import Soundness
 
 TEAM = """
 resource Crane {
@@ -151,7 +150,7 @@ def test_offers_are_ordinary_objects(found: list[Found]) -> None:
     (copy,) = deep_copy(block, [array], other, layouts)
     assert read_all(other, copy) == found
     block.w[layout.W_THREADS] = 0
-    soundness = Soundness(prepare(program()), ["Crane", "Copter", "Hand", "Crane"])
+    soundness = Soundness(program(), Layouts(program()), ["Crane", "Copter", "Hand", "Crane"])
     block.w[layout.W_CLASS] = program().class_index["Boss"]
     soundness.check_heap(bytes(block.image()), 1 << 17)
     block.w[layout.W_ID] = array
@@ -258,7 +257,7 @@ def test_more_offers_than_the_heap_can_hold_are_an_exception() -> None:
 def test_offers_by_an_unknown_way_are_an_exception_that_can_be_caught() -> None:
     body = "try { who = findLift(); } catch (ConstraintException e) { print(e.message()); }"
     desk, clock = Asked([]), ManualClock()
-    machine = Machine(program(body), members(), 0, desk, clock)
+    machine = Machine(program(body), members(), 0, desk, clock, random.Random(1))
     for member in members():
         machine.start(member, Limits(), generation=1)
     desk.offers = lambda *asked: [] if asked[2] else [direct("byWinch", 0)]  # type: ignore[method-assign]  # one answer

@@ -10,9 +10,9 @@ import pytest
 from lfield.clock import ManualClock
 from lfield.testing.golden import Desk, compile_text, team_for
 from lfield.vm import machine as machine_module
-from lfield.vm.collector import collect
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
+from lfield.vm.memory.collector import collect
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

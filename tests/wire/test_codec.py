@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lfield.errors import WireError
-from lfield.framing import HEADER_SIZE
 from lfield.wire.codec import (
     CONTROL,
     HELLO,
@@ -21,6 +20,7 @@ from lfield.wire.codec import (
     encode_transfer,
     frame_decoder,
 )
+from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import (
     MAX_LABEL,
     MAX_NAME,

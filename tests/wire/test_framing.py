@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lfield.errors import WireError
-from lfield.framing import HEADER_SIZE, FrameDecoder, frame, frame_header
+from lfield.wire.framing import HEADER_SIZE, FrameDecoder, frame, frame_header
 
 REPEATABLE = settings(derandomize=True, deadline=None)
 LIMITS = {1: 100, 2: 1 << 20}

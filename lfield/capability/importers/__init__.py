@@ -17,9 +17,9 @@ from lfield.capability.importers.messages import UNKNOWN_FILE
 from lfield.capability.importers.writing import written
 from lfield.capability.model import Registry
 from lfield.errors import ProgramError
-from lfield.files import read_bytes
-from lfield.source import Diagnostics, Source, Span
-from lfield.yaml_source import MAX_BYTES, Mapping, decode
+from lfield.text.files import read_bytes
+from lfield.text.source import Diagnostics, Source, Span
+from lfield.text.yaml_source import MAX_BYTES, Mapping, decode
 
 #: What may stand before the first brace: a byte order mark, and space.
 _BEFORE = b"\xef\xbb\xbf \t\r\n"

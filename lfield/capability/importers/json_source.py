@@ -6,7 +6,7 @@ import json
 from typing import Any, NoReturn
 
 from lfield.capability.importers.messages import NOT_JSON
-from lfield.source import Diagnostics, Source, Span
+from lfield.text.source import Diagnostics, Source, Span
 
 
 def decode(name: str, data: bytes, found: Diagnostics) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lfield.findings import Message
+from lfield.text.findings import Message
 
 OTHER_SPEC = Message("C180", "only version 1 of these specs is known", "it has 'spec_version: 1'")
 UNKNOWN_FILE = Message(

@@ -18,8 +18,8 @@ from typing import Any, Literal
 
 from lfield.capability.importers.draft import Draft, clean, portal_name
 from lfield.capability.importers.messages import OTHER_SPEC
-from lfield.source import Diagnostics
-from lfield.yaml_source import Listing, Mapping, Node, Scalar
+from lfield.text.source import Diagnostics
+from lfield.text.yaml_source import Listing, Mapping, Node, Scalar
 
 Kind = Literal["interface", "semantic", "provider"]
 

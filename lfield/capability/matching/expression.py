@@ -18,8 +18,8 @@ from lfield.lang import messages, syntax
 from lfield.lang.parser import expressions
 from lfield.lang.parser.stream import GiveUp, Recover, TokenStream
 from lfield.lang.scanner import scan
-from lfield.lang.suggest import did_you_mean, listed
-from lfield.source import Diagnostic, Diagnostics, Source, Span
+from lfield.text.source import Diagnostic, Diagnostics, Source, Span
+from lfield.text.suggest import did_you_mean, listed
 
 #: The longest text that is read, in characters; nesting is limited by L's own parser.
 MAX_LENGTH = 2000

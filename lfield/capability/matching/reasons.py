@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from lfield.capability.matching.evaluate import Facts, conjuncts, evaluator, named, value_of
 from lfield.capability.model import Expression, Value
 from lfield.lang import syntax
-from lfield.lang.suggest import listed
+from lfield.text.suggest import listed
 
 #: Says of a fact that is not there why it is not: `payload is not stated`.
 Why = Callable[[str], str]

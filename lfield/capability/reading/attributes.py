@@ -16,8 +16,8 @@ from lfield.capability.model import Attribute, AttributeType, Better
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import NAME, Draft
 from lfield.capability.reading.values import check_unit
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import Entry
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import Entry
 
 #: What conditions call something of their own.
 RESERVED_ATTRIBUTES = frozenset({"agent", "robot", "host", "distance", "min", "max", "abs"})

@@ -19,12 +19,12 @@ from lfield.capability.model import (
     Weights,
 )
 from lfield.capability.reading import messages
-from lfield.findings import Message
 from lfield.lang.scanner import KEYWORDS
-from lfield.lang.suggest import did_you_mean, listed
-from lfield.source import Diagnostics, Span
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import Entry
+from lfield.text.findings import Message
+from lfield.text.source import Diagnostics, Span
+from lfield.text.suggest import did_you_mean, listed
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import Entry
 
 #: Most entries that one section of a registry may have, all files together.
 MAX_ENTRIES = 5000

@@ -6,8 +6,8 @@ from lfield.capability.matching.expression import Mistake, Scope, Wanted, check,
 from lfield.capability.model import Attribute, Expression
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft
-from lfield.source import Span
-from lfield.yaml_source import Node, Scalar, describe
+from lfield.text.source import Span
+from lfield.text.yaml_source import Node, Scalar, describe
 
 #: What an expression for an attribute's value has to be.
 WANTED: dict[str, Wanted] = {

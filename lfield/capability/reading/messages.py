@@ -8,7 +8,7 @@ knows, a list where text is expected) is Y1xx and stands in yaml_source.py.
 
 from __future__ import annotations
 
-from lfield.findings import Table
+from lfield.text.findings import Table
 
 #: Every message by its code, in the order of the codes.
 TABLE = Table(warnings="C19")

@@ -16,8 +16,8 @@ from lfield.capability.model import Weights
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft
 from lfield.capability.reading.values import read_values
-from lfield.lang.suggest import listed
-from lfield.yaml_fields import Fields
+from lfield.text.suggest import listed
+from lfield.text.yaml_fields import Fields
 
 #: The terms of the cost that have a weight; the weights of single attributes stand beside them.
 _TERMS = tuple(f.name for f in fields_of(Weights) if f.name != "attributes")

@@ -17,10 +17,10 @@ from lfield.capability.model import Argument, Portal, PortalMap, Primitive
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import NAME, Draft
 from lfield.capability.reading.values import read_conversion
-from lfield.lang.suggest import listed
-from lfield.source import Span
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import Entry, Mapping, Node, Scalar, describe
+from lfield.text.source import Span
+from lfield.text.suggest import listed
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import Entry, Mapping, Node, Scalar, describe
 
 
 def read_portals(draft: Draft, fields: Fields, primitive: Primitive, span: Span) -> dict[str, PortalMap]:

@@ -20,9 +20,9 @@ from lfield.capability.reading.draft import NAME, TYPE_NAME, Draft
 from lfield.capability.reading.signatures import PORTAL_TYPES, RESERVED, RESERVED_TYPES
 from lfield.capability.reading.values import check_unit
 from lfield.manifest import Effect, Parameter
-from lfield.source import Span
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import Entry
+from lfield.text.source import Span
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import Entry
 
 
 def read_primitives(draft: Draft) -> None:

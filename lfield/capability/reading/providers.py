@@ -27,9 +27,9 @@ from lfield.capability.reading.draft import TYPE_NAME, Draft
 from lfield.capability.reading.expressions import read_expression
 from lfield.capability.reading.portals import read_portals
 from lfield.capability.reading.values import read_conversion, read_values
-from lfield.source import Span
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import Entry, Mapping
+from lfield.text.source import Span
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import Entry, Mapping
 
 _NAME = r"[a-z][A-Za-z0-9_]*"
 _SOURCE = re.compile(rf"(?P<device>{_NAME})\.(?P<quantity>{_NAME})(\[(?P<index>[0-9]{{1,4}})\])?")

@@ -35,9 +35,9 @@ from lfield.capability.reading.shipped import shipped
 from lfield.capability.reading.subsumption import subsumptions
 from lfield.capability.reading.taxonomy import read_taxonomy
 from lfield.errors import ProgramError
-from lfield.source import Diagnostic, Diagnostics
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import Scalar, read
+from lfield.text.source import Diagnostic, Diagnostics
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import Scalar, read
 
 #: The version of the format.
 VERSION = 1

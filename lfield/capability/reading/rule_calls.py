@@ -6,8 +6,8 @@ from lfield.capability.model import Argument, Equivalence, Portal, PortalMap, Pr
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft
 from lfield.capability.reading.signatures import argument_type, constant_type, fits
-from lfield.lang.suggest import listed
-from lfield.source import Diagnostic, Span
+from lfield.text.source import Diagnostic, Span
+from lfield.text.suggest import listed
 
 
 def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitive) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from lfield.capability import ways
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft
-from lfield.source import Span
+from lfield.text.source import Span
 
 
 def check_ways(draft: Draft) -> None:

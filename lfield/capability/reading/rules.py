@@ -32,9 +32,9 @@ from lfield.capability.reading.draft import NAME, RULE, TYPE_NAME, Draft
 from lfield.capability.reading.expressions import read_attribute_expression, read_expression
 from lfield.capability.reading.portals import read_portals
 from lfield.capability.reading.rule_calls import check_calls
-from lfield.source import Span
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import Entry
+from lfield.text.source import Span
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import Entry
 
 #: Most parts that a composition can have: what can be put together grows with each of them.
 MAX_NEEDS = 8

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import lfield
-from lfield.source import Diagnostic
+from lfield.text.source import Diagnostic
 
 
 def shipped_folder() -> Path:

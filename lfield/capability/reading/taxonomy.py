@@ -19,9 +19,9 @@ from dataclasses import replace
 from lfield.capability.model import Term
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import DOTTED, Draft
-from lfield.source import Span
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import Entry
+from lfield.text.source import Span
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import Entry
 
 
 def read_taxonomy(draft: Draft) -> None:

@@ -9,10 +9,10 @@ from lfield.capability import units
 from lfield.capability.model import Attribute, Value
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft
-from lfield.lang.suggest import listed
-from lfield.source import Span
-from lfield.yaml_fields import Fields
-from lfield.yaml_source import Entry, Listing, Node, Scalar, describe
+from lfield.text.source import Span
+from lfield.text.suggest import listed
+from lfield.text.yaml_fields import Fields
+from lfield.text.yaml_source import Entry, Listing, Node, Scalar, describe
 
 _AMOUNT = r"[-+]?[0-9]{0,18}\.?[0-9]{1,18}([eE][-+]?[0-9]{1,3})?"
 _WITH_UNIT = re.compile(rf"(?P<amount>{_AMOUNT})\s*(?P<unit>[^\s0-9].{{0,40}})")

@@ -14,7 +14,6 @@ from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.library import ARRAY_LENGTH, EXCEPTION_METHODS, FUNCTIONS, STRING_METHODS, Function
-from lfield.lang.suggest import FOREIGN_FUNCTIONS, closest, did_you_mean, listed
 from lfield.lang.types import (
     INT,
     STRING,
@@ -26,7 +25,8 @@ from lfield.lang.types import (
     Type,
     array_of,
 )
-from lfield.source import Span
+from lfield.text.source import Span
+from lfield.text.suggest import FOREIGN_FUNCTIONS, closest, did_you_mean, listed
 
 
 def bare(body: Body, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]) -> tree.Expr:

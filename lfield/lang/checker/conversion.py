@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from lfield.findings import Message
 from lfield.lang import messages
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.tree import Expr, Literal_, ToReal
@@ -19,7 +18,8 @@ from lfield.lang.types import (
     Type,
     is_reference,
 )
-from lfield.source import Span
+from lfield.text.findings import Message
+from lfield.text.source import Span
 
 #: The library function that turns a value of the first type into the second.
 _FUNCTIONS = {

@@ -7,8 +7,8 @@ from lfield.lang.checker.conversion import shown, unknown
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import LIBRARY_NAMES
 from lfield.lang.library import EXCEPTION_METHODS, STRING_METHODS
-from lfield.lang.suggest import FOREIGN_VALUES, did_you_mean, listed
 from lfield.lang.types import STRING, UNKNOWN, ArrayType, ClassType, DeviceType, ResourceType, Type
+from lfield.text.suggest import FOREIGN_VALUES, did_you_mean, listed
 
 
 def variable(body: Body, raw: syntax.Name) -> tree.Expr:

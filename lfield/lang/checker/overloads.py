@@ -13,10 +13,10 @@ from typing import Generic, TypeVar
 from lfield.lang import messages
 from lfield.lang.checker.conversion import conversion_hint, converted, cost, shown
 from lfield.lang.checker.symbols import Symbols
-from lfield.lang.suggest import listed
 from lfield.lang.tree import Expr, Method
 from lfield.lang.types import UNKNOWN, Type
-from lfield.source import Span
+from lfield.text.source import Span
+from lfield.text.suggest import listed
 
 Chosen = TypeVar("Chosen")
 

@@ -11,7 +11,7 @@ from lfield.lang.checker.statements import check_body
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.tree import CheckedProgram
 from lfield.manifest import DeviceManifest
-from lfield.source import Diagnostics
+from lfield.text.source import Diagnostics
 
 
 def check(

@@ -9,7 +9,7 @@ from lfield.lang.checker.overloads import Candidate, choose
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import describe
 from lfield.lang.types import STRING, ClassType, Type, array_of
-from lfield.source import Span
+from lfield.text.source import Span
 
 
 def query(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from lfield.findings import Message
 from lfield.lang import messages
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.tree import Field, Local, Method, This, Unit
 from lfield.lang.types import UNKNOWN, ClassType, Type
-from lfield.source import Span
+from lfield.text.findings import Message
+from lfield.text.source import Span
 
 
 @dataclass(slots=True)

@@ -13,7 +13,7 @@ from lfield.lang.checker.scope import Body, Scope
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.types import BOOLEAN, NULL, UNKNOWN, VOID, ClassType
-from lfield.source import Span
+from lfield.text.source import Span
 
 _NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
     "portal": "write emit T after its parameters",

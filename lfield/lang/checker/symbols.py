@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
-from lfield.findings import Message
 from lfield.lang import messages, tree
 from lfield.lang.capabilities import Capabilities
 from lfield.lang.library import FUNCTIONS
-from lfield.lang.suggest import FOREIGN_TYPES, closest
 from lfield.lang.syntax import BAD_TYPE, TypeName
 from lfield.lang.types import (
     BOOLEAN,
@@ -28,7 +26,9 @@ from lfield.lang.types import (
     array_of,
 )
 from lfield.manifest import DeviceManifest
-from lfield.source import Diagnostics, Span
+from lfield.text.findings import Message
+from lfield.text.source import Diagnostics, Span
+from lfield.text.suggest import FOREIGN_TYPES, closest
 
 #: Names of types that every program has.
 BUILTIN_TYPES: dict[str, Type] = {

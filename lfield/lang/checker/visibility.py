@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import Literal
 
-from lfield.findings import Message
 from lfield.lang import messages, tree
 from lfield.lang.checker.symbols import Symbols, describe, innermost
 from lfield.lang.syntax import TypeName
 from lfield.lang.types import EXCEPTION, UNKNOWN, DeviceType, Type
-from lfield.source import Span
+from lfield.text.findings import Message
+from lfield.text.source import Span
 
 #: Where a type is written. A device type fits only a field, a portal is stricter than anything else.
 Place = Literal["field", "portal", "elsewhere"]

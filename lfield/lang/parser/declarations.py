@@ -10,10 +10,10 @@ from lfield.lang.parser.statements import block
 from lfield.lang.parser.stream import UNIT_KEYWORDS, TokenStream, UnclosedBrace
 from lfield.lang.parser.types import misplaced_brackets, result_type, type_name
 from lfield.lang.scanner import Token
-from lfield.lang.suggest import FOREIGN_MODIFIERS, closest
 from lfield.lang.syntax import BAD_TYPE, Field, Method, Parameter, TypeName, Unit
 from lfield.lang.tree import UnitKind, Usage
-from lfield.source import Span
+from lfield.text.source import Span
+from lfield.text.suggest import FOREIGN_MODIFIERS, closest
 
 _USAGES: dict[str, Usage] = {"resource": "resource", "coordinator": "coordinator"}
 _MODIFIERS = ("public", "private", "synchronized")

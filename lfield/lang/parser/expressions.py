@@ -24,7 +24,7 @@ from lfield.lang.syntax import (
     TypeName,
     Unary,
 )
-from lfield.source import Span
+from lfield.text.source import Span
 
 #: Binary operators from the weakest to the strongest; all of them group to the left.
 PRECEDENCE = {

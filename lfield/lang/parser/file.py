@@ -6,10 +6,10 @@ from lfield.lang import messages
 from lfield.lang.parser.declarations import members, unit
 from lfield.lang.parser.stream import UNIT_KEYWORDS, GiveUp, Recover, TokenStream
 from lfield.lang.scanner import Kind, scan
-from lfield.lang.suggest import FOREIGN_UNITS, closest
 from lfield.lang.syntax import File, Include
 from lfield.lang.tree import UnitKind
-from lfield.source import Diagnostics, Source
+from lfield.text.source import Diagnostics, Source
+from lfield.text.suggest import FOREIGN_UNITS, closest
 
 _KINDS: dict[str, UnitKind] = {"resource": "resource", "coordinator": "coordinator", "class": "class"}
 #: Members that come after the last unit: a `}` too many closed it.

@@ -9,7 +9,6 @@ from lfield.lang.parser.expressions import expression, parenthesised
 from lfield.lang.parser.stream import MEMBER_KEYWORDS, TokenStream, UnclosedBrace
 from lfield.lang.parser.types import at_declaration, misplaced_brackets, type_name
 from lfield.lang.scanner import Kind, Token
-from lfield.lang.suggest import FOREIGN_STATEMENTS, closest
 from lfield.lang.syntax import (
     BadStmt,
     Block,
@@ -27,6 +26,7 @@ from lfield.lang.syntax import (
     Try,
     While,
 )
+from lfield.text.suggest import FOREIGN_STATEMENTS, closest
 
 #: Words before `{` or `(...) {` that a typing mistake may hide.
 _HEADS = ("if", "else", "while", "for", "try", "catch")

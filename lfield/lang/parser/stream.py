@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from lfield.findings import Message
 from lfield.lang import messages
 from lfield.lang.scanner import Kind, Scan, Token
 from lfield.lang.syntax import Expr
-from lfield.source import Diagnostic, Diagnostics, Span
+from lfield.text.findings import Message
+from lfield.text.source import Diagnostic, Diagnostics, Span
 
 #: How deep statements and expressions may nest together; the checker and the compiler walk them recursively.
 MAX_NESTING = 100

@@ -32,7 +32,7 @@ from lfield.capability.model import (
     Served,
 )
 from lfield.capability.offer import Candidate
-from lfield.source import Source, Span
+from lfield.text.source import Source, Span
 
 RULES, PRIMITIVES, AGENTS = 200, 40, 20
 #: How many agents the growth is measured from, and to.

@@ -17,19 +17,19 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from lfield.capability.directory import Directory
-from lfield.capability.news import Condition, Sample
+from lfield.capability.directory.directory import Directory
+from lfield.capability.directory.news import Condition, Sample
 from lfield.clock import SystemClock
-from lfield.fleet.deploy import Mission, load_mission
-from lfield.fleet.guards import Guards
-from lfield.fleet.host import Host, Options
-from lfield.fleet.logbook import Logbook
-from lfield.fleet.peers import Peers
-from lfield.fleet.reporting import LOOK_EVERY
-from lfield.fleet.reports import Reports
+from lfield.devices.guards import Guards
+from lfield.host.directory import LOOK_EVERY
+from lfield.host.host import Host, Options
+from lfield.host.logbook import Logbook
+from lfield.host.reports import Reports
 from lfield.loop import run
+from lfield.mission.load import Mission, load_mission
 from lfield.net import framed
 from lfield.net.framed import FramedLink
+from lfield.net.peers import Peers
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link
 from lfield.wire.messages import Control, Hello, Message, Transfer
@@ -64,7 +64,7 @@ async def measured_host(mission: Mission, swing: float, seconds: float) -> None:
         processor, start = time.process_time(), time.monotonic()
         await asyncio.sleep(seconds)
         print(time.process_time() - processor, time.monotonic() - start, flush=True)
-        known = sum(len(candidate.unknown) == 0 for candidate in host.reporting.directory.everybody())
+        known = sum(len(candidate.unknown) == 0 for candidate in host.core.directory.directory.everybody())
         print(known, flush=True)
 
 

@@ -96,7 +96,7 @@ def main(modules: Mapping[str, str], words: Sequence[str], out: Console | None =
         print(error, file=sys.stderr)
         return 66
     # A pipe has no width of its own: a cut table would be of no use to anybody.
-    console = out or Console(width=None if sys.stdout.isatty() else 140)
+    console = out or Console(width=None if sys.stdout.isatty() else 150)
     bench = Bench(Checkout.own(), other, console, args.save, args.rounds)
     bench.out.print("   ".join(f"{name} {value}" for name, value in bench.about.items()), highlight=False)
     try:

@@ -23,11 +23,11 @@ from harness.samples import Contender
 from harness.words import COUNT
 
 from lfield.clock import SystemClock
-from lfield.fleet.deploy import Mission, load_mission
-from lfield.fleet.host import Host, Options
-from lfield.fleet.logbook import Logbook
-from lfield.fleet.until_done import until_done
-from lfield.net.memory import MemoryNetwork
+from lfield.host.host import Host, Options
+from lfield.host.logbook import Logbook
+from lfield.host.until_done import until_done
+from lfield.mission.load import Mission, load_mission
+from lfield.simulate.network import MemoryNetwork
 
 SIZES = (2, 4, 8, 16, 32, 64)
 

@@ -12,18 +12,18 @@ import pytest
 from shipped_registry import DEVICES, REGISTRY, find_include
 
 from lfield.capability import units
-from lfield.capability.language import RegistryTypes
 from lfield.capability.matching.expression import compile_constraint
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.matching.search import Limits
 from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
-from lfield.capability.reading.program_check import check_against, check_classes
 from lfield.capability.reading.reader import check_files, read_registry
 from lfield.capability.reading.signatures import signatures_of
+from lfield.capability.types.language import RegistryTypes
+from lfield.capability.types.program_check import check_against, check_classes
 from lfield.lang.frontend import check_text
 from lfield.lang.parser import parse
-from lfield.source import Diagnostics, Source
+from lfield.text.source import Diagnostics, Source
 
 GUIDE = (Path(__file__).parents[3] / "lfield" / "docs" / "capabilities.md").read_text(encoding="utf-8")
 _BLOCK = re.compile(r"^( *)```(.*)\n((?:.*\n)*?)\1```$", re.MULTILINE)

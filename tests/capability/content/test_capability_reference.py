@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from shipped_registry import REGISTRY
 
-from lfield.capability import reference
+from lfield.operator.registry import reference
 
 
 def test_the_page_is_current() -> None:
     assert reference.PAGE.read_text(encoding="utf-8") == reference.page(REGISTRY), (
-        "run: python -m lfield.capability.reference --write"
+        "run: python -m lfield.operator.registry.reference --write"
     )
 
 

@@ -8,7 +8,7 @@ from shipped_registry import DEVICES, PLUGINS, REGISTRY, stock_source
 from lfield.capability.reading.signatures import Signature, argument_type, fits, signatures_of
 from lfield.lang.parser import parse
 from lfield.manifest import DeviceManifest
-from lfield.source import Diagnostics, Source
+from lfield.text.source import Diagnostics, Source
 
 STOCK = sorted(REGISTRY.providers)
 

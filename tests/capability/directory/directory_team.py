@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from lfield.capability.directory import Directory
+from lfield.capability.directory.directory import Directory
+from lfield.capability.directory.news import Sample
 from lfield.capability.model import Attribute, Live, Provider, Registry
-from lfield.capability.news import Sample
 from lfield.clock import ManualClock
-from lfield.source import Source, Span
+from lfield.text.source import Source, Span
 
 SPAN = Span(Source("test.yaml", ""), 0, 0)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from directory_team import AGENTS, REGISTRY, Seat
 
-from lfield.capability.directory import MOMENT
-from lfield.capability.news import Condition, Trouble
-from lfield.fleet.reports import Reports
+from lfield.capability.directory.directory import MOMENT
+from lfield.capability.directory.news import Condition, Trouble
+from lfield.host.reports import Reports
 
 
 @pytest.fixture

@@ -7,11 +7,11 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from lfield.capability.directory import MOMENT
-from lfield.capability.news import Condition, Sample, Trouble
-from lfield.fleet.reports import Reports
-from lfield.framing import HEADER_SIZE
+from lfield.capability.directory.directory import MOMENT
+from lfield.capability.directory.news import Condition, Sample, Trouble
+from lfield.host.reports import Reports
 from lfield.wire.codec import decode, encode
+from lfield.wire.framing import HEADER_SIZE
 
 OWN = ("rover1", "arm2", "shelf")
 VALUES = {

@@ -9,11 +9,11 @@ from directory_team import AGENTS, ATTRIBUTES, PROVIDERS, REGISTRY
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.capability.news import Condition, News, Sample, Trouble
+from lfield.capability.directory.news import Condition, News, Sample, Trouble
 from lfield.errors import WireError
-from lfield.fleet.reports import Reports
-from lfield.framing import HEADER_SIZE
+from lfield.host.reports import Reports
 from lfield.wire.codec import decode, encode
+from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import AgentReport, FactReport, Report
 
 INDEX = st.integers(0, 8)

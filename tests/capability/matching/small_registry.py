@@ -26,7 +26,7 @@ from lfield.capability.model import (
     Weights,
 )
 from lfield.capability.offer import Candidate, Fact
-from lfield.source import Source, Span
+from lfield.text.source import Source, Span
 
 NOWHERE = Span(Source("test.yaml", ""), 0, 0)
 

@@ -6,13 +6,13 @@ import re
 from pathlib import Path
 
 from lfield.capability.model import Registry
-from lfield.capability.reading.live_units import settle_live
-from lfield.capability.reading.program_check import check_against, check_classes
 from lfield.capability.reading.reader import check_files
 from lfield.capability.reading.signatures import signatures_of
+from lfield.capability.types.live_units import settle_live
+from lfield.capability.types.program_check import check_against, check_classes
 from lfield.lang.parser import parse
 from lfield.manifest import DeviceManifest, Quantity
-from lfield.source import Diagnostic, Diagnostics, Source
+from lfield.text.source import Diagnostic, Diagnostics, Source
 
 GOLDEN = Path(__file__).parent / "golden"
 BASE = GOLDEN / "base.yaml"

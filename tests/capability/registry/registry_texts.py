@@ -6,8 +6,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from lfield.source import Diagnostics, Source
-from lfield.yaml_source import Listing, Mapping, Node, parse
+from lfield.text.source import Diagnostics, Source
+from lfield.text.yaml_source import Listing, Mapping, Node, parse
 
 
 def plain(text: str) -> object:

@@ -13,7 +13,7 @@ from registry_expectations import BASE, GOLDEN
 from lfield.capability.reading.draft import MAX_ENTRIES
 from lfield.capability.reading.reader import check_files
 from lfield.capability.reading.rule_cycles import MAX_CYCLES
-from lfield.yaml_source import MAX_BYTES
+from lfield.text.yaml_source import MAX_BYTES
 
 #: Processor seconds that no file may take: a hundred times what a big and good one does.
 PATIENCE = 30.0

@@ -8,14 +8,14 @@ import pytest
 from registry_expectations import BASE, ROVER
 
 from lfield.capability.model import Registry
-from lfield.capability.reading.live_units import settle_live
-from lfield.capability.reading.program_check import check_against, check_classes
 from lfield.capability.reading.reader import check_files, read_registry
 from lfield.capability.reading.signatures import Signature, signatures_of
+from lfield.capability.types.live_units import settle_live
+from lfield.capability.types.program_check import check_against, check_classes
 from lfield.capability.units import known
 from lfield.driver.plugins import discover
 from lfield.lang.parser import parse
-from lfield.source import Diagnostics, Source
+from lfield.text.source import Diagnostics, Source
 
 SOURCES = sorted(Path(__file__).parents[3].glob("drivers/*/L/*.L"))
 

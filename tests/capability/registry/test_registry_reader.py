@@ -8,14 +8,14 @@ import pytest
 from registry_expectations import BASE, GOLDEN
 
 from lfield.capability import ways
-from lfield.capability.generate import prelude
 from lfield.capability.model import Argument, Live, Registry, Weights
 from lfield.capability.reading.reader import check_files, read_registry
 from lfield.capability.reading.shipped import shipped
 from lfield.capability.reading.signatures import RESERVED
+from lfield.capability.types.generate import prelude
 from lfield.errors import InputFileError, ProgramError
 from lfield.lang.parser import parse
-from lfield.source import Diagnostic, Diagnostics
+from lfield.text.source import Diagnostic, Diagnostics
 
 CRANE = """
 registry: 1

@@ -1,0 +1,222 @@
+"""What one host knows of all agents of its mission: what each is worth now, and whether it can be called.
+
+The agents and their own values come from the deployment and the registry. How its own agents are, the host
+tells its directory (`own`); how the others are, their hosts tell in news (`take`). Nothing else happens here:
+a question is answered from what is known.
+
+A live value of another host is as old as that host said, and older by the time since something was last
+heard from it: while the link lives and nothing is told, nothing has changed. A value that its host has
+stopped renewing, and all values of a host that was away until it has told everything again, just grow older.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Trouble
+from lfield.capability.model import Live, Registry
+from lfield.capability.offer import Candidate, Fact
+from lfield.clock import Clock
+
+#: Answers within so many seconds are the same objects, with the same ages: the matcher goes by that.
+MOMENT = 0.1
+
+
+class Deployed(Protocol):
+    """An agent as the deployment has it."""
+
+    @property
+    def id(self) -> str:
+        """Its name in the mission."""
+
+    @property
+    def type(self) -> str:
+        """Its type in L."""
+
+    @property
+    def host(self) -> str:
+        """Where it lives."""
+
+
+class Links(Protocol):
+    """What is known of the links to the other hosts, by host; times are on the monotonic clock."""
+
+    @property
+    def away(self) -> Mapping[str, float]:
+        """Since when each host without a link has had none."""
+
+    def last_heard(self, host: str) -> float | None:
+        """When something last came from a host; None when nothing ever did."""
+
+
+@dataclass(slots=True)
+class _Remote:
+    """What another host has told in its life `life`.
+
+    `in_step` when nothing that it told since is missing here; else its values were kept up to `kept_until`.
+    """
+
+    life: int = 0
+    sequence: int = 0
+    in_step: bool = False
+    kept_until: float = 0.0
+    conditions: dict[str, Condition] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """A candidate as it was answered, good `until` then while condition and link are the same."""
+
+    candidate: Candidate
+    condition: Condition
+    away: float | None
+    until: float
+
+
+class Directory:
+    """The agents of a mission as the host `here` knows them; `life` tells this run of it from the next.
+
+    Implements `offer.Team`. Only agents whose type is a provider of the registry are in it.
+    """
+
+    def __init__(
+        self,
+        registry: Registry,
+        agents: Sequence[Deployed],
+        here: str,
+        links: Links,
+        clock: Clock,
+        life: int = 1,
+    ) -> None:
+        self._registry, self._here, self._links, self._clock = registry, here, links, clock
+        self._agents: dict[str, Deployed] = {a.id: a for a in agents if a.type in registry.providers}
+        self._by_type: dict[str, list[Deployed]] = {}
+        for agent in self._agents.values():
+            self._by_type.setdefault(agent.type, []).append(agent)
+        self._values: dict[str, dict[str, Fact]] = {
+            id: {name: Fact(value) for name, value in registry.agents.get(id, {}).items()}
+            for id in self._agents
+        }
+        self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
+        self._own: dict[str, Condition] = {}
+        self._shown: dict[str, _Shown] = {}
+        self._announcer = Announcer(registry.attributes, life)
+        self._remotes = {agent.host: _Remote() for agent in self._agents.values() if agent.host != here}
+
+    # --- this host's agents ---------------------------------------------------------------------------
+
+    @property
+    def own_agents(self) -> list[str]:
+        """The agents of this host, whose conditions `own` wants."""
+        return [agent.id for agent in self._agents.values() if agent.host == self._here]
+
+    def live(self, agent: str) -> Mapping[str, Live]:
+        """The live attributes of an agent, with where their values come from."""
+        return self._live[agent]
+
+    def own(self, agent: str, condition: Condition) -> None:
+        """How an agent of this host is now."""
+        self._own[agent] = condition
+
+    def news(self) -> News | None:
+        """What every other host has to be told now, None when nothing has changed."""
+        return self._announcer.changes(self._own)
+
+    def everything(self) -> News | None:
+        """What a host has to be told that was away; None when nothing was ever told."""
+        return self._announcer.everything()
+
+    # --- the other hosts ------------------------------------------------------------------------------
+
+    def linked(self, host: str, life: int) -> None:
+        """A link to a host is there; its values count as kept again when it has told everything."""
+        remote = self._remotes.get(host)
+        if remote is None:
+            return
+        self._out_of_step(remote)
+        if remote.life != life:
+            self._remotes[host] = _Remote(life)
+
+    def unlinked(self, host: str) -> None:
+        """The link to a host is gone."""
+        remote = self._remotes.get(host)
+        if remote is not None:
+            self._out_of_step(remote, self._links.last_heard(host))
+
+    def take(self, host: str, news: News) -> None:
+        """Take in what a host tells. What is late, comes twice or does not connect is left out."""
+        remote = self._remotes.get(host)
+        if remote is None or news.life != remote.life or news.sequence <= remote.sequence:
+            return
+        if news.since > remote.sequence or (news.since and not remote.in_step):
+            self._out_of_step(remote)
+            return
+        for agent, change in news.agents.items():
+            remote.conditions[agent] = remote.conditions.get(agent, SILENCE).updated(change)
+        remote.sequence, remote.in_step, remote.kept_until = news.sequence, True, self._clock.monotonic()
+
+    def _out_of_step(self, remote: _Remote, heard: float | None = None) -> None:
+        if remote.in_step:
+            remote.in_step, remote.kept_until = False, max(remote.kept_until, heard or 0.0)
+
+    # --- Team -----------------------------------------------------------------------------------------
+
+    def candidates(self, resource: str) -> list[Candidate]:
+        """The agents of a resource type as they are now, in the order of the deployment."""
+        now = self._clock.monotonic()
+        return [self._candidate(agent, now) for agent in self._by_type.get(resource, ())]
+
+    def everybody(self) -> list[Candidate]:
+        """All agents as they are now, in the order of the deployment."""
+        now = self._clock.monotonic()
+        return [self._candidate(agent, now) for agent in self._agents.values()]
+
+    def _candidate(self, agent: Deployed, now: float) -> Candidate:
+        here = agent.host == self._here
+        condition = self._own.get(agent.id, SILENCE) if here else self._told(agent)
+        away = None if here else self._links.away.get(agent.host)
+        shown = self._shown.get(agent.id)
+        if shown is None or now >= shown.until or shown.condition is not condition or shown.away != away:
+            shown = self._shown[agent.id] = self._show(agent, condition, away, now)
+        return shown.candidate
+
+    def _show(self, agent: Deployed, condition: Condition, away: float | None, now: float) -> _Shown:
+        facts, unknown, live = self._values[agent.id], condition.unknown, self._live[agent.id]
+        trouble = condition.trouble if away is None else Trouble("unreachable", away)
+        if live:
+            kept_until = self._kept_until(agent.host)
+            facts = facts | {
+                name: Fact(s.value, s.age + now - (max(kept_until, s.at) if s.kept else s.at))
+                for name, s in condition.samples.items()
+            }
+            if len(condition.samples) + len(unknown) < len(live):
+                untold = (name for name in live if name not in facts and name not in unknown)
+                unknown = {**{name: f"{agent.host} has not told {name} yet" for name in untold}, **unknown}
+        refusal = trouble.sentence(now) if trouble else ""
+        hops = 0 if agent.host == self._here else 1
+        candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown)
+        return _Shown(candidate, condition, away, now + MOMENT if live or trouble else math.inf)
+
+    def _told(self, agent: Deployed) -> Condition:
+        return self._remotes[agent.host].conditions.get(agent.id, SILENCE)
+
+    def _kept_until(self, host: str) -> float:
+        """Until when a host surely kept its values up to date; those of this host are as old as they say."""
+        remote = self._remotes.get(host)
+        if remote is None:
+            return -math.inf
+        heard = self._links.last_heard(host) if remote.in_step else None
+        return remote.kept_until if heard is None else max(remote.kept_until, heard)
+
+
+def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
+    """The attributes of an agent that come from its devices, in the order of their names.
+
+    What the mission states of an agent counts before what its devices say.
+    """
+    stated = registry.agents.get(agent.id, {})
+    live = registry.providers[agent.type].live
+    return {name: live[name] for name in sorted(live) if name not in stated}

@@ -1,0 +1,1 @@
+"""Capabilities as classes of L, and whether a program fits them."""

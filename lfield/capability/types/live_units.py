@@ -1,0 +1,116 @@
+"""Live attributes against the devices that tell them: what exists, and in which unit it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from lfield.capability import units
+from lfield.capability.model import Attribute, Live, Provider, Registry
+from lfield.capability.reading import messages
+from lfield.manifest import DeviceManifest, Quantity
+from lfield.text.source import Diagnostics
+from lfield.text.suggest import did_you_mean, listed
+
+#: Types of telemetry that can be an attribute of each type; an element of an array counts as a number.
+_TELLING: Mapping[str, tuple[str, ...]] = {
+    "real": ("real", "int"),
+    "int": ("int",),
+    "boolean": ("boolean",),
+    "text": ("string",),
+    "set": (),
+}
+
+
+def settle_live(
+    registry: Registry,
+    devices: Mapping[str, Mapping[str, str]],
+    manifests: Mapping[str, DeviceManifest],
+    found: Diagnostics,
+) -> Registry:
+    """The registry with every live attribute converted from the unit in which its device tells it.
+
+    `devices` are the device fields of the program's resource types with their device types, `manifests` the
+    device types by name. What does not fit is reported, and left out of the registry that is returned;
+    providers that are no type of the program stay as they are.
+    """
+    providers = {
+        name: _settled(registry, provider, devices[name], manifests, found) if name in devices else provider
+        for name, provider in registry.providers.items()
+    }
+    return replace(registry, providers=providers)
+
+
+def _settled(
+    registry: Registry,
+    provider: Provider,
+    devices: Mapping[str, str],
+    manifests: Mapping[str, DeviceManifest],
+    found: Diagnostics,
+) -> Provider:
+    lives = {}
+    for name, live in provider.live.items():
+        manifest = manifests.get(devices.get(live.device, ""))
+        if manifest is None:
+            hint = did_you_mean(live.device, devices)
+            found.add(
+                messages.NO_DEVICE.at(
+                    live.span, hint=hint, type=provider.type, device=live.device, devices=listed(devices)
+                )
+            )
+            continue
+        settled = _from_device(registry.attributes[name], live, manifest, found)
+        if settled is not None:
+            lives[name] = settled
+    return replace(provider, live=lives)
+
+
+def _from_device(
+    attribute: Attribute, live: Live, manifest: DeviceManifest, found: Diagnostics
+) -> Live | None:
+    """One live attribute as its device tells it; None after a mistake."""
+    quantities = {quantity.name: quantity for quantity in manifest.telemetry}
+    quantity = quantities.get(live.quantity)
+    if quantity is None:
+        found.add(
+            messages.NO_QUANTITY.at(
+                live.span,
+                hint=did_you_mean(live.quantity, quantities),
+                device=live.device,
+                device_type=manifest.type,
+                quantity=live.quantity,
+                quantities=listed(quantities),
+            )
+        )
+        return None
+    if _element(quantity, live.index) not in _TELLING[attribute.type]:
+        found.add(
+            messages.WRONG_QUANTITY.at(
+                live.span,
+                attribute=attribute.name,
+                wanted=attribute.type,
+                quantity=f"{live.device}.{live.quantity}",
+                given=quantity.type,
+            )
+        )
+        return None
+    return _converted(attribute, live, quantity, found)
+
+
+def _element(quantity: Quantity, index: int | None) -> str:
+    """The type of what is read: an element of an array where an index is given."""
+    if index is None:
+        return quantity.type
+    return quantity.type.removesuffix("[]") if quantity.type.endswith("[]") else "no array"
+
+
+def _converted(attribute: Attribute, live: Live, quantity: Quantity, found: Diagnostics) -> Live | None:
+    if live.unit or attribute.type not in ("real", "int"):
+        return live
+    conversion = units.conversion(quantity.unit, attribute.unit)
+    if conversion is None:
+        found.add(
+            messages.OTHER_DIMENSION.at(live.span, given=quantity.unit or "1", wanted=attribute.unit or "1")
+        )
+        return None
+    return replace(live, factor=conversion[0], offset=conversion[1])

@@ -1,0 +1,140 @@
+"""Whether a registry fits a program: what providers promise of resources, and rules of their classes.
+
+Only resource types of the program are looked at; of others nothing is known. Findings stand in the YAML,
+where the promise is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from lfield.capability.model import Composition, Portal, PortalMap, Primitive, Provider, Registry
+from lfield.capability.reading import messages
+from lfield.capability.reading.rule_calls import result_type, wrong_result
+from lfield.capability.reading.signatures import (
+    Overload,
+    Signature,
+    argument_type,
+    fits,
+    fits_all,
+    signatures_of,
+    written,
+)
+from lfield.errors import InputFileError
+from lfield.lang.parser import parse
+from lfield.lang.reading import MAX_BYTES
+from lfield.text.files import read_bytes
+from lfield.text.source import Diagnostics, Source, Span
+from lfield.text.suggest import did_you_mean, listed
+
+
+def check_against(registry: Registry, signatures: Mapping[str, Signature], found: Diagnostics) -> None:
+    """Report portals of providers that a program's resources do not have, or have with other types."""
+    for provider in registry.providers.values():
+        resource = signatures.get(provider.type)
+        if resource is not None and resource.kind == "resource":
+            _check_provider(registry, provider, resource, found)
+
+
+def _check_provider(registry: Registry, provider: Provider, resource: Signature, found: Diagnostics) -> None:
+    for served in provider.serves.values():
+        primitive = registry.primitives[served.primitive]
+        missing: dict[Span, list[str]] = {}
+        for mapped in served.portals.values():
+            if mapped.target in resource.portals:
+                _check_portal(primitive, mapped, resource, found)
+            else:
+                missing.setdefault(mapped.span, []).append(mapped.target)
+        for span, targets in missing.items():
+            _report_missing(span, targets, resource, found)
+
+
+def _report_missing(span: Span, targets: Sequence[str], resource: Signature, found: Diagnostics) -> None:
+    found.add(
+        messages.NO_TARGET.at(
+            span,
+            hint=did_you_mean(targets[0], resource.portals) if len(targets) == 1 else None,
+            type=resource.name,
+            missing=listed(f"'{target}'" for target in targets),
+            portals=listed(resource.portals),
+        )
+    )
+
+
+def _check_portal(primitive: Primitive, mapped: PortalMap, resource: Signature, found: Diagnostics) -> None:
+    portal, overloads = primitive.portals[mapped.portal], resource.portals[mapped.target]
+    given = tuple(argument_type(argument, portal) for argument in mapped.arguments)
+    results = [
+        result_type(mapped.result, portal, result) for wanted, result in overloads if fits_all(given, wanted)
+    ]
+    if not results:
+        found.add(
+            messages.NO_OVERLOAD.at(
+                mapped.span,
+                type=resource.name,
+                portal=mapped.target,
+                given=", ".join(given),
+                overloads=_shown(mapped.target, overloads),
+            )
+        )
+    elif portal.result != "void" and not any(fits(result, portal.result) for result in results):
+        found.add(wrong_result(mapped.span, primitive.name, portal, results[0]))
+
+
+def _shown(name: str, overloads: Sequence[Overload]) -> str:
+    return listed(written(name, parameters) for parameters, _ in overloads)
+
+
+# --- classes of compositions --------------------------------------------------------------------------
+
+
+def check_classes(registry: Registry, found: Diagnostics) -> None:
+    """Report compositions whose class in L is not there, lacks portals, or cannot be made of the parts.
+
+    Reads the sources. What else is wrong in them is said when a program uses them.
+    """
+    for rule in registry.compositions.values():
+        units = _units(rule)
+        if units is None:
+            continue
+        unit = units.get(rule.through)
+        if unit is None or unit.kind != "class" or unit.usage != "coordinator":
+            found.add(messages.NO_CLASS.at(rule.span, file=rule.source.name, name=rule.through))
+        else:
+            _check_class(rule, registry.primitives[rule.serves], unit, found)
+
+
+def _units(rule: Composition) -> dict[str, Signature] | None:
+    """The units in the source of a rule; None when it cannot be read as L."""
+    try:
+        text = read_bytes(rule.source, MAX_BYTES).decode("utf-8")
+    except (InputFileError, UnicodeDecodeError):
+        return None
+    file = parse(Source(str(rule.source), text), Diagnostics())
+    return None if file.broken else signatures_of([file])
+
+
+def _check_class(rule: Composition, primitive: Primitive, unit: Signature, found: Diagnostics) -> None:
+    lacking = [portal for portal in primitive.portals.values() if not _has_method(unit, portal)]
+    if lacking:
+        signatures = listed(f"public {_method(portal)}" for portal in lacking)
+        message = messages.NO_METHOD.at(
+            rule.span, name=unit.name, primitive=primitive.name, signatures=signatures
+        )
+        found.add(message)
+    parts = tuple(need.primitive for need in rule.needs.values())
+    if parts not in unit.constructors:
+        signature = f"public {written(unit.name, parts)}"
+        found.add(messages.NO_CONSTRUCTOR.at(rule.span, name=unit.name, signature=signature))
+
+
+def _has_method(unit: Signature, portal: Portal) -> bool:
+    given = tuple(p.type for p in portal.parameters)
+    return any(
+        fits_all(given, wanted) and fits(result, portal.result)
+        for wanted, result in unit.portals.get(portal.name, ())
+    )
+
+
+def _method(portal: Portal) -> str:
+    return written(portal.name, [p.type for p in portal.parameters], portal.result)

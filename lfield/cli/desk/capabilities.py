@@ -1,0 +1,166 @@
+"""`lfield capabilities`: the registry for those who read and write it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield.errors import OutputFileError, UsageError
+
+if TYPE_CHECKING:
+    from lfield.capability.model import Registry
+    from lfield.operator.registry.show import Sheet
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    tree = actions.add_parser("tree", help="the taxonomy, with the L types of what can be called")
+    tree.add_argument("id", metavar="ID", nargs="?", default="", help="only what hangs at this term")
+    _add_mission(tree)
+    show = actions.add_parser("show", help="all about a term, capability, attribute, provider or rule")
+    show.add_argument("name", metavar="NAME", help="its name or id")
+    show.add_argument("--L", dest="as_class", action="store_true", help="the class of a capability in L")
+    show.add_argument("--program", metavar="FILE.L", type=Path, help="with --L: as this program gets it")
+    _add_mission(show)
+    check = actions.add_parser("check", help="every mistake in registry files; in ours without FILE")
+    check.add_argument("files", metavar="FILE", nargs="*", type=Path, help="files of a registry or a mission")
+    check.add_argument("--alone", action="store_true", help="without the registry that comes with lfield")
+    check.add_argument("--program", metavar="FILE.L", type=Path, help="also against this program's resources")
+    imported = actions.add_parser("import", help="ROS capabilities and VDA 5050 factsheets as a registry")
+    imported.add_argument("files", metavar="FILE", nargs="+", type=Path, help="YAML specs, JSON factsheets")
+    imported.add_argument("-o", "--output", metavar="OUT.yaml", type=Path, help="where to (stdout)")
+    imported.add_argument("--force", action="store_true", help="write over a file that exists")
+
+
+def _add_mission(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--capabilities", metavar="FILE", type=Path, help="with what a mission adds to it")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0; `check` gives 65 when there are mistakes."""
+    match args.action:
+        case "tree":
+            return _tree(args)
+        case "show":
+            return _show_class(args) if args.as_class else _show(args)
+        case "check":
+            return _check(args)
+        case _:
+            return _import(args)
+
+
+# --- tree and show ------------------------------------------------------------------------------------
+
+
+def _tree(args: argparse.Namespace) -> int:
+    from lfield.capability.reading.reader import read_registry
+    from lfield.cli.views.trees import print_tree
+    from lfield.operator.registry.show import term_of, tree
+
+    registry = read_registry(mission=args.capabilities)
+    term = term_of(registry, args.id) if args.id else None
+    if args.id and term is None:
+        raise _unknown(registry, args.id)
+    if term is None:
+        print(f"taxonomy, version {registry.version}")
+    print_tree(tree(registry, term.id if term is not None else ""))
+    return 0
+
+
+def _show(args: argparse.Namespace) -> int:
+    from lfield.capability.reading.reader import read_registry
+    from lfield.operator.registry.show import describe
+
+    if args.program is not None:
+        raise UsageError("--program is for the class of a capability: give --L too")
+    registry = read_registry(mission=args.capabilities)
+    sheets = describe(registry, args.name)
+    if not sheets:
+        raise _unknown(registry, args.name)
+    print("\n\n".join("\n".join(_lines(sheet)) for sheet in sheets))
+    return 0
+
+
+def _lines(sheet: Sheet) -> Iterator[str]:
+    width = max((len(label) for label, _ in sheet.rows), default=0)
+    yield sheet.title
+    for label, lines in sheet.rows:
+        for number, line in enumerate(lines):
+            yield f"  {label if number == 0 else '':{width}}  {line}"
+
+
+def _show_class(args: argparse.Namespace) -> int:
+    """The class of a capability, for a program or for one that has all resources of the registry."""
+    from lfield.capability.reading.reader import read_registry
+    from lfield.capability.types.generate import Served, class_text
+    from lfield.capability.types.language import RegistryTypes
+    from lfield.errors import ProgramError
+    from lfield.mission.registry_check import program_files
+    from lfield.text.source import Diagnostics
+
+    registry = read_registry(mission=args.capabilities)
+    if args.name not in registry.primitives:
+        raise _unknown(registry, args.name)
+    if args.program is None:
+        print(class_text(Served(registry, registry.providers), args.name), end="")
+        return 0
+    found = Diagnostics()
+    files = program_files(args.program, found)
+    if found.errors:
+        raise ProgramError(found.errors)
+    generated = RegistryTypes(lambda: registry).generate([args.name], files).classes
+    if args.name not in generated:
+        raise UsageError(f"{args.program} has a unit '{args.name}' of its own, which hides the capability")
+    print(generated[args.name].text, end="")
+    return 0
+
+
+def _unknown(registry: Registry, name: str) -> UsageError:
+    from lfield.operator.registry.show import unknown_name
+
+    return UsageError(f"the registry has no '{name}': {unknown_name(registry, name)}")
+
+
+# --- check --------------------------------------------------------------------------------------------
+
+
+def _check(args: argparse.Namespace) -> int:
+    from lfield.mission.registry_check import check_registry
+
+    if args.alone and not args.files:
+        raise UsageError("--alone is for files of your own: name them")
+    found = check_registry(args.files, alone=args.alone, program=args.program)
+    for diagnostic in found:
+        print(diagnostic.render(), file=sys.stderr)
+    errors = sum(d.severity == "error" for d in found)
+    counted = f"{errors} error(s), {len(found) - errors} warning(s)"
+    if errors:
+        print(f"lfield: {counted}", file=sys.stderr)
+        return 65
+    print(f"no mistakes{f', {len(found)} warning(s)' if found else ''}")
+    return 0
+
+
+# --- import -------------------------------------------------------------------------------------------
+
+
+def _import(args: argparse.Namespace) -> int:
+    """Write what carries over; what does not is told on stderr and in the file."""
+    from lfield.capability.importers import import_files
+    from lfield.capability.reading.reader import read_registry
+    from lfield.cli.files import write_bytes
+
+    if args.output is not None and args.output.exists() and not args.force:
+        raise OutputFileError(str(args.output), "it exists already; --force writes over it")
+    imported = import_files(args.files, read_registry())
+    for note in imported.notes:
+        print(note, file=sys.stderr)
+    if args.output is None:
+        print(imported.text, end="")
+    else:
+        write_bytes(args.output, imported.text.encode("utf-8"))
+    return 0

@@ -1,0 +1,107 @@
+"""`lfield kit DRIVER --endpoint E`: the conformance kit against whatever is at an endpoint, fake or real."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield.errors import UsageError
+
+if TYPE_CHECKING:
+    from lfield.driver.binding import DeviceBinding
+    from lfield.driver.kit import Check, Finding
+    from lfield.driver.plugins import Installed, Plugins
+
+_MARKS = {"passed": "ok     ", "failed": "FAILED ", "not run": "not run"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    parser.add_argument("driver", metavar="DRIVER", help="the driver: mavlink, can, dynamixel, ...")
+    parser.add_argument("--endpoint", metavar="E", default="", help="where it is, as in a devices file")
+    parser.add_argument("--devices", metavar="FILE", type=Path, help="take ids, limits and waivers from here")
+    parser.add_argument("--type", default="", help="the device type in L, if the driver has several")
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="a key of its binding: --set id=3 --set 'limits={speed: 1}'",
+    )
+    parser.add_argument(
+        "--silence",
+        type=_seconds,
+        default=0.2,
+        metavar="S",
+        help="seconds this computer may stall before the device goes safe (0.2; more on a busy desk)",
+    )
+    parser.add_argument("--yes", action="store_true", help="run what moves the device without asking")
+    parser.add_argument("--json", action="store_true", help="print the findings as JSON, one on each line")
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.1 <= value <= 10.0:
+        raise argparse.ArgumentTypeError("from 0.1 to 10 s")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when nothing failed, 1 when a check did."""
+    from lfield.devices.try_out import checks_of, try_devices
+    from lfield.driver.plugins import discover
+
+    plugins = discover()
+    installed = plugins.by_driver.get(args.driver)
+    if installed is None:
+        known = ", ".join(sorted(plugins.by_driver)) or "none"
+        raise UsageError(
+            "; ".join([f"there is no driver '{args.driver}' (installed: {known})", *plugins.problems])
+        )
+    devices = _devices(args, installed, plugins)
+    checks = checks_of(installed)
+    may_move = args.yes or _agreed(checks, devices)
+    show = _printer(args.json)
+    findings = asyncio.run(try_devices(plugins, devices, checks, may_move, show, silence=args.silence))
+    if not args.json:
+        counts = {outcome: sum(f.outcome == outcome for f in findings) for outcome in _MARKS}
+        print(", ".join(f"{count} {outcome}" for outcome, count in counts.items()))
+    return 1 if any(finding.outcome == "failed" for finding in findings) else 0
+
+
+def _devices(args: argparse.Namespace, installed: Installed, plugins: Plugins) -> list[DeviceBinding]:
+    from lfield.mission.one_device import devices_in_file, one_device
+
+    if args.devices is not None:
+        if args.settings or args.type:
+            raise UsageError("--set and --type are for one device without --devices")
+        return devices_in_file(args.devices, installed, plugins, args.endpoint)
+    if not args.endpoint:
+        raise UsageError("where is the device? give --endpoint, or --devices with a file that says it")
+    return one_device(installed, plugins, args.endpoint, args.type, args.settings)
+
+
+def _agreed(checks: Iterable[Check], devices: Iterable[DeviceBinding]) -> bool:
+    """Ask once, before anything is opened; whoever cannot be asked has not agreed."""
+    if not sys.stdin.isatty():
+        return False
+    names = ", ".join(device.name for device in devices)
+    print(f"These checks MOVE {names}: {'; '.join(check.name for check in checks if check.moves)}.")
+    return input("Type 'yes' if everybody is at a safe distance: ").strip().lower() == "yes"
+
+
+def _printer(as_json: bool) -> Callable[[Finding], None]:
+    def show(finding: Finding) -> None:
+        if as_json:
+            fields = {name: getattr(finding, name) for name in ("device", "check", "outcome", "seen")}
+            print(json.dumps(fields), flush=True)
+        else:
+            print(f"{_MARKS[finding.outcome]} {finding.device}: {finding.check}: {finding.seen}", flush=True)
+
+    return show

@@ -1,0 +1,92 @@
+"""`lfield up`: runs one host of a deployment here, or all of them as processes of this machine."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lfield.mission.load import Mission
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    parser.add_argument("--deploy", metavar="M.dL", type=Path, required=True, help="the deployment")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--host", metavar="NAME", help="the host to run here (default: this machine's own)")
+    where.add_argument("--all", action="store_true", help="run every host as a process of its own, here")
+    parser.add_argument("--program", metavar="FILE", type=Path, help="L text or program file (default: M.L)")
+    parser.add_argument(
+        "--devices", metavar="FILE", type=Path, help="device bindings (default: M.devices.yaml)"
+    )
+    parser.add_argument(
+        "--sim", action="store_true", help="bind every device to its fake, and start the fakes"
+    )
+    parser.add_argument(
+        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
+    )
+    parser.add_argument("--until-done", action="store_true", help="end when every coordinator has ended")
+    parser.add_argument("--dump", metavar="DIR", type=Path, help="dump agents that die, for 'lfield inspect'")
+    parser.add_argument(
+        "--unreachable-after", metavar="SECONDS", type=_seconds, help="bound of a portal call (default 10)"
+    )
+    parser.add_argument(
+        "--lost-after",
+        metavar="SECONDS",
+        type=_seconds,
+        default=15.0,
+        help="with --until-done: give up a host that is away so long (default 15)",
+    )
+    parser.add_argument(
+        "--trust-network",
+        action="store_true",
+        help="listen beyond this machine without keys: whoever reaches the port controls the robots",
+    )
+    # For processes that `--all` starts: the listening socket they inherit, and to end with their parent.
+    parser.add_argument("--listen-fd", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--leash", action="store_true", help=argparse.SUPPRESS)
+
+
+def _seconds(word: str) -> float:
+    value = float(word)
+    if not 0 < value < 1e6:
+        raise argparse.ArgumentTypeError("must be a number of seconds above 0")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run until done or stopped: 0 if all ended normally, 1 if a coordinator died or was lost."""
+    from lfield.mission.load import load_mission
+
+    mission = load_mission(args.deploy, args.program, args.devices, args.map, simulate=args.sim)
+    if not args.leash:
+        for warning in mission.warnings:
+            print(warning.render(), file=sys.stderr)
+    if args.all:
+        from lfield.cli.run.up_all import run_all
+
+        return run_all(mission, args)
+    return _run_one(mission, args)
+
+
+def _run_one(mission: Mission, args: argparse.Namespace) -> int:
+    from lfield import loop
+    from lfield.host.run import run_host
+    from lfield.lang.deployment import lookup_host
+    from lfield.net.local import own_host
+
+    name = lookup_host(mission.deployment, args.host) if args.host else own_host(mission.deployment.hosts)
+    return loop.run(
+        run_host(
+            mission,
+            name,
+            listen=f"fd:{args.listen_fd}" if args.listen_fd is not None else "",
+            dump=args.dump,
+            unreachable_after=args.unreachable_after,
+            lost_after=args.lost_after if args.until_done else None,
+            trust_network=args.trust_network,
+            leash=args.leash,
+        )
+    )

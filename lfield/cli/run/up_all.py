@@ -1,0 +1,174 @@
+"""`lfield up --all`: every host of a deployment as a process of its own, on free loopback ports.
+
+Each child inherits its listening socket, so no port is taken by somebody else in between, and holds the
+other end of a pipe to this process: when it closes, the child stops in order, its devices made safe.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import signal
+import socket
+import sys
+from asyncio.subprocess import PIPE, Process
+from typing import TYPE_CHECKING, TextIO
+
+from lfield.host.logbook import lost, silence
+from lfield.net.local import reserve
+from lfield.operator import whereabouts
+
+if TYPE_CHECKING:
+    from lfield.cli.views.live import LiveView
+    from lfield.mission.load import Mission
+
+#: A host that is gone does not come back under --all: it is given up sooner than in the field.
+LOST_AFTER = 3.0
+#: How long hosts may take to make their devices safe and end, in seconds, before they are killed.
+PATIENCE = 20.0
+
+
+def run_all(mission: Mission, args: argparse.Namespace) -> int:
+    """Run every host until all have ended: 0 if all did so normally."""
+    reserved = {host: reserve() for host in mission.team.hosts}
+    addresses = {host: address for host, (_, address) in reserved.items()}
+    with whereabouts.published(mission.team.deployment, addresses):
+        return asyncio.run(_Team(mission, args, reserved, addresses).run())
+
+
+class _Team:
+    def __init__(
+        self,
+        mission: Mission,
+        args: argparse.Namespace,
+        reserved: dict[str, tuple[socket.socket, str]],
+        addresses: dict[str, str],
+    ) -> None:
+        self.mission, self.args = mission, args
+        self.reserved, self.addresses = reserved, addresses
+        self.children: dict[str, Process] = {}
+        self.width = max(len(host) for host in addresses)
+        self.stopping = asyncio.Event()
+        #: The exit status of the first host that could not start.
+        self.refused = 0
+        self.view: LiveView | None = None
+
+    async def run(self) -> int:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            loop.add_signal_handler(number, self.stopping.set)
+        if sys.stderr.isatty():
+            from lfield.cli.views.live import LiveView
+
+            self.view = LiveView(self.addresses)
+        readers = [task for host in self.addresses for task in await self.start(host)]
+        watcher = asyncio.create_task(self.watch())
+        if self.view:
+            self.view.start()
+        statuses = await asyncio.gather(*(self.wait(host) for host in self.addresses))
+        watcher.cancel()
+        await asyncio.gather(*readers)
+        if self.view:
+            await self.view.stop()
+        return 130 if self.stopping.is_set() else self.refused or max(statuses)
+
+    async def start(self, host: str) -> list[asyncio.Task[None]]:
+        """Start the process of a host; returns the tasks that pass its lines on."""
+        listening = self.reserved[host][0]
+        child = await asyncio.create_subprocess_exec(
+            *self.command(host, listening.fileno()),
+            stdin=PIPE,
+            stdout=PIPE,
+            stderr=PIPE,
+            pass_fds=[listening.fileno()],
+            # A Ctrl-C of the terminal is for this process; it stops the hosts in order.
+            start_new_session=True,
+            limit=1 << 20,
+        )
+        listening.close()
+        self.children[host] = child
+        assert child.stdout
+        assert child.stderr
+        return [
+            asyncio.create_task(self.pass_on(host, child.stdout, sys.stdout)),
+            asyncio.create_task(self.pass_on(host, child.stderr, sys.stderr)),
+        ]
+
+    def command(self, host: str, descriptor: int) -> list[str]:
+        args = self.args
+        words = [
+            sys.executable,
+            "-m",
+            "lfield",
+            "up",
+            "--deploy",
+            str(args.deploy),
+            "--host",
+            host,
+            "--leash",
+        ]
+        words += ["--listen-fd", str(descriptor)]
+        for name, address in self.addresses.items():
+            words += ["--map", f"{name}={address}"]
+        for option in ("program", "devices", "dump", "unreachable_after"):
+            if getattr(args, option) is not None:
+                words += [f"--{option.replace('_', '-')}", str(getattr(args, option))]
+        if args.sim:
+            words.append("--sim")
+        if args.until_done:
+            words += ["--until-done", "--lost-after", str(min(args.lost_after, LOST_AFTER))]
+        return words
+
+    async def pass_on(self, host: str, source: asyncio.StreamReader, target: TextIO) -> None:
+        """Lines of a host, each with its name before it."""
+        while line := await self.line(source):
+            self.show(host, line.decode(errors="replace").removesuffix("\n"), target)
+
+    def show(self, host: str, text: str, target: TextIO) -> None:
+        """One line with its host's name before it, above the picture where there is one."""
+        line = f"{host:<{self.width}} | {text}"
+        if self.view and target.isatty():
+            self.view.print(line)
+            return
+        try:
+            target.write(line + "\n")
+            target.flush()
+        except (OSError, ValueError) as error:
+            silence(target)
+            if target is sys.stdout:
+                print(f"lfield: {lost(error)}", file=sys.stderr)
+
+    async def line(self, source: asyncio.StreamReader) -> bytes:
+        try:
+            return await source.readline()
+        except ValueError:
+            # A line over the limit: show what there is of it.
+            return await source.read(1 << 16)
+
+    async def wait(self, host: str) -> int:
+        """The exit status of a host, 1 when a signal ended it. One that cannot start stops the others."""
+        status = await self.children[host].wait()
+        if status < 0:
+            name = signal.Signals(-status).name
+            self.show(host, f"ended by {name}", sys.stderr)
+            return 1
+        if status not in (0, 1) and not self.stopping.is_set():
+            self.refused = self.refused or status
+            self.release()
+        return status
+
+    async def watch(self) -> None:
+        """Stop everything in order when told to, and by force when that takes too long."""
+        await self.stopping.wait()
+        self.release()
+        await asyncio.sleep(PATIENCE)
+        for host, child in self.children.items():
+            if child.returncode is None:
+                print(f"{host} does not end: killed", file=sys.stderr)
+                child.kill()
+
+    def release(self) -> None:
+        """Close the pipes that the hosts hold on to."""
+        for child in self.children.values():
+            assert child.stdin
+            child.stdin.close()

@@ -1,0 +1,208 @@
+"""Answers to a query: as a table with trees below it, and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from lfield.capability.matching.explain import render
+from lfield.capability.matching.search import named
+from lfield.capability.model import Primitive, Registry
+from lfield.capability.offer import Fact, Offer, Refusal, Team
+from lfield.cli.views.trees import plain_console, print_tree
+from lfield.operator.question import Question
+from lfield.operator.registry.show import Branch
+from lfield.operator.registry.words import printable, worth
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+#: So many attributes of an offer are shown, the most telling ones first; `--json` has all.
+SHOWN = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """The team as far as it is known, and how: the hosts that answered, and why the others did not."""
+
+    team: Team
+    answered: tuple[str, ...] = ()
+    silent: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def running(self) -> bool:
+        """Whether any of it was heard."""
+        return bool(self.answered)
+
+    def __str__(self) -> str:
+        if not self.running:
+            why = "no host tells more" if self.silent else "nothing is running"
+            return f"from the files: {why}, live attributes are not known"
+        hosts = len(self.answered) + len(self.silent)
+        return f"from the running team: {len(self.answered)} of {hosts} hosts answered"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Who serves a primitive, best first, and who does not."""
+
+    primitive: Primitive
+    offers: Sequence[Offer]
+    refusals: Sequence[Refusal]
+
+
+# --- for people ---------------------------------------------------------------------------------------
+
+
+def show(
+    question: Question, known: Known, answers: Sequence[Answer], registry: Registry, *, explain: bool
+) -> None:
+    """Print the answers."""
+    print(known)
+    for answer in answers:
+        print(f"\n{answer.primitive.name} ({answer.primitive.id})")
+        if answer.offers:
+            _show_offers(answer.offers, _Attributes(registry, question))
+        else:
+            print("nobody can" if explain else "nobody can; --explain says why")
+        if explain and answer.refusals:
+            print("\nnot offered:")
+            print("\n".join(map(printable, render(answer.refusals, "  ").splitlines())))
+
+
+class _Attributes:
+    """The facts of offers in words: first what the condition names, then what is ranked, then the rest."""
+
+    def __init__(self, registry: Registry, question: Question) -> None:
+        self._registry = registry
+        self._named = named(question.constraint)
+
+    def words(self, facts: Mapping[str, Fact], most: int = SHOWN) -> str:
+        """`payload 2 kg, battery 0.8 (3 s old)`, and how many there are besides."""
+        first = sorted(facts, key=lambda name: (name not in self._named, not self._is_rated(name)))
+        words = [self._word(name, facts[name]) for name in first[:most]]
+        words += [f"and {len(first) - most} more"] if len(first) > most else []
+        return ", ".join(words)
+
+    def _is_rated(self, name: str) -> bool:
+        attribute = self._registry.attributes.get(name)
+        return attribute is not None and attribute.better != "none"
+
+    def _word(self, name: str, fact: Fact) -> str:
+        text = f"{name} {worth(fact.value, unit_of(self._registry, name))}"
+        return f"{text} ({_age(fact.age)} old)" if fact.age else text
+
+
+def _age(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 10.0 else f"{seconds:.0f} s"
+
+
+def _show_offers(offers: Sequence[Offer], attributes: _Attributes) -> None:
+    plain_console().print(_table(offers, attributes))
+    composed = [(rank, offer) for rank, offer in enumerate(offers, 1) if _is_composed(offer)]
+    if composed:
+        print()
+        print_tree(_tree(f"{rank}: {how(offer)}", offer, attributes) for rank, offer in composed)
+
+
+def _table(offers: Sequence[Offer], attributes: _Attributes) -> Table:
+    from rich.table import Table
+
+    shown = Table(box=None, pad_edge=False)
+    for column in ("RANK", "WHO", "HOST", "HOW", "SCORE", "ATTRIBUTES"):
+        shown.add_column(column, justify="right" if column in ("RANK", "SCORE") else "left")
+    for rank, offer in enumerate(offers, 1):
+        words = attributes.words(offer.facts)
+        shown.add_row(str(rank), offer.agent, offer.host, how(offer), f"{offer.score:.3f}", words)
+    return shown
+
+
+def how(offer: Offer) -> str:
+    """By which rules: `direct`, `by climb-lifts`, `by climb-lifts, composed by grip-and-climb`."""
+    if offer.kind == "direct":
+        return "direct"
+    if offer.kind == "composed":
+        return f"composed by {offer.rule}"
+    (inner,) = offer.parts.values()
+    return f"by {offer.rule}" if inner.kind == "direct" else f"by {offer.rule}, {how(inner)}"
+
+
+def _is_composed(offer: Offer) -> bool:
+    return offer.kind == "composed" or any(_is_composed(part) for part in offer.parts.values())
+
+
+def _tree(text: str, offer: Offer, attributes: _Attributes) -> Branch:
+    """The parts of an offer below it; one that stands in for another is passed over."""
+    while offer.kind == "equivalent":
+        (offer,) = offer.parts.values()
+    children = []
+    for need, part in parts_of(offer).items():
+        words = f"{need}: {part.agent} at {part.host}, {how(part)} {part.primitive}"
+        stated = attributes.words(part.facts)
+        children.append(_tree(f"{words}; {stated}" if stated else words, part, attributes))
+    return Branch(text, tuple(children))
+
+
+# --- as JSON ------------------------------------------------------------------------------------------
+
+
+def as_json(question: Question, known: Known, answers: Sequence[Answer], registry: Registry) -> str:
+    """The whole answer; lfield/docs/operations.md has its shape."""
+    constraint = question.constraint
+    whole = {
+        "query": question.text,
+        "constraint": constraint.text.strip() if constraint is not None else None,
+        "source": "team" if known.running else "files",
+        "answered": list(known.answered),
+        "silent": dict(known.silent),
+        "capabilities": [
+            {
+                "primitive": answer.primitive.name,
+                "id": answer.primitive.id,
+                "offers": [_offer(offer, registry) for offer in answer.offers],
+                "refusals": [_refusal(refusal) for refusal in answer.refusals],
+            }
+            for answer in answers
+        ],
+    }
+    return json.dumps(whole, indent=2)
+
+
+def _offer(offer: Offer, registry: Registry) -> dict[str, Any]:
+    return {
+        "primitive": offer.primitive,
+        "agent": offer.agent,
+        "host": offer.host,
+        "kind": offer.kind,
+        "rule": offer.rule or None,
+        "score": round(offer.score, 6),
+        "attributes": {name: _fact(name, fact, registry) for name, fact in offer.facts.items()},
+        "parts": {need: _offer(part, registry) for need, part in parts_of(offer).items()},
+    }
+
+
+def parts_of(offer: Offer) -> dict[str, Offer]:
+    """The parts by the names of their needs; of an equivalent offer the one that stands in, as `by`."""
+    if offer.kind == "equivalent":
+        (inner,) = offer.parts.values()
+        return {"by": inner}
+    # ways.part: the name of the whole, which is the way, and that of the need.
+    return {way.removeprefix(f"{offer.way}_"): part for way, part in offer.parts.items()}
+
+
+def _fact(name: str, fact: Fact, registry: Registry) -> dict[str, Any]:
+    value = sorted(fact.value) if isinstance(fact.value, frozenset) else fact.value
+    return {"value": value, "unit": unit_of(registry, name), "age": round(fact.age, 3)}
+
+
+def _refusal(refusal: Refusal) -> dict[str, Any]:
+    inner = [_refusal(below) for below in refusal.inner]
+    return {"subject": refusal.subject, "reasons": list(refusal.reasons), "inner": inner}
+
+
+def unit_of(registry: Registry, attribute: str) -> str:
+    """The unit of an attribute, '' when it has none."""
+    return registry.attributes[attribute].unit if attribute in registry.attributes else ""

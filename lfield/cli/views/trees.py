@@ -1,0 +1,57 @@
+"""Trees on standard output: drawn with lines in a terminal, indented where somebody reads on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from lfield.operator.registry.show import Branch
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.text import Text
+    from rich.tree import Tree
+
+
+def plain_console() -> Console:
+    """Standard output; what looks like markup is text."""
+    from rich.console import Console
+
+    return Console(markup=False, highlight=False, emoji=False)
+
+
+def print_tree(branches: Iterable[Branch]) -> None:
+    """Print trees, one below the other."""
+    console = plain_console()
+    for branch in branches:
+        if console.is_terminal:
+            console.print(_drawn(branch))
+        else:
+            print("\n".join(_indented(branch, "")))
+
+
+def _indented(branch: Branch, indent: str) -> Iterator[str]:
+    mark = f" [{branch.mark}]" if branch.mark else ""
+    yield f"{indent}{branch.text}{mark}"
+    for child in branch.children:
+        yield from _indented(child, f"{indent}  ")
+
+
+def _drawn(branch: Branch) -> Tree:
+    from rich.tree import Tree
+
+    tree = Tree(_label(branch))
+    for child in branch.children:
+        tree.children.append(_drawn(child))
+    return tree
+
+
+def _label(branch: Branch) -> Text:
+    from rich.text import Text
+
+    name, colon, rest = branch.text.partition(": ")
+    label = Text(name, style="bold" if branch.mark else "")
+    label.append(colon + rest, style="dim")
+    if branch.mark:
+        label.append(f" [{branch.mark}]", style="cyan")
+    return label

@@ -1,0 +1,1 @@
+"""The host's end of its guards: devices opened, called, and read."""

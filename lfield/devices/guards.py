@@ -1,0 +1,208 @@
+"""All devices of one host: a guard process per bus, and fakes where the mission is simulated."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from lfield.capability.directory.news import Trouble
+from lfield.clock import Clock
+from lfield.devices.fakes import Fake, start_fake
+from lfield.devices.keeper import Answered, Guard, OpenFailed
+from lfield.driver.binding import SIMULATED, DeviceBinding
+from lfield.driver.plugins import Plugins
+from lfield.driver.sims import discover_sims
+from lfield.errors import DeviceError, DevicesError, PluginError
+from lfield.guard.core import SILENCE
+from lfield.manifest import DeviceManifest, DeviceValue, Instruction
+from lfield.vm.contract import Reading
+from lfield.vm.world import PENDING, Pending
+
+#: Seconds for every device to confirm its safe state after an emergency stop.
+STOPS_WITHIN = 5.0
+
+
+class Guards:
+    """The devices of some agents. `note` takes a line for the log.
+
+    `silence` is how long this host may be silent, in seconds, before its devices go safe. Before each sign of
+    life `turned` lets the host turn, and says whether it could: a host that cannot gives none.
+    """
+
+    def __init__(
+        self,
+        plugins: Plugins,
+        clock: Clock,
+        note: Callable[[str], None],
+        *,
+        silence: float = SILENCE,
+        turned: Callable[[], bool] = lambda: True,
+    ) -> None:
+        self._plugins, self._clock, self._note, self._silence = plugins, clock, note, silence
+        self._turned = turned
+        self._guards: list[Guard] = []
+        self._fakes: list[Fake] = []
+        self._by_device: dict[str, tuple[Guard, DeviceManifest]] = {}
+
+    async def open(self, devices: Sequence[DeviceBinding]) -> None:
+        """Open all devices at once. Raises DevicesError with all problems; then none is left open."""
+        problems: list[str] = []
+        try:
+            await self._open(devices, problems)
+        except BaseException:
+            await self.close()
+            raise
+        if problems:
+            await self.close()
+            raise DevicesError(problems)
+
+    async def _open(self, devices: Sequence[DeviceBinding], problems: list[str]) -> None:
+        problems += _shared_ports(devices)
+        placed = await self._with_fakes(devices, problems) if not problems else []
+        if problems:
+            return
+        for bus in _by_bus(placed).values():
+            installed = self._plugins.by_driver[bus[0].driver]
+            guard = Guard(installed, bus, self._clock, self._note, self._silence, self._turned)
+            self._guards.append(guard)
+            self._by_device.update(
+                {device.name: (guard, installed.manifests[device.type].device) for device in bus}
+            )
+        for answer in await asyncio.gather(*(g.open() for g in self._guards), return_exceptions=True):
+            if isinstance(answer, OpenFailed):
+                problems.extend(answer.problems)
+            elif isinstance(answer, BaseException):
+                raise answer
+
+    async def _with_fakes(self, devices: Sequence[DeviceBinding], problems: list[str]) -> list[DeviceBinding]:
+        """The same devices, the simulated ones at the endpoints of fakes that now run."""
+        simulated = _by_bus([device for device in devices if device.endpoint.startswith(SIMULATED)])
+        if not simulated:
+            return list(devices)
+        sims = discover_sims()
+        fakes = (start_fake(sims, bus) for bus in simulated.values())
+        started = await asyncio.gather(*fakes, return_exceptions=True)
+        self._fakes += [fake for fake in started if isinstance(fake, Fake)]
+        endpoints: dict[tuple[str, str], str] = {}
+        for bus, fake in zip(simulated, started, strict=True):
+            if isinstance(fake, Fake):
+                endpoints[bus] = fake.endpoint
+            elif isinstance(fake, PluginError):
+                problems.append(str(fake))
+            else:
+                raise fake
+        return [msgspec.structs.replace(d, endpoint=endpoints.get(d.bus, d.endpoint)) for d in devices]
+
+    def query(self, agent: str, field: str, instruction: str) -> DeviceValue | Pending:
+        """The value of a query, PENDING for what the device itself must do (`call`).
+
+        Raises DeviceError when there is no such device or instruction, or no fresh value.
+        """
+        guard, declared = self._declared(agent, field, instruction)
+        if declared.is_query:
+            return guard.snapshots.query(f"{agent}.{field}", instruction)
+        return PENDING
+
+    def call(
+        self, agent: str, field: str, instruction: str, arguments: Sequence[Any], answered: Answered
+    ) -> None:
+        """Have an instruction carried out that is no query; `answered` is told once, from the loop.
+
+        Raises DeviceError when it cannot even be tried.
+        """
+        guard, declared = self._declared(agent, field, instruction)
+        guard.call(f"{agent}.{field}", declared, arguments, answered)
+
+    def _declared(self, agent: str, field: str, instruction: str) -> tuple[Guard, Instruction]:
+        found = self._by_device.get(f"{agent}.{field}")
+        if found is None:
+            raise DeviceError(field, "is not open on this host")
+        guard, manifest = found
+        declared = manifest.instruction(instruction)
+        if declared is None:
+            raise DeviceError(field, f"has no instruction '{instruction}'")
+        return guard, declared
+
+    def reading(self, agent: str, field: str, quantity: str) -> Reading | None:
+        """The reading of a telemetry quantity, None for what is no plain quantity."""
+        return self.guard_of(f"{agent}.{field}").snapshots.reading(f"{agent}.{field}", quantity)
+
+    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
+        """The last value of a telemetry quantity and its age in seconds, however old; None for none yet."""
+        found = self._by_device.get(device)
+        return found[0].snapshots.last(device, quantity) if found else None
+
+    def trouble(self, device: str) -> Trouble | None:
+        """Why a device cannot be called now, by its name; None when it can."""
+        found = self._by_device.get(device)
+        return found[0].trouble(device) if found else Trouble(f"{device}: not open on this host")
+
+    def guard_of(self, device: str) -> Guard:
+        """The guard of a device by its name."""
+        return self._by_device[device][0]
+
+    async def emergency_stop(self, reason: str) -> dict[str, str]:
+        """Every device into its safe state: '' for each that confirmed within STOPS_WITHIN, else why not."""
+        changed = asyncio.Event()
+        for guard in self._guards:
+            guard.on_latch = changed.set
+            guard.bar(reason)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(STOPS_WITHIN):
+                while any(not guard.confirmed.issuperset(guard.names) for guard in self._guards):
+                    changed.clear()
+                    await changed.wait()
+        return {
+            name: "" if name in guard.confirmed else f"its safe state was not confirmed in {STOPS_WITHIN:g} s"
+            for guard in self._guards
+            for name in guard.names
+        }
+
+    def lift_stop(self) -> dict[str, str]:
+        """The program may release its devices again; the same table, all ''."""
+        for guard in self._guards:
+            guard.allow()
+        return {name: "" for guard in self._guards for name in guard.names}
+
+    @property
+    def latched(self) -> Mapping[str, str]:
+        """Why devices are held in their safe states, by device name."""
+        return {name: reason for guard in self._guards for name, reason in guard.latched.items()}
+
+    @property
+    def silences(self) -> Mapping[str, float]:
+        """For how many seconds each device has not been heard."""
+        return {name: seconds for guard in self._guards for name, seconds in guard.snapshots.silences.items()}
+
+    @property
+    def telemetry(self) -> Mapping[str, Mapping[str, DeviceValue]]:
+        """The last values known, by device and quantity."""
+        return {name: values for guard in self._guards for name, values in guard.snapshots.telemetry.items()}
+
+    async def close(self) -> None:
+        """Make every device safe, end the guards, then the fakes; bounded."""
+        await asyncio.gather(*(guard.close() for guard in self._guards))
+        await asyncio.gather(*(fake.stop() for fake in self._fakes))
+        self._guards, self._fakes, self._by_device = [], [], {}
+
+
+def _shared_ports(devices: Sequence[DeviceBinding]) -> list[str]:
+    """One port has one driver; two of them would take each other's bytes."""
+    first: dict[str, DeviceBinding] = {}
+    return [
+        f"{rival.name} and {device.name} are both at {device.endpoint}, one by the driver '{rival.driver}', "
+        f"one by '{device.driver}': one port can have one driver"
+        for device in devices
+        if (rival := first.setdefault(device.endpoint, device)).driver != device.driver
+    ]
+
+
+def _by_bus(devices: Sequence[DeviceBinding]) -> dict[tuple[str, str], list[DeviceBinding]]:
+    buses: dict[tuple[str, str], list[DeviceBinding]] = {}
+    for device in devices:
+        buses.setdefault(device.bus, []).append(device)
+    return buses

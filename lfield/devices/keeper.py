@@ -1,0 +1,331 @@
+"""The host's end of one guard process: starts it, beats, calls, keeps its telemetry, starts it again."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any, cast
+
+from lfield.capability.directory.news import Trouble
+from lfield.clock import Clock
+from lfield.devices.snapshots import Snapshots
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.plugins import Installed
+from lfield.driver.values import conform
+from lfield.errors import DeviceError, WireError
+from lfield.guard.messages import (
+    Allow,
+    Beat,
+    Call,
+    Done,
+    Failed,
+    Latched,
+    Message,
+    MessageReader,
+    Note,
+    Open,
+    Ready,
+    Refused,
+    Released,
+    Safe,
+    Snapshot,
+    Stop,
+    Stopped,
+    encode,
+)
+from lfield.loop import spawn
+from lfield.manifest import DeviceValue, Instruction
+
+#: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
+BEAT = 0.05
+#: So many beats without a word from the guard, and it hangs. Beats are counted, not seconds: a host that
+#: was stopped itself must not blame its guards.
+UNANSWERED = 60
+#: Seconds for a guard to open its devices, and to end: a little longer than it takes itself.
+OPEN_BOUND, STOP_BOUND = 60.0, 10.0
+#: Seconds before a guard that died is started again: the first time, and at most.
+AGAIN_FIRST, AGAIN_LAST = 0.2, 5.0
+
+#: What a caller gets, once: the value, or why it did not happen.
+Answered = Callable[[DeviceValue | DeviceError], None]
+
+
+class Guard(asyncio.SubprocessProtocol):
+    """One bus. `note` takes a line for the log; after `silence` seconds without a beat it goes safe.
+
+    A beat is given only when `turned` says that the host has just had its turn.
+    """
+
+    def __init__(
+        self,
+        installed: Installed,
+        devices: Sequence[DeviceBinding],
+        clock: Clock,
+        note: Callable[[str], None],
+        silence: float,
+        turned: Callable[[], bool],
+    ) -> None:
+        self._installed, self._clock, self._note, self._silence = installed, clock, note, silence
+        self._turned = turned
+        self._devices = {device.name: device for device in devices}
+        self.snapshots = Snapshots(installed, devices, clock)
+        self._reader = MessageReader()
+        self._transport: asyncio.SubprocessTransport | None = None
+        self._pipe: asyncio.WriteTransport | None = None
+        self._beating: asyncio.TimerHandle | None = None
+        self._restarting: asyncio.Task[None] | None = None
+        self._opening: asyncio.Future[dict[str, str]] | None = None
+        self._exited = asyncio.Event()
+        self._ready = self._stopping = False
+        self._tokens = self._unanswered = 0
+        self._calls: dict[int, tuple[DeviceBinding, Instruction, Answered]] = {}
+        self._unsafe: list[str] = []
+        self._barred = ""
+        #: Who the devices are, in their driver's words, once they are open.
+        self.identities: dict[str, str] = {}
+        #: Why a device is held in its safe state, by name; absent while it answers to calls.
+        self.latched: dict[str, str] = {}
+        #: The latched devices that have been seen in their safe states.
+        self.confirmed: set[str] = set()
+        #: Called after every change of the two.
+        self.on_latch: Callable[[], None] = lambda: None
+
+    # -- life -----------------------------------------------------------------------------------------
+
+    async def open(self, latched: str = "") -> None:
+        """Start the process and open the devices. Raises OpenFailed with all that is wrong."""
+        loop = asyncio.get_running_loop()
+        self._opening, self._exited, self._reader = loop.create_future(), asyncio.Event(), MessageReader()
+        command = (sys.executable, "-m", "lfield.guard.process", self._installed.reference)
+        # A session of its own: a Ctrl-C is for the host, which then stops its guards in order.
+        await loop.subprocess_exec(lambda: self, *command, stderr=None, start_new_session=True)
+        self._send(Open(list(self._devices.values()), latched, self._silence))
+        self._beat()
+        try:
+            async with asyncio.timeout(OPEN_BOUND):
+                self.identities = await self._opening
+        except (TimeoutError, OpenFailed) as error:
+            self.kill()
+            await self._exited.wait()
+            if isinstance(error, OpenFailed):
+                raise
+            raise OpenFailed([f"the driver did not open its devices within {OPEN_BOUND:g} s"]) from None
+        if self._barred:
+            self._send(Safe("", self._barred, barred=True))
+        for name, identity in self.identities.items():
+            self._note(f"{name}: {identity} at {self._devices[name].endpoint}")
+
+    async def close(self) -> None:
+        """Make the devices safe and end the process, within STOP_BOUND."""
+        self._stopping = True
+        if self._restarting is not None:
+            self._restarting.cancel()
+        if self._transport is None:
+            return
+        self._send(Stop("the host is stopping"))
+        try:
+            async with asyncio.timeout(STOP_BOUND):
+                await self._exited.wait()
+        except TimeoutError:
+            self._unsafe = list(self._devices)
+            self.kill()
+            await self._exited.wait()
+        for name in self._unsafe:
+            self._note(f"{name}: its safe state '{self._devices[name].safe_state}' was NOT confirmed")
+
+    def kill(self) -> None:
+        """End the process by force; unless this end is wanted, the next one makes the devices safe."""
+        running = self._transport is not None and self._transport.get_returncode() is None
+        if running and self.pid:
+            # Not by the transport: it would reap a process that has just ended, behind the loop's back.
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
+
+    def _beat(self) -> None:
+        if self._pipe is None or self._pipe.is_closing() or not self._turned():
+            return
+        self._unanswered += 1
+        if self._ready and self._unanswered > UNANSWERED:
+            self._note(f"the guard of {', '.join(self._devices)} hangs")
+            self.kill()
+        self._send(Beat(self._clock.monotonic()))
+        self._beating = asyncio.get_running_loop().call_later(BEAT, self._beat)
+
+    async def _restart(self) -> None:
+        """Start the process again until it works; its devices come back safe."""
+        pause = AGAIN_FIRST
+        while True:
+            await asyncio.sleep(pause)
+            try:
+                await self.open("its guard died and was started again")
+                return
+            except OpenFailed as error:
+                pause = min(2 * pause, AGAIN_LAST)
+                self._note(f"the guard cannot be started again yet: {error}")
+
+    def make_safe(self, device: str, reason: str) -> None:
+        """Bring a device into its safe state, from which the program may release it."""
+        self._send(Safe(device, reason))
+
+    async def fall_silent(self, seconds: float) -> None:
+        """Send no beat for so long, as a host that hangs."""
+        if self._beating is not None:
+            self._beating.cancel()
+        await asyncio.sleep(seconds)
+        self._beat()
+
+    def bar(self, reason: str) -> None:
+        """Bring every device into its safe state and keep the program from releasing it.
+
+        A guard that is being started again is told when it is there.
+        """
+        self._barred = reason
+        self._send(Safe("", reason, barred=True))
+
+    def allow(self) -> None:
+        """The program may release the devices again."""
+        self._barred = ""
+        self._send(Allow())
+
+    # -- calls and queries ----------------------------------------------------------------------------
+
+    def call(
+        self, device: str, instruction: Instruction, arguments: Sequence[Any], answered: Answered
+    ) -> None:
+        """Have an instruction carried out; `answered` is called once, from the loop."""
+        binding = self._devices[device]
+        if not self._ready:
+            raise DeviceError(binding.field, "its guard has died and is being started again")
+        self._tokens += 1
+        self._calls[self._tokens] = (binding, instruction, answered)
+        sent = self._clock.monotonic()
+        self._send(Call(self._tokens, device, instruction.name, list(arguments), sent))
+
+    @property
+    def pid(self) -> int:
+        """The id of its process, 0 while there is none."""
+        found = self._transport.get_pid() if self._transport is not None else None
+        return found or 0
+
+    @property
+    def ready(self) -> bool:
+        """Whether the devices are open."""
+        return self._ready
+
+    def trouble(self, device: str) -> Trouble | None:
+        """Why the device cannot be called now; None when it can."""
+        binding = self._devices[device]
+        if not self._ready:
+            return Trouble(f"{binding.field}: its guard has died and is being started again")
+        if device in self.latched:
+            return Trouble(f"{binding.field}: in its safe state {binding.safe_state}: {self.latched[device]}")
+        lost = self.snapshots.lost_since(device)
+        return None if lost is None else Trouble(f"{binding.field}: not heard", lost)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The devices of this bus."""
+        return tuple(self._devices)
+
+    # -- the process ----------------------------------------------------------------------------------
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """The process runs."""
+        # Casts, since uvloop's transports have these methods but not these base classes.
+        self._transport = cast("asyncio.SubprocessTransport", transport)
+        self._pipe = cast("asyncio.WriteTransport", self._transport.get_pipe_transport(0))
+
+    def pipe_data_received(self, fd: int, data: bytes) -> None:
+        """Messages of the guard."""
+        self._unanswered = 0
+        try:
+            for message in self._reader.feed(data):
+                self._receive(message)
+        except WireError as error:
+            self._note(f"the guard sent bytes that make no sense: {error}")
+            self.kill()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The guard has ended and all it said is read; unless it was asked to end, a new one is started."""
+        assert self._transport is not None
+        status = self._transport.get_returncode()
+        self._transport.close()
+        self._transport = self._pipe = None
+        if self._beating is not None:
+            self._beating.cancel()
+        was_ready, self._ready = self._ready, False
+        self.confirmed.clear()
+        self._exited.set()
+        if self._opening is not None and not self._opening.done():
+            self._opening.set_exception(OpenFailed([f"the driver's process ended with status {status}"]))
+        for binding, instruction, answered in self._take_calls():
+            reason = f"{instruction.name}() is lost: the guard ended with status {status}"
+            answered(DeviceError(binding.field, reason))
+        if was_ready and not self._stopping:
+            self._note(
+                f"the guard of {', '.join(self._devices)} died with status {status}; starting it again"
+            )
+            self._restarting = spawn(self._restart())
+
+    def _take_calls(self) -> list[tuple[DeviceBinding, Instruction, Answered]]:
+        calls, self._calls = list(self._calls.values()), {}
+        return calls
+
+    def _send(self, message: Message) -> None:
+        if self._pipe is not None and not self._pipe.is_closing():
+            self._pipe.write(encode(message))
+
+    def _receive(self, message: Message) -> None:
+        match message:
+            case Snapshot():
+                self.snapshots.take(message)
+            case Done(token, value):
+                self._on_done(token, value)
+            case Refused(token, kind, reason):
+                binding, _, answered = self._calls.pop(token)
+                answered(DeviceError(binding.field, reason, kind=kind))
+            case Latched(device, reason, confirmed):
+                self.latched[device] = reason
+                (self.confirmed.add if confirmed else self.confirmed.discard)(device)
+                self.on_latch()
+                state = f"its safe state '{self._devices[device].safe_state}': {reason}"
+                # An ordinary stop is told once, when it is done; anything else at once.
+                if confirmed or not self._stopping:
+                    self._note(f"{device}: {'is in' if confirmed else 'goes into'} {state}")
+            case Released(device):
+                self.latched.pop(device, None)
+                self.confirmed.discard(device)
+                self._note(f"{device}: released")
+            case Note(device, text):
+                self._note(f"{device}: {text}")
+            case Ready(identities) if self._opening is not None and not self._opening.done():
+                self._opening.set_result(identities)
+                self._ready = True
+            case Failed(problems) if self._opening is not None and not self._opening.done():
+                self._opening.set_exception(OpenFailed([self._sentence(*problem) for problem in problems]))
+            case Stopped(unsafe):
+                self._unsafe = unsafe
+
+    def _sentence(self, device: str, _: str, reason: str) -> str:
+        return f"{device or ', '.join(self._devices)}: {reason}"
+
+    def _on_done(self, token: int, value: Any) -> None:
+        binding, instruction, answered = self._calls.pop(token)
+        try:
+            answered(conform(value, instruction.result))
+        except ValueError as error:
+            answered(
+                DeviceError(binding.field, f"{instruction.name}() gave no {instruction.result}: {error}")
+            )
+
+
+class OpenFailed(Exception):
+    """A guard could not open its devices; `problems` has a sentence for each."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(problems))

@@ -1,0 +1,121 @@
+"""The telemetry of the devices of one guard, as its last snapshots have told it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import cast
+
+from lfield.clock import Clock
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.manifest_file import AGE
+from lfield.driver.plugins import Installed
+from lfield.driver.values import conform
+from lfield.errors import DeviceError
+from lfield.guard.messages import Snapshot
+from lfield.manifest import DeviceValue, Quantity
+from lfield.vm.contract import Reading
+from lfield.vm.memory.values import word_of
+
+#: A device that was heard before is lost after so many seconds of silence, at least.
+LOST_AFTER = 3.0
+
+
+class Snapshots:
+    """Values with the time when they were true; what is too old is refused, never given."""
+
+    def __init__(self, installed: Installed, devices: Iterable[DeviceBinding], clock: Clock) -> None:
+        self._clock = clock
+        self._devices = {device.name: device for device in devices}
+        self._quantities = {
+            (device.name, quantity.name): quantity
+            for device in self._devices.values()
+            for quantity in installed.manifests[device.type].device.telemetry
+        }
+        self._patience = {
+            device.name: _patience(installed.manifests[device.type].device.telemetry)
+            for device in self._devices.values()
+        }
+        self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}
+        self._readings: dict[tuple[str, str], Reading] = {}
+        self._heard: dict[str, float] = {}
+
+    def take(self, snapshot: Snapshot) -> None:
+        """Take a snapshot in, and keep the readings up to date."""
+        now = self._clock.monotonic()
+        self._heard[snapshot.device] = now - snapshot.heard
+        for name, value in snapshot.values.items():
+            key = snapshot.device, name
+            self._values[key] = conform(value, self._quantities[key].type), now - snapshot.ages[name]
+            if key in self._readings:
+                self._update(key)
+
+    def query(self, device: str, quantity: str) -> DeviceValue:
+        """The last value of a telemetry quantity. Raises DeviceError when there is none or it is too old."""
+        binding, now = self._devices[device], self._clock.monotonic()
+        if quantity == AGE.name:
+            if device not in self._heard:
+                raise DeviceError(binding.field, "has not been heard yet", kind="DeviceTimeoutException")
+            return now - self._heard[device]
+        found = self._values.get((device, quantity))
+        if found is None:
+            raise DeviceError(binding.field, f"has not reported {quantity}", kind="DeviceTimeoutException")
+        value, at = found
+        age, longest = now - at, self._quantities[device, quantity].max_age
+        if age > longest:
+            reason = f"the last {quantity} is {age:.1f} s old (at most {longest:g} s)"
+            raise DeviceError(binding.field, reason, kind="DeviceTimeoutException")
+        return value
+
+    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
+        """The last value of a telemetry quantity and its age in seconds, however old; None for none yet."""
+        now = self._clock.monotonic()
+        if quantity == AGE.name and device in self._heard:
+            return now - self._heard[device], 0.0
+        found = self._values.get((device, quantity))
+        return None if found is None else (found[0], now - found[1])
+
+    def lost_since(self, device: str) -> float | None:
+        """Since when a device has not been heard, if that is longer than it should take; None if not.
+
+        It should take as long as its quickest quantity may be old, and LOST_AFTER at least. A device that has
+        never said anything is not lost: not every one has something to say.
+        """
+        heard = self._heard.get(device)
+        if heard is None or self._clock.monotonic() - heard <= self._patience[device]:
+            return None
+        return heard
+
+    def reading(self, device: str, quantity: str) -> Reading | None:
+        """A reading that every snapshot keeps up to date, None for text, arrays and `age`."""
+        declared = self._quantities.get((device, quantity))
+        if declared is None or declared.type not in ("boolean", "int", "real"):
+            return None
+        if (device, quantity) not in self._readings:
+            self._readings[device, quantity] = Reading()
+            self._update((device, quantity))
+        return self._readings[device, quantity]
+
+    def _update(self, key: tuple[str, str]) -> None:
+        reading, (value, at) = self._readings[key], self._values[key]
+        reading.word = word_of(value) if isinstance(value, float) else int(cast("int", value))
+        reading.until = at + self._quantities[key].max_age
+
+    @property
+    def silences(self) -> dict[str, float]:
+        """For how many seconds each device has not been heard."""
+        now = self._clock.monotonic()
+        return {name: now - at for name, at in self._heard.items()}
+
+    @property
+    def telemetry(self) -> dict[str, dict[str, DeviceValue]]:
+        """The last values known, by device and quantity in the order of the manifest, however old."""
+        shown: dict[str, dict[str, DeviceValue]] = {name: {} for name in self._devices}
+        for device, quantity in self._quantities:
+            if (device, quantity) in self._values:
+                shown[device][quantity] = self._values[device, quantity][0]
+        return shown
+
+
+def _patience(quantities: Iterable[Quantity]) -> float:
+    """For how many seconds a device with these quantities may be silent."""
+    return max(LOST_AFTER, min((quantity.max_age for quantity in quantities), default=LOST_AFTER))

@@ -1,1 +1,0 @@
-"""One host of a team: its directory, mobility, devices and life."""

@@ -1,0 +1,394 @@
+"""The guard's decisions: when a device may move and when it must be safe. Events in, effects out.
+
+A device is free or latched. It is latched, and its safe state commanded until it is confirmed, when
+
+  - the host has been silent for longer than `silence` (this only if the host has moved the device since it
+    was opened or released: what nobody commanded is left as it is), or is gone, or asks for it;
+  - the time-to-live of a setpoint is over and nothing has replaced it;
+  - its driver raised anything but a DeviceError, or the guard was restarted.
+
+Only `release()` frees it, and only once its safe state is confirmed. On each channel of a device one
+actuation runs at a time: a newer one replaces an older one, so that `land()` need not wait for a `goTo()` of
+another thread. A query that asks the device runs beside the others, also while the device is latched.
+
+While the host is silent the bus is made quiet, once every safe state is confirmed or QUIET_BY is over: what
+the driver sends by itself would keep the device's own watchdog content for an owner who is gone.
+
+Every event first looks at the clock: what is overdue happens before what has just arrived, so that a beat
+that lay in the pipe while this process was stopped does not excuse the silence. And `due` looks at no clock
+at all: it says when the next thing is to be done, also when that is past. Time goes on between a look at what
+is due and the next question, and what falls in between must not be taken for done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from lfield.clock import Clock
+from lfield.driver.manifest_file import RELEASE
+from lfield.guard.messages import Call, Done, Latched, Message, Note, Refused, Released, Stopped
+from lfield.manifest import DeviceManifest, DeviceValue, Instruction
+
+#: How long the host may be silent, in seconds (a beat comes every 50 ms).
+SILENCE = 0.2
+#: How long after a failed attempt the safe state is commanded again.
+RETRY = 1.0
+#: How long a silent host's devices have to confirm their safe states before their bus is made quiet.
+QUIET_BY = 2.0
+#: How long a stop waits for the safe states to be confirmed.
+STOP_BOUND = 8.0
+
+Way = Literal["ask", "act", "setpoint"]
+
+
+def way(instruction: Instruction) -> Way:
+    """How the guard treats an instruction: asking moves nothing; a setpoint acts on after it returned."""
+    if instruction.effect == "query" or instruction.name == RELEASE.name:
+        return "ask"
+    return "setpoint" if instruction.effect == "actuate" and not instruction.blocking else "act"
+
+
+@dataclass(frozen=True, slots=True)
+class Execute:
+    """Effect: have the driver carry out a call."""
+
+    call: Call
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """Effect: stop carrying out the call of this token; it has been answered."""
+
+    token: int
+
+
+@dataclass(frozen=True, slots=True)
+class MakeSafe:
+    """Effect: have the driver bring the device into its safe state, before anything else."""
+
+    device: str
+
+
+@dataclass(frozen=True, slots=True)
+class Quiet:
+    """Effect: send nothing that feeds a device's own watchdog from now on (False: do again)."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Tell:
+    """Effect: send a message to the host."""
+
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class Exit:
+    """Effect: close the bus and end the process with this status."""
+
+    status: int
+
+
+Effect = Execute | Cancel | MakeSafe | Quiet | Tell | Exit
+
+
+@dataclass(slots=True)
+class _Device:
+    """What the guard knows of one device. `latched` is the reason, or '' when it is free.
+
+    `barred` is why the program may not release it: somebody pressed the emergency stop.
+    `acting` is what runs on each channel, `setpoints` are the times when the ones in effect are over.
+    """
+
+    name: str
+    manifest: DeviceManifest
+    ttl: float
+    latched: str = ""
+    barred: str = ""
+    confirmed: bool = False
+    moved: bool = False
+    retry_at: float | None = None
+    setpoints: dict[str, float] = field(default_factory=dict)
+    acting: dict[str, Call] = field(default_factory=dict)
+    asking: dict[int, Call] = field(default_factory=dict)
+
+    def declared(self, call: Call) -> Instruction:
+        """The instruction of a call that was let in."""
+        instruction = self.manifest.instruction(call.instruction)
+        assert instruction is not None, "an unknown instruction is refused before it gets here"
+        return instruction
+
+
+class GuardCore:
+    """The state machine of one guard; `devices` are (name, manifest, ttl)."""
+
+    def __init__(
+        self,
+        devices: Iterable[tuple[str, DeviceManifest, float]],
+        clock: Clock,
+        *,
+        silence: float = SILENCE,
+    ) -> None:
+        self._devices = {name: _Device(name, manifest, ttl) for name, manifest, ttl in devices}
+        self._clock = clock
+        self._silence = silence
+        self._last_beat = clock.monotonic()
+        self._stop_by: float | None = None
+        self._ended = self._quiet = False
+
+    # -- events ---------------------------------------------------------------------------------------
+
+    def opened(self, latched: str) -> list[Effect]:
+        """The devices are there; a reason in `latched` says that they come back from something."""
+        self._last_beat = self._clock.monotonic()
+        return self._latch_all(latched) if latched else []
+
+    def beat(self, sent: float) -> list[Effect]:
+        """The host was alive at `sent`."""
+        effects = self.tick()
+        now = self._clock.monotonic()
+        self._last_beat = max(self._last_beat, min(sent, now))
+        if self._quiet and now < self._silent_at:
+            self._quiet = False
+            effects.append(Quiet(False))
+        return effects
+
+    def call(self, call: Call) -> list[Effect]:
+        """The program calls an instruction; that is a sign of life too."""
+        effects = self.beat(call.sent)
+        device = self._devices.get(call.device)
+        instruction = device.manifest.instruction(call.instruction) if device else None
+        if device is None or instruction is None:
+            return [*effects, _refuse(call, f"there is no {call.device}.{call.instruction}()")]
+        if len(call.arguments) != len(instruction.parameters):
+            return [
+                *effects,
+                _refuse(call, f"{call.instruction}() takes {len(instruction.parameters)} arguments"),
+            ]
+        how = way(instruction)
+        if how == "ask":
+            return effects + self._ask(device, call)
+        refusal = self._why_not(device, call, how)
+        if refusal:
+            return [*effects, _refuse(call, refusal)]
+        effects += self._abandon(device, instruction.channel, f"replaced by {call.instruction}()")
+        device.acting[instruction.channel], device.moved = call, True
+        return [*effects, Execute(call)]
+
+    def finished(self, token: int, value: DeviceValue) -> list[Effect]:
+        """The driver has carried a call out."""
+        effects = self.tick()
+        call = self._take(token)
+        if call is None:
+            return effects
+        device = self._devices[call.device]
+        instruction = device.declared(call)
+        how = way(instruction)
+        if how == "setpoint":
+            device.setpoints[instruction.channel] = call.sent + device.ttl
+        elif how == "act":
+            device.setpoints.pop(instruction.channel, None)
+        return [*effects, Tell(Done(token, value))]
+
+    def refused(self, token: int, kind: str, reason: str) -> list[Effect]:
+        """The device did not do it, and said so: an exception for the program, no reason to go safe."""
+        effects = self.tick()
+        return [*effects, Tell(Refused(token, kind, reason))] if self._take(token) else effects
+
+    def crashed(self, token: int, reason: str) -> list[Effect]:
+        """The driver raised what it should not while it carried out a call."""
+        effects = self.tick()
+        call = self._take(token)
+        if call is None:
+            return effects
+        effects.append(_refuse(call, reason))
+        return effects + self._latch(self._devices[call.device], reason)
+
+    def safe(self, device: str, reason: str, *, barred: bool = False) -> list[Effect]:
+        """Somebody asks for the safe state of a device, or of all ('')."""
+        effects = self.tick()
+        for name, known in self._devices.items():
+            if device in ("", name):
+                known.barred = known.barred or (reason if barred else "")
+                effects += self._latch(known, reason)
+        return effects
+
+    def allow(self) -> list[Effect]:
+        """The emergency is over: what is latched may be released."""
+        for device in self._devices.values():
+            device.barred = ""
+        return self.tick()
+
+    def made_safe(self, name: str) -> list[Effect]:
+        """The driver has seen the device in its safe state."""
+        effects = self.tick()
+        device = self._devices[name]
+        device.confirmed, device.retry_at = True, None
+        effects.append(Tell(Latched(name, device.latched, True)))
+        return effects + self._be_quiet(self._clock.monotonic()) + self._end_if_safe()
+
+    def not_safe(self, name: str, reason: str) -> list[Effect]:
+        """The driver could not bring the device into its safe state; it is tried again."""
+        effects = self.tick()
+        self._devices[name].retry_at = self._clock.monotonic() + RETRY
+        return [*effects, Tell(Note(name, f"its safe state is not confirmed, trying again: {reason}"))]
+
+    def stop(self, reason: str) -> list[Effect]:
+        """The host ends, or has ended: make everything safe, then exit, within STOP_BOUND."""
+        effects = self.tick()
+        if self._stop_by is None and not self._ended:
+            self._stop_by = self._clock.monotonic() + STOP_BOUND
+            effects += self._latch_all(reason) + self._end_if_safe()
+        return effects
+
+    def tick(self) -> list[Effect]:
+        """Time has passed: whatever is due."""
+        now = self._clock.monotonic()
+        effects: list[Effect] = []
+        silent = now >= self._silent_at
+        for device in self._devices.values():
+            if silent and device.moved:
+                effects += self._latch(device, f"the host was silent for over {self._silence * 1000:.0f} ms")
+            until = self._expiry(device)
+            if until is not None and now >= until:
+                effects += self._latch(device, f"the setpoint's time-to-live of {device.ttl:g} s is over")
+            if device.retry_at is not None and now >= device.retry_at:
+                device.retry_at = None
+                effects.append(MakeSafe(device.name))
+        effects += self._be_quiet(now)
+        if self._stop_by is not None and now >= self._stop_by:
+            effects += self._end()
+        return effects
+
+    def due(self) -> float | None:
+        """When the next tick is needed, on the injected clock; None when nothing can become due."""
+        if self._ended:
+            return None
+        times = [self._expiry(device) for device in self._devices.values()]
+        times += [device.retry_at for device in self._devices.values()]
+        times += [self._stop_by, self._silence_due()]
+        return min((time for time in times if time is not None), default=None)
+
+    # -- decisions ------------------------------------------------------------------------------------
+
+    def _why_not(self, device: _Device, call: Call, how: Way) -> str:
+        if device.latched:
+            return f"held in its safe state because {device.latched}; call release() first"
+        if how == "setpoint" and self._clock.monotonic() - call.sent >= device.ttl:
+            return f"the setpoint came after its time-to-live of {device.ttl:g} s"
+        return ""
+
+    @property
+    def _silent_at(self) -> float:
+        """When the host counts as silent, if it says nothing more."""
+        return self._last_beat + self._silence
+
+    def _silence_due(self) -> float | None:
+        """When there is something to be done about a silence; None when all of it has been done."""
+        if any(device.moved and not device.latched for device in self._devices.values()):
+            return self._silent_at
+        return None if self._quiet else self._quiet_at()
+
+    def _quiet_at(self) -> float:
+        """When a silent host's bus is made quiet: at once if nothing is left to be sent for its sake."""
+        settled = all(d.confirmed or not (d.latched or d.moved) for d in self._devices.values())
+        return self._silent_at + (0.0 if settled else QUIET_BY)
+
+    def _be_quiet(self, now: float) -> list[Effect]:
+        if self._quiet or now < self._quiet_at():
+            return []
+        self._quiet = True
+        return [Quiet(True)]
+
+    def _ask(self, device: _Device, call: Call) -> list[Effect]:
+        """Let a call in that moves nothing; release() unlatches first, and tells the driver so."""
+        effects: list[Effect] = []
+        if call.instruction == RELEASE.name:
+            if self._stop_by is not None or self._ended:
+                return [_refuse(call, "the host is stopping")]
+            if device.barred:
+                return [_refuse(call, f"{device.barred}; 'lfield estop --lift' must come first")]
+            if device.latched and not device.confirmed:
+                return [
+                    _refuse(call, "its safe state is not confirmed yet; call release() again in a moment")
+                ]
+            if device.latched:
+                effects.append(Tell(Released(device.name)))
+                device.latched, device.confirmed, device.moved = "", False, False
+        device.asking[call.token] = call
+        return [*effects, Execute(call)]
+
+    def _latch_all(self, reason: str) -> list[Effect]:
+        return [effect for device in self._devices.values() for effect in self._latch(device, reason)]
+
+    def _latch(self, device: _Device, reason: str) -> list[Effect]:
+        """Latch a free device; the first reason is the one that is kept."""
+        if device.latched:
+            return []
+        device.latched, device.confirmed = reason, False
+        device.setpoints.clear()
+        # The safe state goes out first: it is the effect that cannot wait.
+        stopped = [
+            effect
+            for channel in list(device.acting)
+            for effect in self._abandon(device, channel, f"stopped, since {reason}")
+        ]
+        return [
+            *_cancels(stopped),
+            MakeSafe(device.name),
+            *_tells(stopped),
+            Tell(Latched(device.name, reason, False)),
+        ]
+
+    def _abandon(self, device: _Device, channel: str, reason: str) -> list[Effect]:
+        call = device.acting.pop(channel, None)
+        if call is None:
+            return []
+        return [Cancel(call.token), _refuse(call, f"{call.instruction}() was {reason}")]
+
+    def _take(self, token: int) -> Call | None:
+        """The call of a token, no longer running; None when it has been answered before."""
+        for device in self._devices.values():
+            for channel, call in device.acting.items():
+                if call.token == token:
+                    return device.acting.pop(channel)
+            if token in device.asking:
+                return device.asking.pop(token)
+        return None
+
+    def _expiry(self, device: _Device) -> float | None:
+        """When the first setpoint in effect is over. An actuation that runs replaces it, unless it fails."""
+        if device.latched:
+            return None
+        times = [until for channel, until in device.setpoints.items() if channel not in device.acting]
+        times += [
+            call.sent + device.ttl
+            for call in device.acting.values()
+            if way(device.declared(call)) == "setpoint"
+        ]
+        return min(times, default=None)
+
+    def _end_if_safe(self) -> list[Effect]:
+        if self._stop_by is None or not all(device.confirmed for device in self._devices.values()):
+            return []
+        return self._end()
+
+    def _end(self) -> list[Effect]:
+        unsafe = [device.name for device in self._devices.values() if not device.confirmed]
+        self._stop_by, self._ended = None, True
+        return [Tell(Stopped(unsafe)), Exit(1 if unsafe else 0)]
+
+
+def _refuse(call: Call, reason: str) -> Tell:
+    return Tell(Refused(call.token, "DeviceException", reason))
+
+
+def _cancels(effects: list[Effect]) -> list[Effect]:
+    return [effect for effect in effects if isinstance(effect, Cancel)]
+
+
+def _tells(effects: list[Effect]) -> list[Effect]:
+    return [effect for effect in effects if isinstance(effect, Tell)]

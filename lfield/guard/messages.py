@@ -1,0 +1,181 @@
+"""What host and guard say to each other over the guard's stdin and stdout.
+
+A frame per message (lfield.wire.framing); the kind is the message, the payload its fields as MessagePack.
+Both ends are on one machine and share its monotonic clock, so `sent` can be compared with the time of
+arrival: an old message that was stuck in the pipe is known as old.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import msgspec
+
+from lfield.driver.binding import DeviceBinding
+from lfield.errors import WireError
+from lfield.wire.framing import FrameDecoder, frame
+
+#: A value on the wire; `lfield.driver.values.conform` makes it a value of its L type.
+WireValue = bool | int | float | str | Sequence[int | float] | None
+
+
+class Message(msgspec.Struct, frozen=True, array_like=True):
+    """Base of all messages."""
+
+
+class Open(Message, frozen=True):
+    """Host: open these devices, all on one bus. `latched` tells why they must come back safe, or ''.
+
+    `silence` is how long the host may be silent, in seconds, before every device goes safe.
+    """
+
+    devices: list[DeviceBinding]
+    latched: str
+    silence: float
+
+
+class Call(Message, frozen=True):
+    """Host: carry out one instruction; the answer is Done or Refused with the same token."""
+
+    token: int
+    device: str
+    instruction: str
+    arguments: list[WireValue]
+    sent: float
+
+
+class Beat(Message, frozen=True):
+    """Either side: I am alive, as of `sent`."""
+
+    sent: float
+
+
+class Safe(Message, frozen=True):
+    """Host: bring the device ('' for all) into its safe state, now.
+
+    When it is `barred`, the program cannot release it until an Allow has come.
+    """
+
+    device: str
+    reason: str
+    barred: bool = False
+
+
+class Stop(Message, frozen=True):
+    """Host: make everything safe and end."""
+
+    reason: str
+
+
+class Ready(Message, frozen=True):
+    """Guard: the bus is open; who the devices are, by name."""
+
+    identities: dict[str, str]
+
+
+class Failed(Message, frozen=True):
+    """Guard: it cannot be opened, and the guard ends. `problems` are (device or '', kind, reason)."""
+
+    problems: list[tuple[str, str, str]]
+
+
+class Done(Message, frozen=True):
+    """Guard: a call has been carried out."""
+
+    token: int
+    value: WireValue
+
+
+class Refused(Message, frozen=True):
+    """Guard: a call failed; `kind` is the L exception it becomes."""
+
+    token: int
+    kind: str
+    reason: str
+
+
+class Snapshot(Message, frozen=True):
+    """Guard: telemetry of one device, with the age of each value and of the device itself in seconds."""
+
+    device: str
+    values: Mapping[str, WireValue]
+    ages: dict[str, float]
+    heard: float
+
+
+class Latched(Message, frozen=True):
+    """Guard: the device is held in its safe state because of `reason`; `confirmed` once seen to be there."""
+
+    device: str
+    reason: str
+    confirmed: bool
+
+
+class Released(Message, frozen=True):
+    """Guard: the device answers to calls again."""
+
+    device: str
+
+
+class Note(Message, frozen=True):
+    """Guard: one sentence for the log."""
+
+    device: str
+    text: str
+
+
+class Stopped(Message, frozen=True):
+    """Guard: the last message; `unsafe` names the devices whose safe state nobody confirmed."""
+
+    unsafe: list[str]
+
+
+class Allow(Message, frozen=True):
+    """Host: the program may release its devices again."""
+
+
+#: The kind byte of each message. Order is the protocol: add at the end.
+MESSAGES: tuple[type[Message], ...] = (
+    Open,
+    Call,
+    Beat,
+    Safe,
+    Stop,
+    Ready,
+    Failed,
+    Done,
+    Refused,
+    Snapshot,
+    Latched,
+    Released,
+    Note,
+    Stopped,
+    Allow,
+)
+
+MAX_PAYLOAD = 1 << 20
+
+_KINDS = {message: kind for kind, message in enumerate(MESSAGES)}
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODERS = [msgspec.msgpack.Decoder(message) for message in MESSAGES]
+_LIMITS = dict.fromkeys(range(len(MESSAGES)), MAX_PAYLOAD)
+
+
+def encode(message: Message) -> bytes:
+    """One message as one frame."""
+    return frame(_KINDS[type(message)], _ENCODER.encode(message))
+
+
+class MessageReader:
+    """Bytes of a pipe to messages."""
+
+    def __init__(self) -> None:
+        self._frames = FrameDecoder(_LIMITS)
+
+    def feed(self, data: bytes) -> Iterator[Message]:
+        """The messages that these bytes complete. Raises WireError where they make no sense."""
+        for kind, payload in self._frames.feed(data):
+            try:
+                yield _DECODERS[kind].decode(payload)
+            except (msgspec.DecodeError, UnicodeDecodeError) as error:
+                raise WireError(f"not a message of kind {kind}: {error}") from None

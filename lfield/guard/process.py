@@ -1,0 +1,339 @@
+"""The guard process of one bus: `python -m lfield.guard.process package:PLUGIN`.
+
+A thin shell around GuardCore: frames come in on stdin, go out on stdout; the log is stderr. It imports the
+driver and never the machine, so a busy program cannot make its timers late. When stdin ends, or on
+SIGTERM, the devices are made safe and the process ends.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from typing import Any
+
+from lfield import loop
+from lfield.clock import Clock, SystemClock
+from lfield.driver.device import Device, Driver, check_methods
+from lfield.driver.plugin import Plugin, load_plugin
+from lfield.errors import DeviceError, LfieldError, PluginError, WireError
+from lfield.guard.core import Cancel, Effect, Execute, Exit, GuardCore, MakeSafe, Quiet, Tell
+from lfield.guard.messages import (
+    Allow,
+    Beat,
+    Call,
+    Failed,
+    Message,
+    MessageReader,
+    Note,
+    Open,
+    Ready,
+    Safe,
+    Stop,
+    encode,
+)
+from lfield.guard.telemetry import Telemetry
+
+#: More than this many unread bytes, and telemetry is dropped: the host has stopped reading.
+BACKLOG = 1 << 18
+#: Seconds between two answers to the host's beats.
+ANSWER = 0.5
+
+
+class Shell(asyncio.Protocol):
+    """Carries events to the core and its effects out to the driver and the host.
+
+    `on_loaded` is called when the driver's code is there, before it opens anything.
+    """
+
+    def __init__(
+        self,
+        plugin: Plugin,
+        output: asyncio.WriteTransport,
+        clock: Clock,
+        on_loaded: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._plugin, self._output, self._clock, self._on_loaded = plugin, output, clock, on_loaded
+        self._loop = asyncio.get_running_loop()
+        # A driver's callback that raises (of a socket, a timer) has no task to tell of it.
+        self._loop.set_exception_handler(self._callback_raised)
+        self._reader = MessageReader()
+        self._core: GuardCore | None = None
+        self._driver: Driver | None = None
+        self._telemetry = Telemetry(clock, self._tell_snapshot)
+        self._calls: dict[int, asyncio.Task[None]] = {}
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._timer: asyncio.Handle | None = None
+        self._timer_at = 0.0
+        self._answered = 0.0
+        self.exit: asyncio.Future[int] = self._loop.create_future()
+
+    # -- the pipe -------------------------------------------------------------------------------------
+
+    def data_received(self, data: bytes) -> None:
+        """Messages of the host."""
+        try:
+            for message in self._reader.feed(data):
+                self._receive(message)
+        except WireError as error:
+            self.gone(f"the host sent bytes that make no sense: {error}")
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The pipe has closed: the host has ended or was killed."""
+        self.gone("the host is gone")
+
+    def gone(self, reason: str) -> None:
+        """There is nobody left to work for."""
+        if self._core is not None:
+            self._run(self._core.stop(reason))
+        else:
+            self._finish(1)
+
+    def _receive(self, message: Message) -> None:
+        if isinstance(message, Open) and self._driver is None:
+            self._spawn(self._open(message))
+        elif self._core is None:
+            if isinstance(message, Stop):
+                self._finish(0)
+        elif isinstance(message, Beat):
+            self._run(self._core.beat(message.sent))
+            self._answer_beat()
+        elif isinstance(message, Call):
+            self._run(self._core.call(message))
+        elif isinstance(message, Safe):
+            self._run(self._core.safe(message.device, message.reason, barred=message.barred))
+        elif isinstance(message, Allow):
+            self._run(self._core.allow())
+        elif isinstance(message, Stop):
+            self._run(self._core.stop(message.reason))
+
+    def _answer_beat(self) -> None:
+        """Now and then, so that the host can tell a guard that hangs from one with nothing to say."""
+        now = self._clock.monotonic()
+        if now - self._answered >= ANSWER:
+            self._answered = now
+            self._tell(Beat(now))
+
+    def _tell(self, message: Message) -> None:
+        if not self._output.is_closing():
+            self._output.write(encode(message))
+
+    def _tell_snapshot(self, message: Message) -> None:
+        if self._output.get_write_buffer_size() < BACKLOG:
+            self._tell(message)
+
+    # -- what a driver can tell (lfield.driver.device.Reports) ------------------------------------------
+
+    def publish(self, device: str, values: Mapping[str, Any]) -> None:
+        """New telemetry."""
+        self._telemetry.publish(device, values)
+
+    def heard(self, device: str) -> None:
+        """A sign of life."""
+        self._telemetry.heard(device)
+
+    def note(self, device: str, text: str) -> None:
+        """A sentence for the log."""
+        self._tell(Note(device, text))
+
+    def _callback_raised(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        reason = repr(context.get("exception") or context.get("message"))
+        if "future" in context or "task" in context:
+            # Somebody has stopped waiting for what then failed: no reason to stop a vehicle.
+            self.note("the driver", f"nobody was told of {reason}")
+        else:
+            self.crashed(reason)
+
+    def crashed(self, reason: str) -> None:
+        """The driver is broken as a whole."""
+        told = f"the driver failed: {reason}"
+        if self._core is not None:
+            self._run(self._core.safe("", told))
+        elif not self.exit.done():
+            self._tell(Failed([("", "DeviceException", told)]))
+            self._finish(1)
+
+    # -- opening --------------------------------------------------------------------------------------
+
+    async def _open(self, message: Open) -> None:
+        problems: list[tuple[str, str, str]] = []
+        try:
+            self._driver = self._make_driver(message)
+            self._on_loaded()
+            await self._driver.open()
+            devices = list(self._driver.devices.values())
+            identities, problems = await _open_all(devices)
+        except DeviceError as error:
+            problems = [("", error.kind, error.reason)]
+        except PluginError as error:
+            problems = [("", "DeviceException", str(error))]
+        except Exception as error:  # a driver is foreign code: whatever it raises is reported, not lost
+            problems = [("", "DeviceException", f"the driver failed to open: {error!r}")]
+        if problems:
+            self._tell(Failed(problems))
+            self._finish(1)
+            return
+        self._core = GuardCore(
+            ((d.binding.name, d.manifest.device, d.binding.ttl) for d in devices),
+            self._clock,
+            silence=message.silence,
+        )
+        # Telemetry first: a query right after the opening must find it.
+        self._telemetry.flush()
+        self._tell(Ready(identities))
+        self._run(self._core.opened(message.latched))
+
+    def _make_driver(self, message: Open) -> Driver:
+        driver = self._plugin.load()(message.devices, self._plugin.read_manifests(), self._clock, self)
+        for device in driver.devices.values():
+            check_methods(type(device), device.manifest, device.parts)
+        return driver
+
+    # -- effects --------------------------------------------------------------------------------------
+
+    def _run(self, effects: Sequence[Effect]) -> None:
+        for effect in effects:
+            match effect:
+                case Execute(call):
+                    self._calls[call.token] = self._spawn(self._execute(call))
+                case Cancel(token):
+                    if token in self._calls:
+                        self._calls[token].cancel()
+                case MakeSafe(device):
+                    self._spawn(self._make_safe(device))
+                case Quiet(on):
+                    self._be_quiet(on)
+                case Tell(message):
+                    self._tell(message)
+                case Exit(status):
+                    self._finish(status)
+        self._set_timer()
+
+    def _be_quiet(self, on: bool) -> None:
+        assert self._driver is not None
+        try:
+            if on:
+                self._driver.quiet()
+            else:
+                self._driver.resume()
+        except Exception as error:  # foreign code again
+            self.crashed(repr(error))
+
+    async def _execute(self, call: Call) -> None:
+        core, driver = self._core, self._driver
+        assert core is not None
+        assert driver is not None
+        try:
+            value = await driver.devices[call.device].execute(call.instruction, call.arguments)
+            # Whoever asks when the call is done must see what it has done.
+            self._telemetry.flush()
+            self._run(core.finished(call.token, value))
+        except DeviceError as error:
+            self._run(core.refused(call.token, error.kind, error.reason))
+        except ValueError as error:
+            self._run(core.refused(call.token, "DeviceException", f"{call.instruction}(): {error}"))
+        except Exception as error:  # foreign code again; the device goes safe
+            self._run(core.crashed(call.token, f"the driver failed in {call.instruction}(): {error!r}"))
+        finally:
+            self._calls.pop(call.token, None)
+
+    async def _make_safe(self, name: str) -> None:
+        core, driver = self._core, self._driver
+        assert core is not None
+        assert driver is not None
+        try:
+            await driver.devices[name].make_safe()
+        except DeviceError as error:
+            self._run(core.not_safe(name, error.reason))
+        except Exception as error:  # foreign code again; the core tries again
+            self._run(core.not_safe(name, f"the driver failed: {error!r}"))
+        else:
+            self._telemetry.flush()
+            self._run(core.made_safe(name))
+
+    def _set_timer(self) -> None:
+        """Be awake when the core next needs it; a timer that is early enough is left alone."""
+        due = self._core.due() if self._core is not None else None
+        if due is None or (self._timer is not None and self._timer_at <= due):
+            return
+        if self._timer is not None:
+            self._timer.cancel()
+        # Kept here: uvloop's handle of a timer that is due within half a millisecond cannot say when.
+        self._timer, self._timer_at = self._loop.call_at(due, self._on_timer), due
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        if self._core is not None:
+            self._run(self._core.tick())
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        task = self._loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _finish(self, status: int) -> None:
+        if not self.exit.done():
+            self.exit.set_result(status)
+
+    async def close(self) -> None:
+        """Give the bus back; the messages written so far still go out."""
+        for task in list(self._tasks):
+            task.cancel()
+        if self._driver is not None:
+            await self._driver.close()
+
+
+async def _open_all(devices: Sequence[Device]) -> tuple[dict[str, str], list[tuple[str, str, str]]]:
+    """Open every device at once: identities by name, and everything that went wrong."""
+    found = await asyncio.gather(*(device.open() for device in devices), return_exceptions=True)
+    identities: dict[str, str] = {}
+    problems: list[tuple[str, str, str]] = []
+    for device, answer in zip(devices, found, strict=True):
+        if isinstance(answer, str):
+            identities[device.binding.name] = answer
+        elif isinstance(answer, DeviceError):
+            problems.append((device.binding.name, answer.kind, answer.reason))
+        else:
+            problems.append((device.binding.name, "DeviceException", f"the driver failed: {answer!r}"))
+    return identities, problems
+
+
+async def serve(plugin: Plugin, input_fd: int, output_fd: int) -> int:
+    """Guard one bus until the host says stop or is gone; the exit status."""
+    running = asyncio.get_running_loop()
+    output, _ = await running.connect_write_pipe(asyncio.BaseProtocol, os.fdopen(output_fd, "wb", 0))
+    # Only now: a vendor library that takes its time to load must not delay the guards of other buses.
+    shell = Shell(plugin, output, SystemClock(), loop.be_prompt)
+    source, _ = await running.connect_read_pipe(lambda: shell, os.fdopen(input_fd, "rb", 0))
+    running.add_signal_handler(signal.SIGTERM, shell.gone, "the guard was told to end (SIGTERM)")
+    # Ctrl-C reaches the whole process group; the host decides what it means and stops its guards in order.
+    running.add_signal_handler(signal.SIGINT, lambda: None)
+    try:
+        return await shell.exit
+    finally:
+        await shell.close()
+        source.close()
+        output.close()
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the guard of the plugin `package:PLUGIN`."""
+    if len(arguments) != 1:
+        print("usage: python -m lfield.guard.process package:PLUGIN", file=sys.stderr)
+        return 64
+    # A vendor library that prints must not end up in the middle of a frame.
+    output_fd = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        plugin = load_plugin(arguments[0])
+        return loop.run(serve(plugin, os.dup(0), output_fd))
+    except LfieldError as error:
+        print(error, file=sys.stderr)
+        return error.exit_status
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

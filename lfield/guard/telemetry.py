@@ -1,0 +1,69 @@
+"""Telemetry on its way to the host: the newest values of each device, pushed at a bounded rate."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from lfield.clock import Clock
+from lfield.guard.messages import Snapshot
+from lfield.manifest import DeviceValue
+
+#: At most so many snapshots per second and device.
+RATE = 20.0
+
+
+@dataclass(slots=True)
+class _Latest:
+    """What has been published since the last snapshot, with the time of each value."""
+
+    values: dict[str, tuple[DeviceValue, float]] = field(default_factory=dict)
+    heard: float = 0.0
+    fresh: bool = False
+
+
+class Telemetry:
+    """Collects what drivers publish and calls `push` with snapshots, at RATE at most."""
+
+    def __init__(self, clock: Clock, push: Callable[[Snapshot], None]) -> None:
+        self._clock, self._push = clock, push
+        self._devices: dict[str, _Latest] = {}
+        self._timer: asyncio.TimerHandle | None = None
+
+    def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
+        """New values, true now; a value that did not change is fresh all the same."""
+        latest, now = self._fresh(device), self._clock.monotonic()
+        for name, value in values.items():
+            latest.values[name] = value, now
+
+    def heard(self, device: str) -> None:
+        """The device has shown that it is alive."""
+        self._fresh(device).heard = self._clock.monotonic()
+
+    def flush(self) -> None:
+        """Push what is fresh, now."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        now = self._clock.monotonic()
+        for device, latest in self._devices.items():
+            if not latest.fresh:
+                continue
+            values = {name: value for name, (value, _) in latest.values.items()}
+            ages = {name: now - at for name, (_, at) in latest.values.items()}
+            self._push(Snapshot(device, values, ages, now - latest.heard))
+            latest.values.clear()
+            latest.fresh = False
+
+    def _fresh(self, device: str) -> _Latest:
+        """The record of a device, now with something to push."""
+        latest = self._devices.get(device)
+        if latest is None:
+            latest = self._devices[device] = _Latest(heard=self._clock.monotonic())
+        if latest.fresh:
+            return latest
+        latest.fresh = True
+        if self._timer is None:
+            self._timer = asyncio.get_running_loop().call_later(1.0 / RATE, self.flush)
+        return latest

@@ -1,0 +1,1 @@
+"""One host of a team, from start to stop."""

@@ -1,0 +1,336 @@
+"""The shell of one host: sockets, guards, timers and the log around a core that decides.
+
+Every event goes one way: `_enter` hands it to the core, lets it run, and carries out what comes of it. What
+fails there is a bug of ours: the host stops feeding its guards and ends, its devices safe, and says why.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import secrets
+import traceback
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from lfield.bytecode.program import DeviceCall
+from lfield.capability.directory.news import Trouble
+from lfield.clock import Clock, SystemClock
+from lfield.devices.guards import Guards
+from lfield.errors import DeviceError, HostFailure
+from lfield.host.core import HostCore
+from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
+from lfield.host.logbook import Logbook
+from lfield.host.status import coordinators_of, status_of
+from lfield.loop import spawn
+from lfield.manifest import DeviceValue
+from lfield.mission.load import Mission
+from lfield.mobility.core import Mobility
+from lfield.mobility.effects import Send, SendTransfer
+from lfield.net.peers import Peers
+from lfield.net.transport import Link, Transport
+from lfield.vm.agent import Agent
+from lfield.vm.contract import Reading
+from lfield.vm.inspect import dump
+from lfield.vm.machine import Machine
+from lfield.vm.world import Pending
+from lfield.wire.messages import (
+    Control,
+    EmergencyStop,
+    EmergencyStopped,
+    Hello,
+    Status,
+    StatusRequest,
+    Transfer,
+)
+
+#: How long a starting host waits for the others' first answers before it starts its coordinators: one that
+#: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
+CENSUS = 1.5
+
+
+@dataclass(slots=True)
+class Options:
+    """How a host is run. `listen` is the address to listen on; times are in seconds."""
+
+    listen: str
+    dump: Path | None = None
+    unreachable_after: float = 10.0
+    clock: Clock = field(default_factory=SystemClock)
+    dice: random.Random = field(default_factory=random.Random)
+
+
+class Host:
+    """A host; `name` is its name in the deployment."""
+
+    def __init__(
+        self, mission: Mission, name: str, transport: Transport, logbook: Logbook, options: Options
+    ) -> None:
+        self.mission, self.name, self.options = mission, name, options
+        self.team = mission.team
+        self.logbook = logbook
+        self.clock = options.clock
+        self.started = self.clock.monotonic()
+        here = self.team.number(name)
+        self.peers = Peers(self, transport, self.clock, self.team.hosts, self.team.addresses, here)
+        self.guards = Guards(
+            mission.plugins, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
+        )
+        self.core = HostCore(
+            mission,
+            name,
+            secrets.randbits(62) + 1,
+            self.clock,
+            _Nearby(self.peers, self.guards),
+            options.dice,
+            options.unreachable_after,
+        )
+        self.changed = asyncio.Event()
+        #: Set when the host has failed: `failure` says by what.
+        self.failed = asyncio.Event()
+        self.failure: HostFailure | None = None
+        self.address = ""
+        self._statuses: dict[str, dict[str, Any]] = {}
+        self._loop = asyncio.get_running_loop()
+        self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
+        self._events: deque[Callable[[], None]] = deque()
+        self._entered = self._stopped = False
+
+    @property
+    def machine(self) -> Machine:
+        """The agents that are here."""
+        return self.core.machine
+
+    @property
+    def mobility(self) -> Mobility:
+        """What is known of the coordinators."""
+        return self.core.mobility
+
+    # --- life -----------------------------------------------------------------------------------------
+
+    async def start(self) -> None:
+        """Listen, open the devices, start the resources, ask what the others know, start the coordinators.
+
+        Raises AddressError and DevicesError: then nothing has moved.
+        """
+        self.address = await self.peers.open(self.options.listen)
+        members = self.team.on(self.core.here)
+        await self.guards.open(self.mission.bindings.of([m.id for m in members]))
+        self.note(f"{self.name} is up on {self.address}")
+        generation = int(self.clock.time() * 1e9)
+        self._enter(partial(self.core.start_resources, generation))
+        if any(member.kind == "coordinator" for member in members):
+            await self.peers.first_round(CENSUS)
+        self._enter(partial(self.core.start_coordinators, generation))
+
+    async def stop(self) -> None:
+        """Make the devices safe, then close everything. Coordinators that are here end with the host."""
+        if self._stopped:
+            return
+        self._stopped = True
+        if self._timer:
+            self._timer.cancel()
+        await self.guards.close()
+        self.peers.close()
+        self.logbook.flush()
+
+    # --- one way in, one way out ----------------------------------------------------------------------
+
+    def turn(self) -> bool:
+        """Let the core do what is due; whether it could. A beat for a guard is given only after a turn."""
+        self._enter(lambda: None)
+        return self.failure is None
+
+    def _enter(self, event: Callable[[], None]) -> None:
+        """Hand an event to the core. One that comes of another's effects waits until those are done."""
+        if self._stopped or self.failure:
+            return
+        self._events.append(event)
+        if self._entered:
+            return
+        self._entered = True
+        try:
+            while self._events:
+                self._events.popleft()()
+                pause = self.core.run()
+                for effect in self.core.take():
+                    self._carry_out(effect)
+            self.logbook.flush()
+            self._come_back(pause)
+        except Exception as error:
+            self.fail(error)
+        finally:
+            self._entered = False
+
+    def _come_back(self, pause: float | None) -> None:
+        """Turn again after so many seconds, or sooner."""
+        if self._timer:
+            self._timer.cancel()
+            self._timer = None
+        if pause == 0.0:
+            self._timer = self._loop.call_soon(self.turn)
+        elif pause is not None:
+            self._timer = self._loop.call_later(pause, self.turn)
+
+    def fail(self, error: BaseException) -> None:
+        """A bug in the host itself: nothing more is done, no guard is fed, and whoever runs it ends it."""
+        if self.failure is None:
+            self.failure = HostFailure(self.name, error)
+            self.note(str(self.failure))
+            if os.environ.get("LFIELD_TRACEBACK"):
+                self.note("".join(traceback.format_exception(error)))
+            self.failed.set()
+
+    def unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """The loop's exception handler: what was raised beside the core, in a task or a socket's callback."""
+        error = context.get("exception")
+        self.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
+
+    def _carry_out(self, effect: Effect) -> None:
+        match effect:
+            case SendTransfer():
+                self.peers.send_transfer(effect.host, effect.header, effect.block)
+            case Send():
+                self.peers.send(effect.host, effect.message)
+            case Write():
+                self.logbook.write(effect.text)
+            case Say():
+                self.logbook.note(effect.text)
+            case Complain():
+                self.peers.complain(effect.text)
+            case Call():
+                self._call(effect)
+            case Died():
+                if self.options.dump:
+                    self._dump(effect.agent, self.options.dump)
+            case _:
+                self.changed.set()
+
+    def _call(self, asked: Call) -> None:
+        def answered(value: DeviceValue | DeviceError) -> None:
+            self._enter(partial(self.core.answered, asked, value))
+
+        call = asked.call
+        try:
+            self.guards.call(asked.agent.id, call.field, call.instruction, asked.values, answered)
+        except DeviceError as error:
+            answered(error)
+
+    def _dump(self, agent: Agent, folder: Path) -> None:
+        data = dump.encode(
+            self.name,
+            agent.report,
+            agent.limits.heap,
+            self.team.members,
+            self.team.hosts,
+            self.mission.program,
+            agent.block,
+        )
+        path = folder / f"{agent.id}.block"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+            self.note(f"dumped {agent.id}: lfield inspect {path}")
+        except OSError as error:
+            self.note(f"cannot dump {agent.id} to {path}: {os.strerror(error.errno or 0)}")
+
+    # --- Owner of the links ---------------------------------------------------------------------------
+
+    def hello(self) -> Hello:
+        """What this host says of itself now."""
+        return self.core.hello()
+
+    def linked(self, hello: Hello) -> None:
+        """A host can be talked to."""
+        self._enter(partial(self.core.linked, hello))
+
+    def unlinked(self, host: str) -> None:
+        """A host cannot be talked to any more."""
+        self._enter(partial(self.core.unlinked, host))
+
+    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
+        """A coordinator came."""
+        self._enter(partial(self.core.arrived, host, header, block))
+
+    def too_large(self, host: str, header: Transfer, size: int) -> None:
+        """A coordinator came whose block was not even read."""
+        self._enter(partial(self.core.too_large, host, header, size))
+
+    def received(self, host: str, message: Control, link: Link) -> None:
+        """A message came; `host` is '' when an observer sent it."""
+        if isinstance(message, StatusRequest):
+            link.send(Status(self.status()))
+        elif isinstance(message, Status):
+            self._statuses[host] = message.data
+            self.changed.set()
+        elif isinstance(message, EmergencyStop) and not host:
+            spawn(self._emergency_stop(message, link))
+        elif host:
+            self._enter(partial(self.core.received, host, message))
+
+    async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
+        if message.lift:
+            self.note("the emergency stop is lifted; programs may release their devices")
+            devices = self.guards.lift_stop()
+        else:
+            self.note(f"EMERGENCY STOP: {message.reason}")
+            devices = await self.guards.emergency_stop(message.reason)
+        link.send(EmergencyStopped(devices))
+
+    def note(self, text: str) -> None:
+        """A line for the log."""
+        self.logbook.note(text)
+
+    # --- what others want to know ---------------------------------------------------------------------
+
+    def status(self) -> dict[str, Any]:
+        """What `lfield ps` shows of this host."""
+        up = self.clock.monotonic() - self.started
+        return status_of(self.core, self.peers, self.guards, self.address, up, self.clock)
+
+    async def ask_others(self, bound: float = 1.0) -> dict[str, list[dict[str, Any]]]:
+        """The coordinators that this host and every host it can reach know of, by host, asked now."""
+        self._statuses.clear()
+        asked = set(self.peers.incarnations)
+        for host in asked:
+            self.peers.send(host, StatusRequest())
+        end = self.clock.monotonic() + bound
+        while asked - self._statuses.keys() and self.clock.monotonic() < end:
+            self.changed.clear()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(bound):
+                    await self.changed.wait()
+        answers = {host: data["coordinators"] for host, data in self._statuses.items()}
+        return answers | {self.name: coordinators_of(self.core)}
+
+
+class _Nearby:
+    """What the core may look at: telemetry as the guards have told it, and the links as they are."""
+
+    def __init__(self, peers: Peers, guards: Guards) -> None:
+        self._peers, self._guards = peers, guards
+
+    @property
+    def away(self) -> Mapping[str, float]:
+        return self._peers.away
+
+    def last_heard(self, host: str) -> float | None:
+        return self._peers.last_heard(host)
+
+    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
+        return self._guards.last(device, quantity)
+
+    def trouble(self, device: str) -> Trouble | None:
+        return self._guards.trouble(device)
+
+    def query(self, agent: str, call: DeviceCall) -> DeviceValue | Pending:
+        return self._guards.query(agent, call.field, call.instruction)
+
+    def reading(self, agent: str, call: DeviceCall) -> Reading | None:
+        return self._guards.reading(agent, call.field, call.instruction)

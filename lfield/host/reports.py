@@ -1,0 +1,100 @@
+"""News of the directory as messages and back: names are numbers on the way, times are ages.
+
+Both sides have the same deployment and the same registry, so they count agents and attributes alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from lfield.capability.directory.directory import Deployed, live_attributes
+from lfield.capability.directory.news import Condition, News, Sample, Scalar, Trouble
+from lfield.capability.model import Attribute, Registry
+from lfield.errors import WireError
+from lfield.wire.messages import MAX_LABEL, AgentReport, FactReport, Report, clip
+
+#: The most an age may be, in seconds.
+_EVER = 1e9
+
+
+class Reports:
+    """Writes and reads the reports of a mission; `agents` in the order of the deployment."""
+
+    def __init__(self, registry: Registry, agents: Sequence[Deployed]) -> None:
+        self._agents = agents
+        self._numbers = {agent.id: number for number, agent in enumerate(agents)}
+        self._live = {
+            agent.id: [registry.attributes[name] for name in live_attributes(registry, agent)]
+            for agent in agents
+            if agent.type in registry.providers
+        }
+        self._places = {
+            id: {attribute.name: place for place, attribute in enumerate(live)}
+            for id, live in self._live.items()
+        }
+
+    def write(self, news: News, now: float) -> Report:
+        """The report of this host's news; `now` is its monotonic clock."""
+        agents = [self._write_agent(agent, change, now) for agent, change in news.agents.items()]
+        return Report(news.life, news.since, news.sequence, agents)
+
+    def _write_agent(self, agent: str, change: Condition, now: float) -> AgentReport:
+        places, trouble = self._places[agent], change.trouble
+        lasting = None if trouble is None or trouble.since is None else _age(now - trouble.since)
+        facts = [
+            FactReport(
+                places[name],
+                clip(s.value, MAX_LABEL) if isinstance(s.value, str) else s.value,
+                _age(s.age if s.kept else s.age + now - s.at),
+                s.kept,
+            )
+            for name, s in change.samples.items()
+        ]
+        unknown = [(places[name], clip(why, MAX_LABEL)) for name, why in change.unknown.items()]
+        reason = clip(trouble.reason, MAX_LABEL) if trouble else ""
+        return AgentReport(self._numbers[agent], reason, lasting, facts, unknown)
+
+    def read(self, host: str, report: Report, now: float) -> News:
+        """The news of a host. Raises WireError for what that host cannot say."""
+        agents: dict[str, Condition] = {}
+        for told in report.agents:
+            agent = self._agents[told.agent] if told.agent < len(self._agents) else None
+            if agent is None or agent.host != host or agent.id not in self._live:
+                raise WireError(f"{host} reports on agent {told.agent}, which is none of its")
+            agents[agent.id] = self._read_agent(agent.id, told, now)
+        return News(report.life, report.since, report.sequence, agents)
+
+    def _read_agent(self, agent: str, told: AgentReport, now: float) -> Condition:
+        since = None if told.lasting is None else now - told.lasting
+        trouble = Trouble(told.trouble, since) if told.trouble else None
+        samples: dict[str, Sample] = {}
+        for fact in told.facts:
+            attribute = self._attribute(agent, fact.attribute)
+            samples[attribute.name] = Sample(_value(agent, attribute, fact.value), fact.age, now, fact.kept)
+        unknown = {self._attribute(agent, place).name: why for place, why in told.unknown}
+        return Condition(trouble, samples, unknown)
+
+    def _attribute(self, agent: str, place: int) -> Attribute:
+        live = self._live[agent]
+        if place >= len(live):
+            raise WireError(f"a report names live attribute {place} of {agent}, which has {len(live)}")
+        return live[place]
+
+
+def _age(seconds: float) -> float:
+    return min(max(0.0, seconds), _EVER)
+
+
+def _value(agent: str, attribute: Attribute, value: Scalar) -> Scalar:
+    """A value that came, as one of its attribute. Raises WireError."""
+    match attribute.type:
+        case "boolean" if isinstance(value, bool):
+            return value
+        case "int" if isinstance(value, int) and not isinstance(value, bool):
+            return value
+        case "real" if isinstance(value, float) and math.isfinite(value):
+            return value
+        case "text" if isinstance(value, str):
+            return value
+    raise WireError(f"a report says {value!r} for {attribute.name} of {agent}, which is no {attribute.type}")

@@ -1,0 +1,106 @@
+"""Runs one host as a process: until it is done, told to stop, or loses its parent."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import signal
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from lfield.errors import UsageError
+from lfield.host.host import Host, Options
+from lfield.host.logbook import Logbook
+from lfield.host.until_done import until_done
+from lfield.mission.load import Mission
+from lfield.net.local import is_loopback
+from lfield.net.tcp import TcpTransport
+
+
+async def run_host(
+    mission: Mission,
+    name: str,
+    *,
+    listen: str = "",
+    dump: Path | None = None,
+    unreachable_after: float | None = None,
+    lost_after: float | None = None,
+    trust_network: bool = False,
+    leash: bool = False,
+) -> int:
+    """Run a host; returns the exit status. `lost_after` None runs until it is stopped.
+
+    Raises AddressError and DevicesError when it cannot start.
+    """
+    address = listen or mission.team.addresses[mission.team.number(name)]
+    if not (listen or trust_network or await is_loopback(address)):
+        raise UsageError(
+            f"{address} can be reached from other machines and there are no keys yet: "
+            "use --trust-network on a network of your own, or --map "
+            f"{name}=127.0.0.1:PORT to stay on this machine"
+        )
+    bound = unreachable_after or mission.bindings.unreachable_after
+    host_options = Options(address, dump, bound)
+    logbook = Logbook()
+    host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
+    stopping = _stop_signals()
+    if leash:
+        _end_with_parent(stopping)
+    asyncio.get_running_loop().set_exception_handler(host.unhandled)
+    life = asyncio.ensure_future(_live(host, lost_after))
+    stopped = asyncio.ensure_future(stopping.wait())
+    failed = asyncio.ensure_future(host.failed.wait())
+    try:
+        await asyncio.wait([life, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
+        if host.failure is not None:
+            return host.failure.exit_status
+        if life.done():
+            return life.result()
+        # Without --until-done there is no other end than to be told to stop.
+        return 0 if lost_after is None else 130
+    finally:
+        for task in (life, stopped, failed):
+            task.cancel()
+        await asyncio.gather(life, stopped, failed, return_exceptions=True)
+        await host.stop()
+
+
+async def _live(host: Host, lost_after: float | None) -> int:
+    """Start the host, and wait until all is done; for ever if `lost_after` is None."""
+    await host.start()
+    # What is loaded now stays: Python's collector need not look at it again in the middle of a hop.
+    gc.collect()
+    gc.freeze()
+    if lost_after is None:
+        await _for_ever()
+    fates = await until_done(host, lost_after)
+    for fate in fates:
+        if fate.outcome == "lost":
+            host.note(f"{fate.agent} is lost: {fate.detail}")
+    return 0 if all(fate.outcome == "done" for fate in fates) else 1
+
+
+async def _for_ever() -> NoReturn:
+    while True:
+        await asyncio.get_running_loop().create_future()
+
+
+def _stop_signals() -> asyncio.Event:
+    stopping = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, stopping.set)
+    return stopping
+
+
+def _end_with_parent(stopping: asyncio.Event) -> None:
+    """Stop in order when stdin closes: whoever holds its other end has gone."""
+    loop = asyncio.get_running_loop()
+    descriptor = sys.stdin.fileno()
+
+    def gone() -> None:
+        loop.remove_reader(descriptor)
+        stopping.set()
+
+    loop.add_reader(descriptor, gone)

@@ -1,0 +1,185 @@
+"""From files to a mission: the only part of the runtime that needs the compiler (and only for L text)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lfield.bytecode.encoding import MAX_SIZE, decode
+from lfield.bytecode.program import Program, UnitKind
+from lfield.capability.model import Registry
+from lfield.capability.reading.shipped import is_shipped
+from lfield.capability.types.language import RegistryTypes
+from lfield.capability.types.live_units import settle_live
+from lfield.driver.plugins import Plugins, discover
+from lfield.errors import InputFileError, ProgramError, ProgramFileError
+from lfield.lang.deployment import Deployment, read_deployment
+from lfield.mission.bindings import Bindings, read_bindings
+from lfield.mission.team import Team, make_team, parse_maps
+from lfield.text.files import read_head, reason
+from lfield.text.source import Diagnostic, Diagnostics
+from lfield.vm.offers import ways
+
+#: Suffixes of the files of a mission that stand beside its deployment.
+DEVICES, CAPABILITIES = ".devices.yaml", ".capabilities.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """Everything a host needs to begin. The `registry` is None when the program names no capability."""
+
+    name: str
+    program: Program
+    deployment: Deployment
+    team: Team
+    bindings: Bindings
+    plugins: Plugins
+    warnings: tuple[Diagnostic, ...] = ()
+    registry: Registry | None = None
+
+    @property
+    def max_block(self) -> int:
+        """The largest block a coordinator of the mission may have, in bytes."""
+        return max((self.bindings.limits(m.id).heap for m in self.team.coordinators), default=1 << 20)
+
+
+def load_mission(
+    deploy: Path,
+    program: Path | None = None,
+    devices: Path | None = None,
+    maps: Sequence[str] = (),
+    simulate: bool = False,
+    capabilities: Path | None = None,
+) -> Mission:
+    """Read, compile and check all files of a mission; raises ProgramError, BindingError and the like.
+
+    The program is `NAME.L` beside `NAME.dL`, the devices `NAME.devices.yaml`, what the mission adds to the
+    registry `NAME.capabilities.yaml`, unless they are given.
+    """
+    plugins = discover()
+    types = _registry_types(capabilities or beside(deploy, CAPABILITIES), deploy)
+    loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types)
+    deployment = read_deployment(deploy, loaded.units)
+    team = make_team(deployment, parse_maps(maps, deployment))
+    bindings = read_bindings(
+        devices or beside(deploy, DEVICES),
+        needed=needed_devices(loaded, deployment),
+        plugins=plugins,
+        simulate=simulate,
+    )
+    registry = _settled(types.registry, loaded, plugins) if ways(loaded) else None
+    return Mission(deploy.stem, loaded, deployment, team, bindings, plugins, tuple(warnings), registry)
+
+
+def beside(path: Path, suffix: str) -> Path | None:
+    """The mission's file with another suffix, if there is one."""
+    found = path.with_suffix(suffix)
+    return found if found.exists() else None
+
+
+def _registry_types(mission: Path | None, deploy: Path | None) -> RegistryTypes:
+    """The registry with what a mission adds to it, read only when a program names a capability."""
+
+    def read() -> Registry:
+        from lfield.capability.reading.reader import read_registry
+
+        return read_registry(mission=mission, agents=None if deploy is None else agents_of(deploy))
+
+    return RegistryTypes(read)
+
+
+def _settled(registry: Registry, program: Program, plugins: Plugins) -> Registry:
+    """The registry with live attributes in their units, whatever the unit in which a device tells them.
+
+    What we ship may not fit a resource of the program that only has the name of ours: then it does not count.
+    """
+    devices = {
+        record.name: {field.name: field.type for field in record.devices} for record in program.core.classes
+    }
+    found = Diagnostics()
+    settled = settle_live(registry, devices, plugins.device_types, found)
+    if wrong := [mistake for mistake in found.errors if not is_shipped(mistake)]:
+        raise ProgramError(wrong)
+    return settled
+
+
+def agents_of(deploy: Path) -> list[str] | None:
+    """The ids of a deployment; None when it has mistakes: whoever needs the rest of it reports them."""
+    try:
+        return [agent.id for agent in read_deployment(deploy, None).agents]
+    except (ProgramError, InputFileError):
+        return None
+
+
+def needed_devices(program: Program, deployment: Deployment) -> dict[str, dict[str, str]]:
+    """For each agent of a resource: its device fields and their device types."""
+    classes = {record.name: record for record in program.core.classes}
+    return {
+        agent.id: {field.name: field.type for field in classes[agent.type].devices}
+        for agent in deployment.agents
+    }
+
+
+def _program(path: Path, plugins: Plugins, types: RegistryTypes) -> tuple[Program, list[Diagnostic]]:
+    if path.suffix == ".L":
+        return compile_file(path, plugins, types)
+    return _read_program(path), []
+
+
+def load_program(path: Path) -> Program:
+    """A program from L text or from a program file, whichever the path names."""
+    return compile_file(path)[0] if path.suffix == ".L" else _read_program(path)
+
+
+def _read_program(path: Path) -> Program:
+    try:
+        return decode(read_head(path, MAX_SIZE + 1))
+    except (OSError, ValueError) as error:
+        raise InputFileError(str(path), reason(error)) from None
+    except ProgramFileError as error:
+        raise ProgramFileError(f"{path}: {error.reason}", method=error.method, pc=error.pc) from None
+
+
+def compile_file(
+    path: Path, plugins: Plugins | None = None, types: RegistryTypes | None = None
+) -> tuple[Program, list[Diagnostic]]:
+    """Compile L text; returns the program and its warnings, raises ProgramError with its errors.
+
+    Its capabilities are those of `types`, else those of lfield and of `NAME.capabilities.yaml` beside it.
+    """
+    from lfield.compiler.build import compile_program
+    from lfield.lang.frontend import check_file as check_program
+
+    known = plugins if plugins is not None else discover()
+    checked = check_program(
+        path,
+        devices=known.device_types,
+        find_include=known.find_source,
+        capabilities=types or _registry_types(beside(path, CAPABILITIES), beside(path, ".dL")),
+    )
+    if checked.program is None:
+        raise ProgramError(checked.diagnostics)
+    return compile_program(checked.program), checked.diagnostics
+
+
+def check_file(path: Path) -> list[Diagnostic]:
+    """The findings of a program, or of a deployment (against the program beside it, if there is one)."""
+    if path.suffix != ".dL":
+        try:
+            return compile_file(path)[1]
+        except ProgramError as error:
+            return list(error.diagnostics)
+    beside = path.with_suffix(".L")
+    units: Mapping[str, UnitKind] | None = None
+    found: list[Diagnostic] = []
+    if beside.exists():
+        try:
+            units = compile_file(beside)[0].units
+        except ProgramError as error:
+            found = list(error.diagnostics)
+    try:
+        read_deployment(path, units)
+    except ProgramError as error:
+        found += error.diagnostics
+    return found

@@ -1,0 +1,70 @@
+"""Every mistake in some files of a registry, also against the resources of a program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from lfield.capability.model import Registry
+from lfield.capability.reading.reader import check_files
+from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.signatures import Signature, signatures_of
+from lfield.capability.types.live_units import settle_live
+from lfield.capability.types.program_check import check_against, check_classes
+from lfield.driver.plugins import discover
+from lfield.lang.includes import FileSet
+from lfield.lang.reading import MAX_BYTES
+from lfield.lang.syntax import File
+from lfield.mission.load import CAPABILITIES, agents_of
+from lfield.text.files import read_bytes
+from lfield.text.source import Diagnostic, Diagnostics
+
+
+def check_registry(
+    files: Sequence[Path], *, alone: bool = False, program: Path | None = None
+) -> list[Diagnostic]:
+    """What is wrong with some files together with those that come with lfield, unless they stand `alone`.
+
+    A file named `NAME.capabilities.yaml` is a mission's: it may override the others, and its agents are those
+    of `NAME.dL` beside it. Raises InputFileError for a file that cannot be read.
+    """
+    missions = [path for path in files if path.name.endswith(CAPABILITIES)]
+    ours = [] if alone else shipped()
+    known = {path.resolve() for path in ours}
+    base = [*ours, *(path for path in files if path not in missions and path.resolve() not in known)]
+    found = Diagnostics()
+    signatures = {} if program is None else signatures_of(program_files(program, found))
+    each: Sequence[Path | None] = missions or [None]
+    for mission in each:
+        registry, mistakes = check_files(base, mission=mission, agents=_agents(mission))
+        for mistake in mistakes:
+            found.add(mistake)
+        if registry is not None:
+            _check_calls(registry, signatures, found)
+    return _once(found.in_order())
+
+
+def _once(mistakes: Sequence[Diagnostic]) -> list[Diagnostic]:
+    """Each once: what all missions share was read for each of them."""
+    return list({(m.code, m.span.source.name, m.span.start): m for m in mistakes}.values())
+
+
+def program_files(path: Path, found: Diagnostics) -> list[File]:
+    """A program and all it includes, parsed. Raises InputFileError."""
+    files = FileSet(found, discover().find_source)
+    files.read(read_bytes(path, MAX_BYTES), path)
+    return files.files
+
+
+def _check_calls(registry: Registry, signatures: Mapping[str, Signature], found: Diagnostics) -> None:
+    check_classes(registry, found)
+    check_against(registry, signatures, found)
+    devices = {name: unit.devices for name, unit in signatures.items() if unit.kind == "resource"}
+    settle_live(registry, devices, discover().device_types, found)
+
+
+def _agents(mission: Path | None) -> list[str] | None:
+    """The ids in the deployment beside a mission's file; None when there is none to be read."""
+    if mission is None:
+        return None
+    return agents_of(mission.with_name(f"{mission.name.removesuffix(CAPABILITIES)}.dL"))

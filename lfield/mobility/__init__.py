@@ -1,0 +1,1 @@
+"""Leave, travel, arrive, end: what becomes of coordinators (chapter III, appendix I). Pure."""

@@ -1,0 +1,133 @@
+"""The receiver's half of a hop: every transfer number gets one verdict, and keeps it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lfield.mobility.copies import MAX_STARTS, Copies, Copy
+from lfield.mobility.departures import LIMIT, UNREACHABLE
+from lfield.mobility.effects import Effect, Note, Refusal, Send
+from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Inquire, Refused, Transfer, clip
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lfield.mobility.departures import Departures
+    from lfield.mobility.endings import Endings
+    from lfield.wire.framing import Buffer
+    from lfield.wire.messages import Hello
+
+_NEVER_ARRIVED = Refusal(NEVER_ARRIVED, "the transfer never arrived and is no longer expected")
+
+
+class Arrivals:
+    """The copies that come to one host."""
+
+    def __init__(
+        self,
+        own: Hello,
+        copies: Copies,
+        departures: Departures,
+        endings: Endings,
+        inject: Callable[[Transfer, Buffer], Refusal | None],
+    ) -> None:
+        self._own, self._copies, self._departures, self._endings = own, copies, departures, endings
+        self._inject = inject
+
+    def arrive(self, host: str, header: Transfer, block: Buffer) -> list[Effect]:
+        """A coordinator has arrived from `host`."""
+        if header.receiver_incarnation != self._own.incarnation:
+            return [self._late(host, header)]
+        unfit = self._unfit(header, len(block))
+        if unfit is not None:
+            return [Send(host, _refused(header, unfit))]
+        copy = self._copies.enter(header.agent, header.generation)
+        assert copy is not None
+        effects = self._take(copy, header, block) if header.sequence > copy.sequence else []
+        effects.append(Send(host, _verdict(copy, header)))
+        return effects
+
+    def oversize(self, host: str, header: Transfer, size: int) -> list[Effect]:
+        """A coordinator whose block was too large to be read."""
+        if header.receiver_incarnation != self._own.incarnation:
+            return [self._late(host, header)]
+        unfit = self._unfit(header, size) or self._too_large(header.agent, size)
+        return [Send(host, _refused(header, unfit))]
+
+    def inquire(self, host: str, message: Inquire) -> list[Effect]:
+        """What became of a transfer? One that was never seen is refused for good, should it still come."""
+        if message.receiver_incarnation != self._own.incarnation:
+            return [self._late(host, message)]
+        copy = self._copies.enter(message.agent, message.generation)
+        if copy is None:
+            return [Send(host, _refused(message, _NEVER_ARRIVED))]
+        effects: list[Effect] = []
+        if message.sequence > copy.sequence:
+            effects = self._outrun(copy)
+            copy.sequence, copy.refusal = message.sequence, _NEVER_ARRIVED
+        effects.append(Send(host, _verdict(copy, message)))
+        return effects
+
+    def _take(self, copy: Copy, header: Transfer, block: Buffer) -> list[Effect]:
+        """Decide on a number not seen before; the verdict is in `copy` afterwards."""
+        effects: list[Effect] = []
+        restarted = len(self._copies.of(header.agent)) > 1
+        if restarted:
+            effects += self._endings.yields(copy)
+        if copy.state == "EXITED" and copy.outcome != "lost":
+            return effects
+        if copy.state in ("RUN", "FROZEN"):
+            refusal: Refusal | None = Refusal(UNREACHABLE, f"{header.agent} is already on {self._own.host}")
+        else:
+            refusal = self._inject(header, block)
+        if refusal is None:
+            copy.run(header.sequence, header.hops)
+        else:
+            effects += self._outrun(copy)
+            copy.sequence, copy.refusal = header.sequence, refusal
+        if restarted:
+            effects += self._endings.supersede_after(header.agent, header.generation, self._own.host)
+            effects += self._endings.replaced(copy) if refusal is None else []
+        return effects
+
+    def _outrun(self, copy: Copy) -> list[Effect]:
+        """A higher number proves that a copy still waiting for its verdict has arrived."""
+        return self._departures.moved(copy) if copy.state == "PREPARED" else []
+
+    def _unfit(self, header: Transfer, size: int) -> Refusal | None:
+        """What can never be taken here. Depends on nothing that changes, so it needs no memory."""
+        if header.program != self._own.program:
+            return Refusal(
+                UNREACHABLE,
+                f"{header.agent} belongs to program {header.program.hex()[:12]} and {self._own.host} runs "
+                f"{self._own.program.hex()[:12]}",
+            )
+        if size > self._own.max_block:
+            return self._too_large(header.agent, size)
+        if self._copies.enter(header.agent, header.generation) is None:
+            return Refusal(
+                UNREACHABLE,
+                f"{self._own.host} knows no coordinator {header.agent}, or over {MAX_STARTS} starts of it",
+            )
+        return None
+
+    def _too_large(self, agent: str, size: int) -> Refusal:
+        host, most = self._own.host, self._own.max_block
+        return Refusal(LIMIT, f"{agent} has {size} bytes and {host} takes at most {most}")
+
+    def _late(self, host: str, message: Transfer | Inquire) -> Note:
+        # Any answer could be wrong: what the earlier life of this host did with it is not known.
+        return Note(f"{host} sent {message.agent} or asked for it in an earlier life of {self._own.host}")
+
+
+def _verdict(copy: Copy, asked: Transfer | Inquire) -> Accepted | Refused:
+    """What was decided on a number that has been seen."""
+    if copy.outcome == "superseded":
+        return _refused(asked, Refusal(SUPERSEDED, copy.detail))
+    if asked.sequence == copy.sequence and copy.refusal is not None:
+        return _refused(asked, copy.refusal)
+    return Accepted(asked.agent, asked.generation, asked.sequence)
+
+
+def _refused(asked: Transfer | Inquire, refusal: Refusal) -> Refused:
+    return Refused(asked.agent, asked.generation, asked.sequence, refusal.kind, clip(refusal.reason))

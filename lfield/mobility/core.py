@@ -1,0 +1,152 @@
+"""How coordinators move between hosts: a pure state machine, one per host.
+
+Events come in as method calls, effects go out as a list, time is a parameter in seconds; there is no
+input or output in here, and blocks are opaque bytes. `lfield/docs/mobility.md` explains the protocol and
+what it does not guarantee; chapter III of the thesis has the three steps of a hop, appendix I the shadow.
+
+The rule everything serves: of one start of a coordinator, never two copies run.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lfield.mobility.arrivals import Arrivals
+from lfield.mobility.copies import LIVE, Copies
+from lfield.mobility.departures import Departures
+from lfield.mobility.endings import Endings
+from lfield.wire.messages import Accepted, Ended, EndedAck, Hello, Inquire, Known, Outcome, Refused, Transfer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection
+
+    from lfield.mobility.effects import Effect, Refusal
+    from lfield.wire.framing import Buffer
+
+#: The messages for `Mobility.receive`.
+MobilityMessage = Accepted | Refused | Inquire | Ended | EndedAck
+
+
+class Mobility:
+    """The coordinators of one host: coming, going and ending.
+
+    `own` is what this host says in greetings (its `coordinators` are not looked at): it gives the host's
+    name, incarnation, program and `max_block`. `peers` are the other hosts of the deployment, `agents` its
+    coordinators. `inject(header, block)` puts a copy that arrived into the machine, in place of whatever
+    copy of that agent the host holds, and returns None, or a Refusal if it cannot; it must copy the block
+    and must not call back. `unreachable_after` is how long, in seconds, a coordinator waits for a host.
+
+    A host calls `start` for its own coordinators before it greets anybody, `linked` and `unlinked` as
+    links come and go, `arrive`, `oversize` and `receive` with what the links bring, and `tick` at
+    `next_deadline`.
+    """
+
+    def __init__(
+        self,
+        own: Hello,
+        *,
+        peers: Collection[str],
+        agents: Collection[str],
+        inject: Callable[[Transfer, Buffer], Refusal | None],
+        unreachable_after: float = 10.0,
+    ) -> None:
+        self._copies = Copies(agents)
+        self._links: dict[str, Hello] = {}
+        self._endings = Endings(own.host, frozenset(peers) - {own.host}, self._copies, self._links)
+        self._departures = Departures(own, self._copies, self._links, self._endings, unreachable_after)
+        self._arrivals = Arrivals(own, self._copies, self._departures, self._endings, inject)
+
+    def start(self, agent: str, generation: int) -> None:
+        """A coordinator starts here. `generation` must be new, and greater than those of earlier starts."""
+        copy = self._copies.enter(agent, generation)
+        if copy is None or copy.state != "ABSENT":
+            raise ValueError(f"{agent} cannot be started as generation {generation}")
+        copy.run(0, 0)
+
+    def depart(self, agent: str, host: str, seal: Callable[[int], Buffer], now: float) -> list[Effect]:
+        """The running copy of `agent`, frozen by the caller, wants to go to `host`.
+
+        `seal(sequence)` writes the number into the block's header and returns the block. It is called once
+        for each time the block is sent, at once if there is a link. The bytes must then stay as they are
+        until Resume, Departed, Supersede or Finished.
+        """
+        for copy in self._copies.of(agent):
+            if copy.state == "RUN":
+                return self._departures.depart(copy, host, seal, now)
+        raise ValueError(f"{agent} does not run here")
+
+    def ended(self, agent: str, generation: int, outcome: Outcome, detail: str = "") -> list[Effect]:
+        """A copy held here has ended: tell every host. 'lost' gives up a copy that is in doubt."""
+        copy = self._copies.find(agent, generation)
+        if copy is None or not (copy.doubt if outcome == "lost" else copy.state in ("RUN", "FROZEN")):
+            raise ValueError(f"{agent} of generation {generation} cannot end here as {outcome!r}")
+        return self._endings.end(copy, outcome, detail)
+
+    def linked(self, peer: Hello) -> list[Effect]:
+        """A link to a host is up; `peer` is what it said in its greeting."""
+        effects: list[Effect] = []
+        for known in peer.coordinators:
+            effects += self._learn(peer.host, known)
+        self._links[peer.host] = peer
+        return effects + self._departures.linked(peer) + self._endings.linked(peer.host)
+
+    def unlinked(self, host: str) -> None:
+        """The last link to a host is gone. What was on its way may have arrived or not."""
+        self._links.pop(host, None)
+
+    def arrive(self, host: str, header: Transfer, block: Buffer) -> list[Effect]:
+        """A coordinator has arrived from `host`; it is injected before this returns, or refused."""
+        return self._arrivals.arrive(host, header, block)
+
+    def oversize(self, host: str, header: Transfer, size: int) -> list[Effect]:
+        """A coordinator from `host` was not even read, because its block has `size` bytes."""
+        return self._arrivals.oversize(host, header, size)
+
+    def receive(self, host: str, message: MobilityMessage, now: float) -> list[Effect]:
+        """An answer, a question or an ending came from `host`."""
+        match message:
+            case Accepted():
+                return self._departures.accepted(host, message)
+            case Refused():
+                return self._departures.refused(host, message, now)
+            case Inquire():
+                return self._arrivals.inquire(host, message)
+            case Ended():
+                return self._endings.on_ended(host, message)
+            case EndedAck():
+                return self._endings.on_ack(host, message)
+
+    def tick(self, now: float) -> list[Effect]:
+        """Time has passed: give up what has waited too long."""
+        effects: list[Effect] = []
+        for copy in self._copies:
+            if now >= copy.deadline:
+                effects += self._departures.overdue(copy)
+        return effects
+
+    def next_deadline(self) -> float | None:
+        """When `tick` has something to do next, or None."""
+        waiting = (c.deadline for c in self._copies if c.alive and c.state != "RUN")
+        return min(waiting, default=None)
+
+    def knowledge(self) -> list[Known]:
+        """What this host knows of every coordinator, for greetings and `lfield ps`."""
+        return [copy.known() for copy in self._copies if copy.state != "ABSENT"]
+
+    def unconfirmed(self, hosts: Collection[str]) -> bool:
+        """Whether one of these hosts has yet to confirm an ending that it was told of."""
+        return self._endings.unconfirmed(hosts)
+
+    def shadow(self, agent: str, generation: int) -> Buffer | None:
+        """The block of a copy that moved on, as it left."""
+        copy = self._copies.find(agent, generation)
+        return copy.block if copy is not None and copy.state == "MOVED" else None
+
+    def _learn(self, host: str, known: Known) -> list[Effect]:
+        if known.state == "EXITED":
+            ended = Ended(known.agent, known.generation, known.outcome or "lost", known.detail, known.where)
+            return self._endings.learn(ended)
+        effects = self._departures.learn(host, known)
+        if known.state in LIVE:
+            effects += self._endings.compare(host, known)
+        return effects

@@ -1,0 +1,152 @@
+"""The sender's half of a hop: RUN, FROZEN, PREPARED, MOVED, and back to RUN after a refusal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lfield.mobility.effects import Departed, Effect, InDoubt, Resume, Send, SendTransfer
+from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Hello, Inquire, Refused, Transfer, clip
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from lfield.mobility.copies import Copies, Copy
+    from lfield.mobility.endings import Endings
+    from lfield.wire.framing import Buffer
+    from lfield.wire.messages import Known
+
+#: The L exceptions a refused hop ends in (appendix I names the first).
+UNREACHABLE = "UnreachableResourceException"
+LIMIT = "LimitException"
+
+
+class Departures:
+    """The copies of one host that want to leave it."""
+
+    def __init__(
+        self,
+        own: Hello,
+        copies: Copies,
+        links: Mapping[str, Hello],
+        endings: Endings,
+        unreachable_after: float,
+    ) -> None:
+        self._own, self._copies, self._links, self._endings = own, copies, links, endings
+        self._unreachable_after = unreachable_after
+
+    def depart(self, copy: Copy, host: str, seal: Callable[[int], Buffer], now: float) -> list[Effect]:
+        """A running copy wants to go to `host`."""
+        copy.target, copy.seal, copy.deadline = host, seal, now + self._unreachable_after
+        return self._send(copy)
+
+    def linked(self, peer: Hello) -> list[Effect]:
+        """Go on with the copies that wait for this host."""
+        effects: list[Effect] = []
+        for copy in self._copies:
+            if copy.target == peer.host and copy.state in ("FROZEN", "PREPARED"):
+                effects += self._take_up(copy, peer)
+        return effects
+
+    def accepted(self, host: str, message: Accepted) -> list[Effect]:
+        """The receiver has it: the commit point, seen from here."""
+        copy = self._under_way(host, message)
+        return [] if copy is None else self.moved(copy)
+
+    def refused(self, host: str, message: Refused, now: float) -> list[Effect]:
+        """The receiver has it not, and never will under this number."""
+        copy = self._under_way(host, message)
+        if copy is None:
+            return []
+        copy.doubt = ""
+        if message.kind == SUPERSEDED:
+            return self._endings.stop(copy, message.reason, host)
+        if message.kind != NEVER_ARRIVED:
+            return self._resume(copy, message.kind, message.reason)
+        if now < copy.deadline:
+            return self._send(copy)
+        return self._resume(copy, UNREACHABLE, f"the link to {host} broke on the way and came back too late")
+
+    def learn(self, host: str, known: Known) -> list[Effect]:
+        """Whether what `host` knows proves that a copy under way from here has arrived.
+
+        Numbers beyond its own are given out only by the copy that it became.
+        """
+        copy = self._copies.find(known.agent, known.generation)
+        if copy is None or copy.state != "PREPARED":
+            return []
+        arrived = known.sequence == copy.sequence and known.state in ("RUN", "FROZEN")
+        return self.moved(copy) if arrived or known.sequence > copy.sequence else []
+
+    def moved(self, copy: Copy) -> list[Effect]:
+        """The copy lives elsewhere; the block stays as its shadow."""
+        copy.state, copy.seal, copy.doubt = "MOVED", None, ""
+        return [Departed(copy.agent, copy.generation, copy.sequence, copy.target)]
+
+    def overdue(self, copy: Copy) -> list[Effect]:
+        """The time of a departure is over: nothing was sent, so resume; or something was, so doubt."""
+        host, seconds = copy.target, f"{self._unreachable_after:g} s"
+        if copy.state == "FROZEN":
+            return self._resume(copy, UNREACHABLE, f"{host} could not be reached within {seconds}; is it up?")
+        if copy.state == "PREPARED" and not copy.doubt:
+            return self._doubt(
+                copy,
+                f"{host} has not said within {seconds} whether it took {copy.agent}; still waiting for it",
+            )
+        return []
+
+    def _send(self, copy: Copy) -> list[Effect]:
+        """Send under the next number, or wait frozen for a link."""
+        peer = self._links.get(copy.target)
+        if peer is None:
+            copy.state = "FROZEN"
+            return []
+        assert copy.seal is not None
+        copy.sequence += 1
+        copy.refusal = None
+        copy.block = block = copy.seal(copy.sequence)
+        size = len(block)
+        if size > peer.max_block:
+            reason = f"{copy.agent} has {size} bytes and {peer.host} takes at most {peer.max_block}"
+            return self._resume(copy, LIMIT, reason)
+        copy.state, copy.incarnation = "PREPARED", peer.incarnation
+        header = Transfer(
+            copy.agent,
+            copy.generation,
+            copy.sequence,
+            copy.hops + 1,
+            self._own.program,
+            peer.incarnation,
+            size,
+        )
+        return [SendTransfer(peer.host, header, block)]
+
+    def _take_up(self, copy: Copy, peer: Hello) -> list[Effect]:
+        """The link is back for a copy that waits."""
+        if copy.state == "FROZEN":
+            return self._send(copy)
+        if peer.incarnation == copy.incarnation:
+            return [
+                Send(peer.host, Inquire(copy.agent, copy.generation, copy.sequence, copy.incarnation)),
+            ]
+        return self._doubt(
+            copy,
+            f"{peer.host} was restarted before it said whether it took {copy.agent}; "
+            "the copy here stays frozen, since another may be running",
+        )
+
+    def _doubt(self, copy: Copy, reason: str) -> list[Effect]:
+        if copy.doubt == reason:
+            return []
+        copy.doubt = reason
+        return [InDoubt(copy.agent, copy.generation, copy.sequence, copy.target, reason)]
+
+    def _resume(self, copy: Copy, kind: str, reason: str) -> list[Effect]:
+        copy.state, copy.seal, copy.block = "RUN", None, None
+        return [Resume(copy.agent, copy.generation, copy.sequence, kind, clip(reason))]
+
+    def _under_way(self, host: str, answer: Accepted | Refused) -> Copy | None:
+        """The copy that an answer is about, if it still waits for that answer from that host."""
+        copy = self._copies.find(answer.agent, answer.generation)
+        if copy is None or copy.state != "PREPARED":
+            return None
+        return copy if copy.sequence == answer.sequence and copy.target == host else None

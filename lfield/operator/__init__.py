@@ -1,0 +1,1 @@
+"""A team seen from outside: asked, queried, found, diagnosed."""

@@ -1,0 +1,153 @@
+"""Looks at a computer as `lfield doctor` does: what stands between it and its devices, and the cure.
+
+Passive: it reads files and asks the system; only `endpoints` opens devices, as a mission would.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import grp
+import os
+import pwd
+import resource
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+
+from lfield.clock import Clock
+from lfield.devices.guards import Guards
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.plugins import Plugins
+from lfield.errors import DevicesError
+
+#: Serial ports that robots have: USB adapters, boards with native USB, the pins of a Raspberry Pi or Jetson.
+PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial0")
+#: Milliseconds that a USB adapter may hold bytes back; the usual 16 costs that for every answer.
+LATENCY = 1
+#: adjtimex's word for a clock that nothing disciplines.
+_TIME_ERROR = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked at; `cure` says what to do when it is not well."""
+
+    state: Literal["ok", "warning", "problem"]
+    what: str
+    cure: str = ""
+
+
+def system(plugins: Plugins, root: Path = Path("/")) -> Iterator[Finding]:
+    """Everything that can be seen without a mission. `root` is where /dev and /sys are, for tests."""
+    yield Finding("ok", f"Python {sys.version.split()[0]}, {os.cpu_count()} processors")
+    yield from _drivers(plugins)
+    yield from _serial(root)
+    yield from _can(root)
+    yield _clock()
+    yield _promptness()
+
+
+def _drivers(plugins: Plugins) -> Iterator[Finding]:
+    for name, installed in sorted(plugins.by_driver.items()):
+        missing = [vendor for vendor in installed.plugin.requires if find_spec(vendor) is None]
+        if missing:
+            cure = f"pip install 'lfield[{installed.plugin.extra}]'"
+            yield Finding("problem", f"driver {name}: {', '.join(missing)} is not installed", cure)
+        else:
+            yield Finding("ok", f"driver {name}: {', '.join(sorted(installed.manifests))}")
+    for problem in plugins.problems:
+        yield Finding("problem", problem, "install that driver again, or uninstall it")
+
+
+def _serial(root: Path) -> Iterator[Finding]:
+    ports = [port for pattern in PORTS for port in sorted((root / "dev").glob(pattern))]
+    if not ports:
+        yield Finding("ok", "no serial ports")
+    for port in ports:
+        yield _port(port)
+    for timer in sorted((root / "sys/bus/usb-serial/devices").glob("*/latency_timer")):
+        yield _latency(timer)
+
+
+def _port(port: Path) -> Finding:
+    if os.access(port, os.R_OK | os.W_OK):
+        return Finding("ok", f"{port}: may be used")
+    group = grp.getgrgid(port.stat().st_gid).gr_name
+    user = pwd.getpwuid(os.getuid()).pw_name
+    return Finding(
+        "problem", f"{port}: {user} may not use it", f"sudo usermod -aG {group} {user}, then log in again"
+    )
+
+
+def _latency(timer: Path) -> Finding:
+    port, text = timer.parent.name, timer.read_text(encoding="ascii", errors="replace").strip()
+    if text.isdecimal() and int(text) <= LATENCY:
+        return Finding("ok", f"{port}: holds bytes back for {text} ms at most")
+    rule = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+    return Finding(
+        "warning",
+        f"{port}: holds bytes back for up to {text} ms, which every answer of a servo waits for",
+        f"echo 1 | sudo tee {timer}; for ever: the udev rule {rule}",
+    )
+
+
+def _can(root: Path) -> Iterator[Finding]:
+    for interface in sorted((root / "sys/class/net").glob("*can[0-9]*")):
+        name = interface.name
+        state = (interface / "operstate").read_text(encoding="ascii", errors="replace").strip()
+        if state in ("up", "unknown"):
+            yield Finding("ok", f"{name}: {'up' if state == 'up' else 'there'}")
+        else:
+            yield Finding(
+                "problem",
+                f"{name}: {state}",
+                f"sudo ip link set {name} up type can bitrate 500000 restart-ms 100",
+            )
+
+
+def _clock() -> Finding:
+    """Whether anything keeps this computer's time; logs of a team are compared by it."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    # struct timex is 208 bytes on 64-bit Linux; modes 0 only asks.
+    state = libc.adjtimex(ctypes.create_string_buffer(256))
+    if state == _TIME_ERROR:
+        return Finding(
+            "warning",
+            "the clock is not synchronised: the logs of the hosts will not fit together",
+            "run chrony or systemd-timesyncd; without a network, a GPS receiver with gpsd",
+        )
+    return Finding("ok", "the clock is synchronised" if state >= 0 else "the clock cannot be asked")
+
+
+def _promptness() -> Finding:
+    """Whether a guard may run before everything else; see lfield.guard.process."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    if os.geteuid() == 0 or soft >= 1 or soft == resource.RLIM_INFINITY:
+        return Finding("ok", "guards run with real-time priority")
+    return Finding(
+        "warning",
+        "guards may not have real-time priority: on a busy computer their timers can be late",
+        "LimitRTPRIO=1 in the service's unit, or '@dialout - rtprio 1' in /etc/security/limits.conf",
+    )
+
+
+async def endpoints(
+    plugins: Plugins, devices: list[DeviceBinding], clock: Clock, told: Callable[[Finding], None]
+) -> None:
+    """What answers at every bound endpoint. Devices are opened one by one, and nothing is moved."""
+    for device in devices:
+        notes: list[str] = []
+        guards = Guards(plugins, clock, notes.append)
+        try:
+            await guards.open([device])
+        except DevicesError as error:
+            for problem in error.problems:
+                told(Finding("problem", problem, "check power, cable, endpoint and ids"))
+        else:
+            identity = guards.guard_of(device.name).identities[device.name]
+            told(Finding("ok", f"{device.name}: {identity} at {device.endpoint}"))
+        finally:
+            await guards.close()

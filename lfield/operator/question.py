@@ -1,0 +1,80 @@
+"""A question to the registry in one text: `Lift where payload >= 2.0`.
+
+Before `where` stands a primitive by its type in L, or an id of the taxonomy, which asks for everything that
+can be called there or below. Behind it stands a condition over attributes (matching/expression.py); both may
+be left out together.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lfield.capability.matching.expression import Mistake, Scope, check, parse
+from lfield.capability.model import Expression, Primitive, Registry
+from lfield.capability.reading import messages
+from lfield.errors import ProgramError, UsageError
+from lfield.operator.registry.show import primitives_below, term_of
+from lfield.text.source import Diagnostic, Source, Span
+from lfield.text.suggest import did_you_mean
+
+_QUESTION = re.compile(r"\s*(?P<what>\S+)(?:\s+where\b(?P<where>.*))?\s*", re.DOTALL)
+
+#: The longest question, in characters.
+MAX_LENGTH = 4000
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is asked for: any of the primitives, and the condition, None when everybody will do."""
+
+    text: str
+    primitives: tuple[Primitive, ...]
+    constraint: Expression | None = None
+
+
+def read_question(text: str, registry: Registry) -> Question:
+    """The question in a text. Raises UsageError when it is none, ProgramError with all mistakes in it."""
+    match = _QUESTION.fullmatch(text) if len(text) <= MAX_LENGTH else None
+    if match is None:
+        raise UsageError('a question is written like "Lift" or "Lift where payload >= 2.0"')
+    source = Source("query", text)
+    found: list[Diagnostic] = []
+    primitives = _primitives(match["what"], Span(source, *match.span("what")), registry, found)
+    constraint, mistakes = _constraint(match["where"], registry)
+    start = match.start("where")
+    found += [_diagnostic(mistake, start, source) for mistake in mistakes]
+    if found:
+        raise ProgramError(found)
+    return Question(text.strip(), tuple(primitives), constraint)
+
+
+def _primitives(what: str, place: Span, registry: Registry, found: list[Diagnostic]) -> Sequence[Primitive]:
+    if what in registry.primitives:
+        return [registry.primitives[what]]
+    term = term_of(registry, what)
+    if term is None:
+        hint = did_you_mean(what[:80], [*registry.primitives, *registry.terms])
+        hint = hint or "'lfield capabilities tree' shows what there is"
+        found.append(messages.UNKNOWN_PRIMITIVE.at(place, hint=hint, name=what))
+        return ()
+    below = primitives_below(registry, term.id)
+    if not below:
+        problem = f"nothing at or below '{term.id}' can be called"
+        found.append(messages.BAD_EXPRESSION.at(place, problem=problem))
+    return below
+
+
+def _constraint(where: str | None, registry: Registry) -> tuple[Expression | None, Sequence[Mistake]]:
+    if where is None:
+        return None, ()
+    expression, mistakes = parse(where)
+    if expression is not None:
+        mistakes = check(expression, Scope.of_offer(registry.attributes), "boolean")
+    return expression, mistakes
+
+
+def _diagnostic(mistake: Mistake, start: int, source: Source) -> Diagnostic:
+    place = Span(source, start + mistake.start, start + mistake.end)
+    return messages.BAD_EXPRESSION.at(place, hint=mistake.hint, problem=mistake.message)

@@ -1,0 +1,1 @@
+"""The registry of capabilities, told to people."""

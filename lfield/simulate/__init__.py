@@ -1,0 +1,1 @@
+"""A team in one process on virtual time, with faults on purpose."""

@@ -1,0 +1,1 @@
+"""What people write and what they are told: sources, findings, files, YAML with its places."""

@@ -1,0 +1,41 @@
+"""Kinds of findings as a table: each has a code, a sentence and a hint, and is worded in one place.
+
+The front end and the reader of the registry have a table each; codes, wording and documentation of both
+come from it and cannot drift apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lfield.text.source import Diagnostic, Span
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One kind of finding; `sentence` and `hint` are templates with `{names}` filled in by `at`."""
+
+    code: str
+    sentence: str
+    hint: str = ""
+    severity: str = "error"
+
+    def at(self, span: Span, *, hint: str | None = None, **values: object) -> Diagnostic:
+        """The finding at a place; `hint`, when given, replaces the table's hint."""
+        advice = self.hint.format(**values) if hint is None else hint
+        return Diagnostic(self.code, self.sentence.format(**values), span, advice, self.severity)
+
+
+class Table(dict[str, Message]):
+    """Messages by code, in the order of the codes; codes that begin with `warnings` are warnings."""
+
+    def __init__(self, warnings: str) -> None:
+        super().__init__()
+        self._warnings = warnings
+
+    def message(self, code: str, sentence: str, hint: str = "") -> Message:
+        """Add a kind of finding."""
+        assert code not in self, code
+        severity = "warning" if code.startswith(self._warnings) else "error"
+        self[code] = Message(code, sentence, hint, severity)
+        return self[code]

@@ -1,0 +1,184 @@
+"""The entries of a YAML mapping, read one by one with their types."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from difflib import get_close_matches
+
+from lfield.text.source import Diagnostic, Diagnostics, Span
+from lfield.text.yaml_source import Entry, Listing, Mapping, Node, Scalar, describe
+
+
+class Fields:
+    """The entries of a mapping, read one by one with their types; what nobody read is reported.
+
+    Findings go to `found`: Y110 a required key is missing, Y111 a key nobody knows, Y112 a value of
+    the wrong kind, Y113 a value out of range. A reader that found a problem gives its default.
+    """
+
+    def __init__(self, node: Node, found: Diagnostics, what: str) -> None:
+        self.span, self.what, self._found = node.span, what, found
+        self._known: set[str] = set()
+        self._entries = node.entries if isinstance(node, Mapping) else {}
+        # An empty section (`devices:` with nothing under it) reads as an empty mapping.
+        if not isinstance(node, Mapping) and not (isinstance(node, Scalar) and node.value is None):
+            self.report("Y112", f"{what} must be a mapping, not {describe(node)}", node.span)
+
+    def report(self, code: str, message: str, span: Span, hint: str = "") -> None:
+        """Add an error."""
+        self._found.add(Diagnostic(code, message, span, hint))
+
+    def node(self, key: str, *, required: bool = False) -> Node | None:
+        """The value of a key, whatever it is."""
+        self._known.add(key)
+        if key in self._entries:
+            return self._entries[key].value
+        if required:
+            self.report("Y110", f"{self.what} needs '{key}'", self.span)
+        return None
+
+    def text(
+        self, key: str, default: str = "", *, required: bool = False, choices: tuple[str, ...] = ()
+    ) -> str:
+        """Text, one of `choices` when there are any."""
+        node = self.node(key, required=required)
+        if node is None:
+            return default
+        if not isinstance(node, Scalar) or not isinstance(node.value, str):
+            self._wrong(key, "text", node)
+            return default
+        if choices and node.value not in choices:
+            hint = _did_you_mean(node.value, choices)
+            self.report("Y113", f"'{key}' is one of {', '.join(choices)}", node.span, hint)
+            return default
+        return node.value
+
+    def flag(self, key: str, default: bool = False) -> bool:
+        """true or false."""
+        node = self.node(key)
+        if node is None:
+            return default
+        if isinstance(node, Scalar) and isinstance(node.value, bool):
+            return node.value
+        self._wrong(key, "true or false", node)
+        return default
+
+    def number(
+        self,
+        key: str,
+        default: float = 0.0,
+        *,
+        required: bool = False,
+        minimum: float = -math.inf,
+        maximum: float = math.inf,
+    ) -> float:
+        """A number from `minimum` to `maximum`; whole numbers count."""
+        node = self.node(key, required=required)
+        if node is None:
+            return default
+        if not isinstance(node, Scalar) or isinstance(node.value, bool | str | None):
+            self._wrong(key, "a number", node)
+            return default
+        if not minimum <= node.value <= maximum:
+            self.report("Y113", f"'{key}' must be {_range(minimum, maximum)}, not {node.value}", node.span)
+            return default
+        return float(node.value)
+
+    def integer(self, key: str, default: int = 0, *, minimum: int = 0, maximum: int = (1 << 63) - 1) -> int:
+        """A whole number from `minimum` to `maximum`."""
+        node = self.node(key)
+        if node is None:
+            return default
+        if not isinstance(node, Scalar) or not isinstance(node.value, int) or isinstance(node.value, bool):
+            self._wrong(key, "a whole number", node)
+            return default
+        if not minimum <= node.value <= maximum:
+            self.report("Y113", f"'{key}' must be {_range(minimum, maximum)}, not {node.value}", node.span)
+            return default
+        return node.value
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """A list of texts."""
+        values = []
+        for node in self.items(key):
+            if isinstance(node, Scalar) and isinstance(node.value, str):
+                values.append(node.value)
+            else:
+                self._wrong(key, "a list of texts", node)
+        return tuple(values)
+
+    def integers(self, key: str) -> tuple[int, ...]:
+        """A list of whole numbers."""
+        values = []
+        for node in self.items(key):
+            if isinstance(node, Scalar) and isinstance(node.value, int) and not isinstance(node.value, bool):
+                values.append(node.value)
+            else:
+                self._wrong(key, "a list of whole numbers", node)
+        return tuple(values)
+
+    def items(self, key: str) -> tuple[Node, ...]:
+        """The nodes of a list."""
+        node = self.node(key)
+        if node is None or (isinstance(node, Scalar) and node.value is None):
+            return ()
+        if isinstance(node, Listing):
+            return node.items
+        self._wrong(key, "a list", node)
+        return ()
+
+    def section(self, key: str) -> Fields:
+        """The mapping under a key; an empty one when the key is absent."""
+        node = self.node(key)
+        return Fields(node or Mapping({}, self.span), self._found, f"'{key}'")
+
+    def entries(self) -> Iterator[tuple[Entry, Fields]]:
+        """Every entry with its value read as a mapping, for mappings whose keys are names."""
+        for entry in self._entries.values():
+            self._known.add(entry.key)
+            yield entry, Fields(entry.value, self._found, f"'{entry.key}'")
+
+    def named(self) -> Iterator[Entry]:
+        """Every entry, for mappings whose keys are names and whose values are read by key."""
+        yield from self._entries.values()
+
+    def __len__(self) -> int:
+        """How many keys the text has."""
+        return len(self._entries)
+
+    def __contains__(self, key: str) -> bool:
+        """Whether the text has the key."""
+        return key in self._entries
+
+    def key_span(self, key: str) -> Span:
+        """Where a key stands; where the mapping stands when it is absent."""
+        return self._entries[key].key_span if key in self._entries else self.span
+
+    def value_span(self, key: str) -> Span:
+        """Where the value of a key stands; where the mapping stands when it is absent."""
+        return self._entries[key].value.span if key in self._entries else self.span
+
+    def done(self) -> None:
+        """Report every key that was not asked for."""
+        for entry in self._entries.values():
+            if entry.key not in self._known:
+                hint = _did_you_mean(entry.key, sorted(self._known))
+                hint = hint or (f"known here: {', '.join(sorted(self._known))}" if self._known else "")
+                self.report("Y111", f"{self.what} takes no '{entry.key}'", entry.key_span, hint)
+
+    def _wrong(self, key: str, expected: str, node: Node) -> None:
+        self.report("Y112", f"'{key}' must be {expected}, not {describe(node)}", node.span)
+
+
+def _did_you_mean(word: str, known: list[str] | tuple[str, ...]) -> str:
+    close = get_close_matches(word, known, n=1)
+    return f"did you mean '{close[0]}'?" if close else ""
+
+
+def _range(minimum: float, maximum: float) -> str:
+    if math.isinf(maximum) or maximum == (1 << 63) - 1:
+        return f"at least {minimum:g}"
+    if math.isinf(minimum):
+        return f"at most {maximum:g}"
+    return f"from {minimum:g} to {maximum:g}"

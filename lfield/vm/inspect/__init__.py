@@ -1,0 +1,1 @@
+"""Blocks shown to people: decoded, dumped, traced."""

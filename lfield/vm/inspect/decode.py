@@ -1,0 +1,184 @@
+"""Reads a block back with the program's debug information: agent, threads, stack, locals, heap."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lfield.bytecode.program import ANY, BOOLEAN, INT, PROXY, REAL, REFERENCES, STRING, Program
+from lfield.vm.inspect.traceback import stack
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import (
+    FRAME_SLOTS,
+    HEADER_WORDS,
+    STATE_NAMES,
+    THREAD_CALL,
+    THREAD_ID,
+    THREAD_STATE,
+)
+from lfield.vm.memory.threads import threads
+from lfield.vm.memory.values import real_of, real_text
+
+#: How much of a string and how many elements or fields are shown.
+SHOWN_CHARACTERS = 60
+SHOWN_PARTS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class FrameView:
+    """One activation record: `Owner.method`, where it stands, the source line, and its named slots."""
+
+    method: str
+    file: str
+    line: int
+    text: str
+    locals: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ThreadView:
+    """One thread, its frames innermost first. `call` is the portal call it serves, 0 for none."""
+
+    id: int
+    state: str
+    call: int
+    frames: tuple[FrameView, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class BlockView:
+    """A block in words. `heap` has, for each kind of thing, how many there are and their bytes."""
+
+    id: str
+    type: str
+    kind: str
+    hops: int
+    trail: tuple[int, ...]
+    used: int
+    fields: tuple[tuple[str, str], ...]
+    threads: tuple[ThreadView, ...]
+    heap: tuple[tuple[str, int, int], ...]
+
+
+def view(block: Block, program: Program, members: Sequence[str] = ()) -> BlockView:
+    """Decode a sound block; `members` are the ids of the deployment, for proxies."""
+    return _Decoder(block, program, members).view()
+
+
+class _Decoder:
+    def __init__(self, block: Block, program: Program, members: Sequence[str]) -> None:
+        self.block, self.program, self.members = block, program, members
+
+    def view(self) -> BlockView:
+        w, core = self.block.w, self.program.core
+        record = core.classes[w[layout.W_CLASS]]
+        own = w[layout.W_SELF]
+        fields = tuple(
+            (f.name, self.shown(f.type, w[own + 1 + i])) for i, f in enumerate(record.fields) if own
+        )
+        return BlockView(
+            self.block.text(w[layout.W_ID]),
+            record.name,
+            record.kind,
+            w[layout.W_HOPS],
+            tuple(self.block.trail()),
+            8 * self.block.top,
+            fields,
+            tuple(self.thread(place) for place in threads(self.block)),
+            self.heap(),
+        )
+
+    def thread(self, place: int) -> ThreadView:
+        w = self.block.w
+        frames = []
+        for at in stack(self.block, self.program, place):
+            method = self.program.core.methods[at.method]
+            names = self.program.debug.methods[at.method].names if self.program.debug.methods else ()
+            shown = tuple(
+                (name, self.shown(method.slots[slot], w[at.frame + FRAME_SLOTS + slot]))
+                for slot, name in names
+            )
+            frames.append(
+                FrameView(
+                    self.program.method_name(at.method),
+                    at.file,
+                    at.line,
+                    self.source(at.method, at.line),
+                    shown,
+                )
+            )
+        return ThreadView(
+            w[place + THREAD_ID], STATE_NAMES[w[place + THREAD_STATE]], w[place + THREAD_CALL], tuple(frames)
+        )
+
+    def source(self, method: int, line: int) -> str:
+        if not line:
+            return ""
+        text = self.program.debug.sources[self.program.debug.methods[method].source].text.splitlines()
+        return text[line - 1].strip() if line <= len(text) else ""
+
+    def shown(self, kind: int, word: int, inner: bool = False) -> str:
+        """A value of a type (by index), one level deep."""
+        record = self.program.core.types[kind]
+        if record.kind == BOOLEAN:
+            return "true" if word else "false"
+        if record.kind == REAL:
+            return real_text(real_of(word))
+        if record.kind == INT or record.kind not in REFERENCES:
+            return str(word)
+        if not word:
+            return "null"
+        if record.kind == STRING:
+            text = self.block.string(word)
+            return f'"{text[:SHOWN_CHARACTERS]}…"' if len(text) > SHOWN_CHARACTERS else f'"{text}"'
+        if record.kind == PROXY:
+            number = self.block.w[word + 1]
+            return f"proxy of {self.members[number] if number < len(self.members) else number}"
+        return self.composite(record.kind, word, inner)
+
+    def composite(self, kind: int, word: int, inner: bool) -> str:
+        w, core = self.block.w, self.program.core
+        head = w[word]
+        index, size = head >> 8 & 0xFFFFFF, (head >> 32) - 1
+        if head & 0xFF == layout.ARRAY:
+            of = core.types[index].of
+            kinds = [of] * size
+            name = f"[{size}]"
+        else:
+            kinds = [f.type for f in core.classes[index].fields]
+            name = core.classes[index].name
+        if inner:
+            return f"{name} @{word}"
+        parts = [self.shown(k, w[word + 1 + i], True) for i, k in enumerate(kinds[:SHOWN_PARTS])]
+        if len(kinds) > SHOWN_PARTS:
+            parts.append("…")
+        mark = f" ({core.classes[index].name})" if kind == ANY else ""
+        return f"{name}{mark} @{word} {{{', '.join(parts)}}}"
+
+    def heap(self) -> tuple[tuple[str, int, int], ...]:
+        count: Counter[str] = Counter()
+        size: Counter[str] = Counter()
+        place, w = HEADER_WORDS, self.block.w
+        while place < self.block.top:
+            head = w[place]
+            name = self.kind_name(head)
+            count[name] += 1
+            size[name] += 8 * (head >> 32)
+            place += head >> 32
+        return tuple((name, count[name], size[name]) for name, _ in size.most_common())
+
+    def kind_name(self, head: int) -> str:
+        kind, index = head & 0xFF, head >> 8 & 0xFFFFFF
+        if kind == layout.OBJECT:
+            return self.program.core.classes[index].name
+        if kind == layout.FRAME:
+            return f"activation record of {self.program.method_name(index)}"
+        names = {
+            layout.ARRAY: "array",
+            layout.STRING: "string",
+            layout.PROXY: "proxy",
+            layout.THREAD: "thread",
+        }
+        return names[kind]

@@ -1,0 +1,1 @@
+"""The block: the whole execution state of an agent in one run of bytes (chapter V, Memory Management)."""

@@ -1,0 +1,66 @@
+"""The collector: copies what is alive to a new run of bytes, so that a hop costs live data only.
+
+Cheney's algorithm: the new space is its own work list. Records tell where references are; nothing else is
+ever mistaken for one. The cost grows with live data, never with garbage.
+"""
+
+from __future__ import annotations
+
+from lfield.vm.memory.block import INITIAL_WORDS, RESERVE_WORDS, Block
+from lfield.vm.memory.layout import HEADER_WORDS, ROOTS, Layouts
+
+
+def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
+    """Compact the block and leave at least `room` words free if its limit (and reserve) allows.
+
+    Every reference that lies outside the block (a thread's place, say) is wrong afterwards.
+    """
+    data, top = _compact(block, layouts)
+    wanted = max(INITIAL_WORDS, 2 * (top + room))
+    most = block.limit if top + room <= block.limit else block.limit + RESERVE_WORDS
+    words = max(top, min(wanted, most))
+    data.extend(bytes(max(0, 8 * words - len(data))))
+    del data[8 * words :]
+    block.replace(data, top)
+
+
+def compact(block: Block, layouts: Layouts) -> None:
+    """Compact the block and leave no room at all: it is about to travel."""
+    data, top = _compact(block, layouts)
+    del data[8 * top :]
+    block.replace(data, top)
+
+
+def _compact(block: Block, layouts: Layouts) -> tuple[bytearray, int]:
+    """A copy of the block with only what is alive, and its top. Spoils the block's own bytes."""
+    old = block.w
+    data = bytearray(8 * block.top)
+    new = memoryview(data).cast("q")
+    new[:HEADER_WORDS] = old[:HEADER_WORDS]
+    top = HEADER_WORDS
+    scan = 0
+    references: tuple[int, ...] | range = ROOTS
+    # The header is scanned like the first thing on the heap, with the roots as its references.
+    words = HEADER_WORDS
+    while True:
+        for offset in references:
+            place = new[scan + offset]
+            if not place:
+                continue
+            head = old[place]
+            if head < 0:
+                new[scan + offset] = -head
+                continue
+            size = head >> 32
+            new[top : top + size] = old[place : place + size]
+            old[place] = -top
+            new[scan + offset] = top
+            top += size
+        scan += words
+        if scan >= top:
+            break
+        head = new[scan]
+        words = head >> 32
+        references = layouts.references(head)
+    new.release()
+    return data, top

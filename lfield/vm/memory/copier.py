@@ -1,0 +1,52 @@
+"""Deep copy between blocks: what crosses a portal is copied whole, aliases and cycles kept (chapter IV)."""
+
+from __future__ import annotations
+
+from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.layout import Layouts
+
+
+def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) -> list[int]:
+    """Copy everything the references in `roots` lead to; returns the references in the target.
+
+    One call keeps aliases among all its roots. Raises Full, with the words it needs, before it writes
+    anything. The words around the references are copied as they are, so both blocks must be of the same
+    program.
+    """
+    order, words = _closure(source, roots, layouts)
+    base = target.top
+    if base + words > target.end:
+        raise Full(words)
+    w, into = source.w, target.w
+    moved = {0: 0}
+    place = base
+    for old in order:
+        size = w[old] >> 32
+        into[place : place + size] = w[old : old + size]
+        moved[old] = place
+        place += size
+    for old in order:
+        new = moved[old]
+        for offset in layouts.references(w[old]):
+            into[new + offset] = moved[w[old + offset]]
+    target.top = place
+    return [moved[root] for root in roots]
+
+
+def _closure(source: Block, roots: list[int], layouts: Layouts) -> tuple[list[int], int]:
+    """Everything reachable, in the order found, and its size in words."""
+    w = source.w
+    seen: set[int] = {0}
+    order: list[int] = []
+    words = 0
+    pending = list(roots)
+    while pending:
+        place = pending.pop()
+        if place in seen:
+            continue
+        seen.add(place)
+        order.append(place)
+        head = w[place]
+        words += head >> 32
+        pending.extend(w[place + offset] for offset in layouts.references(head))
+    return order, words

@@ -1,0 +1,257 @@
+"""Whether bytes from a peer are a sound block: checked before they run, so that the engine need not.
+
+Everything on the heap is walked once: sizes must tile the block, every reference must lead to the start of
+a thing of the type its slot or field has, frames must form one chain that stands at a portal call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.bytecode.program import ANY, PROXY, REFERENCES, STRING, Program
+from lfield.bytecode.program import ARRAY as ARRAY_TYPE
+from lfield.bytecode.program import OBJECT as OBJECT_TYPE
+from lfield.errors import BlockError
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import INITIAL_WORDS, Block
+from lfield.vm.memory.layout import (
+    FRAME,
+    FRAME_CALLER,
+    FRAME_DEPTH,
+    FRAME_RETURN,
+    FRAME_SLOTS,
+    HEADER_WORDS,
+    OBJECT,
+    THREAD,
+    THREAD_CALL,
+    THREAD_FRAME,
+    THREAD_ID,
+    THREAD_NEXT,
+    THREAD_PC,
+    THREAD_STATE,
+    THREAD_WORDS,
+    Layouts,
+)
+
+#: For a reference: the low half of the header its target must have; ANY_OBJECT accepts every object.
+ANY_OBJECT = -1
+Expected = tuple[tuple[int, int], ...]
+
+STATES = len(layout.STATE_NAMES)
+#: More migrations than any coordinator makes; so that counting them never leaves a word.
+MOST_HOPS = 1 << 48
+_PCALL, _PUSH, _CALL = BY_NAME["pcall"].code, BY_NAME["push"].code, BY_NAME["call"].code
+
+
+class Soundness:
+    """The checks for blocks of one program; `members` are the types of the team's agents by number."""
+
+    def __init__(self, program: Program, layouts: Layouts, members: Sequence[str]) -> None:
+        self.program = program
+        self._portal_calls = _portal_calls(program)
+        #: The class index of every member of the team, by its number.
+        self.members = [self.program.class_index.get(name, -1) for name in members]
+        core = self.program.core
+        self._type_expects = [self._expected(i) for i in range(len(core.types))]
+        #: By the low half of a header: the size a thing must have (0: any), and what its references lead to.
+        self._sizes: dict[int, int] = {layout.STRING: 0, THREAD: THREAD_WORDS}
+        self._expects: dict[int, Expected] = {layout.STRING: (), THREAD: ()}
+        for i, record in enumerate(core.classes):
+            self._sizes[OBJECT | i << 8] = layouts.class_words[i]
+            self._sizes[layout.PROXY | i << 8] = 2
+            self._expects[layout.PROXY | i << 8] = ()
+            self._expects[OBJECT | i << 8] = self._references([f.type for f in record.fields], 1)
+        for i, method in enumerate(core.methods):
+            self._sizes[FRAME | i << 8] = layouts.frame_words[i]
+            self._expects[FRAME | i << 8] = self._references(method.slots, FRAME_SLOTS)
+        for i, kind in enumerate(core.types):
+            if kind.kind == ARRAY_TYPE:
+                self._sizes[layout.ARRAY | i << 8] = 0
+                if self._type_expects[kind.of] is None:
+                    self._expects[layout.ARRAY | i << 8] = ()
+
+    def _expected(self, kind: int) -> int | None:
+        """The expected header half for references of a type, None for types that hold none."""
+        record = self.program.core.types[kind]
+        if record.kind not in REFERENCES:
+            return None
+        if record.kind == STRING:
+            return layout.STRING
+        if record.kind == ARRAY_TYPE:
+            return layout.ARRAY | kind << 8
+        if record.kind == OBJECT_TYPE:
+            return layout.OBJECT | record.of << 8
+        if record.kind == PROXY:
+            return layout.PROXY | record.of << 8
+        return ANY_OBJECT if record.kind == ANY else 0
+
+    def _references(self, kinds: list[int] | tuple[int, ...], first: int) -> Expected:
+        pairs = ((first + i, self._type_expects[kind]) for i, kind in enumerate(kinds))
+        return tuple((offset, expected) for offset, expected in pairs if expected is not None)
+
+    def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
+        """A travelling coordinator's block from its bytes (`limit` in words); raises BlockError."""
+        block = self._adopt(image, limit)
+        starts = self._walk(block)
+        self._check_references(block, starts)
+        self._check_coordinator(block, starts)
+        return block
+
+    def check_heap(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
+        """Any agent's block from its bytes, sound enough to be read; raises BlockError."""
+        block = self._adopt(image, limit)
+        starts = self._walk(block)
+        self._check_references(block, starts)
+        self._check_threads(block, starts)
+        return block
+
+    def _check_threads(self, block: Block, starts: dict[int, int]) -> None:
+        """The roots, and that every thread and every chain of frames ends."""
+        w = block.w
+        classes = self.program.core.classes
+        if not 0 <= w[layout.W_CLASS] < len(classes):
+            raise BlockError("its class is unknown", word=layout.W_CLASS)
+        for word, half in ((layout.W_SELF, OBJECT | w[layout.W_CLASS] << 8), (layout.W_ID, layout.STRING)):
+            if w[word] and starts.get(w[word]) != half:
+                raise BlockError("its roots are not sound", word=word)
+        seen: set[int] = set()
+        thread = w[layout.W_THREADS]
+        while thread:
+            if starts.get(thread) != THREAD or thread in seen or not 0 <= w[thread + THREAD_STATE] < STATES:
+                raise BlockError("its threads are no list", word=thread)
+            seen.add(thread)
+            self._check_chain(w, starts, w[thread + THREAD_FRAME])
+            thread = w[thread + THREAD_NEXT]
+
+    def _check_chain(self, w: memoryview[int], starts: dict[int, int], frame: int) -> None:
+        depth = 0
+        while frame:
+            if starts.get(frame, 0) & 0xFF != FRAME or (depth and w[frame + FRAME_DEPTH] != depth - 1):
+                raise BlockError("its frames are no chain", word=frame)
+            depth = w[frame + FRAME_DEPTH]
+            frame = w[frame + FRAME_CALLER]
+
+    def _adopt(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
+        size = len(image)
+        if size % 8 or size < 8 * HEADER_WORDS:
+            raise BlockError(f"{size} bytes are no whole block")
+        if size > 8 * limit:
+            raise BlockError(f"{size} bytes are over the limit of {8 * limit}")
+        # Room for what it will soon need: what a portal gives it, say.
+        words = min(limit, max(INITIAL_WORDS, size // 8 * 3 // 2))
+        data = bytearray(max(size, 8 * words))
+        data[:size] = image
+        block = Block(data, size // 8, limit)
+        w = block.w
+        if w[layout.W_MAGIC] != layout.MAGIC | layout.VERSION << 32:
+            raise BlockError("wrong magic or version", word=0)
+        if block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] != self.program.digest:
+            raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
+        if w[layout.W_TOP] != size // 8:
+            raise BlockError("its size is not what it says", word=layout.W_TOP)
+        return block
+
+    def _walk(self, block: Block) -> dict[int, int]:
+        """The places of all things, each with the low half of its header."""
+        w, top, sizes = block.w, block.top, self._sizes
+        starts: dict[int, int] = {}
+        place = HEADER_WORDS
+        while place < top:
+            head = w[place]
+            half, words = head & 0xFFFFFFFF, head >> 32
+            size = sizes.get(half)
+            if size is None or words <= 0 or place + words > top or (size and size != words):
+                raise BlockError("a thing on the heap has no sound header", word=place)
+            if half == layout.STRING and not self._is_text(block, place, words):
+                raise BlockError("a string is no text", word=place)
+            if half & 0xFF == layout.PROXY and not self._is_member(w[place + 1], half >> 8):
+                raise BlockError("a proxy leads to no resource of its type", word=place)
+            starts[place] = half
+            place += words
+        return starts
+
+    def _is_member(self, number: int, record: int) -> bool:
+        return 0 <= number < len(self.members) and self.members[number] == record
+
+    def _is_text(self, block: Block, place: int, words: int) -> bool:
+        if words < 2 or not 0 <= block.w[place + 1] <= 8 * (words - 2):
+            return False
+        try:
+            block.string(place)
+        except UnicodeDecodeError:
+            return False
+        return True
+
+    def _check_references(self, block: Block, starts: dict[int, int]) -> None:
+        w, known = block.w, self._expects
+        for place, half in starts.items():
+            expects = known.get(half)
+            if expects is None:
+                expects = self._of_array(half, w[place] >> 32)
+            for offset, expected in expects:
+                target = w[place + offset]
+                if not target:
+                    continue
+                found = starts.get(target, 0)
+                if found != expected and (expected != ANY_OBJECT or found & 0xFF != OBJECT):
+                    raise BlockError("a reference leads to no thing of its type", word=place + offset)
+
+    def _of_array(self, half: int, words: int) -> Expected:
+        """What the elements of an array of references must lead to."""
+        expected = self._type_expects[self.program.core.types[half >> 8].of]
+        assert expected is not None, "arrays without references are in the table"
+        return tuple((i, expected) for i in range(1, words))
+
+    def _check_coordinator(self, block: Block, starts: dict[int, int]) -> None:
+        """One thread, its frames one chain, standing at the portal call it travels for."""
+        w = block.w
+        core = self.program.core
+        record = w[layout.W_CLASS]
+        if not 0 <= record < len(core.classes) or core.classes[record].kind != "coordinator":
+            raise BlockError("it is no coordinator's", word=layout.W_CLASS)
+        if (
+            starts.get(w[layout.W_SELF]) != OBJECT | record << 8
+            or starts.get(w[layout.W_ID]) != layout.STRING
+        ):
+            raise BlockError("its roots are not sound", word=layout.W_SELF)
+        thread = w[layout.W_THREADS]
+        if starts.get(thread) != THREAD or w[thread + THREAD_NEXT] or w[thread + THREAD_CALL]:
+            raise BlockError("it has not exactly one thread", word=layout.W_THREADS)
+        if w[layout.W_OWNER] not in (0, w[thread + THREAD_ID]) or not 0 <= w[layout.W_HOPS] < MOST_HOPS:
+            raise BlockError("its header is not sound", word=layout.W_OWNER)
+        self._check_frames(w, starts, w[thread + THREAD_FRAME], w[thread + THREAD_PC])
+
+    def _check_frames(self, w: memoryview[int], starts: dict[int, int], frame: int, pc: int) -> None:
+        if pc not in self._portal_calls:
+            raise BlockError("it does not stand at a portal call", word=frame)
+        methods = self.program.core.methods
+        callee = -1
+        depth = 0
+        while True:
+            half = starts.get(frame, 0)
+            if half & 0xFF != FRAME:
+                raise BlockError("its frames are no chain", word=frame)
+            method = methods[half >> 8]
+            if not method.entry < pc < method.end or (depth and w[frame + FRAME_DEPTH] != depth - 1):
+                raise BlockError("a frame stands outside its method", word=frame)
+            if callee >= 0 and self.program.quads[pc - 1][:2] != (_CALL, callee):
+                raise BlockError("a frame does not stand behind its call", word=frame)
+            depth, callee, pc = w[frame + FRAME_DEPTH], half >> 8, w[frame + FRAME_RETURN]
+            frame = w[frame + FRAME_CALLER]
+            if not frame and depth == 1:
+                return
+            if depth < 1:
+                raise BlockError("its frames are no chain", word=frame)
+
+
+def _portal_calls(program: Program) -> frozenset[int]:
+    """The instructions at which a coordinator may stand when it travels: the first of each portal call."""
+    found = set()
+    for pc, quad in enumerate(program.quads):
+        if quad.op != _PCALL:
+            continue
+        while program.quads[pc - 1].op == _PUSH:
+            pc -= 1
+        found.add(pc)
+    return frozenset(found)

@@ -1,0 +1,292 @@
+"""From quads to steps: done once per program, so that running decodes nothing."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
+from lfield.bytecode.program import REAL, VOID, DeviceCall, MethodRecord, Program, Quad
+from lfield.vm.contract import PLAIN, Trap
+from lfield.vm.memory.layout import Layouts
+from lfield.vm.reference import arithmetic, calls, memory
+from lfield.vm.reference.calls import Argument
+from lfield.vm.reference.library import FUNCTIONS, Function
+from lfield.vm.reference.registers import Registers, Step
+
+_PUSH, _POP, _JMP = BY_NAME["push"].code, BY_NAME["pop"].code, BY_NAME["jmp"].code
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """A prepared group: its head, the slot its result goes to (-1: none), and the instruction after it.
+
+    `kind` is the type kind of the result, as in bytecode.program. `parks` is true for the `yield` of
+    `while (true) yield();`.
+    """
+
+    head: Quad
+    destination: int
+    after: int
+    kind: int
+    parks: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A program as the engine runs it: a step per instruction, and its groups by first instruction."""
+
+    program: Program
+    layouts: Layouts
+    steps: list[Step]
+    groups: dict[int, Group]
+    destinations: dict[int, int]
+    class_names: list[str]
+
+
+def prepare(program: Program) -> Prepared:
+    """Prepare a verified program."""
+    return _Preparer(program).run()
+
+
+def _bits(value: bool | int | float | str | None) -> int:
+    """The word a constant is in a slot: reals by their bits, null as 0."""
+    if isinstance(value, float):
+        return int(struct.unpack("<q", struct.pack("<d", value))[0])
+    return int(value) if isinstance(value, int) else 0
+
+
+def _unreachable(m: Registers) -> int:
+    raise AssertionError("the verifier lets nothing jump into a group")
+
+
+class _Preparer:
+    def __init__(self, program: Program) -> None:
+        self.program = program
+        self.core = program.core
+        self.layouts = Layouts(program)
+        self.quads = program.quads
+        self.steps: list[Step] = [_unreachable] * len(self.quads)
+        self.groups: dict[int, Group] = {}
+        self.destinations: dict[int, int] = {}
+        self.bits = [_bits(c) for c in self.core.constants]
+
+    def run(self) -> Prepared:
+        for method in self.core.methods:
+            pc = method.entry
+            while pc < method.end:
+                pc = self.instruction(pc, method)
+        names = [c.name for c in self.core.classes]
+        return Prepared(self.program, self.layouts, self.steps, self.groups, self.destinations, names)
+
+    def instruction(self, pc: int, method: MethodRecord) -> int:
+        """Prepare what stands at `pc`, a whole group or one instruction; returns what stands after it."""
+        row = BY_CODE[self.quads[pc].op]
+        if row.code == _PUSH or row.takes is not None:
+            return self.group(pc, method)
+        self.steps[pc] = self.plain(pc, row, method)
+        return pc + 1
+
+    def source(self, operand: int) -> Argument:
+        """A source operand: (slot, 0), or (None, the word of the constant)."""
+        return (operand, 0) if operand >= 0 else (None, self.bits[-1 - operand])
+
+    def real_constant(self, operand: int) -> float:
+        value = self.core.constants[-1 - operand] if operand < 0 else 0.0
+        assert isinstance(value, (int, float))
+        return float(value)
+
+    # --- one instruction ------------------------------------------------------------------------------
+
+    def plain(self, pc: int, row: Opcode, method: MethodRecord) -> Step:
+        _, a, b, c = self.quads[pc]
+        name, after = row.name, pc + 1
+        if name in arithmetic.INT:
+            return arithmetic.int_binary(arithmetic.INT[name], a, b, *self.source(c), after)
+        if name in arithmetic.REAL:
+            slot = c if c >= 0 else None
+            return arithmetic.real_binary(arithmetic.REAL[name], a, b, slot, self.real_constant(c), after)
+        if name in arithmetic.REAL_COMPARE:
+            slot = c if c >= 0 else None
+            return arithmetic.real_compare(
+                arithmetic.REAL_COMPARE[name], a, b, slot, self.real_constant(c), after
+            )
+        if name in arithmetic.STRING_COMPARE:
+            return arithmetic.string_compare(
+                arithmetic.STRING_COMPARE[name], a, b, c if c >= 0 else None, after
+            )
+        if name in arithmetic.INT_UNARY:
+            return arithmetic.int_unary(arithmetic.INT_UNARY[name], a, *self.source(b), after)
+        if name == "negf":
+            return arithmetic.real_negate(a, b if b >= 0 else None, self.real_constant(b), after)
+        return self.special(name, a, b, c, after, method)
+
+    def special(self, name: str, a: int, b: int, c: int, after: int, method: MethodRecord) -> Step:
+        match name:
+            case "jmp":
+                return memory.jump(a)
+            case "bnz" | "bz":
+                return memory.branch(a, b, name == "bnz", after)
+            case "move":
+                return memory.move(a, *self.source(b), after)
+            case "getf":
+                return memory.get_field(a, b, 1 + c, self.field_name(method, b, c), after)
+            case "putf":
+                return memory.put_field(a, 1 + b, *self.source(c), self.field_name(method, a, b), after)
+            case "gete":
+                return memory.get_element(a, b, *self.source(c), after)
+            case "pute":
+                return memory.put_element(a, b, *self.source(c), after)
+            case "lds":
+                text = self.core.constants[b]
+                assert isinstance(text, str)
+                return memory.load_string(a, text, after)
+            case "new":
+                return memory.new_object(a, b, self.layouts.class_words[b], after)
+            case "newarray":
+                return memory.new_array(a, b, *self.source(c), after)
+            case "frame":
+                return calls.enter(method.synchronized, after)
+            case "return":
+                return calls.leave(self.source(a), method.synchronized, self.destinations)
+            case "rtn":
+                return calls.leave(None, method.synchronized, self.destinations)
+            case "throw":
+                return _throw(a)
+            case _:
+                assert name == "noreturn", name
+                return _no_return(method.name)
+
+    def field_name(self, method: MethodRecord, slot: int, field: int) -> str:
+        record = self.core.types[method.slots[slot]]
+        return self.core.classes[record.of].fields[field].name
+
+    # --- a group --------------------------------------------------------------------------------------
+
+    def group(self, first: int, method: MethodRecord) -> int:
+        pc = first
+        operands: list[int] = []
+        while self.quads[pc].op == _PUSH:
+            operands.append(self.quads[pc].a)
+            pc += 1
+        head = self.quads[pc]
+        kind = self.result_kind(head, method)
+        after, destination = pc + 1, -1
+        if kind != VOID:
+            destination = self.quads[after].a
+            self.destinations[after] = destination
+            after += 1
+        follows = self.quads[after] if after < method.end else head
+        parks = BY_CODE[head.op].name == "yield" and follows.op == _JMP and follows.a == first
+        self.groups[first] = Group(head, destination, after, kind, parks)
+        arguments = [self.source(operand) for operand in operands]
+        self.steps[first] = self.head(head, arguments, operands, pc + 1, after, destination)
+        return after
+
+    def head(
+        self, head: Quad, arguments: list[Argument], operands: list[int], back: int, after: int, into: int
+    ) -> Step:
+        row = BY_CODE[head.op]
+        if row.name == "call":
+            callee = self.core.methods[head.a]
+            entry = callee.entry if callee.synchronized else callee.entry + 1
+            words = self.layouts.frame_words[head.a]
+            return calls.call(arguments, head.a, words, entry, back, callee.name)
+        if row.exits:
+            checked = ""
+            if row.name == "pcall":
+                checked = f"portal '{self.core.methods[head.a].name}'"
+            elif row.name in ("write_str", "print_str", "find"):
+                checked = f"'{row.name.partition('_')[0]}'"
+            ask = calls.outside(arguments, head.op, head.a, checked)
+            if row.name == "device" and not arguments and self.device_result(head.a) in PLAIN:
+                return calls.reading(ask, head.a, into, after)
+            return ask
+        reals = [kind == "real" for kind in row.takes or ()]
+        return _pure(FUNCTIONS[row.name], self.getters(operands, reals), into, row.gives == "real", after)
+
+    def getters(self, operands: list[int], reals: list[bool]) -> list[tuple[bool, int | None, Any]]:
+        """For each argument of a pure function: whether it is real, its slot, or the constant's value."""
+        return [
+            (
+                real,
+                operand if operand >= 0 else None,
+                self.real_constant(operand) if real else self.source(operand)[1],
+            )
+            for operand, real in zip(operands, reals, strict=True)
+        ]
+
+    def device_result(self, number: int) -> int:
+        """The type kind that a device call gives."""
+        call: DeviceCall = self.core.device_calls[number]
+        return self.core.types[call.result].kind
+
+    def result_kind(self, head: Quad, method: MethodRecord) -> int:
+        """The type kind a head gives, VOID for none; taken from the type of the slot that pops it."""
+        row = BY_CODE[head.op]
+        if row.name in ("call", "pcall"):
+            return self.core.types[self.core.methods[head.a].result].kind
+        if row.name == "device":
+            return self.device_result(head.a)
+        if not row.gives:
+            return VOID
+        return REAL if row.gives == "real" else _KINDS[row.gives]
+
+
+_KINDS = {"int": 2, "string": 4, "ref": 5, "boolean": 1}
+
+
+def _pure(
+    function: Function, getters: list[tuple[bool, int | None, Any]], into: int, real: bool, after: int
+) -> Step:
+    """A head that the engine does itself."""
+    if len(getters) == 1 and getters[0][1] is not None and not getters[0][0] and not real:
+        slot = getters[0][1]
+
+        def simple(m: Registers) -> int:
+            word = function(m, m.w[m.slots + slot])
+            m.w[m.slots + into] = word
+            return after
+
+        return simple
+
+    def step(m: Registers) -> int:
+        slots = m.slots
+        values = [
+            constant if slot is None else (m.r if is_real else m.w)[slots + slot]
+            for is_real, slot, constant in getters
+        ]
+        result = function(m, *values)
+        if real:
+            m.r[slots + into] = result
+        else:
+            m.w[slots + into] = result
+        return after
+
+    return step
+
+
+def _throw(slot: int) -> Step:
+    def step(m: Registers) -> int:
+        place = m.w[m.slots + slot]
+        if not place:
+            raise Trap("NullException", "throw of null")
+        raise Raised(place)
+
+    return step
+
+
+def _no_return(name: str) -> Step:
+    def step(m: Registers) -> int:
+        raise Trap("Exception", f"'{name}' came to its end without a return")
+
+    return step
+
+
+class Raised(Exception):
+    """An L object thrown by the running instruction."""
+
+    def __init__(self, place: int) -> None:
+        self.place = place
+        super().__init__(place)

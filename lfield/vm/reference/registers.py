@@ -1,0 +1,57 @@
+"""What a step works on: the block of the running thread, its frame, and the ways to leave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from lfield.vm.contract import Exit, Limits, Reading, Trap
+from lfield.vm.memory.block import Block
+
+#: The number of no instruction: the engine leaves, `Registers.exit` says why.
+LEAVE = -1
+
+
+class Registers:
+    """Mirrors of the block for the length of one run; `slots` is the word of slot 0 of the frame."""
+
+    __slots__ = (
+        "asked",
+        "block",
+        "class_names",
+        "exit",
+        "frame",
+        "limits",
+        "now",
+        "pc",
+        "r",
+        "readings",
+        "slots",
+        "thread",
+        "w",
+    )
+
+    block: Block
+    w: memoryview[int]
+    r: memoryview[float]
+    frame: int
+    slots: int
+    #: The instruction that is being done.
+    pc: int
+    #: The id of the running thread: the owner of a monitor it takes.
+    thread: int
+    exit: Exit
+    limits: Limits
+    class_names: list[str]
+    #: The agent's readings by device call, None where the host has to be asked; the time that judges them.
+    readings: Sequence[Reading | None]
+    now: Callable[[], float]
+    #: Whether this run has read one.
+    asked: bool
+
+
+Step = Callable[[Registers], int]
+
+
+def null_use(what: str) -> Trap:
+    """The trap for a null reference where a thing was needed."""
+    return Trap("NullException", f"{what} of null")

@@ -1,0 +1,145 @@
+"""The loop: runs a thread of a block until something happens that only the machine can deal with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from lfield.bytecode.program import Program
+from lfield.vm.contract import SPENT, Exit, Limits, NoRoom, Reading, Thrown, Trap
+from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.layout import (
+    FRAME_SLOTS,
+    THREAD_FRAME,
+    THREAD_ID,
+    THREAD_PC,
+    Layouts,
+)
+from lfield.vm.memory.values import EXCEPTION_WORDS, new_exception
+from lfield.vm.reference.prepare import Group, Prepared, Raised, prepare
+from lfield.vm.reference.registers import LEAVE, Registers
+from lfield.vm.reference.unwind import find_handler, unwind
+
+
+class Engine:
+    """Runs threads of blocks of one program. Keeps nothing between two calls of `run`."""
+
+    def __init__(self, program: Program, now: Callable[[], float]) -> None:
+        self.program = program
+        self.prepared: Prepared = prepare(program)
+        self._registers = Registers()
+        self._registers.now = now
+
+    @property
+    def layouts(self) -> Layouts:
+        """Where references are, for the collector and the copier."""
+        return self.prepared.layouts
+
+    def group(self, pc: int) -> Group:
+        """The group that begins at an instruction."""
+        return self.prepared.groups[pc]
+
+    @property
+    def asked(self) -> bool:
+        """Whether the last run has read what is beyond the block."""
+        return self._registers.asked
+
+    def run(
+        self,
+        block: Block,
+        thread: int,
+        budget: int,
+        limits: Limits,
+        readings: Sequence[Reading | None] = (),
+    ) -> Exit:
+        """Run the thread at `thread` for at most `budget` instructions; `readings` are by device call.
+
+        On return the thread's frame and pc in the block are where it will go on: behind what is done, or at
+        the instruction (the group) that could not be done here.
+        """
+        m = self._registers
+        w = block.w
+        m.block, m.w, m.r = block, w, block.r
+        m.limits, m.class_names = limits, self.prepared.class_names
+        m.readings, m.asked = readings, False
+        m.frame = w[thread + THREAD_FRAME]
+        m.slots = m.frame + FRAME_SLOTS
+        m.thread = w[thread + THREAD_ID]
+        m.pc = w[thread + THREAD_PC]
+        m.exit = SPENT
+        instructions = iter(range(budget))
+        going = True
+        while going:
+            try:
+                self._go(m, instructions)
+                going = False
+            except (Trap, Raised, Full, ValueError, ArithmeticError) as error:
+                going = self._recover(m, error)
+        w[thread + THREAD_FRAME] = m.frame
+        w[thread + THREAD_PC] = m.pc
+        return m.exit
+
+    def _go(self, m: Registers, instructions: Iterator[int]) -> None:
+        """Take steps until one leaves or the instructions are used up; `m.pc` is where it came to."""
+        steps = self.prepared.steps
+        pc = m.pc
+        for _ in instructions:
+            m.pc = pc
+            pc = steps[pc](m)
+            if pc == LEAVE:
+                return
+        m.pc = pc
+
+    def _recover(self, m: Registers, error: Exception) -> bool:
+        """Make an L exception of what a step raised, and go to who catches it; false to leave the engine."""
+        match error:
+            case Full():
+                m.exit = NoRoom(error.words)
+                return False
+            case Raised():
+                thrown = error.place
+            case Trap():
+                thrown = self._made(m.block, error.kind, error.message, error.source)
+            case ZeroDivisionError():
+                thrown = self._made(m.block, "ArithmeticException", "division by zero")
+            case _:
+                # A number that does not fit its word in the block.
+                thrown = self._made(m.block, "ArithmeticException", "the result does not fit an int")
+        if not thrown:
+            m.exit = NoRoom(EXCEPTION_WORDS)
+            return False
+        found = find_handler(m.block, self.program, m.frame, m.pc, thrown)
+        if found is None:
+            m.exit = Thrown(thrown)
+            return False
+        frame, handler = found
+        unwind(m.block, self.program, m.frame, m.pc, frame, handler, thrown)
+        m.frame, m.slots, m.pc = frame, frame + FRAME_SLOTS, handler.target
+        return True
+
+    def _made(self, block: Block, kind: str, message: str, source: str = "") -> int:
+        """An exception object of a built-in class, or 0 when there is no room for it."""
+        try:
+            return new_exception(block, kind, message, source)
+        except Full:
+            return 0
+
+    def complete(self, block: Block, thread: int, word: int) -> None:
+        """Give the group the thread stands at its result; the thread goes on behind it."""
+        w = block.w
+        group = self.prepared.groups[w[thread + THREAD_PC]]
+        if group.destination >= 0:
+            w[w[thread + THREAD_FRAME] + FRAME_SLOTS + group.destination] = word
+        w[thread + THREAD_PC] = group.after
+
+    def throw(self, block: Block, thread: int, thrown: int) -> bool:
+        """Throw the object at `thrown` where the thread stands; false when nobody catches it."""
+        w = block.w
+        frame, pc = w[thread + THREAD_FRAME], w[thread + THREAD_PC]
+        found = find_handler(block, self.program, frame, pc, thrown)
+        if found is None:
+            return False
+        target, handler = found
+        unwind(block, self.program, frame, pc, target, handler, thrown)
+        w[thread + THREAD_FRAME] = target
+        w[thread + THREAD_PC] = handler.target
+        return True

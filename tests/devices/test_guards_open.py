@@ -1,0 +1,83 @@
+"""What a host refuses before any guard is started, and what its bindings say of their fakes."""
+
+from __future__ import annotations
+
+import asyncio
+
+import msgspec
+import pytest
+
+from lfield.clock import ManualClock
+from lfield.devices.fakes import conditions
+from lfield.devices.guards import Guards
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.plugins import Plugins
+from lfield.errors import DevicesError
+from lfield.mission.bindings import read_bindings
+
+SERVO = DeviceBinding(
+    agent="arm", field="wrist", type="Dynamixel", driver="dynamixel", endpoint="serial:/dev/ttyUSB0:57600",
+    safe_state="torque_hold", options={"id": 1},
+)  # fmt: skip
+
+
+@pytest.fixture
+def plugins() -> Plugins:
+    found = Plugins()
+    for name in ("can", "dynamixel", "mavlink"):
+        found.add(f"lfield_{name}:PLUGIN")
+    return found
+
+
+def test_two_drivers_for_one_port(plugins):
+    vehicle = DeviceBinding(
+        agent="car", field="fc", type="Mavlink", driver="mavlink", endpoint=SERVO.endpoint, safe_state="hold"
+    )
+    with pytest.raises(DevicesError) as error:
+        asyncio.run(Guards(plugins, ManualClock(), print).open([SERVO, vehicle]))
+    assert error.value.problems == (
+        "arm.wrist and car.fc are both at serial:/dev/ttyUSB0:57600, one by the driver 'dynamixel', one by "
+        "'mavlink': one port can have one driver",
+    )
+
+
+def test_theconditions_of_a_fake_are_aimed_at_its_device():
+    soft = msgspec.structs.replace(SERVO, sim=["obstacle=-0.1", "unplug@2=true"])
+    assert conditions([soft]) == ["--fault", "obstacle@arm.wrist=-0.1", "--fault", "unplug@2=true"]
+
+
+def test_a_devices_file_says_what_its_fake_is_like(plugins, tmp_path):
+    path = tmp_path / "m.devices.yaml"
+    path.write_text('agents:\n  arm: {devices: {wrist: {driver: dynamixel, sim: ["hot=true"]}}}\n')
+    bound = read_bindings(path, {"arm": {"wrist": "Dynamixel"}}, plugins, simulate=True)
+    assert bound.devices["arm"]["wrist"].sim == ["hot=true"]
+
+
+def test_a_waiver_that_nobody_knows_is_an_error(plugins, tmp_path):
+    path = tmp_path / "m.devices.yaml"
+    device = "{driver: dynamixel, endpoint: 'serial:/dev/x:1', waivers: [care]}"
+    path.write_text(f"agents: {{arm: {{devices: {{wrist: {device}}}}}}}\n")
+    with pytest.raises(Exception, match="there is nothing called 'care' to waive"):
+        read_bindings(path, {"arm": {"wrist": "Dynamixel"}}, plugins)
+
+
+def test_a_file_that_an_option_names_is_seen_from_the_devices_file(plugins, tmp_path):
+    (tmp_path / "keys").mkdir()
+    (tmp_path / "keys" / "secret").write_text("00" * 32)
+    path = tmp_path / "m.devices.yaml"
+    text = "agents: {car: {devices: {fc: {driver: mavlink, endpoint: 'tcp:127.0.0.1:1', signing_key: %s}}}}\n"
+    path.write_text(text % "keys/secret")
+    needed = {"car": {"fc": "Mavlink"}}
+    bound = read_bindings(path, needed, plugins).devices["car"]["fc"]
+    assert bound.option("signing_key") == str((tmp_path / "keys" / "secret").resolve())
+    path.write_text(text % "keys/lost")
+    with pytest.raises(Exception, match=r"there is no file .*keys/lost"):
+        read_bindings(path, needed, plugins)
+
+
+def test_a_device_type_of_a_driver_with_several(plugins, tmp_path):
+    path = tmp_path / "m.devices.yaml"
+    device = "{driver: dynamixel, type: Dynamixel, endpoint: 'serial:/dev/x:1'}"
+    path.write_text(f"agents: {{arm: {{devices: {{joints: {device}}}}}}}\n")
+    with pytest.raises(Exception, match="'type' is one of DynamixelGroup"):
+        read_bindings(path, {"arm": {"joints": "DynamixelGroup"}}, plugins)

@@ -1,0 +1,34 @@
+"""When a device counts as lost: every device type that is installed, at the same pace."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.clock import ManualClock
+from lfield.devices.snapshots import LOST_AFTER, Snapshots
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.plugins import discover
+from lfield.guard.messages import Snapshot
+
+TYPES = [(found, name) for found in discover().by_driver.values() for name in found.manifests]
+
+
+@pytest.mark.parametrize(("installed", "device_type"), TYPES, ids=[name for _, name in TYPES])
+def test_a_device_that_has_fallen_silent_is_lost_soon(installed, device_type):
+    clock = ManualClock()
+    binding = DeviceBinding(
+        agent="a",
+        field="thing",
+        type=device_type,
+        driver=installed.plugin.name,
+        endpoint="nowhere",
+        safe_state=installed.manifests[device_type].device.safe_states[0],
+    )
+    snapshots = Snapshots(installed, [binding], clock)
+    assert snapshots.lost_since("a.thing") is None
+    snapshots.take(Snapshot("a.thing", {}, {}, 0.0))
+    heard = clock.monotonic()
+    clock.advance(LOST_AFTER - 0.1)
+    assert snapshots.lost_since("a.thing") is None
+    clock.advance(2.2)
+    assert snapshots.lost_since("a.thing") == heard

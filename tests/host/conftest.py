@@ -1,0 +1,137 @@
+"""A fleet in one process: hosts on one event loop whose time jumps, joined by the in-memory network."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lfield.host.host import Host, Options
+from lfield.host.logbook import Logbook
+from lfield.mission.load import Mission, load_mission
+from lfield.simulate.network import MemoryNetwork
+from lfield.simulate.time import LoopClock, run_jumping
+
+#: Seconds of the jumping clock in which anything must have happened.
+PATIENCE = 60.0
+
+
+class Running:
+    """A host that was started, and what it has said."""
+
+    def __init__(self, host: Host, out: io.StringIO, err: io.StringIO) -> None:
+        self.host, self._out, self._err = host, out, err
+        self.starting: asyncio.Task[None] | None = None
+
+    @property
+    def output(self) -> list[str]:
+        return self._out.getvalue().splitlines()
+
+    @property
+    def log(self) -> str:
+        return self._err.getvalue()
+
+    def holds(self, agent: str) -> bool:
+        return agent in self.host.machine.agents
+
+
+class Fleet:
+    """The hosts of missions in a folder. `max_block` is what links let through."""
+
+    def __init__(self, folder: Path, max_block: int = 1 << 20) -> None:
+        self.folder = folder
+        self.network = MemoryNetwork(LoopClock(), max_block=max_block, on_pending=self._pending)
+        self.running: list[Running] = []
+
+    def mission(
+        self,
+        program: str,
+        deployment: str,
+        devices: str = "",
+        name: str = "mission",
+        *,
+        capabilities: str = "",
+        simulate: bool = False,
+    ) -> Mission:
+        """Write the files of a mission and read them as `lfield up` does."""
+        self.folder.mkdir(exist_ok=True)
+        files = {
+            ".L": program,
+            ".dL": deployment,
+            ".devices.yaml": devices,
+            ".capabilities.yaml": capabilities,
+        }
+        for ending, text in files.items():
+            if text:
+                (self.folder / (name + ending)).write_text(text)
+        return load_mission(self.folder / f"{name}.dL", simulate=simulate)
+
+    def make(self, mission: Mission, name: str, *, address: str = "", **options: Any) -> Running:
+        """A host, not yet started."""
+        out, err = io.StringIO(), io.StringIO()
+        listen = address or mission.team.addresses[mission.team.number(name)]
+        made = Options(listen, clock=LoopClock(), **options)
+        transport = self.network.transport(name)
+        running = Running(Host(mission, name, transport, Logbook(out, err), made), out, err)
+        self.running.append(running)
+        return running
+
+    async def up(self, mission: Mission, *names: str, **options: Any) -> list[Running]:
+        """Start hosts at the same time; all of the deployment unless they are named."""
+        started = [self.make(mission, name, **options) for name in names or mission.team.hosts]
+        await asyncio.gather(*(running.host.start() for running in started))
+        return started
+
+    async def until(self, condition: Callable[[], Any]) -> None:
+        """Let time jump on until something is so."""
+        async with asyncio.timeout(PATIENCE):
+            while not condition():
+                await asyncio.sleep(0.01)
+
+    async def ended(self, agent: str) -> str:
+        """How a coordinator ended, as soon as any host knows."""
+        outcomes: list[str] = []
+
+        def known() -> bool:
+            outcomes[:] = [
+                known.outcome
+                for running in self.running
+                for known in running.host.mobility.knowledge()
+                if known.agent == agent and known.state == "EXITED"
+            ]
+            return bool(outcomes)
+
+        await self.until(known)
+        return outcomes[0]
+
+    async def stop(self) -> None:
+        for running in self.running:
+            await running.host.stop()
+
+    def _pending(self) -> None:
+        loop = asyncio.get_running_loop()
+        due = self.network.next_due()
+        assert due is not None
+        loop.call_at(due, self.network.run)
+
+
+@pytest.fixture
+def fleet(tmp_path: Path):
+    """`fleet(story)` runs a coroutine function with a Fleet in jumping time, then stops its hosts."""
+
+    def run(story: Callable[[Fleet], Awaitable[None]], **options: Any) -> Fleet:
+        async def main() -> Fleet:
+            made = Fleet(tmp_path / "mission", **options)
+            try:
+                await story(made)
+            finally:
+                await made.stop()
+            return made
+
+        return run_jumping(main())
+
+    return run

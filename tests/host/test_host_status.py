@@ -1,0 +1,151 @@
+"""What a host says of itself when it is asked."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.errors import AddressError, GreetingError
+from lfield.host.until_done import until_done
+from lfield.operator.ask import ask, ask_all
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { while (true) yield(); }
+    portal stay(real seconds) { sleep(seconds); }
+}
+coordinator Guest {
+    init(string[] arg) { findPost(arg[1]).stay(20.0); }
+}
+"""
+DEPLOYMENT = "//Guest:guest@home?post\n//Post:post@away\n"
+
+
+def test_the_status_shows_agents_hops_portals_and_heap(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        home, away = await team.up(mission)
+        await team.until(lambda: away.holds("guest"))
+        await asyncio.sleep(1.0)
+        status = await ask(team.network.transport("desk"), "away:8181")
+        assert status["host"] == "away"
+        assert status["address"] == "away:8181"
+        assert status["linked"] == ["home"]
+        assert status["away"] == {}
+        assert status["up"] >= 1.0
+        assert mission.program.digest.hex().startswith(status["program"])
+        agents = {agent["id"]: agent for agent in status["agents"]}
+        assert agents["guest"]["type"] == "Guest"
+        assert agents["guest"]["kind"] == "coordinator"
+        assert agents["guest"]["hops"] == 1
+        assert agents["post"]["kind"] == "resource"
+        assert (agents["post"]["served"], agents["post"]["state"]) == (0, "sleeping")
+        assert agents["guest"]["state"] == "in a portal"
+        assert 0 < agents["post"]["heap"] < agents["post"]["limit"] == 1 << 20
+        (record,) = status["coordinators"]
+        assert (record["id"], record["state"], record["hops"]) == ("guest", "RUN", 1)
+        assert home.host.status()["coordinators"][0]["where"] == "away"
+        assert await team.ended("guest") == "done"
+        (post,) = away.host.status()["agents"]
+        assert (post["served"], post["state"]) == (1, "parked")
+
+    fleet(story)
+
+
+def test_a_host_that_is_away_and_one_that_is_in_doubt_are_shown(fleet):
+    async def story(team):
+        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), unreachable_after=5.0)
+        await team.until(lambda: away.holds("guest"))
+        await away.host.stop()
+        await asyncio.sleep(4.0)
+        status = home.host.status()
+        assert status["linked"] == []
+        assert status["away"]["away"] >= 3.0
+
+    fleet(story)
+
+
+def test_a_coordinator_whose_fate_is_unknown_stays_frozen_and_is_told(fleet):
+    async def story(team):
+        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home"), None
+        away = team.make(home[0].host.mission, "away")
+        # The transfer is taken from the link, and no answer ever leaves.
+        away.host.arrived = lambda host, header, block: None
+        await away.host.start()
+        await team.until(lambda: team.network.sent["Transfer"] == 1)
+        await team.until(lambda: "guest is in doubt: away has not said within 10 s" in home[0].log)
+        (record,) = home[0].host.status()["coordinators"]
+        assert (record["state"], record["where"]) == ("IN DOUBT", "away")
+        await away.host.stop()
+        (fate,) = await until_done(home[0].host, 15.0)
+        assert fate.outcome == "lost"
+        assert fate.detail == "it went to away (transfer 1), which is gone"
+
+    fleet(story)
+
+
+def test_a_host_that_does_not_answer_is_an_error_among_the_answers(fleet):
+    async def story(team):
+        await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
+        transport = team.network.transport("desk")
+        answers = await ask_all(transport, {"home": "home:8181", "away": "away:8181"})
+        assert answers["home"]["host"] == "home"
+        assert isinstance(answers["away"], AddressError)
+
+    fleet(story)
+
+
+def test_a_question_that_nobody_answers_ends(fleet):
+    async def story(team):
+        class Silent:
+            def on_message(self, link, message):
+                pass
+
+            def on_closed(self, link, error):
+                pass
+
+        class Rude(Silent):
+            def on_message(self, link, message):
+                link.close()
+
+        transport = team.network.transport("desk")
+        await transport.listen("silent:1", lambda link: Silent())
+        await transport.listen("rude:1", lambda link: Rude())
+        with pytest.raises(AddressError, match="no answer within 2 s"):
+            await ask(transport, "silent:1")
+        with pytest.raises(GreetingError, match="without an answer"):
+            await ask(transport, "rude:1")
+
+    fleet(story)
+
+
+def test_whoever_never_greets_is_shown_out(fleet):
+    async def story(team):
+        closed = []
+
+        class Idle:
+            def on_message(self, link, message):
+                pass
+
+            def on_closed(self, link, error):
+                closed.append(error)
+
+        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
+        await team.network.transport("desk").connect("home:8181", Idle())
+        await team.until(lambda: closed)
+        assert "closed a link from desk: it has not greeted within 10 s" in home.log
+
+    fleet(story)
+
+
+@pytest.mark.parametrize("lost_after", [1.0, 15.0])
+def test_a_host_that_has_not_come_up_yet_is_not_given_up_before_portal_calls_to_it(fleet, lost_after):
+    async def story(team):
+        (away,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "away")
+        started = asyncio.get_running_loop().time()
+        (fate,) = await until_done(away.host, lost_after)
+        assert (fate.outcome, fate.detail) == ("lost", "its host home is gone")
+        assert asyncio.get_running_loop().time() - started >= max(10.0, lost_after) - 1.5
+
+    fleet(story)

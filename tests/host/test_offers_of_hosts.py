@@ -1,0 +1,315 @@
+"""What a host offers its programs: of all hosts, without a message, and what becomes of stale offers."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.capability.directory.news import Trouble
+from lfield.errors import ConstraintError
+from lfield.host.directory import LOOK_EVERY
+from lfield.wire.messages import AgentReport, FactReport, Report
+
+CRANES = """
+resource Crane {
+    Mavlink fc;
+    string id;
+    init(string[] arg) { id = arg[0]; }
+    portal hoist(real height) emit real {
+        write(id + " hoists " + f2s(height, 1) + "\\n");
+        return height;
+    }
+}
+"""
+CAPABILITIES = """
+registry: 1
+providers:
+  Crane:
+    attributes: {payload: 50.0}
+    live: {battery: fc.battery, armed: fc.armed}
+    serves: {Lift: {portals: {lift: hoist, lower: hoist}}}
+agents:
+  small: {payload: 1.0}
+"""
+IDLE = CRANES + "coordinator Foreman { init(string[] arg) { Lift[] who = findLift(); sleep(1000.0); } }"
+TWO_HOSTS = "//Crane:near@alpha\n//Foreman:foreman@alpha\n//Crane:small@bravo\n//Crane:far@bravo\n"
+
+
+class Devices:
+    """The devices of one host, by hand: what they last said, and what is wrong with them."""
+
+    def __init__(self, running):
+        self.values, self.troubles = {}, {}
+        self.asked = 0
+        guards = running.host.guards
+        guards.open = self.open
+        guards.last = self.last
+        guards.trouble = self.troubles.get
+
+    async def open(self, devices):
+        pass
+
+    def last(self, device, quantity):
+        self.asked += 1
+        return self.values.get((device, quantity))
+
+
+async def two_hosts(team, program=IDLE, **options):
+    """alpha and bravo with their devices, linked."""
+    mission = team.mission(program, TWO_HOSTS, capabilities=CAPABILITIES, simulate=True)
+    hosts = [team.make(mission, name, **options) for name in ("alpha", "bravo")]
+    devices = [Devices(running) for running in hosts]
+    await asyncio.gather(*(running.host.start() for running in hosts))
+    await team.until(lambda: hosts[0].host.peers.incarnations and hosts[1].host.peers.incarnations)
+    return (*hosts, *devices)
+
+
+def known(running, agent):
+    return running.host.status()["directory"][agent]
+
+
+def offered(running, constraint=None):
+    found = running.host.core.offers(None, "Lift", constraint)
+    return [offer.agent for offer in found]
+
+
+def test_live_values_come_from_their_hosts_and_are_told_only_when_they_change(fleet):
+    async def story(team):
+        alpha, bravo, _, devices = await two_hosts(team)
+        assert known(alpha, "far")["unknown"] == {
+            "battery": "fc has not reported battery", "armed": "fc has not reported armed",
+        }  # fmt: skip
+        devices.values["far.fc", "battery"] = (0.75, 0.1)
+        await team.until(lambda: known(alpha, "far")["facts"].get("battery", [0])[0] == 0.75)
+        assert 0.1 <= known(alpha, "far")["facts"]["battery"][1] <= 1.2
+        sent = team.network.sent["Report"]
+        await asyncio.sleep(20.0)
+        assert team.network.sent["Report"] == sent
+        # It has not changed for 20 s, and is fresh all the same: its host lives and would have said so.
+        assert known(alpha, "far")["facts"]["battery"][1] <= 1.2
+        devices.values["far.fc", "battery"] = (0.752, 0.1)
+        await asyncio.sleep(3.0)
+        assert team.network.sent["Report"] == sent
+        devices.values["far.fc", "battery"] = (0.7, 0.1)
+        await asyncio.sleep(3.0)
+        assert team.network.sent["Report"] == sent + 1
+        assert known(alpha, "far")["facts"]["battery"][0] == 0.7
+        assert offered(alpha, "battery >= 0.7") == offered(bravo, "battery >= 0.7") == ["far"]
+
+    fleet(story)
+
+
+def test_however_often_something_changes_a_host_tells_it_at_a_bounded_rate(fleet):
+    async def story(team):
+        _, bravo, _, devices = await two_hosts(team)
+        before = team.network.sent["Report"]
+        for step in range(500):
+            devices.values["far.fc", "battery"] = (step / 500, 0.0)
+            bravo.host.core.offers(None, "Lift", None)
+            await asyncio.sleep(0.02)
+        assert team.network.sent["Report"] - before <= 10.0 / LOOK_EVERY + 1
+
+    fleet(story)
+
+
+def test_a_thousand_queries_make_no_message_and_no_hop(fleet):
+    program = CRANES + """
+coordinator Foreman {
+    init(string[] arg) {
+        sleep(5.0);
+        int all = 0;
+        for (int i = 0; i < 1000; i = i + 1) {
+            Lift[] who = findLift("payload >= 2.0");
+            all = all + who.length();
+        }
+        string why = explainLift("payload >= 2.0");
+        print(i2s(all) + " offers, " + i2s(hops()) + " hops; " + why);
+        sleep(1000.0);
+    }
+}
+"""  # fmt: skip
+
+    async def story(team):
+        alpha, *_ = await two_hosts(team, program)
+        await asyncio.sleep(4.9)
+        alpha.host.core.offers(None, "Lift", None)
+        before = team.network.sent.copy()
+        sent = {}
+        writes = alpha.host.core.log
+
+        def log(agent, text):
+            sent.update(team.network.sent - before)
+            writes(agent, text)
+
+        alpha.host.core.log = log
+        await team.until(lambda: "2000 offers" in alpha.log)
+        assert "2000 offers, 0 hops; small: payload 1 < 2.0" in alpha.log.replace("1.0 <", "1 <")
+        assert not (sent.keys() - {"Ping", "Pong"})
+
+    fleet(story)
+
+
+def test_why_an_agent_is_not_offered(fleet):
+    async def story(team):
+        alpha, bravo, near, far = await two_hosts(team)
+        near.troubles["near.fc"] = Trouble("fc: in its safe state hold: the host was silent")
+        far.troubles["far.fc"] = Trouble("fc: not heard", asyncio.get_running_loop().time() - 3.0)
+        assert sorted(offered(alpha)) == ["far", "small"]
+        assert "near: fc: in its safe state hold: the host was silent" in alpha.host.core.explain(
+            None, "Lift", None
+        )
+        await asyncio.sleep(1.5)
+        assert offered(alpha) == offered(bravo) == ["small"]
+        assert "far: fc: not heard for 4.5 s" in alpha.host.core.explain(None, "Lift", None)
+        team.network.partition("alpha", "bravo")
+        await asyncio.sleep(12.0)
+        assert offered(alpha) == []
+        assert "small: unreachable for 12 s" in alpha.host.core.explain(None, "Lift", None)
+        del far.troubles["far.fc"]
+        team.network.heal("alpha", "bravo")
+        await asyncio.sleep(3.0)
+        assert sorted(offered(alpha)) == ["far", "small"]
+
+    fleet(story)
+
+
+def test_a_resource_that_died_is_not_offered(fleet):
+    program = IDLE.replace(
+        "id = arg[0];", 'id = arg[0]; sleep(3.0); int[] no; if (id == "far") no = new int[-1];'
+    )
+
+    async def story(team):
+        alpha, *_ = await two_hosts(team, program)
+        await asyncio.sleep(1.0)
+        assert "far" in offered(alpha)
+        await asyncio.sleep(5.0)
+        assert "far" not in offered(alpha)
+        assert "far: died of " in alpha.host.core.explain(None, "Lift", None)
+
+    fleet(story)
+
+
+def test_a_host_that_was_away_knows_all_after_one_exchange(fleet):
+    async def story(team):
+        alpha, bravo, near, far = await two_hosts(team)
+        team.network.partition("alpha", "bravo")
+        await asyncio.sleep(5.0)
+        far.values["far.fc", "battery"] = (0.5, 0.0)
+        near.values["near.fc", "battery"] = (0.25, 0.0)
+        await asyncio.sleep(5.0)
+        team.network.heal("alpha", "bravo")
+        before = team.network.sent["Report"]
+        await team.until(lambda: alpha.host.peers.incarnations and bravo.host.peers.incarnations)
+        await asyncio.sleep(0.1)
+        assert team.network.sent["Report"] - before == 2
+        assert known(alpha, "far")["facts"]["battery"][0] == 0.5
+        assert known(bravo, "near")["facts"]["battery"][0] == 0.25
+
+    fleet(story)
+
+
+def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(fleet):
+    program = CRANES + "coordinator Foreman { init(string[] arg) { sleep(1000.0); } }"
+
+    async def story(team):
+        alpha, _, near, far = await two_hosts(team, program)
+        near.values["near.fc", "battery"] = (0.5, 0.0)
+        await asyncio.sleep(10.0)
+        assert team.network.sent["Report"] == 0
+        assert near.asked == far.asked == 0
+        assert alpha.host.status()["directory"] == {}
+
+    fleet(story)
+
+
+def far_report(*facts, agent=3, unknown=()):
+    return [AgentReport(agent, "", None, list(facts), list(unknown))]
+
+
+@pytest.mark.parametrize(
+    ("agents", "why"),
+    [
+        (far_report(agent=0), "bravo reports on agent 0, which is none of its"),
+        (far_report(agent=1), "bravo reports on agent 1, which is none of its"),
+        (far_report(agent=77), "bravo reports on agent 77, which is none of its"),
+        (far_report(FactReport(2, 1.0, 0.0, True)), "live attribute 2 of far, which has 2"),
+        (far_report(unknown=[(9, "no")]), "live attribute 9 of far, which has 2"),
+        (far_report(FactReport(0, 1.0, 0.0, True)), "says 1.0 for armed of far, which is no boolean"),
+        (far_report(FactReport(1, True, 0.0, True)), "says True for battery of far, which is no real"),
+        (far_report(FactReport(1, "full", 0.0, True)), "says 'full' for battery of far, which is no real"),
+        (far_report(FactReport(1, float("nan"), 0.0, True)), "says nan for battery of far, which is no real"),
+        (far_report(FactReport(1, float("inf"), 0.0, True)), "says inf for battery of far, which is no real"),
+    ],
+)
+def test_a_report_that_its_host_cannot_make_is_left_out_and_told_once(fleet, agents, why):
+    async def story(team):
+        alpha, bravo, _, far = await two_hosts(team)
+        far.values["far.fc", "battery"] = (0.5, 0.0)
+        await asyncio.sleep(2.0)
+        before = known(alpha, "far")
+        for sequence in (1000, 1001):
+            bravo.host.peers.send("alpha", Report(bravo.host.core.incarnation, 0, sequence, agents))
+        await asyncio.sleep(0.5)
+        assert alpha.log.count("ignored a report: ") == 1
+        assert why in alpha.log
+        assert known(alpha, "far")["facts"].keys() == before["facts"].keys()
+        assert alpha.host.peers.incarnations
+
+    fleet(story)
+
+
+STALE = (
+    CRANES
+    + """
+coordinator Foreman {
+    init(string[] arg) {
+        sleep(3.0);
+        Lift[] who = findLift("payload >= 2.0");
+        print(who[0].agent() + " then " + who[1].agent());
+        sleep(10.0);
+        for (int i = 0; i < who.length(); i = i + 1) {
+            try {
+                real height = who[i].lift(1.5);
+                print("lifted by " + who[i].agent());
+                i = who.length();
+            } catch (UnreachableResourceException e) {
+                print("stale: " + e.source());
+            }
+        }
+    }
+}
+"""
+)
+
+
+def test_a_stale_offer_is_an_exception_that_names_the_agent_and_the_next_one_is_tried(fleet):
+    deployment = "//Foreman:foreman@alpha\n//Crane:far@bravo\n//Crane:near@alpha\n//Crane:small@alpha\n"
+    capabilities = CAPABILITIES + "  near: {payload: 2.0}\nranking: {weights: {hop: 0.0}}\n"
+
+    async def story(team):
+        mission = team.mission(STALE, deployment, capabilities=capabilities, simulate=True)
+        alpha, bravo = (team.make(mission, name, unreachable_after=4.0) for name in ("alpha", "bravo"))
+        for running in (alpha, bravo):
+            Devices(running)
+        await asyncio.gather(alpha.host.start(), bravo.host.start())
+        await team.until(lambda: "far then near" in alpha.log)
+        await bravo.host.stop()
+        assert await team.ended("foreman") == "done"
+        assert "stale: far" in alpha.log
+        assert "lifted by near" in alpha.log
+        assert alpha.output == ["near hoists 1.5"]
+        assert bravo.output == []
+
+    fleet(story)
+
+
+def test_a_condition_that_cannot_be_read_is_an_error_with_its_mistakes(fleet):
+    async def story(team):
+        alpha, *_ = await two_hosts(team)
+        with pytest.raises(ConstraintError):
+            alpha.host.core.offers(None, "Lift", "paylod >= 2.0")
+        with pytest.raises(ConstraintError):
+            alpha.host.core.explain(None, "Lift", "payload >=")
+
+    fleet(story)

@@ -1,0 +1,75 @@
+"""A host that is started again while its coordinator lives elsewhere does not start a second one."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.host.until_done import until_done
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal stay(real seconds) {
+        write("arrived\\n");
+        sleep(seconds);
+        write("done\\n");
+    }
+}
+coordinator Guest {
+    init(string[] arg) {
+        findPost(arg[1]).stay(20.0);
+        print("goes on after " + i2s(hops()) + " hop(s)");
+    }
+}
+"""
+# In the second, the guest's home is called by the other host; in the first it calls.
+FIRST_HOME = "//Guest:guest@home?post\n//Post:post@away\n"
+LAST_HOME = "//Post:post@away\n//Guest:guest@home?post\n"
+
+
+@pytest.mark.parametrize("deployment", [FIRST_HOME, LAST_HOME])
+def test_a_coordinator_that_is_alive_elsewhere_is_not_started_again(fleet, deployment):
+    async def story(team):
+        mission = team.mission(PROGRAM, deployment)
+        home, away = await team.up(mission, "home", "away")
+        await team.until(lambda: away.output == ["arrived"])
+        await home.host.stop()
+        await asyncio.sleep(2.0)
+        (again,) = await team.up(mission, "home")
+        assert "guest is alive on another host: not started again" in again.log
+        assert not again.holds("guest")
+        assert await team.ended("guest") == "done"
+        assert away.output == ["arrived", "done"]
+        assert "guest: goes on after 1 hop(s)" in away.log
+
+    fleet(story)
+
+
+def test_a_coordinator_that_was_lost_with_its_host_is_started_anew(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, FIRST_HOME)
+        home, away = await team.up(mission)
+        await team.until(lambda: away.output == ["arrived"])
+        await home.host.stop()
+        await away.host.stop()
+        _, again = await team.up(mission)
+        assert await team.ended("guest") == "done"
+        assert again.output == ["arrived", "done"]
+
+    fleet(story)
+
+
+def test_a_coordinator_that_died_with_a_host_that_is_back_at_once_is_lost(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, FIRST_HOME)
+        home, away = await team.up(mission)
+        await team.until(lambda: away.output == ["arrived"])
+        await away.host.stop()
+        await team.up(mission, "away")
+        (fate,) = await until_done(home.host, lost_after=1000.0)
+        assert fate.outcome == "lost"
+        assert fate.detail.endswith("which was restarted")
+
+    fleet(story)

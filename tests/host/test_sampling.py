@@ -1,0 +1,168 @@
+"""From telemetry to live attributes, and what keeps an agent from being called."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from lfield.capability.directory.news import Trouble
+from lfield.capability.model import Attribute, Live
+from lfield.clock import ManualClock
+from lfield.devices.keeper import Guard
+from lfield.devices.snapshots import LOST_AFTER, Snapshots
+from lfield.driver.plugins import Plugins
+from lfield.guard.messages import Latched, Snapshot
+from lfield.host.sampling import Sampler
+from lfield.mission.bindings import read_bindings
+from lfield.text.source import Source, Span
+
+SPAN = Span(Source("test.yaml", ""), 0, 0)
+TYPES = {"battery": "real", "north": "real", "steps": "int", "armed": "boolean", "mode": "text"}
+ATTRIBUTES = {name: Attribute(name, kind, SPAN, live=True) for name, kind in TYPES.items()}
+
+
+def live(name, quantity="", **how):
+    return Live(name, "fc", quantity or name, SPAN, **how)
+
+
+class Guards:
+    """Telemetry and troubles, by hand."""
+
+    def __init__(self):
+        self.values, self.troubles = {}, {}
+
+    def last(self, device, quantity):
+        return self.values.get((device, quantity))
+
+    def trouble(self, device):
+        return self.troubles.get(device)
+
+
+class Running:
+    """An agent of the machine."""
+
+    ended = report = ""
+
+
+@pytest.fixture
+def guards():
+    return Guards()
+
+
+@pytest.fixture
+def sampler(guards):
+    return Sampler(ATTRIBUTES, {"arm": Running()}, {"arm": ["fc", "hand"], "gone": []}, guards, ManualClock())
+
+
+@pytest.mark.parametrize(
+    ("source", "told", "value"),
+    [
+        (live("battery"), 0.5, 0.5),
+        (live("battery"), 1, 1.0),
+        (live("battery", factor=0.01), 50.0, 0.5),
+        (live("battery", factor=1.0, offset=273.15), 20.0, 293.15),
+        (live("north", "position", index=0), (3.0, 4.0), 3.0),
+        (live("north", "position", index=1, factor=0.001), [3.0, 4000.0], 4.0),
+        (live("steps"), 7, 7),
+        (live("steps"), 6.9, 7),
+        (live("armed"), True, True),
+        (live("mode"), "hold", "hold"),
+    ],
+)
+def test_telemetry_becomes_a_value_of_its_attribute(sampler, guards, source, told, value):
+    guards.values["arm.fc", source.quantity] = (told, 0.25)
+    sample = sampler.condition("arm", {source.attribute: source}).samples[source.attribute]
+    assert sample.value == pytest.approx(value) if isinstance(value, float) else sample.value == value
+    assert type(sample.value) is type(value)
+    assert sample.age == 0.25
+
+
+@pytest.mark.parametrize(
+    ("source", "told", "why"),
+    [
+        (live("battery", "charge"), None, "fc has not reported charge"),
+        (live("battery"), (math.nan, 0.0), "fc reports battery as nan"),
+        (live("battery"), (math.inf, 0.0), "fc reports battery as inf"),
+        (live("steps"), (1e30, 0.0), "fc reports steps as 1e+30"),
+        (live("battery"), ("full", 0.0), "fc reports battery as full"),
+        (live("battery"), (True, 0.0), "fc reports battery as True"),
+        (live("armed"), (1, 0.0), "fc reports armed as 1"),
+        (live("mode"), (1, 0.0), "fc reports mode as 1"),
+        (live("north", "position", index=2), ((3.0, 4.0), 0.0), "fc reports no element 2 of position"),
+        (live("north", "position", index=0), (3.0, 0.0), "fc reports no element 0 of position"),
+    ],
+)
+def test_what_is_no_value_is_unknown_with_the_reason(sampler, guards, source, told, why):
+    if told is not None:
+        guards.values["arm.fc", source.quantity] = told
+    condition = sampler.condition("arm", {source.attribute: source})
+    assert (condition.samples, condition.unknown) == ({}, {source.attribute: why})
+
+
+def test_an_agent_has_the_trouble_of_its_devices_and_its_own(sampler, guards):
+    assert sampler.condition("arm", {}).trouble is None
+    guards.troubles["other.hand"] = Trouble("not ours")
+    assert sampler.condition("arm", {}).trouble is None
+    guards.troubles["arm.hand"] = Trouble("hand: not heard", 1.0)
+    assert sampler.condition("arm", {}).trouble == Trouble("hand: not heard", 1.0)
+    sampler._agents["arm"].ended, sampler._agents["arm"].report = "died", "Exception: no\n  at arm"
+    assert sampler.condition("arm", {}).trouble == Trouble("died of Exception: no")
+    assert sampler.condition("gone", {}).trouble == Trouble("its host does not run it")
+
+
+# --- what guards know ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def installed():
+    found = Plugins()
+    found.add("lfield_mavlink:PLUGIN")
+    return found
+
+
+@pytest.fixture
+def bound(installed):
+    return read_bindings(None, {"sky": {"fc": "Mavlink"}}, installed, simulate=True).devices["sky"]["fc"]
+
+
+def test_the_last_value_is_told_however_old(installed, bound):
+    clock = ManualClock()
+    snapshots = Snapshots(installed.by_driver["mavlink"], [bound], clock)
+    assert snapshots.last("sky.fc", "battery") is snapshots.last("sky.fc", "age") is None
+    snapshots.take(Snapshot("sky.fc", {"battery": 0.5}, {"battery": 0.5}, 0.25))
+    clock.advance(1000.0)
+    assert snapshots.last("sky.fc", "battery") == (0.5, pytest.approx(1000.5))
+    assert snapshots.last("sky.fc", "age") == (pytest.approx(1000.25), 0.0)
+
+
+def test_a_device_is_lost_when_it_is_silent_for_longer_than_its_quickest_value_may_be_old(installed, bound):
+    clock = ManualClock()
+    kind = installed.by_driver["mavlink"]
+    snapshots = Snapshots(kind, [bound], clock)
+    clock.advance(1000.0)
+    assert snapshots.lost_since("sky.fc") is None
+    snapshots.take(Snapshot("sky.fc", {}, {}, 0.0))
+    heard = clock.now
+    quickest = min(quantity.max_age for quantity in kind.manifests["Mavlink"].device.telemetry)
+    clock.advance(max(quickest, LOST_AFTER) - 0.1)
+    assert snapshots.lost_since("sky.fc") is None
+    clock.advance(0.2)
+    assert snapshots.lost_since("sky.fc") == heard
+
+
+def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
+    clock = ManualClock()
+    guard = Guard(installed.by_driver["mavlink"], [bound], clock, lambda text: None, 0.2, lambda: True)
+    assert guard.trouble("sky.fc") == Trouble("fc: its guard has died and is being started again")
+    guard._ready = True
+    assert guard.trouble("sky.fc") is None
+    guard._receive(Latched("sky.fc", "the host was silent for over 200 ms", True))
+    assert guard.trouble("sky.fc") == Trouble(
+        "fc: in its safe state land: the host was silent for over 200 ms"
+    )
+    guard.latched.clear()
+    guard.snapshots.take(Snapshot("sky.fc", {}, {}, 0.0))
+    clock.advance(1000.0)
+    trouble = guard.trouble("sky.fc")
+    assert trouble.sentence(clock.now) == "fc: not heard for 1000 s"

@@ -1,0 +1,80 @@
+"""What the doctor sees on a computer that is made up of files."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from lfield.driver.plugins import Plugins
+from lfield.operator.doctor import system
+
+
+@pytest.fixture
+def findings(tmp_path):
+    plugins = Plugins()
+    plugins.add("lfield_mavlink:PLUGIN")
+
+    def look():
+        return {finding.what: finding for finding in system(plugins, tmp_path)}
+
+    return look
+
+
+def put(path, text=""):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def one(findings, words):
+    (found,) = [finding for what, finding in findings.items() if words in what]
+    return found
+
+
+def test_a_computer_without_ports(findings):
+    assert one(findings(), "no serial ports").state == "ok"
+
+
+def test_a_latency_timer_that_costs_time_is_told_with_its_cure(findings, tmp_path):
+    timer = put(tmp_path / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer", "16\n")
+    found = one(findings(), "ttyUSB0: holds bytes back for up to 16 ms")
+    assert found.state == "warning"
+    assert f"echo 1 | sudo tee {timer}" in found.cure
+    timer.write_text("1\n")
+    assert one(findings(), "ttyUSB0: holds bytes back for 1 ms").state == "ok"
+
+
+def test_a_port_that_may_not_be_used(findings, tmp_path, monkeypatch):
+    port = put(tmp_path / "dev/ttyACM0")
+    assert one(findings(), f"{port}: may be used").state == "ok"
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    found = one(findings(), f"{port}: ")
+    assert found.state == "problem"
+    assert "sudo usermod -aG" in found.cure
+
+
+def test_a_can_interface_that_is_down(findings, tmp_path):
+    state = put(tmp_path / "sys/class/net/can0/operstate", "down\n")
+    found = one(findings(), "can0: down")
+    assert (found.state, "ip link set can0 up" in found.cure) == ("problem", True)
+    state.write_text("up\n")
+    assert one(findings(), "can0: up").state == "ok"
+
+
+def test_a_missing_vendor_library_is_told_with_its_extra(tmp_path):
+    plugins = Plugins()
+    plugins.add("lfield_mavlink:PLUGIN")
+    installed = plugins.by_driver["mavlink"]
+    object.__setattr__(installed.plugin, "requires", ("no_such_library",))
+    try:
+        found = one({f.what: f for f in system(plugins, tmp_path)}, "driver mavlink")
+    finally:
+        object.__setattr__(installed.plugin, "requires", ("pymavlink",))
+    assert (found.state, found.cure) == ("problem", "pip install 'lfield[mavlink]'")
+
+
+def test_a_plugin_that_cannot_be_used(tmp_path):
+    plugins = Plugins()
+    plugins.add("no_such_package:PLUGIN")
+    assert one({f.what: f for f in system(plugins, tmp_path)}, "no_such_package").state == "problem"

@@ -1,0 +1,163 @@
+"""The team as files and running hosts tell it to somebody outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+from lfield.capability.matching.expression import compile_constraint
+from lfield.capability.matching.matcher import Matcher
+from lfield.capability.offer import Fact
+from lfield.capability.reading.reader import check_files
+from lfield.capability.reading.shipped import shipped
+from lfield.errors import AddressError, WireError
+from lfield.operator.query import from_files, from_hosts, views_of
+
+REGISTRY = """
+registry: 1
+providers:
+  Hoist:
+    attributes: {payload: 5.0}
+    live: {battery: motor.battery, armed: motor.armed, fix: gps.fix, note: motor.words}
+    serves: {Lift: {}}
+attributes:
+  note: {type: text, live: true, max_age: 5.0}
+agents:
+  second: {payload: 1.2, battery: 0.5}
+"""
+
+
+@dataclass(frozen=True)
+class Agent:
+    id: str
+    type: str
+    host: str
+
+
+AGENTS = [Agent("first", "Hoist", "alpha"), Agent("second", "Hoist", "bravo"), Agent("boss", "Boss", "alpha")]
+
+
+@pytest.fixture(scope="module")
+def registry(tmp_path_factory):
+    path = tmp_path_factory.mktemp("registry") / "mission.capabilities.yaml"
+    path.write_text(REGISTRY)
+    made, found = check_files(shipped(), mission=path)
+    assert made is not None, [d.render() for d in found]
+    return made
+
+
+def told(refusal="", unknown=None, **facts):
+    return {"refusal": refusal, "facts": facts, "unknown": unknown or {}}
+
+
+def status(**agents):
+    return {"directory": agents}
+
+
+def refusals(registry, team, condition):
+    constraint = compile_constraint(condition, registry.attributes)
+    return [str(refusal) for refusal in Matcher(registry, team).explain("Lift", constraint)][:2]
+
+
+def hosts(registry, answers, at=""):
+    views, errors = views_of(answers)
+    return from_hosts(registry, AGENTS, views, errors, at).candidates("Hoist")
+
+
+def test_from_the_files_only_what_is_written_is_known(registry):
+    first, second = from_files(registry, AGENTS).candidates("Hoist")
+    assert (first.agent, first.host, dict(first.facts)) == ("first", "alpha", {})
+    assert second.facts == {"payload": Fact(1.2), "battery": Fact(0.5)}
+    assert set(first.unknown) == {"battery", "armed", "fix", "note"}
+    assert set(second.unknown) == {"armed", "fix", "note"}
+    assert from_files(registry, AGENTS).candidates("Boss") == ()
+
+
+def test_a_condition_on_what_only_devices_know(registry):
+    team = from_files(registry, AGENTS)
+    assert refusals(registry, team, "battery >= 0.6") == [
+        "first: battery is not known: the team is not running",
+        "second: battery 0.5 < 0.6",
+    ]
+
+
+def test_hops_are_counted_from_where_the_question_is_asked(registry):
+    assert [c.hops for c in from_files(registry, AGENTS).candidates("Hoist")] == [1, 1]
+    assert [c.hops for c in from_files(registry, AGENTS, "bravo").candidates("Hoist")] == [1, 0]
+
+
+def test_live_values_come_with_their_age(registry):
+    answers = {"alpha": status(first=told(battery=[0.8, 2.5], armed=[True, 0.1], note=["well", 1.0]))}
+    first, _ = hosts(registry, answers)
+    assert first.facts == {"battery": Fact(0.8, 2.5), "armed": Fact(True, 0.1), "note": Fact("well", 1.0)}
+    assert first.unknown == {"fix": "fix is not known: no host tells it"}
+
+
+def test_why_a_value_is_not_known_is_what_the_host_says(registry):
+    answers = {"alpha": status(first=told(unknown={"battery": "motor has not reported battery"}))}
+    first, _ = hosts(registry, answers)
+    assert first.unknown["battery"] == "motor has not reported battery"
+
+
+def test_what_a_mission_states_counts_before_what_is_told(registry):
+    answers = {"bravo": status(second=told(battery=[0.9, 1.0]))}
+    assert hosts(registry, answers)[1].facts["battery"] == Fact(0.5)
+
+
+def test_an_agents_own_host_counts_before_others_and_the_asked_one_before_all(registry):
+    answers = {
+        "alpha": status(first=told(battery=[0.8, 0.0]), second=told("unreachable for 3 s")),
+        "bravo": status(first=told(battery=[0.7, 4.0]), second=told()),
+    }
+    first, second = hosts(registry, answers)
+    assert (first.facts["battery"].value, second.refusal) == (0.8, "")
+    first, second = hosts(registry, answers, at="alpha")
+    assert (first.facts["battery"].value, second.refusal) == (0.8, "unreachable for 3 s")
+    first, second = hosts(registry, answers, at="bravo")
+    assert (first.facts["battery"].value, second.refusal) == (0.7, "")
+
+
+def test_of_a_silent_host_the_others_tell_else_nobody_can_be_called(registry):
+    gone = AddressError("10.0.0.1:1", "nobody listens there")
+    heard = {"alpha": status(second=told("unreachable for 9 s")), "bravo": gone}
+    assert hosts(registry, heard)[1].refusal == "unreachable for 9 s"
+    assert hosts(registry, {"alpha": status(), "bravo": gone})[1].refusal == "its host bravo does not answer"
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        {"battery": ["full", 1.0]},
+        {"battery": [True, 1.0]},
+        {"armed": [1, 1.0]},
+        {"note": [3, 1.0]},
+        {"payload": [9.0, 1.0]},
+        {"agent": ["first", 1.0]},
+        {"nonsense": [9.0, 1.0]},
+    ],
+)
+def test_values_that_cannot_be_are_left_out(registry, facts):
+    first, _ = hosts(registry, {"alpha": status(first=told(**facts))})
+    assert first.facts == {}
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        {"directory": []},
+        {"directory": {"first": 1}},
+        {"directory": {"first": {"refusal": ""}}},
+        {"directory": {"first": told(battery=[1.0])}},
+        {"directory": {"first": told(battery=[1.0, "old"])}},
+        {"directory": {"first": told(battery=[[1.0], 1.0])}},
+    ],
+)
+def test_a_host_that_tells_nonsense_counts_as_silent(answer):
+    views, errors = views_of({"alpha": answer})
+    assert views == {}
+    assert isinstance(errors["alpha"], WireError)
+
+
+def test_a_host_without_a_directory_has_answered():
+    assert views_of({"alpha": {}}) == ({"alpha": {}}, {})
