@@ -25,8 +25,12 @@ lint: $(VENV)/.tested
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
+# make bench ONLY=hop,local   those figures        make bench SAVE=rows.json   also writes the rows
+# make bench AGAINST=PATH     compared, round by round, with another checkout that has its own .venv
+# ROUNDS=30 measures longer
 bench: $(VENV)/.measured
-	$(BIN)/python tests/benchmarks/run.py
+	$(BIN)/python tests/benchmarks/run.py --only "$(ONLY)" $(if $(SAVE),--save "$(SAVE)") \
+		$(if $(AGAINST),--against "$(AGAINST)") $(if $(ROUNDS),--rounds $(ROUNDS))
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

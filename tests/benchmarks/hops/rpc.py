@@ -1,6 +1,6 @@
 """What a remote portal call is compared with: servers that give back the bytes they are given.
 
-`python contenders.py NAME` serves one of them on a free loopback port and prints the port; `CLIENTS[NAME]`
+`python rpc.py NAME` serves one of them on a free loopback port and prints the port; `CLIENTS[NAME]`
 connects to it. Each runs in its fastest common setting: no compression, no delay of small packets, bytes
 passed as they are.
 """

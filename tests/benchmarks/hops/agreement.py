@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import asyncio
 import io
-import tempfile
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 
-from harness import Figure, Row, times
+from harness.checkout import Checkout
+from harness.figure import Figure, Opener
+from harness.processes import Processes
+from harness.samples import Contender
+from harness.words import COUNT
 
 from lfield.clock import SystemClock
 from lfield.host.host import Host, Options
@@ -54,56 +56,32 @@ coordinator Vote {
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Agreement:
-    """What it took: `hops` are the coordinator's migrations, `confirmations` their short answers.
+def counted(message: str) -> Opener:
+    """How many of these the coordinator takes: its migrations, or their short answers."""
 
-    `decisions` is what each resource was told, in the order of the hosts.
-    """
+    def opener(checkout: Checkout, processes: Processes) -> Contender:
+        return lambda: {case: [agree(processes.folder(), count)[message]] for case, count in _CASES.items()}
 
-    hops: int
-    confirmations: int
-    decisions: tuple[int, ...]
+    return opener
 
 
-def figure() -> Figure:
-    """All team sizes."""
-    rows = []
-    for count in SIZES:
-        found = agree(count)
-        broadcast = count * (count - 1)
-        ratio = times(found.hops / broadcast)
-        rows += [
-            Row(f"N = {count}", "lfield: hops", str(found.hops), "", ratio, str(2 * count)),
-            Row("", "lfield: confirmations of hops", str(found.confirmations)),
-            Row("", "broadcast: N(N-1) messages", str(broadcast), "", times(1.0)),
-        ]
-    title = "Messages for N resources to agree, counted; ratio to a broadcast, target 2N"
-    return Figure(title, rows)
+def broadcasting(checkout: Checkout, processes: Processes) -> Contender:
+    """Everyone tells everyone."""
+    return lambda: {case: [count * (count - 1)] for case, count in _CASES.items()}
 
 
-def agree(count: int) -> Agreement:
-    """Let so many resources, each on a host of its own, agree on the greatest of their wishes."""
-    with tempfile.TemporaryDirectory() as folder:
-        mission = _mission(Path(folder), count)
-    return asyncio.run(_agree(mission))
-
-
-def _mission(folder: Path, count: int) -> Mission:
+def agree(folder: Path, count: int) -> Counter[str]:
+    """Let so many resources, each on a host of its own, agree on their greatest wish; what was sent."""
     (folder / "vote.L").write_text(_PROGRAM, encoding="utf-8")
     lines = [f"//Voter:v{i}@h{i}?{7 * i % count}" for i in range(count)]
     deploy = folder / "vote.dL"
     deploy.write_text("\n".join([*lines, f"//Vote:vote@h{count - 1}"]), encoding="utf-8")
-    return load_mission(deploy)
+    return asyncio.run(_agree(load_mission(deploy)))
 
 
-async def _agree(mission: Mission) -> Agreement:
+async def _agree(mission: Mission) -> Counter[str]:
     loop = asyncio.get_running_loop()
-
-    def deliver_soon() -> None:
-        loop.call_soon(network.step)
-
-    network = MemoryNetwork(SystemClock(), on_pending=deliver_soon)
+    network = MemoryNetwork(SystemClock(), on_pending=lambda: loop.call_soon(network.step))
     written = {name: io.StringIO() for name in mission.team.hosts}
     hosts = [_host(mission, name, network, out) for name, out in written.items()]
     try:
@@ -116,10 +94,28 @@ async def _agree(mission: Mission) -> Agreement:
     finally:
         for host in hosts:
             await host.stop()
-    decisions = tuple(int(out.getvalue()) for out in written.values())
-    return Agreement(sent["Transfer"], sent["Accepted"], decisions)
+    decisions = {int(out.getvalue()) for out in written.values()}
+    if decisions != {max(7 * i % len(hosts) for i in range(len(hosts)))}:
+        raise RuntimeError(f"they decided on {decisions}")
+    return sent
 
 
 def _host(mission: Mission, name: str, network: MemoryNetwork, out: io.StringIO) -> Host:
     address = mission.team.addresses[mission.team.number(name)]
     return Host(mission, name, network.transport(name), Logbook(out, io.StringIO()), Options(address))
+
+
+_CASES = {f"N = {count}": count for count in SIZES}
+
+FIGURE = Figure(
+    "Messages for N resources to agree, counted; ratio to a broadcast",
+    {
+        "lfield: hops": counted("Transfer"),
+        "lfield: confirmations of hops": counted("Accepted"),
+        "broadcast: N(N-1) messages": broadcasting,
+    },
+    base=("broadcast: N(N-1) messages",),
+    rounds=1,
+    units=dict.fromkeys(_CASES, COUNT),
+    targets={"lfield: hops": "2N"},
+)

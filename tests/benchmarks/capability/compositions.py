@@ -8,10 +8,14 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from harness import Figure, Row, median, milliseconds, percentile, timed, times
+from harness.checkout import Checkout
+from harness.figure import Figure, Opener
+from harness.processes import Processes
+from harness.samples import Contender, median, timed
+from harness.words import TIMES
 
 from lfield.capability.matching.expression import Scope, check, compile_constraint, parse
 from lfield.capability.matching.matcher import Matcher
@@ -30,10 +34,9 @@ from lfield.capability.offer import Candidate
 from lfield.text.source import Source, Span
 
 RULES, PRIMITIVES, AGENTS = 200, 40, 20
-#: How many agents the growth is measured from.
-FEW = 100
-#: Seconds that a search may take.
-TARGET = 50e-3
+#: How many agents the growth is measured from, and to.
+FEW, MANY = 100, 400
+SOME, NOBODY, GROWTH = "some fulfil", "nobody fulfils", f"growth from {FEW} to {MANY} agents"
 
 _HERE = Span(Source("compositions", ""), 0, 0)
 _NAMES = [f"P{i}" for i in range(PRIMITIVES)]
@@ -50,58 +53,32 @@ class _Team:
         return [member for member in self.members if member.type == resource]
 
 
-def figure() -> Figure:
-    """Half of the rules compositions, and all of them."""
-    rows = [
-        *_rows("half compositions", compositions=0.5),
-        *_rows("all compositions", compositions=1.0),
-        *_growth(),
-    ]
-    notes = (
-        f"{RULES} rules over {PRIMITIVES} primitives, {AGENTS} agents, depth 4, the best 16 of each rule",
-    )
-    return Figure("A search for compositions; ratio to the target, of growth to n log n", rows, notes)
-
-
-def _rows(case: str, compositions: float) -> list[Row]:
+def searching(compositions: float) -> Opener:
     """All primitives, with a condition and with one that nobody fulfils."""
-    matcher = Matcher(_registry(compositions), _Team())
-    rows = []
-    for measured, text in (("some fulfil", "payload >= 1.5"), ("nobody fulfils", "payload >= 99.0")):
-        constraint = compile_constraint(text, _PAYLOAD)
-        offers = max(len(matcher.offers(name, constraint)) for name in _NAMES)
-        samples = [_query(matcher, name, constraint) for name in _NAMES]
-        rows.append(
-            Row(
-                case if not rows else "",
-                f"{measured}: up to {offers} offers",
-                milliseconds(median(samples)),
-                milliseconds(percentile(samples, 99)),
-                times(median(samples) / TARGET),
-                milliseconds(TARGET),
-            )
-        )
-    return rows
+
+    def opener(checkout: Checkout, processes: Processes) -> Contender:
+        matcher = Matcher(_registry(compositions), _Team())
+        some, nobody = _queries(matcher, "payload >= 1.5"), _queries(matcher, "payload >= 99.0")
+        return lambda: {SOME: some(), NOBODY: nobody()}
+
+    return opener
 
 
-def _growth() -> list[Row]:
-    """The same search among more and more agents, against n log n."""
-    constraint = compile_constraint("payload >= 1.5", _PAYLOAD)
-    registry, rows, before = _registry(0.5), [], 0.0
-    for count in (FEW, 4 * FEW):
-        matcher = Matcher(registry, _Team(count))
-        took = median([_query(matcher, name, constraint) for _ in range(3) for name in _NAMES])
-        bound = 4 * math.log(4 * FEW) / math.log(FEW)
-        ratio = times(took / before / bound) if before else ""
-        target = f"{bound:.2f}x, n log n" if before else ""
-        shown = f"{milliseconds(took)}, {times(took / before)}" if before else milliseconds(took)
-        rows.append(Row("growth" if not before else "", f"{count} agents", shown, "", ratio, target))
-        before = took
-    return rows
+def growing(checkout: Checkout, processes: Processes) -> Contender:
+    """The same search among more and more agents."""
+    few, many = (_queries(Matcher(_registry(0.5), _Team(count)), "payload >= 1.5") for count in (FEW, MANY))
+    return lambda: {GROWTH: [median(many()) / median(few())]}
 
 
-def _query(matcher: Matcher, name: str, constraint: Expression) -> float:
-    return timed(lambda: matcher.offers(name, constraint))
+def _queries(matcher: Matcher, text: str) -> Callable[[], list[float]]:
+    """Asks for each primitive, and gives the seconds; the first time is not among them."""
+    constraint = compile_constraint(text, _PAYLOAD)
+
+    def ask() -> list[float]:
+        return [timed(lambda n=name: matcher.offers(n, constraint)) for name in _NAMES]
+
+    ask()
+    return ask
 
 
 # --- a random registry --------------------------------------------------------------------------------
@@ -154,3 +131,23 @@ def _over_parts(text: str) -> Expression:
     assert expression is not None
     assert not check(expression, Scope.of_parts(_PAYLOAD, ["a", "b"]), "any")
     return expression
+
+
+FIGURE = Figure(
+    "A search for compositions",
+    {
+        "half compositions": searching(0.5),
+        "all compositions": searching(1.0),
+        "half compositions, more agents": growing,
+    },
+    rounds=2,
+    units={GROWTH: TIMES},
+    targets={
+        SOME: "50.0 ms",
+        NOBODY: "50.0 ms",
+        GROWTH: f"{MANY / FEW * math.log(MANY) / math.log(FEW):.2f}x n log n",
+    },
+    notes=(
+        f"{RULES} rules over {PRIMITIVES} primitives, {AGENTS} agents, depth 4, the best 16 of each rule",
+    ),
+)

@@ -4,8 +4,8 @@
 
 One UDP port for each fake; the lines are `ready PORT...`, then for each command of the driver
 `set VEHICLE TIME NUMBER` (a velocity setpoint, its number in millimetres per second north) or
-`safe VEHICLE TIME` (a change of mode). Times are seconds of CLOCK_MONOTONIC: the kernel stamps a datagram
-when it is sent over loopback, so it does not matter how late this process reads it.
+`safe VEHICLE TIME` (a change of mode). Times are seconds since 1970: the kernel stamps a datagram when it is
+sent over loopback, so it does not matter how late this process reads it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import select
 import socket
 import struct
 import sys
-import time
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -41,7 +40,7 @@ class Cable:
         self.far.send(data)
         stamp = next(part for level, kind, part in ancillary if kind == _SO_TIMESTAMPNS)
         seconds, nanoseconds = _TIMESPEC.unpack(stamp[: _TIMESPEC.size])
-        at = seconds + nanoseconds * 1e-9 - time.time() + time.monotonic()
+        at = seconds + nanoseconds * 1e-9
         for message in self._parser.parse_buffer(data) or ():
             self._tell(message, at)
 
