@@ -62,6 +62,8 @@ class Bench:
     def _rows(self, figure: Figure, tick: Tick) -> Iterable[Row]:
         if self.other is None:
             return rows_of(figure, self.own, tick)
+        if not figure.between:
+            self.out.print("\nnot compared, as it uses the modules of one checkout:", figure.title)
         return rows_between(figure, self.own, self.other, SESSIONS, tick)
 
     def _keep(self, name: str, rows: Sequence[Row]) -> None:
