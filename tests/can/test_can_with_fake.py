@@ -24,7 +24,7 @@ from lfield.driver.sims import control_folder
 from lfield.errors import DeviceError
 from lfield.vm.world import PENDING
 
-pytestmark = [pytest.mark.process, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(90)]
 
 DOORS = ("socketcand", "slcan")
 LISTEN = ("--listen", "socketcand:127.0.0.1:0", "--listen", "slcan-pty")
