@@ -7,23 +7,25 @@ import tempfile
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
-settings.register_profile("any computer", settings(), deadline=None)
+settings.register_profile("any computer", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any computer")
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Two workers for each core, since many tests wait for processes; none for a few files or one test."""
-    if config.option.keyword or any(".py" in word for word in config.args):
+    if config.option.keyword or any(word.partition("::")[0].endswith(".py") for word in config.args):
         return 0
     return 2 * len(os.sched_getaffinity(0))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with tests of real processes begin first: those wait, and the rest fills the time."""
-    waiting = {item.path for item in items if item.get_closest_marker("process")}
-    items.sort(key=lambda item: item.path not in waiting)
+    """Files with tests of real processes begin first, long ones before all; the rest fills their waiting."""
+    long, process = (
+        {item.path for item in items if item.get_closest_marker(name)} for name in ("long", "process")
+    )
+    items.sort(key=lambda item: (item.path not in long, item.path not in process))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -17,7 +17,7 @@ import lfield_sim.can
 from lfield.driver import DeviceError
 from lfield.testing.driver_bench import guarded, running_fake
 
-pytestmark = [pytest.mark.process, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(90)]
 
 DOORS = ("socketcand", "slcan")
 LISTEN = ("--listen", "socketcand:127.0.0.1:0", "--listen", "slcan-pty")
