@@ -10,8 +10,14 @@ BIN := $(VENV)/bin
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
 
-test: $(VENV)/.tested lint
-	$(BIN)/pytest
+# Lint and types run beside the tests and are shown behind them; either may fail the whole. A job in the background does
+# not hear Ctrl-C, so it is ended here.
+test: $(VENV)/.tested
+	@$(MAKE) --no-print-directory lint >$(VENV)/lint.log 2>&1 & lint=$$!; \
+	trap 'kill $$lint 2>/dev/null; exit 130' INT TERM; \
+	$(BIN)/pytest; tests=$$?; \
+	wait $$lint; checks=$$?; cat $(VENV)/lint.log; \
+	test $$tests -eq 0 && test $$checks -eq 0
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .
@@ -19,8 +25,12 @@ lint: $(VENV)/.tested
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
+# make bench ONLY=hop,local   those figures        make bench SAVE=rows.json   also writes the rows
+# make bench AGAINST=PATH     compared, round by round, with another checkout that has its own .venv
+# ROUNDS=30 measures longer
 bench: $(VENV)/.measured
-	$(BIN)/python tests/benchmarks/run.py
+	$(BIN)/python tests/benchmarks/run.py --only "$(ONLY)" $(if $(SAVE),--save "$(SAVE)") \
+		$(if $(AGAINST),--against "$(AGAINST)") $(if $(ROUNDS),--rounds $(ROUNDS))
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -188,7 +188,7 @@ class Shell(asyncio.Protocol):
     def _make_driver(self, message: Open) -> Driver:
         driver = self._plugin.load()(message.devices, self._plugin.read_manifests(), self._clock, self)
         for device in driver.devices.values():
-            check_methods(type(device), device.manifest)
+            check_methods(type(device), device.manifest, device.parts)
         return driver
 
     # -- effects --------------------------------------------------------------------------------------
