@@ -1,12 +1,14 @@
-"""What a driver adds to L, as plain data: device types, instructions, telemetry.
+"""What a driver adds to L, as plain data: device types, instructions, telemetry, and what bindings may say.
 
 A base module: the compiler reads it to check programs, the host to route calls, the driver to know
-its own promises. Nobody needs the vendor library for that.
+its own promises. Nobody needs the vendor library for that, nor the file where it was written.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 Effect = Literal["query", "idempotent", "actuate"]
@@ -19,6 +21,9 @@ DEVICE_VALUE_TYPES = ("boolean", "int", "real", "string", "real[]", "int[]")
 
 #: A value of one of those types, as Python sees it.
 DeviceValue = bool | int | float | str | list[float] | list[int] | None
+
+#: A value of an option in a devices file.
+OptionValue = bool | int | float | str | list[int | str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +74,7 @@ class Quantity:
     rate: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DeviceManifest:
     """A device type as L sees it: `Mavlink fc;` with its instructions, telemetry and safe states.
 
@@ -84,11 +89,65 @@ class DeviceManifest:
     meaning: str = ""
     bindings: dict[str, str] = field(default_factory=dict)
     capabilities: tuple[str, ...] = ()
-    _by_name: dict[str, Instruction] = field(init=False, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_by_name", {i.name: i for i in self.instructions})
+    @cached_property
+    def _by_name(self) -> dict[str, Instruction]:
+        return {i.name: i for i in self.instructions}
 
     def instruction(self, name: str) -> Instruction | None:
         """The instruction of that name, or None. A device type never overloads a name."""
         return self._by_name.get(name)
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """A key of a binding that only this driver knows; `default` None means that it must be given."""
+
+    name: str
+    type: str
+    default: OptionValue | None = None
+    choices: tuple[str, ...] = ()
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """A limit that a binding may set; the driver refuses what would exceed it."""
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """All that a manifest file says: the device type for L, and what its bindings may say."""
+
+    device: DeviceManifest
+    options: tuple[Option, ...] = ()
+    limits: tuple[Limit, ...] = ()
+    waivers: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def default_safe_state(self) -> str:
+        """The first that the manifest lists."""
+        return self.device.safe_states[0]
+
+
+#: What every device can do; the guard and the host answer them.
+RELEASE = Instruction(
+    "release",
+    effect="idempotent",
+    blocking=True,
+    meaning="takes the device out of its latched safe state, once that state is confirmed",
+    channel="release",
+)
+AGE = Instruction(
+    "age", result="real", unit="s", effect="query", meaning="seconds since the device was last heard"
+)
+STANDARD = (RELEASE, AGE)
+
+#: The waiver that every device knows: it has no watchdog of its own, or a slower one than is wanted.
+WATCHDOG = "device_watchdog"

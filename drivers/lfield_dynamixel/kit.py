@@ -10,8 +10,8 @@ import math
 import time
 
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused
-from lfield.driver.manifest_file import WATCHDOG
 from lfield.guard.core import QUIET_BY
+from lfield.manifest import WATCHDOG
 
 KIT = Kit()
 

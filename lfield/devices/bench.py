@@ -10,10 +10,9 @@ from lfield.devices.guards import Guards
 from lfield.devices.keeper import Guard
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.kit import SAFE, CheckFailed
-from lfield.driver.manifest_file import Manifest
 from lfield.errors import DeviceError
 from lfield.guard.core import SILENCE
-from lfield.manifest import DeviceValue
+from lfield.manifest import DeviceValue, Manifest
 from lfield.vm.world import PENDING
 
 #: Seconds between two looks at a condition: telemetry comes 20 times a second at most.

@@ -14,7 +14,7 @@ from lfield.clock import Clock
 from lfield.devices.fakes import Fake, start_fake
 from lfield.devices.keeper import Answered, Guard, OpenFailed
 from lfield.driver.binding import SIMULATED, DeviceBinding
-from lfield.driver.plugins import Plugins
+from lfield.driver.known import Drivers
 from lfield.driver.sims import discover_sims
 from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.guard.core import SILENCE
@@ -27,15 +27,15 @@ STOPS_WITHIN = 5.0
 
 
 class Guards:
-    """The devices of some agents. `note` takes a line for the log.
+    """The devices of some agents, by `drivers` that are known. `note` takes a line for the log.
 
     `silence` is how long this host may be silent, in seconds, before its devices go safe.
     """
 
     def __init__(
-        self, plugins: Plugins, clock: Clock, note: Callable[[str], None], *, silence: float = SILENCE
+        self, drivers: Drivers, clock: Clock, note: Callable[[str], None], *, silence: float = SILENCE
     ) -> None:
-        self._plugins, self._clock, self._note, self._silence = plugins, clock, note, silence
+        self._drivers, self._clock, self._note, self._silence = drivers, clock, note, silence
         self._guards: list[Guard] = []
         self._fakes: list[Fake] = []
         self._by_device: dict[str, tuple[Guard, DeviceManifest]] = {}
@@ -58,11 +58,11 @@ class Guards:
         if problems:
             return
         for bus in _by_bus(placed).values():
-            installed = self._plugins.by_driver[bus[0].driver]
-            guard = Guard(installed, bus, self._clock, self._note, self._silence)
+            driver = self._drivers.by_driver[bus[0].driver]
+            guard = Guard(driver, bus, self._clock, self._note, self._silence)
             self._guards.append(guard)
             self._by_device.update(
-                {device.name: (guard, installed.manifests[device.type].device) for device in bus}
+                {device.name: (guard, driver.manifests[device.type].device) for device in bus}
             )
         for answer in await asyncio.gather(*(g.open() for g in self._guards), return_exceptions=True):
             if isinstance(answer, OpenFailed):

@@ -2,7 +2,7 @@
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.device import Device, Driver, Reports
-from lfield.driver.manifest_file import Manifest
 from lfield.driver.plugin import Plugin
+from lfield.manifest import Manifest
 
 __all__ = ["Device", "DeviceBinding", "Driver", "Manifest", "Plugin", "Reports"]

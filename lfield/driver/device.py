@@ -18,10 +18,9 @@ from typing import Any, NamedTuple, Protocol
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.manifest_file import RELEASE, WATCHDOG, Manifest
 from lfield.driver.values import CHECKS, Check, conform
 from lfield.errors import DeviceError, PluginError
-from lfield.manifest import DeviceValue
+from lfield.manifest import RELEASE, WATCHDOG, DeviceValue, Manifest
 
 
 class Reports(Protocol):
@@ -215,7 +214,7 @@ class Driver:
 def check_methods(device: type[Device], manifest: Manifest) -> None:
     """Raise PluginError unless a Device class has one coroutine for each instruction it must carry out."""
     for instruction in manifest.device.instructions:
-        if (instruction.effect == "query" and not instruction.blocking) or instruction is RELEASE:
+        if (instruction.effect == "query" and not instruction.blocking) or instruction.name == RELEASE.name:
             continue
         name, wanted = method_name(instruction.name), len(instruction.parameters)
         method = getattr(device, name, None)

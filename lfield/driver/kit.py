@@ -26,8 +26,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.manifest_file import Manifest
 from lfield.errors import DeviceError
+from lfield.manifest import Manifest
 
 #: Seconds that one check may take, and a safe state to be confirmed.
 BOUND, SAFE = 60.0, 20.0

@@ -27,9 +27,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from lfield.clock import Clock
-from lfield.driver.manifest_file import RELEASE
 from lfield.guard.messages import Call, Done, Latched, Message, Note, Refused, Released, Stopped
-from lfield.manifest import DeviceManifest, DeviceValue, Instruction
+from lfield.manifest import RELEASE, DeviceManifest, DeviceValue, Instruction
 
 #: How long the host may be silent, in seconds (a beat comes every 50 ms).
 SILENCE = 0.2

@@ -31,10 +31,10 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from lfield.driver.binding import SIMULATED, DeviceBinding, OptionValue
-from lfield.driver.manifest_file import Manifest, Option
+from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.guard.core import SILENCE
+from lfield.manifest import Manifest, Option, OptionValue
 from lfield.text.source import Diagnostics
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Node, Scalar, describe

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from lfield.capability.matching.expression import Mistake, Scope, Wanted, check, parse
+from lfield.capability.condition import Mistake
+from lfield.capability.matching.expression import Scope, Wanted, check, parse
 from lfield.capability.model import Attribute, Expression
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft

@@ -8,8 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lfield.driver.binding import DeviceBinding, OptionValue
+from lfield.driver.binding import DeviceBinding
 from lfield.errors import PluginError, UsageError
+from lfield.manifest import OptionValue
 from lfield_sim.can.cia402 import Cia402Drive
 from lfield_sim.can.motor import MotorData
 from lfield_sim.can.objects402 import INCREMENTS
