@@ -49,6 +49,11 @@ class KnownDriver:
         return KnownDriver(self.name, self.reference, manifests, files, self.distribution)
 
     @property
+    def plain(self) -> KnownDriver:
+        """Itself without what only this computer has of it."""
+        return self.only(self.manifests.keys())
+
+    @property
     def to_install(self) -> str:
         """What to install, in words."""
         return self.distribution or f"the package of {self.reference}"

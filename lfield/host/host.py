@@ -25,7 +25,7 @@ from lfield.host.reporting import Reporting
 from lfield.host.status import coordinators_of, status_of
 from lfield.host.travel import Travel
 from lfield.manifest import DeviceValue
-from lfield.mission.load import Mission
+from lfield.mission.mission import Mission
 from lfield.mobility.core import MobilityMessage
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
@@ -79,7 +79,7 @@ class Host:
             mission.program, self.team.members, self.here, self, self.clock, random.Random()
         )
         self.peers = Peers(self, transport, self.clock, self.team.hosts, self.team.addresses, self.here)
-        self.guards = Guards(mission.plugins, self.clock, self.note, silence=mission.bindings.silence)
+        self.guards = Guards(mission.drivers, self.clock, self.note, silence=mission.bindings.silence)
         self.changed = asyncio.Event()
         self.address = ""
         self.travel = Travel(
@@ -179,6 +179,7 @@ class Host:
             self.mission.max_block,
             coordinators,
             self.mission.registry.digest if self.mission.registry is not None else b"",
+            self.mission.world,
         )
 
     def hello(self) -> Hello:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lfield.host.answers import Answers
 from lfield.host.reporting import Reporting
-from lfield.mission.load import Mission
+from lfield.mission.mission import Mission
 from lfield.vm.offers import Found, ways
 
 

@@ -18,7 +18,7 @@ from lfield.devices.guards import Guards
 from lfield.errors import WireError
 from lfield.host.reports import Reports
 from lfield.host.sampling import Sampler
-from lfield.mission.load import Mission, needed_devices
+from lfield.mission.mission import Mission
 from lfield.net.peers import Peers
 from lfield.vm.machine import Machine
 from lfield.wire.messages import Hello, Report
@@ -46,15 +46,14 @@ class Reporting:
 
     def __init__(self, station: Station, mission: Mission) -> None:
         self.registry = registry = mission.registry or NO_REGISTRY
-        agents = mission.deployment.agents
+        agents = mission.team.deployed
         self._station, self._clock = station, station.clock
         self.directory = Directory(
             registry, agents, station.name, station.peers, station.clock, station.incarnation
         )
         self._reports = Reports(registry, agents)
-        devices = needed_devices(mission.program, mission.deployment)
         self._sampler = Sampler(
-            registry.attributes, station.machine.agents, devices, station.guards, station.clock
+            registry.attributes, station.machine.agents, mission.needed, station.guards, station.clock
         )
         self._timer: asyncio.TimerHandle | None = None
 

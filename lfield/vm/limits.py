@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+#: A heap is addressed by 32-bit offsets; below a page not even an empty agent fits.
+MIN_HEAP, MAX_HEAP = 1 << 12, 1 << 31
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:

@@ -16,10 +16,11 @@ import pytest
 from lfield.clock import SystemClock
 from lfield.devices.fakes import Fake, start_fake
 from lfield.devices.guards import Guards
+from lfield.driver.binding import SIMULATED
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import Sims
 from lfield.errors import BindingError, DeviceError
-from lfield.mission.bindings import SIMULATED, read_bindings
+from lfield.mission.bindings_file import read_bindings
 from lfield.vm.world import PENDING
 
 pytestmark = pytest.mark.process

@@ -31,6 +31,15 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {"min": (2, 16), "max": (2, 16), "abs
 Sort = Literal["number", "boolean", "text", "set", "part", "nothing"]
 Wanted = Literal["boolean", "number", "text", "set", "any"]
 
+#: What an expression for the value of an attribute has to be, by the type of the attribute.
+WANTED: Mapping[str, Wanted] = {
+    "real": "number",
+    "int": "number",
+    "boolean": "boolean",
+    "text": "text",
+    "set": "set",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Kind:

@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 from lfield.capability.condition import Mistake
-from lfield.capability.matching.expression import Scope, Wanted, check, parse
+from lfield.capability.matching.expression import WANTED, Scope, Wanted, check, parse
 from lfield.capability.model import Attribute, Expression
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft
 from lfield.text.source import Span
 from lfield.text.yaml_source import Node, Scalar, describe
-
-#: What an expression for an attribute's value has to be.
-WANTED: dict[str, Wanted] = {
-    "real": "number",
-    "int": "number",
-    "boolean": "boolean",
-    "text": "text",
-    "set": "set",
-}
 
 
 def read_expression(draft: Draft, node: Node | None, scope: Scope, wanted: Wanted) -> Expression | None:
