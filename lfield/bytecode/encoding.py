@@ -61,7 +61,7 @@ def decode(data: bytes) -> Program:
         raise ProgramFileError("it is damaged (the checksum does not fit)")
     try:
         core, debug = _core.decode(body[:length]), _debug.decode(body[length:])
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ProgramFileError(f"its records are malformed ({error})") from None
     return assemble(core, debug)
 
@@ -70,6 +70,6 @@ def decode_core(data: bytes | memoryview, debug: Debug) -> Program:
     """A verified program from its core and its debug information; raises ProgramFileError."""
     try:
         core = _core.decode(data)
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ProgramFileError(f"its records are malformed ({error})") from None
     return assemble(core, debug)

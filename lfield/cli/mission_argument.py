@@ -22,17 +22,24 @@ def add_mission(parser: argparse.ArgumentParser) -> None:
 
 def mission_path(args: argparse.Namespace) -> Path:
     """The file that was named, once. Raises UsageError."""
-    if (args.mission is None) == (args.deploy is None):
-        raise UsageError("name one mission: a bundle (mission.lfm), or a deployment (--deploy mission.dL)")
-    path: Path = args.mission or args.deploy
+    if args.mission is not None and args.deploy is not None:
+        raise UsageError(f"which mission, {args.mission} or {args.deploy}? name one")
+    path: Path | None = args.mission or args.deploy
+    if path is None:
+        raise UsageError("required: --deploy mission.dL, or a bundle (mission.lfm)")
     return path
 
 
 def running_team(args: argparse.Namespace) -> Team:
-    """The team of the mission at the addresses where it runs: those of `--map`, else those published here."""
-    from lfield.mission.team import parse_maps
+    """The team of the mission where it runs."""
     from lfield.mission.team_file import open_team
+
+    return where_it_runs(open_team(mission_path(args)), args)
+
+
+def where_it_runs(team: Team, args: argparse.Namespace) -> Team:
+    """The team at the addresses of `--map`, else at those published on this computer."""
+    from lfield.mission.team import parse_maps
     from lfield.operator import whereabouts
 
-    team = open_team(mission_path(args))
     return team.at(whereabouts.find(team.deployment) | parse_maps(args.map, team))

@@ -15,7 +15,7 @@ from lfield.devices.fakes import Fake, start_fake
 from lfield.devices.keeper import Answered, Guard, OpenFailed
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers
-from lfield.driver.sims import discover_sims
+from lfield.driver.sims import sims_of
 from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.guard.core import SILENCE
 from lfield.manifest import DeviceManifest, DeviceValue
@@ -75,7 +75,7 @@ class Guards:
         simulated = _by_bus([device for device in devices if device.endpoint.startswith(SIMULATED)])
         if not simulated:
             return list(devices)
-        sims = discover_sims()
+        sims = sims_of({driver for driver, _ in simulated})
         fakes = (start_fake(sims, bus) for bus in simulated.values())
         started = await asyncio.gather(*fakes, return_exceptions=True)
         self._fakes += [fake for fake in started if isinstance(fake, Fake)]

@@ -38,6 +38,7 @@ from lfield.mission.registry_part import decode_registry, encode_registry
 from lfield.mission.team import Row, Team, encode_rows, team_of
 from lfield.text.files import read_head, reason
 
+#: What the name of a bundle ends in.
 SUFFIX = ".lfm"
 MAGIC = b"LFMB"
 VERSION = 1
@@ -122,7 +123,7 @@ def contents(data: bytes) -> Contents:
         raise BundleError("it is damaged or cut (the table of its parts is not the one it had)")
     try:
         rows = tuple(_table.decode(table))
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BundleError(f"the table of its parts is malformed ({error})") from None
     return Contents(digest, rows, _split(rows, parts))
 

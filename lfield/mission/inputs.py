@@ -42,14 +42,20 @@ class Watch:
         if event == "open" and isinstance(args[0], str):
             self._opened.add(args[0])
 
-    def inputs(self, looked_for: Iterable[Path], written: Iterable[Path]) -> Inputs:
-        """What was read, what was `looked_for` and may not be there, and the code that did it."""
-        opened = {os.path.abspath(path) for path in self._opened} - {
-            os.path.abspath(path) for path in written
-        }
-        files = {path for path in opened if not path.endswith(_CODE) and not path.startswith(_NOWHERE)}
-        files |= {os.path.abspath(path) for path in looked_for}
-        return Inputs({path: _digest(path) for path in sorted(files)}, tuple(map(_state, sorted(_code()))))
+    def inputs(self, looked_for: Iterable[Path], workshop: Path) -> Inputs:
+        """What was read, what was `looked_for` and may not be there, and the code that did it.
+
+        What lies in the `workshop` is made here, and is no input.
+        """
+        paths = {os.path.abspath(path) for path in (*self._opened, *map(str, looked_for))}
+        made = os.path.abspath(workshop)
+        files = sorted(path for path in paths if not path.startswith(made) and _counts(path))
+        return Inputs({path: _digest(path) for path in files}, tuple(map(_state, sorted(_code()))))
+
+
+def _counts(path: str) -> bool:
+    """Whether a file is read for what it says. What is installed is known by the folders it lies in."""
+    return not (path.endswith(_CODE) or path.startswith(_NOWHERE) or ".dist-info/" in path)
 
 
 def _code() -> set[str]:

@@ -69,6 +69,25 @@ def test_who_does_not_fit_is_told_why(message, sentence):
     assert theirs.refusal is None
 
 
+@pytest.mark.parametrize(("ours", "theirs"), [("fakes", "hardware"), ("hardware", "fakes")])
+def test_fakes_do_not_join_hardware(ours, theirs):
+    machine = Greeting(hello("a", devices=ours), hosts=HOSTS)
+    sentence = f"the devices of a are {ours} and those of b are {theirs}; start both with --sim, or none"
+    with pytest.raises(GreetingError, match=sentence):
+        machine.receive(hello(devices=theirs))
+    assert machine.refusal is not None
+    assert sentence in machine.refusal.reason
+
+
+@pytest.mark.parametrize("theirs", ["", "fakes", "hardware"])
+def test_a_team_without_devices_and_an_observer_join_either(theirs):
+    Greeting(hello("a"), hosts=HOSTS).receive(hello(devices=theirs))
+    Greeting(hello("a", devices=theirs), hosts=HOSTS).receive(hello())
+    observer = hello("ps", role="observer", program=b"", deployment=b"", registry=b"")
+    Greeting(hello("a", devices=theirs), hosts=HOSTS).receive(observer)
+    Greeting(observer).receive(hello(devices=theirs))
+
+
 def test_a_second_host_of_a_name_is_refused_while_the_first_is_linked():
     linked = {"b": 6}
     machine = greeting(linked=linked)

@@ -126,5 +126,5 @@ def _write_inputs(args: argparse.Namespace, watch: Watch) -> None:
     from lfield.mission.load import CAPABILITIES, DEVICES
 
     looked_for = [args.file.with_suffix(suffix) for suffix in (CAPABILITIES, DEVICES)]
-    inputs = watch.inputs([*looked_for, shipped_folder()], [args.output, args.inputs])
+    inputs = watch.inputs([*looked_for, shipped_folder()], args.inputs.parent)
     args.inputs.write_bytes(msgspec.msgpack.encode(inputs))

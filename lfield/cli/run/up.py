@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,37 +64,35 @@ def _seconds(word: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Run until done or stopped: 0 if all ended normally, 1 if a coordinator died or was lost."""
-    from lfield.mission.cache import NotBuilt
+    from lfield.mission import bundle
 
     path = mission_path(args)
+    if path.suffix != bundle.SUFFIX:
+        return _run_built(path, args)
+    if args.program is not None:
+        raise UsageError(f"{path} is a bundle, which has its program: --program is for a deployment")
+    return _run(path, args) if args.devices is None else _run_built(path, args)
+
+
+def _run_built(path: Path, args: argparse.Namespace) -> int:
+    """Run what is built from files, in a process of its own or before."""
+    from lfield.mission.cache import NotBuilt, Order, prepared
+
     try:
-        with _bundle(path, args) as file:
-            return _run(args, file, built_here=file != path)
+        with prepared(Order(path, args.program, args.devices, simulate=args.sim)) as file:
+            return _run(file, args, warn=not args.leash)
     except NotBuilt as error:
         return error.status
 
 
-def _bundle(path: Path, args: argparse.Namespace) -> AbstractContextManager[Path]:
-    """The bundle to run: as it is, or built from files in a process of its own."""
-    from lfield.mission import bundle
-    from lfield.mission.cache import Order, prepared
-
-    if path.suffix == bundle.SUFFIX:
-        if args.program is not None:
-            raise UsageError(f"{path} is a bundle, which has its program: --program is for a deployment")
-        if args.devices is None:
-            return nullcontext(path)
-    return prepared(Order(path, args.program, args.devices, simulate=args.sim))
-
-
-def _run(args: argparse.Namespace, file: Path, *, built_here: bool) -> int:
+def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
     from lfield.mission import bundle
     from lfield.mission.team import parse_maps
 
     mission = bundle.read(file)
     team = mission.team.at(parse_maps(args.map, mission.team))
     mission = (mission.on_fakes() if args.sim else mission).at(team)
-    if built_here and not args.leash:
+    if warn:
         for warning in mission.warnings:
             print(warning, file=sys.stderr)
     if args.all:

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.cli.mission_argument import add_mission, mission_path, running_team
+from lfield.cli.mission_argument import add_mission, mission_path, where_it_runs
 
 if TYPE_CHECKING:
     from lfield.capability.model import Registry
@@ -39,11 +39,13 @@ def run(args: argparse.Namespace) -> int:
     """0 when there are offers, 1 when there are none."""
     from lfield.capability.matching.matcher import Matcher
     from lfield.cli.views import query_view
+    from lfield.mission.team_file import open_team
     from lfield.operator.query import mission_registry
     from lfield.operator.question import read_question
 
-    team = running_team(args)
-    registry = mission_registry(mission_path(args), team, args.capabilities)
+    path = mission_path(args)
+    team = open_team(path)
+    registry = mission_registry(path, team, args.capabilities)
     question = read_question(args.query, registry)
     at = team.lookup(args.at) if args.at else ""
     known = _known(args, team, registry, at)
@@ -70,7 +72,7 @@ def _known(args: argparse.Namespace, team: Team, registry: Registry, at: str) ->
     from lfield.errors import AddressError
     from lfield.operator.query import from_files, from_hosts, views_of
 
-    views, errors = views_of({} if args.files else _ask(team))
+    views, errors = views_of({} if args.files else _ask(args, team))
     # Where nobody listens at all nothing runs, which is no problem; anything else is one.
     nobody = not views and all(isinstance(error, AddressError) for error in errors.values())
     silent = () if nobody else tuple((host, str(error)) for host, error in errors.items())
@@ -79,9 +81,9 @@ def _known(args: argparse.Namespace, team: Team, registry: Registry, at: str) ->
     return Known(from_hosts(registry, team.deployed, views, errors.keys(), at), tuple(views), silent)
 
 
-def _ask(team: Team) -> dict[str, dict[str, object] | LfieldError]:
+def _ask(args: argparse.Namespace, team: Team) -> dict[str, dict[str, object] | LfieldError]:
     from lfield.net.tcp import TcpTransport
     from lfield.operator.ask import ask_all
 
     transport = TcpTransport(1 << 20, connect_timeout=2.0)
-    return asyncio.run(ask_all(transport, team.reached))
+    return asyncio.run(ask_all(transport, where_it_runs(team, args).reached))
