@@ -14,6 +14,7 @@
     ├── WireError                 bytes from a peer that break the protocol                   76
     ├── GreetingError             a peer that must not be talked to                           76
     ├── AddressError              a port in use, an address that is not ours                  69
+    ├── HostFailure               a bug in lfield that ended a host                           70
     └── PluginError               a driver is unknown, broken or lacks its vendor library     69
         └── DeviceError           a device refused, failed or went away
 
@@ -23,12 +24,21 @@ Data is kept in attributes; `str()` is one sentence that says what is wrong and 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lfield.text.source import Diagnostic
+
+class Finding(Protocol):
+    """One thing found in a text, which can show itself with its place (text/source.py: Diagnostic)."""
+
+    @property
+    def severity(self) -> str:
+        """`error` or `warning`."""
+
+    def render(self) -> str:
+        """The finding for a reader, in several lines without the last newline."""
 
 
 class LfieldError(Exception):
@@ -48,7 +58,7 @@ class ProgramError(LfieldError):
 
     exit_status = 65
 
-    def __init__(self, diagnostics: Sequence[Diagnostic]) -> None:
+    def __init__(self, diagnostics: Sequence[Finding]) -> None:
         self.diagnostics = tuple(diagnostics)
         count = len(self.diagnostics)
         super().__init__(f"{count} error{'s' if count != 1 else ''}")
@@ -157,6 +167,23 @@ class AddressError(LfieldError):
     def __init__(self, address: str, reason: str) -> None:
         self.address, self.reason = address, reason
         super().__init__(f"cannot use {address}: {reason}")
+
+
+class HostFailure(LfieldError):
+    """A bug in lfield that ended a host: `cause` is what was raised, its traceback with it."""
+
+    def __init__(self, host: str, cause: BaseException) -> None:
+        self.host, self.cause = host, cause
+        frames = cause.__traceback__
+        while frames is not None and frames.tb_next is not None:
+            frames = frames.tb_next
+        where = ""
+        if frames is not None:
+            where = f" at {frames.tb_frame.f_code.co_filename.rpartition('/')[2]}:{frames.tb_lineno}"
+        super().__init__(
+            f"{host} ends because of a bug in lfield itself: {type(cause).__name__}: {cause}{where}; "
+            "its devices are made safe"
+        )
 
 
 class PluginError(LfieldError):

@@ -18,6 +18,25 @@ def run(work: Coroutine[Any, Any, T]) -> T:
         return runner.run(work)
 
 
+#: Tasks that nobody else holds: without a reference a task may be collected before it ends.
+_tasks: set[asyncio.Task[Any]] = set()
+
+
+def spawn(work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+    """Run something beside the rest; what it raises goes to the loop's exception handler at once."""
+    task = asyncio.get_running_loop().create_task(work)
+    _tasks.add(task)
+    task.add_done_callback(_ended)
+    return task
+
+
+def _ended(task: asyncio.Task[None]) -> None:
+    _tasks.discard(task)
+    if not task.cancelled() and task.exception() is not None:
+        context = {"message": "a task has failed", "exception": task.exception(), "task": task}
+        task.get_loop().call_exception_handler(context)
+
+
 def be_prompt() -> None:
     """Have the timers of this process come first, also on a computer that is busy.
 

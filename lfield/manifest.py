@@ -1,13 +1,12 @@
-"""What a driver adds to L, as plain data: device types, instructions, telemetry, and what bindings may say.
+"""What a driver adds to L, as plain data: device types, instructions, telemetry.
 
 A base module: the compiler reads it to check programs, the host to route calls, the driver to know
-its own promises. Nobody needs the vendor library for that, nor the file where it was written.
+its own promises. Nobody needs the vendor library for that.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -21,9 +20,6 @@ DEVICE_VALUE_TYPES = ("boolean", "int", "real", "string", "real[]", "int[]")
 
 #: A value of one of those types, as Python sees it.
 DeviceValue = bool | int | float | str | list[float] | list[int] | None
-
-#: A value of an option in a devices file.
-OptionValue = bool | int | float | str | list[int | str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +53,11 @@ class Instruction:
     channel: str = "motion"
     raises: tuple[str, ...] = DEVICE_EXCEPTIONS
 
+    @property
+    def is_query(self) -> bool:
+        """Whether telemetry answers it: then it is never sent to the device."""
+        return self.effect == "query" and not self.blocking
+
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
@@ -87,7 +88,6 @@ class DeviceManifest:
     telemetry: tuple[Quantity, ...] = ()
     safe_states: tuple[str, ...] = ()
     meaning: str = ""
-    bindings: dict[str, str] = field(default_factory=dict)
     capabilities: tuple[str, ...] = ()
 
     @cached_property
@@ -97,57 +97,3 @@ class DeviceManifest:
     def instruction(self, name: str) -> Instruction | None:
         """The instruction of that name, or None. A device type never overloads a name."""
         return self._by_name.get(name)
-
-
-@dataclass(frozen=True, slots=True)
-class Option:
-    """A key of a binding that only this driver knows; `default` None means that it must be given."""
-
-    name: str
-    type: str
-    default: OptionValue | None = None
-    choices: tuple[str, ...] = ()
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    meaning: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """A limit that a binding may set; the driver refuses what would exceed it."""
-
-    name: str
-    unit: str = ""
-    meaning: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Manifest:
-    """All that a manifest file says: the device type for L, and what its bindings may say."""
-
-    device: DeviceManifest
-    options: tuple[Option, ...] = ()
-    limits: tuple[Limit, ...] = ()
-    waivers: tuple[tuple[str, str], ...] = ()
-
-    @property
-    def default_safe_state(self) -> str:
-        """The first that the manifest lists."""
-        return self.device.safe_states[0]
-
-
-#: What every device can do; the guard and the host answer them.
-RELEASE = Instruction(
-    "release",
-    effect="idempotent",
-    blocking=True,
-    meaning="takes the device out of its latched safe state, once that state is confirmed",
-    channel="release",
-)
-AGE = Instruction(
-    "age", result="real", unit="s", effect="query", meaning="seconds since the device was last heard"
-)
-STANDARD = (RELEASE, AGE)
-
-#: The waiver that every device knows: it has no watchdog of its own, or a slower one than is wanted.
-WATCHDOG = "device_watchdog"

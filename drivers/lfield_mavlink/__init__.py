@@ -1,4 +1,9 @@
-"""The MAVLink driver: vehicles with ArduPilot or PX4. See README.md in this folder."""
+"""The MAVLink driver: vehicles with ArduPilot or PX4. See README.md in this folder.
+
+`driver` is the bus and `vehicle` what is on it. Below them, each seeing those before it: `link` (bytes to
+messages), `contact` (one vehicle heard and asked), `services` (protocols beside flight), `parts` (what it can
+do, by topic). `kit` tries it all.
+"""
 
 from lfield.driver import Plugin
 

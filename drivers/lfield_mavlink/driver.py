@@ -4,35 +4,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from lfield.driver import DeviceBinding, Driver
-from lfield.errors import DeviceError
-from lfield_mavlink.dialect import AUTOPILOT, Header, Reader, Writer, dialect
-from lfield_mavlink.link_health import LinkCounts
-from lfield_mavlink.links import AGAIN, Link, make_link, split_endpoint
-from lfield_mavlink.routes import Route
-from lfield_mavlink.signing import LinkSigning, open_signing, sign_link
+from lfield.driver import DeviceBinding, DeviceError, Driver
+from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, dialect
+from lfield_mavlink.link.links import AGAIN, Link, make_link, split_endpoint
+from lfield_mavlink.link.ports import LinkCounts, Port, Route
+from lfield_mavlink.link.signing import open_signing, sign_link
 from lfield_mavlink.vehicle import MavlinkVehicle
 
 #: Seconds between our own heartbeats: several within the shortest failsafe (2 s), since some are lost.
 HEARTBEAT = 0.25
-
-
-@dataclass(frozen=True, slots=True)
-class Port:
-    """One link with what writes its packets."""
-
-    link: Link
-    reader: Reader
-    writer: Writer
-    signing: LinkSigning | None
-
-    def send(self, message: Any) -> None:
-        """One message as one packet."""
-        self.link.send(self.writer.pack(message))
 
 
 class MavlinkDriver(Driver):
@@ -40,7 +23,8 @@ class MavlinkDriver(Driver):
 
     def _device(self, binding: DeviceBinding) -> MavlinkVehicle:
         send = partial(self._send_to, binding.option("system"))
-        return MavlinkVehicle(binding, self.manifests[binding.type], self.clock, self.reports, send)
+        manifest = self.manifests[binding.type]
+        return MavlinkVehicle(binding, manifest, self.clock, self.reports, send, self._counts)
 
     async def _open(self) -> None:
         self._quieted = False
@@ -60,10 +44,8 @@ class MavlinkDriver(Driver):
         if self._signing is not None:
             self.spawn(self._signing.keep_ahead(next(iter(self._vehicles.values())).note))
         for vehicle in self._vehicles.values():
-            vehicle.counts = self._counts
-            self.spawn(vehicle.watch())
-            self.spawn(vehicle.keep_streams())
-            self.spawn(vehicle.keep_link())
+            for keeping in vehicle.keep():
+                self.spawn(keeping)
 
     async def _close(self) -> None:
         for vehicle in self._vehicles.values():
@@ -95,13 +77,7 @@ class MavlinkDriver(Driver):
         return Port(link, reader, writer, signing)
 
     def _counts(self) -> LinkCounts:
-        """Over all links."""
-        return LinkCounts(
-            broken=sum(port.reader.broken for port in self._ports),
-            good_signatures=self._signing.good if self._signing else 0,
-            bad_signatures=self._signing.bad if self._signing else 0,
-            unsigned=sum(port.signing.unsigned for port in self._ports if port.signing),
-        )
+        return LinkCounts.over(self._ports, self._signing)
 
     async def _open_links(self) -> None:
         """Open them all. One that cannot be opened is tried again, as long as there is another."""

@@ -1,20 +1,141 @@
-"""One vehicle: what it can do, part by part.
-
-Every part is a mixin of Contact, in a file of its own. What a part keeps is made in `_set_up`; what it must
-ask or set before the vehicle is used, and again when it was lost and is back, it does in `_prepare`.
-"""
+"""One vehicle: what it can do, part by part, and its life from the first heartbeat on."""
 
 from __future__ import annotations
 
-from lfield_mavlink.fences import Fences
-from lfield_mavlink.files import Files
-from lfield_mavlink.link_health import LinkHealth
-from lfield_mavlink.missions import Missions
-from lfield_mavlink.payload import Payload
-from lfield_mavlink.rally import Rally
-from lfield_mavlink.settings import Settings
-from lfield_mavlink.upkeep import Upkeep
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from lfield.driver import Clock, DeviceBinding, DeviceError, Manifest, Reports
+from lfield_mavlink.contact.contact import LINK_LOST, Contact
+from lfield_mavlink.contact.link_health import LinkHealth
+from lfield_mavlink.contact.streams import Streams
+from lfield_mavlink.link.ports import LinkCounts
+from lfield_mavlink.parts.fences import Fences, Rally
+from lfield_mavlink.parts.flight import Flight
+from lfield_mavlink.parts.guidance import Guidance
+from lfield_mavlink.parts.limits import Limits
+from lfield_mavlink.parts.missions import Missions
+from lfield_mavlink.parts.motion import Motion
+from lfield_mavlink.parts.payload import Payload
+from lfield_mavlink.parts.storage import Files, Settings
+from lfield_mavlink.parts.upkeep import Upkeep
+from lfield_mavlink.parts.watchdog import Watchdog
+from lfield_mavlink.services.file_transfer import FileTransfer
+from lfield_mavlink.services.parameters import EncodingQuestion, Parameters
+from lfield_mavlink.services.plan_transfer import PlanTransfer
 
 
-class MavlinkVehicle(Missions, Payload, Upkeep, Fences, Rally, Settings, Files, LinkHealth):
-    """A vehicle with an autopilot that speaks MAVLink 2."""
+class MavlinkVehicle(Contact):
+    """A vehicle with an autopilot that speaks MAVLink 2.
+
+    `send` sends it a message, `counts` tells what the readers of its links have counted.
+    """
+
+    def __init__(
+        self,
+        binding: DeviceBinding,
+        manifest: Manifest,
+        clock: Clock,
+        reports: Reports,
+        send: Callable[[Any], None],
+        counts: Callable[[], LinkCounts] = LinkCounts,
+    ) -> None:
+        super().__init__(binding, manifest, clock, reports, send)
+        self._streams, self._health = Streams(self), LinkHealth(self, counts)
+        self.parameters = Parameters(self, EncodingQuestion(self).ask)
+        self.files = FileTransfer(self)
+        self.plans = PlanTransfer(self, lambda: not self.profile.px4)
+        self.motion = Motion(self, self.parameters)
+        self.watchdog = Watchdog(self, self.parameters)
+        limits = Limits(binding, self.error)
+        self._flight = Flight(self, self.motion, limits, self.watchdog)
+        self.parts = (
+            self._flight,
+            Guidance(self, self.motion, limits),
+            Missions(self, self.motion, limits, self.plans),
+            Fences(self, self.plans, self.parameters),
+            Rally(self, self.plans),
+            Payload(self),
+            Upkeep(self, self._renew),
+            Settings(self, self.parameters),
+            Files(self, self.files),
+        )
+
+    # -- messages -------------------------------------------------------------------------------------
+
+    def on_message(self, message: Any) -> None:
+        """A message of this vehicle's autopilot."""
+        now = self.clock.monotonic()
+        self._health.count(message.get_seq(), now)
+        self._streams.heard(message.get_msgId(), now)
+        super().on_message(message)
+
+    def is_spare(self, kind: int, sequence: int) -> bool:
+        """Whether a message need not be read; it counts all the same."""
+        now = self.clock.monotonic()
+        spare = self._streams.is_spare(kind, now)
+        if spare:
+            self._health.count(sequence, now)
+        return spare
+
+    # -- its life -------------------------------------------------------------------------------------
+
+    async def _open(self) -> str:
+        patience: float = self.binding.option("connect")
+        if not await self.seen(lambda: self.state.heard is not None, patience):
+            raise self.error(
+                f"no heartbeat from system {self.system} at {self.binding.endpoint} within {patience:g} s; "
+                "check that the vehicle is on, the endpoint, and the id in the bindings",
+                timeout=True,
+            )
+        self.check_identity()
+        await self._streams.prepare()
+        return f"{self.profile.stack} {self.profile.kind}, system {self.system}"
+
+    async def _renew(self) -> None:
+        """Ask and set again what was asked and set when it was opened. Raises DeviceError."""
+        await self._streams.prepare()
+        await self.check_watchdog()
+
+    def keep(self) -> tuple[Coroutine[Any, Any, None], ...]:
+        """What runs beside the calls while the vehicle is open."""
+        return (self._watch(), self._streams.keep(), self._health.keep())
+
+    async def _watch(self) -> None:
+        """Tell when the link is lost and found; when it is back, what it was told is told again."""
+        ready = True
+        while True:
+            await asyncio.sleep(LINK_LOST / 4)
+            silent = self.silence > LINK_LOST
+            if silent != self.lost and self.state.heard is not None:
+                self.lost = silent
+                self.note("no heartbeat; the link is lost" if silent else "heard again")
+                ready = False
+            if not (ready or silent or self.quiet):
+                ready = await self._renewed()
+
+    async def _renewed(self) -> bool:
+        try:
+            self.check_identity()
+            await self._renew()
+        except DeviceError as error:
+            self.note(f"it is back, but not as it was: {error.reason}")
+            return False
+        return True
+
+    # -- what the guard asks --------------------------------------------------------------------------
+
+    async def _set_watchdog(self, longest: float) -> float | None:
+        return await self.watchdog.set(longest)
+
+    async def _make_safe(self, state: str) -> None:
+        await self._flight.make_safe(state)
+
+    async def do_release(self) -> None:
+        """Whatever mode it is in, the program takes the vehicle back."""
+        self.motion.claim(self.state.mode)
+
+    def stop_setpoints(self) -> None:
+        """Send no setpoint of a stream any more."""
+        self.motion.stream.stop()

@@ -18,8 +18,8 @@ from lfield.driver.known import Drivers
 from lfield.driver.sims import sims_of
 from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.guard.core import SILENCE
-from lfield.manifest import DeviceManifest, DeviceValue
-from lfield.vm.readings import Reading
+from lfield.manifest import DeviceManifest, DeviceValue, Instruction
+from lfield.vm.contract import Reading
 from lfield.vm.world import PENDING, Pending
 
 #: Seconds for every device to confirm its safe state after an emergency stop.
@@ -29,13 +29,21 @@ STOPS_WITHIN = 5.0
 class Guards:
     """The devices of some agents, by `drivers` that are known. `note` takes a line for the log.
 
-    `silence` is how long this host may be silent, in seconds, before its devices go safe.
+    `silence` is how long this host may be silent, in seconds, before its devices go safe. Before each sign of
+    life `turned` lets the host turn, and says whether it could: a host that cannot gives none.
     """
 
     def __init__(
-        self, drivers: Drivers, clock: Clock, note: Callable[[str], None], *, silence: float = SILENCE
+        self,
+        drivers: Drivers,
+        clock: Clock,
+        note: Callable[[str], None],
+        *,
+        silence: float = SILENCE,
+        turned: Callable[[], bool] = lambda: True,
     ) -> None:
         self._drivers, self._clock, self._note, self._silence = drivers, clock, note, silence
+        self._turned = turned
         self._guards: list[Guard] = []
         self._fakes: list[Fake] = []
         self._by_device: dict[str, tuple[Guard, DeviceManifest]] = {}
@@ -59,7 +67,7 @@ class Guards:
             return
         for bus in _by_bus(placed).values():
             driver = self._drivers.by_driver[bus[0].driver]
-            guard = Guard(driver, bus, self._clock, self._note, self._silence)
+            guard = Guard(driver, bus, self._clock, self._note, self._silence, self._turned)
             self._guards.append(guard)
             self._by_device.update(
                 {device.name: (guard, driver.manifests[device.type].device) for device in bus}
@@ -89,13 +97,27 @@ class Guards:
                 raise fake
         return [msgspec.structs.replace(d, endpoint=endpoints.get(d.bus, d.endpoint)) for d in devices]
 
+    def query(self, agent: str, field: str, instruction: str) -> DeviceValue | Pending:
+        """The value of a query, PENDING for what the device itself must do (`call`).
+
+        Raises DeviceError when there is no such device or instruction, or no fresh value.
+        """
+        guard, declared = self._declared(agent, field, instruction)
+        if declared.is_query:
+            return guard.snapshots.query(f"{agent}.{field}", instruction)
+        return PENDING
+
     def call(
         self, agent: str, field: str, instruction: str, arguments: Sequence[Any], answered: Answered
-    ) -> DeviceValue | Pending:
-        """Carry an instruction out: the value of a query at once, else PENDING and later `answered`.
+    ) -> None:
+        """Have an instruction carried out that is no query; `answered` is told once, from the loop.
 
-        Raises DeviceError when it cannot even be tried, or when a query has no fresh value.
+        Raises DeviceError when it cannot even be tried.
         """
+        guard, declared = self._declared(agent, field, instruction)
+        guard.call(f"{agent}.{field}", declared, arguments, answered)
+
+    def _declared(self, agent: str, field: str, instruction: str) -> tuple[Guard, Instruction]:
         found = self._by_device.get(f"{agent}.{field}")
         if found is None:
             raise DeviceError(field, "is not open on this host")
@@ -103,10 +125,7 @@ class Guards:
         declared = manifest.instruction(instruction)
         if declared is None:
             raise DeviceError(field, f"has no instruction '{instruction}'")
-        if declared.effect == "query" and not declared.blocking:
-            return guard.snapshots.query(f"{agent}.{field}", instruction)
-        guard.call(f"{agent}.{field}", declared, arguments, answered)
-        return PENDING
+        return guard, declared
 
     def reading(self, agent: str, field: str, quantity: str) -> Reading | None:
         """The reading of a telemetry quantity, None for what is no plain quantity."""

@@ -37,6 +37,7 @@ from lfield.guard.messages import (
     Stopped,
     encode,
 )
+from lfield.loop import spawn
 from lfield.manifest import DeviceValue, Instruction
 
 #: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
@@ -54,7 +55,10 @@ Answered = Callable[[DeviceValue | DeviceError], None]
 
 
 class Guard(asyncio.SubprocessProtocol):
-    """One bus. `note` takes a line for the log; after `silence` seconds without a beat it goes safe."""
+    """One bus. `note` takes a line for the log; after `silence` seconds without a beat it goes safe.
+
+    A beat is given only when `turned` says that the host has just had its turn.
+    """
 
     def __init__(
         self,
@@ -63,9 +67,11 @@ class Guard(asyncio.SubprocessProtocol):
         clock: Clock,
         note: Callable[[str], None],
         silence: float,
+        turned: Callable[[], bool],
     ) -> None:
         self._driver = driver.only({device.type for device in devices})
         self._clock, self._note, self._silence = clock, note, silence
+        self._turned = turned
         self._devices = {device.name: device for device in devices}
         self.snapshots = Snapshots(driver, devices, clock)
         self._reader = MessageReader()
@@ -141,7 +147,7 @@ class Guard(asyncio.SubprocessProtocol):
                 os.kill(self.pid, signal.SIGKILL)
 
     def _beat(self) -> None:
-        if self._pipe is None or self._pipe.is_closing():
+        if self._pipe is None or self._pipe.is_closing() or not self._turned():
             return
         self._unanswered += 1
         if self._ready and self._unanswered > UNANSWERED:
@@ -264,7 +270,7 @@ class Guard(asyncio.SubprocessProtocol):
             self._note(
                 f"the guard of {', '.join(self._devices)} died with status {status}; starting it again"
             )
-            self._restarting = asyncio.get_running_loop().create_task(self._restart())
+            self._restarting = spawn(self._restart())
 
     def _take_calls(self) -> list[tuple[DeviceBinding, Instruction, Answered]]:
         calls, self._calls = list(self._calls.values()), {}

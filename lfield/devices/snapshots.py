@@ -7,13 +7,14 @@ from typing import cast
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import AGE
 from lfield.driver.known import KnownDriver
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
 from lfield.guard.messages import Snapshot
-from lfield.manifest import AGE, DeviceValue, Quantity
+from lfield.manifest import DeviceValue, Quantity
+from lfield.vm.contract import Reading
 from lfield.vm.memory.values import word_of
-from lfield.vm.readings import Reading
 
 #: A device that was heard before is lost after so many seconds of silence, at least.
 LOST_AFTER = 3.0

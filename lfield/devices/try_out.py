@@ -1,18 +1,122 @@
-"""Tries devices by their driver's conformance kit: opens them behind guards, runs the checks, closes them."""
+"""Tries devices by their driver's conformance kit: each behind a real guard process, as a host has it."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from lfield.clock import SystemClock
-from lfield.devices.bench import LiveBench
 from lfield.devices.guards import Guards
+from lfield.devices.keeper import Guard
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.kit import Check, Finding, run_kit
+from lfield.driver.contract import Manifest
+from lfield.driver.kit import SAFE, Check, CheckFailed, Finding, run_kit
 from lfield.driver.kit_checks import KIT
 from lfield.driver.plugins import Installed, Plugins
-from lfield.guard.core import SILENCE
+from lfield.errors import DeviceError
+from lfield.guard.core import QUIET_BY, SILENCE
+from lfield.manifest import DeviceValue
+from lfield.vm.world import Pending
+
+#: Seconds between two looks at a condition: telemetry comes 20 times a second at most.
+LOOK = 0.02
+#: Seconds for a guard to be there again.
+BACK = 60.0
+
+
+class LiveBench:
+    """A Bench (lfield.driver.kit) over the guards of this process."""
+
+    def __init__(
+        self,
+        guards: Guards,
+        binding: DeviceBinding,
+        manifest: Manifest,
+        notes: list[str],
+        *,
+        silence: float = SILENCE,
+    ) -> None:
+        self._guards, self.binding, self.manifest, self.notes = guards, binding, manifest, notes
+        self.silence, self.quiet_after = silence, silence + QUIET_BY
+
+    @property
+    def _guard(self) -> Guard:
+        return self._guards.guard_of(self.binding.name)
+
+    @property
+    def identity(self) -> str:
+        """Who the device is, in its driver's words."""
+        return self._guard.identities[self.binding.name]
+
+    @property
+    def guard_pid(self) -> int:
+        """The id of its guard's process, 0 while there is none."""
+        return self._guard.pid
+
+    @property
+    def latched(self) -> str:
+        """Why the device is held in its safe state, '' when it is free."""
+        return self._guard.latched.get(self.binding.name, "")
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether it has been seen there."""
+        return self.binding.name in self._guard.confirmed
+
+    async def call(self, instruction: str, *arguments: object) -> Any:
+        """Carry an instruction out and return its result. Raises DeviceError."""
+        agent, field = self.binding.agent, self.binding.field
+        value = self._guards.query(agent, field, instruction)
+        if not isinstance(value, Pending):
+            return value
+        answer: asyncio.Future[DeviceValue] = asyncio.get_running_loop().create_future()
+
+        def answered(value: DeviceValue | DeviceError) -> None:
+            if answer.done():
+                return
+            if isinstance(value, DeviceError):
+                answer.set_exception(value)
+            else:
+                answer.set_result(value)
+
+        self._guards.call(agent, field, instruction, list(arguments), answered)
+        return await answer
+
+    def query(self, quantity: str) -> Any:
+        """The present value of a telemetry quantity. Raises DeviceError when there is none."""
+        return self._guard.snapshots.query(self.binding.name, quantity)
+
+    async def until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
+        """Wait until the condition holds. Raises CheckFailed."""
+        loop = asyncio.get_running_loop()
+        end = loop.time() + bound
+        while not _holds(condition):
+            if loop.time() >= end:
+                raise CheckFailed(f"waited {bound:g} s for {what}")
+            await asyncio.sleep(LOOK)
+
+    async def make_safe(self) -> None:
+        """Ask the guard for the safe state, and wait until it is confirmed. Raises CheckFailed."""
+        self._guard.make_safe(self.binding.name, "the conformance kit asked for it")
+        await self.until(lambda: self.confirmed, SAFE, f"'{self.binding.safe_state}' to be confirmed")
+
+    async def fall_silent(self, seconds: float) -> None:
+        """Be a host that hangs for so long."""
+        await self._guard.fall_silent(seconds)
+
+    async def kill_guard(self) -> None:
+        """Kill the guard's process, and wait until the next one has opened the device."""
+        self._guard.kill()
+        await self.until(lambda: not self._guard.ready, 5.0, "the guard to be gone")
+        await self.until(lambda: self._guard.ready, BACK, "the guard to be there again")
+
+
+def _holds(condition: Callable[[], bool]) -> bool:
+    try:
+        return condition()
+    except DeviceError:
+        return False
 
 
 def checks_of(installed: Installed) -> list[Check]:

@@ -6,10 +6,11 @@ from typing import Any
 
 import msgspec
 
-from lfield.manifest import OptionValue
-
 #: The endpoint of a device whose fake has not been started yet begins so; what follows names the bus.
 SIMULATED = "sim:"
+
+#: A value of an option in a devices file.
+OptionValue = bool | int | float | str | list[int | str]
 
 
 class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):

@@ -11,16 +11,17 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Mapping, Sequence
 from inspect import Parameter as MethodParameter
 from inspect import iscoroutinefunction, signature
 from typing import Any, NamedTuple, Protocol
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import WATCHDOG, Manifest
 from lfield.driver.values import CHECKS, Check, conform
 from lfield.errors import DeviceError, PluginError
-from lfield.manifest import RELEASE, WATCHDOG, DeviceValue, Manifest
+from lfield.manifest import DeviceValue, Instruction
 
 
 class Reports(Protocol):
@@ -57,7 +58,14 @@ class Device:
 
     Authors override `_open`, `_make_safe`, for a device that has one `_set_watchdog`, and write the
     `do_...` coroutines.
+
+    A device that can do much may have `parts`: any objects, made in its constructor, whose `do_...` are
+    looked up beside its own. A part takes what it needs (often the device itself, to ask and to publish),
+    keeps its own state, and can be tested alone.
     """
+
+    #: What else carries out its instructions, each of them in one place only.
+    parts: Sequence[object] = ()
 
     def __init__(self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports) -> None:
         self.binding, self.manifest, self.clock = binding, manifest, clock
@@ -68,7 +76,7 @@ class Device:
     async def open(self) -> str:
         """Find the device and set its watchdog; its identity in words. Raises DeviceError."""
         identity = await self._open()
-        await self._check_watchdog()
+        await self.check_watchdog()
         return identity
 
     async def execute(self, instruction: str, arguments: Sequence[object]) -> DeviceValue:
@@ -78,12 +86,14 @@ class Device:
         return call.result(await call.method(*values))
 
     def _call(self, instruction: str) -> _Call:
-        """What the manifest and the class say of an instruction, worked out at its first call."""
+        """What the manifest and the classes say of an instruction, worked out at its first call."""
         declared = self.manifest.device.instruction(instruction)
         if declared is None:
             raise self.error(f"there is no instruction '{instruction}'")
         checks = tuple(CHECKS[parameter.type] for parameter in declared.parameters)
-        call = _Call(getattr(self, method_name(instruction)), checks, CHECKS[declared.result])
+        name = method_name(instruction)
+        owner = next((part for part in self.parts if hasattr(part, name)), self)
+        call = _Call(getattr(owner, name), checks, CHECKS[declared.result])
         self._calls[instruction] = call
         return call
 
@@ -91,10 +101,11 @@ class Device:
         """Bring the device into its safe state and see that it is there. Raises DeviceError."""
         await self._make_safe(self.binding.safe_state)
 
-    async def _check_watchdog(self) -> None:
-        """Nothing may be commanded unless the device stops by itself when this computer is gone.
+    async def check_watchdog(self) -> None:
+        """Set its watchdog: nothing may be commanded unless it stops by itself when this computer is gone.
 
         Its own time may be twice the guard's; where that cannot be, the binding must say so by name.
+        Raises DeviceError.
         """
         longest = 2.0 * self.binding.ttl
         seconds = await self._set_watchdog(longest)
@@ -211,17 +222,24 @@ class Driver:
         """Take them up again."""
 
 
-def check_methods(device: type[Device], manifest: Manifest) -> None:
-    """Raise PluginError unless a Device class has one coroutine for each instruction it must carry out."""
+def check_methods(device: type[Device], manifest: Manifest, parts: Iterable[object] = ()) -> None:
+    """Raise PluginError unless a Device class and its parts have one coroutine for each instruction."""
+    owners = (device, *map(type, parts))
     for instruction in manifest.device.instructions:
-        if (instruction.effect == "query" and not instruction.blocking) or instruction.name == RELEASE.name:
-            continue
-        name, wanted = method_name(instruction.name), len(instruction.parameters)
-        method = getattr(device, name, None)
-        if method is None or not iscoroutinefunction(method):
-            raise PluginError(f"{device.__name__} needs 'async def {name}' for '{instruction.name}'")
-        taken = [
-            p for p in signature(method).parameters.values() if p.kind is not MethodParameter.KEYWORD_ONLY
-        ]
-        if len(taken) != wanted + 1:
-            raise PluginError(f"{device.__name__}.{name} must take the {wanted} parameters of its manifest")
+        if instruction.effect != "query" or instruction.blocking:
+            _check_method(owners, instruction)
+
+
+def _check_method(owners: Sequence[type], instruction: Instruction) -> None:
+    name, wanted = method_name(instruction.name), len(instruction.parameters)
+    found = [owner for owner in owners if hasattr(owner, name)]
+    if len(found) > 1:
+        both = " and ".join(owner.__name__ for owner in found)
+        raise PluginError(f"{both} both define {name}: '{instruction.name}' must be carried out in one place")
+    owner = found[0] if found else owners[0]
+    method = getattr(owner, name, None)
+    if method is None or not iscoroutinefunction(method):
+        raise PluginError(f"{owner.__name__} needs 'async def {name}' for '{instruction.name}'")
+    taken = [p for p in signature(method).parameters.values() if p.kind is not MethodParameter.KEYWORD_ONLY]
+    if len(taken) != wanted + 1:
+        raise PluginError(f"{owner.__name__}.{name} must take the {wanted} parameters of its manifest")

@@ -26,8 +26,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import Manifest
 from lfield.errors import DeviceError
-from lfield.manifest import Manifest
 
 #: Seconds that one check may take, and a safe state to be confirmed.
 BOUND, SAFE = 60.0, 20.0
@@ -48,6 +48,8 @@ class Bench(Protocol):
     manifest: Manifest
     #: How long the host may be silent, in seconds, before the device goes safe.
     silence: float
+    #: Seconds from the host's last sign of life until its bus is made quiet, at the latest.
+    quiet_after: float
     #: What the guard has told since it was opened, one sentence each.
     notes: list[str]
 

@@ -10,8 +10,8 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
+from lfield.driver.contract import Manifest
 from lfield.errors import PluginError
-from lfield.manifest import Manifest
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint

@@ -31,19 +31,15 @@ import math
 import re
 from typing import cast
 
+from lfield.driver.binding import OptionValue
+from lfield.driver.contract import STANDARD, WATCHDOG, Limit, Manifest, Option
 from lfield.errors import PluginError
 from lfield.manifest import (
     DEVICE_EXCEPTIONS,
     DEVICE_VALUE_TYPES,
-    STANDARD,
-    WATCHDOG,
     DeviceManifest,
     Effect,
     Instruction,
-    Limit,
-    Manifest,
-    Option,
-    OptionValue,
     Parameter,
     Quantity,
 )
@@ -103,7 +99,6 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
         telemetry=telemetry,
         safe_states=safe_states,
         meaning=meaning,
-        bindings={option.name: option.meaning for option in options},
         capabilities=capabilities,
     )
     return Manifest(device, options, limits, waivers)
@@ -187,7 +182,7 @@ def _instruction(name: str, fields: Fields) -> Instruction:
         fields.text("channel", "motion"),
         fields.texts("raises") or DEVICE_EXCEPTIONS,
     )
-    if effect == "query" and not instruction.blocking:
+    if instruction.is_query:
         fields.report(
             "Y113",
             f"'{name}' is a query that asks nobody",

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 from lfield.errors import PluginError
 
 if TYPE_CHECKING:
+    from lfield.driver.contract import Manifest
     from lfield.driver.device import Driver
-    from lfield.manifest import Manifest
 
 
 @dataclass(frozen=True, slots=True)

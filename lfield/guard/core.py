@@ -27,8 +27,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from lfield.clock import Clock
+from lfield.driver.contract import RELEASE
 from lfield.guard.messages import Call, Done, Latched, Message, Note, Refused, Released, Stopped
-from lfield.manifest import RELEASE, DeviceManifest, DeviceValue, Instruction
+from lfield.manifest import DeviceManifest, DeviceValue, Instruction
 
 #: How long the host may be silent, in seconds (a beat comes every 50 ms).
 SILENCE = 0.2

@@ -190,7 +190,7 @@ class Shell(asyncio.Protocol):
         check_same(message.driver, self._plugin)
         driver = self._plugin.load()(message.devices, message.driver.manifests, self._clock, self)
         for device in driver.devices.values():
-            check_methods(type(device), device.manifest)
+            check_methods(type(device), device.manifest, device.parts)
         return driver
 
     # -- effects --------------------------------------------------------------------------------------

@@ -47,18 +47,22 @@ async def run_host(
     stopping = _stop_signals()
     if leash:
         _end_with_parent(stopping)
+    asyncio.get_running_loop().set_exception_handler(host.unhandled)
     life = asyncio.ensure_future(_live(host, lost_after))
     stopped = asyncio.ensure_future(stopping.wait())
+    failed = asyncio.ensure_future(host.failed.wait())
     try:
-        await asyncio.wait([life, stopped], return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait([life, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
+        if host.failure is not None:
+            return host.failure.exit_status
         if life.done():
             return life.result()
         # Without --until-done there is no other end than to be told to stop.
         return 0 if lost_after is None else 130
     finally:
-        for task in (life, stopped):
+        for task in (life, stopped, failed):
             task.cancel()
-        await asyncio.gather(life, stopped, return_exceptions=True)
+        await asyncio.gather(life, stopped, failed, return_exceptions=True)
         await host.stop()
 
 

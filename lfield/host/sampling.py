@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Protocol
 
 from lfield.capability.directory.news import Condition, Sample, Scalar, Trouble
 from lfield.capability.model import Attribute, AttributeType, Live
 from lfield.clock import Clock
-from lfield.devices.guards import Guards
 from lfield.manifest import DeviceValue
 from lfield.vm.agent import Agent
 
@@ -15,19 +15,29 @@ from lfield.vm.agent import Agent
 _LARGEST = 2.0**63
 
 
+class Devices(Protocol):
+    """The devices of a host, by name, as the host knows them without asking."""
+
+    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
+        """The last value of a telemetry quantity and its age in seconds, however old; None for none yet."""
+
+    def trouble(self, device: str) -> Trouble | None:
+        """Why a device cannot be called now; None when it can."""
+
+
 class Sampler:
-    """`agents` are those of the machine, `devices` the names of each one's device fields."""
+    """`agents` are those of the machine, `fields` the names of each one's device fields."""
 
     def __init__(
         self,
         attributes: Mapping[str, Attribute],
         agents: Mapping[str, Agent],
-        devices: Mapping[str, Iterable[str]],
-        guards: Guards,
+        fields: Mapping[str, Iterable[str]],
+        devices: Devices,
         clock: Clock,
     ) -> None:
-        self._attributes, self._agents, self._devices = attributes, agents, devices
-        self._guards, self._clock = guards, clock
+        self._attributes, self._agents, self._fields = attributes, agents, fields
+        self._devices, self._clock = devices, clock
 
     def condition(self, agent: str, live: Mapping[str, Live]) -> Condition:
         """How an agent of this host is now; `live` are its live attributes."""
@@ -42,12 +52,12 @@ class Sampler:
             return Trouble("its host does not run it")
         if running.ended:
             return Trouble(f"died of {running.report.splitlines()[0]}")
-        found = (self._guards.trouble(f"{agent}.{field}") for field in self._devices[agent])
+        found = (self._devices.trouble(f"{agent}.{field}") for field in self._fields[agent])
         return next((trouble for trouble in found if trouble), None)
 
     def _sample(self, agent: str, live: Live) -> Sample | str:
         """The value of a live attribute, or why there is none."""
-        last = self._guards.last(f"{agent}.{live.device}", live.quantity)
+        last = self._devices.last(f"{agent}.{live.device}", live.quantity)
         if last is None:
             return f"{live.device} has not reported {live.quantity}"
         value, age = last

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from lfield.clock import Clock
+from lfield.devices.guards import Guards
+from lfield.host.core import HostCore
+from lfield.net.peers import Peers
 from lfield.vm.agent import Agent
 from lfield.vm.memory.layout import (
     BLOCKED,
@@ -19,36 +23,35 @@ from lfield.vm.memory.layout import (
 from lfield.vm.memory.threads import threads
 from lfield.wire.messages import Known
 
-if TYPE_CHECKING:
-    from lfield.host.host import Host
-
 #: The states of threads, the liveliest first.
 _LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
 
 
-def status_of(host: Host) -> dict[str, Any]:
-    """The agents, coordinators, links and devices of a host."""
-    now = host.clock.monotonic()
+def status_of(
+    core: HostCore, peers: Peers, guards: Guards, address: str, up: float, clock: Clock
+) -> dict[str, Any]:
+    """The agents, coordinators, links and devices of a host that has been `up` for so many seconds."""
+    now = clock.monotonic()
     return {
-        "host": host.name,
-        "address": host.address,
-        "up": round(now - host.started, 3),
-        "program": host.mission.program.digest.hex()[:16],
-        "deployment": host.team.deployment.hex()[:16],
-        "agents": [_agent(agent) for agent in host.machine.agents.values()],
-        "coordinators": coordinators_of(host),
-        "linked": sorted(host.peers.incarnations),
-        "away": {name: round(now - since, 3) for name, since in host.peers.away.items()},
-        "devices": {name: dict(values) for name, values in host.guards.telemetry.items()},
-        "silences": {name: round(seconds, 3) for name, seconds in host.guards.silences.items()},
-        "latched": dict(host.guards.latched),
-        "directory": host.reporting.status(),
+        "host": core.name,
+        "address": address,
+        "up": round(up, 3),
+        "program": core.mission.program.digest.hex()[:16],
+        "deployment": core.team.deployment.hex()[:16],
+        "agents": [_agent(agent) for agent in core.machine.agents.values()],
+        "coordinators": coordinators_of(core),
+        "linked": sorted(peers.incarnations),
+        "away": {name: round(now - since, 3) for name, since in peers.away.items()},
+        "devices": {name: dict(values) for name, values in guards.telemetry.items()},
+        "silences": {name: round(seconds, 3) for name, seconds in guards.silences.items()},
+        "latched": dict(guards.latched),
+        "directory": core.directory.status(),
     }
 
 
-def coordinators_of(host: Host) -> list[dict[str, Any]]:
+def coordinators_of(core: HostCore) -> list[dict[str, Any]]:
     """What a host knows of every coordinator it has seen."""
-    return [_coordinator(known) for known in host.mobility.knowledge()]
+    return [_coordinator(known) for known in core.mobility.knowledge()]
 
 
 def _agent(agent: Agent) -> dict[str, Any]:

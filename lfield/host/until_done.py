@@ -25,9 +25,9 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
     before: dict[str, Fate] = {}
     while True:
         host.changed.clear()
-        found = fates(homes, {host.name: coordinators_of(host)}, ())
+        found = fates(homes, {host.name: coordinators_of(host.core)}, ())
         gone = host.peers.gone_for(lost_after, unmet)
-        if wanted - found.keys() and (gone or host.restarted):
+        if wanted - found.keys() and (gone or host.core.restarted):
             now = fates(homes, await host.ask_others(), gone)
             found = {agent: fate for agent, fate in now.items() if fate.outcome != "lost" or agent in before}
             before = now

@@ -18,9 +18,8 @@ import msgspec
 from lfield.errors import ProgramError
 from lfield.lang import messages
 from lfield.lang.deployment_line import Entry, read_line
-from lfield.lang.reading import MAX_BYTES, bad_byte
 from lfield.lang.tree import UnitKind
-from lfield.text.files import read_bytes
+from lfield.text.files import MAX_TEXT, bad_byte, read_bytes
 from lfield.text.source import Diagnostic, Diagnostics, Source, Span
 from lfield.text.suggest import did_you_mean, listed
 
@@ -110,7 +109,7 @@ def parse_deployment(
 
 def read_deployment(path: Path, units: Mapping[str, UnitKind] | None) -> Deployment:
     """The deployment of a file. Raises InputFileError, or ProgramError with all that is wrong in it."""
-    data = read_bytes(path, MAX_BYTES)
+    data = read_bytes(path, MAX_TEXT)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -14,7 +14,10 @@ import msgspec
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers, KnownDriver
 from lfield.guard.core import SILENCE
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
+
+#: A heap is addressed by 32-bit offsets; below a page not even an empty agent fits.
+MIN_HEAP, MAX_HEAP = 1 << 12, 1 << 31
 
 #: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
 Needed = Mapping[str, Mapping[str, str]]

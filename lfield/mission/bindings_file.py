@@ -29,16 +29,16 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from lfield.driver.binding import DeviceBinding
+from lfield.driver.binding import DeviceBinding, OptionValue
+from lfield.driver.contract import Manifest, Option
 from lfield.driver.known import Drivers
 from lfield.errors import BindingError
 from lfield.guard.core import SILENCE
-from lfield.manifest import Manifest, Option, OptionValue
-from lfield.mission.bindings import Bindings, Needed, each_needed, maker_of, on_fakes
+from lfield.mission.bindings import MAX_HEAP, MIN_HEAP, Bindings, Needed, each_needed, maker_of, on_fakes
 from lfield.text.source import Diagnostics
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Node, Scalar, describe, read
-from lfield.vm.limits import MAX_HEAP, MIN_HEAP, Limits
+from lfield.vm.contract import Limits
 
 _UNITS = {"B": 1, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 _SIZE = re.compile(r"([0-9]{1,12})\s*(B|KiB|MiB|GiB)")

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import KnownDrivers
 from lfield.errors import BundleError
-from lfield.mission.bindings import Bindings, Needed, each_needed
+from lfield.mission.bindings import MAX_HEAP, MIN_HEAP, Bindings, Needed, each_needed
 from lfield.mission.team import Row
-from lfield.vm.limits import MAX_HEAP, MIN_HEAP, Limits
+from lfield.vm.contract import Limits
 from lfield.wire.messages import MAX_NAME
 
 #: Agents are counted in 16 bits in the reports of hosts.

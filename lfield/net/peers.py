@@ -14,6 +14,7 @@ from typing import Protocol
 
 from lfield.clock import Clock
 from lfield.errors import AddressError, GreetingError, LfieldError
+from lfield.loop import spawn
 from lfield.net.greeting import Greeting
 from lfield.net.transport import Link, Listener, Transport
 from lfield.wire.framing import Buffer
@@ -107,10 +108,10 @@ class Peers:
         now = self._clock.monotonic()
         self.away = {host: now for i, host in enumerate(self._hosts) if i != self._here}
         for number in range(self._here + 1, len(self._hosts)):
-            self._tasks.append(asyncio.create_task(self._keep_calling(number)))
+            self._tasks.append(spawn(self._keep_calling(number)))
         if not self._unheard:
             self._all_heard.set()
-        self._tasks.append(asyncio.create_task(self._keep_alive()))
+        self._tasks.append(spawn(self._keep_alive()))
         return self._listener.address
 
     async def first_round(self, bound: float) -> None:

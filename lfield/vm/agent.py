@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits, Reading
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
-from lfield.vm.readings import Reading
 
 
 @dataclass(frozen=True, slots=True)

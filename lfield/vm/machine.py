@@ -16,8 +16,7 @@ from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
-from lfield.vm.exits import Blocked, Done, Exit, NoRoom, Outside, Spent, Thrown, Trap
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Reading, Spent, Thrown, Trap
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import collect, compact
@@ -26,7 +25,6 @@ from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.values import new_exception, word_for
 from lfield.vm.outside import Outsiders
-from lfield.vm.readings import Reading
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.world import World
 
@@ -80,6 +78,8 @@ class Machine:
             self._scheduler.with_room(agent, lambda: self._begin(agent, record))
         except Trap as trap:
             self._scheduler.die(agent, f"LimitException: {trap.message}")
+        except Exception as error:
+            self._break(agent, 0, error)
         return agent
 
     def _begin(self, agent: Agent, record: int) -> None:

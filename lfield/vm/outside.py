@@ -10,7 +10,7 @@ from lfield.bytecode.program import ARRAY, PROXY
 from lfield.errors import ConstraintError, DeviceError
 from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
-from lfield.vm.exits import Outside
+from lfield.vm.contract import Outside
 from lfield.vm.memory import layout
 from lfield.vm.memory.layout import PARKED, WAITING
 from lfield.vm.memory.threads import still_image

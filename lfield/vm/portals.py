@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lfield.bytecode.program import BUILTIN_CLASSES, REFERENCES, TRACE
 from lfield.vm.agent import Agent, Member
-from lfield.vm.exits import Trap
+from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import CALLING, W_SELF
@@ -63,7 +63,7 @@ def begin(
 
 def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word: int) -> None:
     """A portal returned: its caller goes on with a copy of the result."""
-    caller, waiter = scheduler.calls.pop(number)
+    caller, waiter = scheduler.calls[number]
     resource.served += 1
     group = scheduler.engine.group(scheduler.standing(caller, waiter))
     if group.kind in REFERENCES and word:
@@ -73,12 +73,14 @@ def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word
     else:
         scheduler.engine.complete(caller.block, scheduler.place(caller, waiter), word)
         scheduler.turns.next(caller, waiter)
+    # Until here whoever waits would hear of the resource's end.
+    del scheduler.calls[number]
     scheduler.forget(resource, thread)
 
 
 def fail(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:
     """A portal threw: its caller gets a copy of the object, with the lines it came from."""
-    caller, waiter = scheduler.calls.pop(number)
+    caller, waiter = scheduler.calls[number]
     resource.served += 1
     lines = traceback.lines(resource.block, scheduler.program, place_of(resource.block, thread))
 
@@ -97,5 +99,6 @@ def fail(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown
         scheduler.refuse(caller, waiter, trap.kind, trap.message, resource.id)
     else:
         scheduler.throw(caller, waiter, copied)
+    del scheduler.calls[number]
     scheduler.forget(resource, thread)
     scheduler.give_back(resource, thread)

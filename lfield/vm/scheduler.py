@@ -11,7 +11,7 @@ from typing import TypeVar
 from lfield.bytecode.program import REFERENCES, Program
 from lfield.clock import Clock
 from lfield.vm.agent import Agent
-from lfield.vm.exits import Trap
+from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Full

@@ -8,8 +8,8 @@ from typing import Final, Protocol
 from lfield.bytecode.program import DeviceCall
 from lfield.manifest import DeviceValue
 from lfield.vm.agent import Agent, Member
+from lfield.vm.contract import Reading
 from lfield.vm.offers import Found
-from lfield.vm.readings import Reading
 
 
 class Pending:

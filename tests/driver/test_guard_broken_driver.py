@@ -8,12 +8,10 @@ import sys
 
 import pytest
 
-from lfield.clock import SystemClock
-from lfield.devices.bench import LiveBench
-from lfield.devices.guards import Guards
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
+from lfield.testing.driver_bench import guarded
 
 pytestmark = pytest.mark.process
 
@@ -85,14 +83,8 @@ def binding(endpoint: str) -> DeviceBinding:
 
 def run(plugins, story):
     async def main():
-        notes: list[str] = []
-        guards = Guards(plugins, SystemClock(), notes.append, silence=5.0)
-        await guards.open([binding("here")])
-        try:
-            manifest = plugins.by_driver["clumsy"].manifests["Thing"]
-            await story(LiveBench(guards, binding("here"), manifest, notes, silence=5.0))
-        finally:
-            await guards.close()
+        async with guarded(binding("here"), plugins=plugins, silence=5.0) as (bench,):
+            await story(bench)
 
     asyncio.run(main())
 
@@ -118,7 +110,8 @@ def test_a_failure_that_nobody_waits_for_is_told_and_stops_nothing(plugins):
 
 def test_a_callback_that_raises_while_the_device_is_opened(plugins):
     async def opening():
-        await Guards(plugins, SystemClock(), print).open([binding("at once")])
+        async with guarded(binding("at once"), plugins=plugins):
+            raise AssertionError("it was opened")
 
     with pytest.raises(DevicesError, match=r"the driver failed: RuntimeError\('stumbled'\)"):
         asyncio.run(opening())

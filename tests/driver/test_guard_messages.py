@@ -7,11 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import STANDARD, Manifest, Option
 from lfield.driver.known import KnownDriver, ManifestFile
 from lfield.driver.values import conform
 from lfield.errors import WireError
 from lfield.guard.messages import MESSAGES, Call, Done, MessageReader, Open, Snapshot, encode
-from lfield.manifest import STANDARD, DeviceManifest, Manifest, Option, Quantity
+from lfield.manifest import DeviceManifest, Quantity
 
 BINDING = DeviceBinding(
     agent="a",

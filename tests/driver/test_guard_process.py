@@ -13,15 +13,13 @@ from contextlib import asynccontextmanager
 import msgspec
 import pytest
 
-from lfield.clock import SystemClock
-from lfield.devices.fakes import Fake, start_fake
-from lfield.devices.guards import Guards
+from lfield.devices.fakes import start_fake
 from lfield.driver.binding import SIMULATED
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import Sims
 from lfield.errors import BindingError, DeviceError
 from lfield.mission.bindings_file import read_bindings
-from lfield.vm.world import PENDING
+from lfield.testing.driver_bench import RunningFake, guarded, running_fake
 
 pytestmark = pytest.mark.process
 
@@ -35,24 +33,6 @@ def plugins() -> Plugins:
     return found
 
 
-class Brisk(dict):
-    """The fakes, with brisk ones for `mavlink`."""
-
-    references = {"mavlink": "lfield_sim.mavlink:SIM"}
-
-    def __init__(self, *options: str) -> None:
-        sims = Sims()
-        sims.add("lfield_sim.mavlink:SIM")
-        sim = sims["mavlink"]
-        self.options = options
-
-        class Faster(type(sim)):
-            def arguments(self, values):
-                return [*sim.arguments(values), *BRISK, *options]
-
-        super().__init__(mavlink=Faster())
-
-
 def binding(endpoint=SIMULATED, **changes):
     bound = read_bindings(None, {"alpha": {"fc": "Mavlink"}}, plugins(), simulate=True).devices["alpha"]["fc"]
     options = bound.options | changes.pop("options", {})
@@ -60,68 +40,15 @@ def binding(endpoint=SIMULATED, **changes):
 
 
 @asynccontextmanager
-async def fake(*options: str):
-    running = await start_fake(Brisk(*options), [binding()])
-    try:
+async def fake():
+    with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", *BRISK) as running:
         yield running
-    finally:
-        await running.stop()
-
-
-class Flight:
-    """Guards with one device, and calls that can be awaited."""
-
-    def __init__(self) -> None:
-        self.notes: list[str] = []
-        self.noted = asyncio.Event()
-        # Longer than the 0.2 s of a robot: a test machine may be busy with other things.
-        self.guards = Guards(plugins(), SystemClock(), self._note, silence=2.0)
-
-    def _note(self, text: str) -> None:
-        self.notes.append(text)
-        self.noted.set()
-
-    async def told(self, words: str) -> str:
-        """Wait for a note with these words."""
-        async with asyncio.timeout(20):
-            while True:
-                self.noted.clear()
-                for note in self.notes:
-                    if words in note:
-                        return note
-                await self.noted.wait()
-
-    async def call(self, instruction: str, *arguments: float):
-        answer = asyncio.get_running_loop().create_future()
-        value = self.guards.call("alpha", "fc", instruction, arguments, answer.set_result)
-        if value is not PENDING:
-            return value
-        async with asyncio.timeout(20):
-            value = await answer
-        if isinstance(value, DeviceError):
-            raise value
-        return value
-
-    def guard_pid(self) -> int:
-        (guard,) = self.guards._guards
-        assert guard._transport is not None
-        return guard._transport.get_pid()
 
 
 @asynccontextmanager
-async def flying(running: Fake, **changes):
-    flight = Flight()
-    await flight.guards.open([binding(running.endpoint, **changes)])
-    try:
+async def flying(running: RunningFake, **changes):
+    async with guarded(binding(running.endpoint, **changes)) as (flight,):
         yield flight
-    finally:
-        await flight.guards.close()
-
-
-async def wait_for(flight: Flight, quantity: str, value: object) -> None:
-    async with asyncio.timeout(20):
-        while await flight.call(quantity) != value:
-            await asyncio.sleep(0.02)
 
 
 def test_a_flight_through_guard_and_fake():
@@ -137,7 +64,7 @@ def test_a_flight_through_guard_and_fake():
             assert abs(north - 6.0) < 0.6
             assert abs(east + 3.0) < 0.6
             await flight.call("land")
-            await wait_for(flight, "landed", True)
+            await flight.reads("landed", bool)
             assert await flight.call("age") < 2.0
             assert 0.5 < await flight.call("battery") <= 1.0
 
@@ -153,7 +80,7 @@ def test_a_setpoint_that_is_over_latches_the_safe_state():
             await flight.told("is in its safe state 'hold': the setpoint's time-to-live of 1 s is over")
             with pytest.raises(DeviceError, match=r"call release\(\) first"):
                 await flight.call("goTo", 0.0, 0.0, -3.0)
-            assert "alpha.fc" in flight.guards.latched
+            assert flight.latched
             await flight.call("release")
             await flight.call("goTo", 0.0, 0.0, -3.0)
 
@@ -168,7 +95,7 @@ def test_closing_lands_what_flies():
                 await flight.call("takeoff", 3.0)
             assert "alpha.fc: is in its safe state 'land': the host is stopping" in flight.notes
             async with flying(f) as again:
-                await wait_for(again, "armed", False)
+                await again.reads("armed", lambda now: now is False)
 
     asyncio.run(mission())
 
@@ -180,7 +107,7 @@ def test_a_guard_that_dies_is_started_again_and_comes_back_safe():
             await flight.call("takeoff", 3.0)
             lost = asyncio.create_task(flight.call("goTo", 500.0, 0.0, -3.0))
             await asyncio.sleep(0)
-            os.kill(flight.guard_pid(), signal.SIGKILL)
+            os.kill(flight.guard_pid, signal.SIGKILL)
             with pytest.raises(DeviceError, match=r"goTo\(\) is lost: the guard ended with status -9"):
                 await lost
             await flight.told("is in its safe state 'hold': its guard died and was started again")
@@ -193,7 +120,7 @@ def test_a_guard_that_dies_is_started_again_and_comes_back_safe():
 def test_a_guard_that_hangs_is_noticed_and_replaced():
     async def mission():
         async with fake() as f, flying(f) as flight:
-            os.kill(flight.guard_pid(), signal.SIGSTOP)
+            os.kill(flight.guard_pid, signal.SIGSTOP)
             await flight.told("the guard of alpha.fc hangs")
             await flight.told("is in its safe state 'land': its guard died and was started again")
 
@@ -210,7 +137,7 @@ def test_a_stopped_host_is_silence(tmp_path):
                 await asyncio.to_thread(host.stdout.readline)
                 host.send_signal(signal.SIGSTOP)
                 async with flying(f) as watcher:
-                    await wait_for(watcher, "mode", "LAND")
+                    await watcher.reads("mode", lambda now: now == "LAND")
             finally:
                 host.kill()
                 host.communicate()
@@ -226,8 +153,8 @@ def test_a_killed_host_leaves_the_vehicle_landed():
             host.kill()
             await asyncio.to_thread(host.communicate)
             async with flying(f) as watcher:
-                await wait_for(watcher, "mode", "LAND")
-                await wait_for(watcher, "armed", False)
+                await watcher.reads("mode", lambda now: now == "LAND")
+                await watcher.reads("armed", lambda now: now is False)
 
     asyncio.run(mission())
 
@@ -237,15 +164,14 @@ def start_host(endpoint: str) -> subprocess.Popen[bytes]:
     code = f"""
         import asyncio, sys
         sys.path.insert(0, {os.path.dirname(__file__)!r})
-        from test_guard_process import Flight, binding
+        from test_guard_process import binding, guarded
 
         async def main():
-            flight = Flight()
-            await flight.guards.open([binding({endpoint!r})])
-            await flight.call("arm")
-            await flight.call("takeoff", 5.0)
-            print("up", flush=True)
-            await asyncio.sleep(3600)
+            async with guarded(binding({endpoint!r})) as (flight,):
+                await flight.call("arm")
+                await flight.call("takeoff", 5.0)
+                print("up", flush=True)
+                await asyncio.sleep(3600)
 
         asyncio.run(main())
     """
@@ -256,7 +182,8 @@ def start_host(endpoint: str) -> subprocess.Popen[bytes]:
 
 def opening(*devices) -> str:
     async def attempt():
-        await Flight().guards.open(list(devices))
+        async with guarded(*devices):
+            raise AssertionError("they were opened")
 
     with pytest.raises(BindingError) as error:
         asyncio.run(attempt())

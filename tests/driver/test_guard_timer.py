@@ -6,11 +6,12 @@ import asyncio
 from types import SimpleNamespace
 
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import Manifest
 from lfield.driver.device import Device, Driver
 from lfield.driver.known import KnownDriver, ManifestFile
 from lfield.guard.messages import Beat, Call, Latched, MessageReader, Open, encode
 from lfield.guard.process import Shell
-from lfield.manifest import DeviceManifest, Instruction, Manifest
+from lfield.manifest import DeviceManifest, Instruction
 from lfield.simulate.time import JumpingLoop, LoopClock
 
 SILENCE = 0.2

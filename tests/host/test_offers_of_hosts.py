@@ -8,7 +8,7 @@ import pytest
 
 from lfield.capability.directory.news import Trouble
 from lfield.errors import ConstraintError
-from lfield.host.reporting import LOOK_EVERY
+from lfield.host.directory import LOOK_EVERY
 from lfield.wire.messages import AgentReport, FactReport, Report
 
 CRANES = """
@@ -70,7 +70,7 @@ def known(running, agent):
 
 
 def offered(running, constraint=None):
-    found = running.host.offers(None, "Lift", constraint)
+    found = running.host.core.offers(None, "Lift", constraint)
     return [offer.agent for offer in found]
 
 
@@ -106,7 +106,7 @@ def test_however_often_something_changes_a_host_tells_it_at_a_bounded_rate(fleet
         before = team.network.sent["Report"]
         for step in range(500):
             devices.values["far.fc", "battery"] = (step / 500, 0.0)
-            bravo.host.offers(None, "Lift", None)
+            bravo.host.core.offers(None, "Lift", None)
             await asyncio.sleep(0.02)
         assert team.network.sent["Report"] - before <= 10.0 / LOOK_EVERY + 1
 
@@ -133,16 +133,16 @@ coordinator Foreman {
     async def story(team):
         alpha, *_ = await two_hosts(team, program)
         await asyncio.sleep(4.9)
-        alpha.host.offers(None, "Lift", None)
+        alpha.host.core.offers(None, "Lift", None)
         before = team.network.sent.copy()
         sent = {}
-        writes = alpha.host.log
+        writes = alpha.host.core.log
 
         def log(agent, text):
             sent.update(team.network.sent - before)
             writes(agent, text)
 
-        alpha.host.log = log
+        alpha.host.core.log = log
         await team.until(lambda: "2000 offers" in alpha.log)
         assert "2000 offers, 0 hops; small: payload 1 < 2.0" in alpha.log.replace("1.0 <", "1 <")
         assert not (sent.keys() - {"Ping", "Pong"})
@@ -156,16 +156,16 @@ def test_why_an_agent_is_not_offered(fleet):
         near.troubles["near.fc"] = Trouble("fc: in its safe state hold: the host was silent")
         far.troubles["far.fc"] = Trouble("fc: not heard", asyncio.get_running_loop().time() - 3.0)
         assert sorted(offered(alpha)) == ["far", "small"]
-        assert "near: fc: in its safe state hold: the host was silent" in alpha.host.explain(
+        assert "near: fc: in its safe state hold: the host was silent" in alpha.host.core.explain(
             None, "Lift", None
         )
         await asyncio.sleep(1.5)
         assert offered(alpha) == offered(bravo) == ["small"]
-        assert "far: fc: not heard for 4.5 s" in alpha.host.explain(None, "Lift", None)
+        assert "far: fc: not heard for 4.5 s" in alpha.host.core.explain(None, "Lift", None)
         team.network.partition("alpha", "bravo")
         await asyncio.sleep(12.0)
         assert offered(alpha) == []
-        assert "small: unreachable for 12 s" in alpha.host.explain(None, "Lift", None)
+        assert "small: unreachable for 12 s" in alpha.host.core.explain(None, "Lift", None)
         del far.troubles["far.fc"]
         team.network.heal("alpha", "bravo")
         await asyncio.sleep(3.0)
@@ -185,7 +185,7 @@ def test_a_resource_that_died_is_not_offered(fleet):
         assert "far" in offered(alpha)
         await asyncio.sleep(5.0)
         assert "far" not in offered(alpha)
-        assert "far: died of " in alpha.host.explain(None, "Lift", None)
+        assert "far: died of " in alpha.host.core.explain(None, "Lift", None)
 
     fleet(story)
 
@@ -249,7 +249,7 @@ def test_a_report_that_its_host_cannot_make_is_left_out_and_told_once(fleet, age
         await asyncio.sleep(2.0)
         before = known(alpha, "far")
         for sequence in (1000, 1001):
-            bravo.host.peers.send("alpha", Report(bravo.host.incarnation, 0, sequence, agents))
+            bravo.host.peers.send("alpha", Report(bravo.host.core.incarnation, 0, sequence, agents))
         await asyncio.sleep(0.5)
         assert alpha.log.count("ignored a report: ") == 1
         assert why in alpha.log
@@ -308,8 +308,8 @@ def test_a_condition_that_cannot_be_read_is_an_error_with_its_mistakes(fleet):
     async def story(team):
         alpha, *_ = await two_hosts(team)
         with pytest.raises(ConstraintError):
-            alpha.host.offers(None, "Lift", "paylod >= 2.0")
+            alpha.host.core.offers(None, "Lift", "paylod >= 2.0")
         with pytest.raises(ConstraintError):
-            alpha.host.explain(None, "Lift", "payload >=")
+            alpha.host.core.explain(None, "Lift", "payload >=")
 
     fleet(story)

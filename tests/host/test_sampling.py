@@ -153,7 +153,7 @@ def test_a_device_is_lost_when_it_is_silent_for_longer_than_its_quickest_value_m
 
 def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
     clock = ManualClock()
-    guard = Guard(installed.by_driver["mavlink"], [bound], clock, lambda text: None, 0.2)
+    guard = Guard(installed.by_driver["mavlink"], [bound], clock, lambda text: None, 0.2, lambda: True)
     assert guard.trouble("sky.fc") == Trouble("fc: its guard has died and is being started again")
     guard._ready = True
     assert guard.trouble("sky.fc") is None

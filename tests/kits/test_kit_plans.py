@@ -9,7 +9,7 @@ import pytest
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.kit import run_kit
 from lfield.errors import DeviceError
-from lfield_mavlink.kit_plans import PLANS
+from lfield_mavlink.kit.plans import PLANS
 
 #: The name of a check, and the instructions by which it reads, writes and clears its plan.
 MISSION = (

@@ -10,12 +10,14 @@ from typing import Any
 
 from lfield.errors import DeviceError
 from lfield.simulate.time import run_jumping
-from lfield_mavlink.dialect import Reader, Writer, dialect
-from lfield_mavlink.peer import Peer
+from lfield_mavlink.link.dialect import Reader, Writer, dialect
 
 
 class Channel:
-    """Both directions of a link, in bytes. `vehicle` is called with each message; what it returns is sent."""
+    """Both directions of a link, in bytes, and the Peer of a service at its end.
+
+    `vehicle` is called with each message; what it returns is sent.
+    """
 
     def __init__(
         self,
@@ -33,15 +35,16 @@ class Channel:
         self.handlers: defaultdict[int, list[Callable[[Any], None]]] = defaultdict(list)
         self.up = (Writer(), Reader())
         self.down = (dialect.MAVLink(None, srcSystem=1, srcComponent=1), Reader())
+        self.system = 1
         #: Raises in tests where the link is lost.
         self.check_link: Callable[[], None] = lambda: None
-        self.peer = Peer(
-            1,
-            self.send,
-            lambda kind, handler: self.handlers[kind].append(handler),
-            make_error,
-            lambda: self.check_link(),
-        )
+
+    def on(self, message_id: int, handler: Callable[[Any], None]) -> None:
+        """The service wants messages of this id."""
+        self.handlers[message_id].append(handler)
+
+    def error(self, reason: str, *, timeout: bool = False) -> DeviceError:
+        return DeviceError("fc", reason, kind="DeviceTimeoutException" if timeout else "DeviceException")
 
     def send(self, message: Any) -> None:
         """From the service to the vehicle."""
@@ -74,10 +77,6 @@ class Channel:
     def kinds(self) -> list[str]:
         """The names of what the service has sent."""
         return [message.get_type() for message in self.sent]
-
-
-def make_error(reason: str, *, timeout: bool = False) -> DeviceError:
-    return DeviceError("fc", reason, kind="DeviceTimeoutException" if timeout else "DeviceException")
 
 
 def run(work: Any, seconds: float = 1e6) -> Any:

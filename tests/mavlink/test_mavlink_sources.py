@@ -7,8 +7,7 @@ import pytest
 from lfield.driver.device import check_methods
 from lfield.lang.frontend import check_file, check_text
 from lfield_mavlink import PLUGIN
-from lfield_mavlink.state import SOURCES
-from lfield_mavlink.vehicle import MavlinkVehicle
+from lfield_mavlink.contact.state import SOURCES
 
 MANIFESTS = PLUGIN.read_manifests()
 DEVICES = {name: manifest.device for name, manifest in MANIFESTS.items()}
@@ -62,8 +61,11 @@ def test_a_mission_includes_them():
     assert [d.render() for d in checked.diagnostics] == []
 
 
-def test_every_instruction_has_its_method():
-    check_methods(MavlinkVehicle, MANIFESTS["Mavlink"])
+def test_every_instruction_has_its_method(bench):
+    async def look(fc):
+        check_methods(type(fc), MANIFESTS["Mavlink"], fc.parts)
+
+    bench().run(look, opened=False)
 
 
 def test_every_quantity_that_is_asked_for_has_a_rate():

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from missions import PLAIN_DEPLOYMENT, write_plain, write_rich
 
-from lfield.capability.reading.digest import digest as digest_of_registry
+from lfield.capability.reading.reader import digest as digest_of_registry
 from lfield.errors import BundleError, InputFileError
 from lfield.lang.deployment import read_deployment
 from lfield.mission import bundle

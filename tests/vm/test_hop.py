@@ -14,7 +14,7 @@ from lfield.clock import ManualClock
 from lfield.errors import BlockError
 from lfield.testing.golden import Desk, compile_text, settle
 from lfield.vm.agent import Agent, Member
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
 

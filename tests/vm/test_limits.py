@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lfield.testing.golden import run_text
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 
 GOOD = """
 resource Good { init(string[] arg) { } portal hello() emit string { return "still here"; } }

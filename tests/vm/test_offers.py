@@ -17,7 +17,7 @@ from lfield.capability.reading.reader import read_registry
 from lfield.clock import ManualClock
 from lfield.testing.golden import Desk, compile_text, settle
 from lfield.vm.agent import Member
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full

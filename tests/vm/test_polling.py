@@ -6,7 +6,7 @@ import random
 
 from lfield.clock import ManualClock
 from lfield.testing.golden import Desk, compile_text, settle, team_for
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
 
 

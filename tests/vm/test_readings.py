@@ -12,10 +12,9 @@ from lfield.errors import DeviceError
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceManifest, Instruction
 from lfield.testing.golden import Desk, settle, team_for
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits, Reading
 from lfield.vm.machine import Machine
 from lfield.vm.memory.values import word_of
-from lfield.vm.readings import Reading
 
 GAUGE = DeviceManifest(
     "Gauge",

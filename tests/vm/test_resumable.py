@@ -10,7 +10,7 @@ import pytest
 from lfield.clock import ManualClock
 from lfield.testing.golden import Desk, compile_text, team_for
 from lfield.vm import machine as machine_module
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Limits
 from lfield.vm.machine import Machine
 from lfield.vm.memory.collector import collect
 

@@ -10,7 +10,7 @@ from lfield.capability.condition import Mistake
 from lfield.capability.matching import expression
 from lfield.capability.matching.expression import Scope
 from lfield.capability.model import Provider, Registry
-from lfield.capability.reading.shipped import is_shipped
+from lfield.capability.reading.reader import is_shipped
 from lfield.capability.reading.signatures import signatures_of
 from lfield.capability.types.generate import Served, class_text, prelude
 from lfield.capability.types.program_check import check_against, check_classes

@@ -122,7 +122,7 @@ def _write_inputs(args: argparse.Namespace, watch: Watch) -> None:
     """What the bundle was made of, and what would count if it were there."""
     import msgspec
 
-    from lfield.capability.reading.shipped import shipped_folder
+    from lfield.capability.reading.reader import shipped_folder
     from lfield.mission.load import CAPABILITIES, DEVICES
 
     looked_for = [args.file.with_suffix(suffix) for suffix in (CAPABILITIES, DEVICES)]

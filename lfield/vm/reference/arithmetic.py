@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
-from lfield.vm.exits import Trap
+from lfield.vm.contract import Trap
 from lfield.vm.reference.registers import Registers, Step
 
 Int2 = Callable[[int, int], int]

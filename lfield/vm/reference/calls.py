@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lfield.vm.exits import BLOCKED, Done, Outside, Trap
+from lfield.vm.contract import BLOCKED, Done, Outside, Trap
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import template
 from lfield.vm.memory.layout import FRAME, FRAME_CALLER, FRAME_DEPTH, FRAME_RETURN, FRAME_SLOTS

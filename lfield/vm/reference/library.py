@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from lfield.bytecode.program import BUILTIN_CLASSES, MESSAGE, SOURCE
-from lfield.vm.exits import Trap
+from lfield.vm.contract import Trap
 from lfield.vm.memory import layout
 from lfield.vm.memory.values import real_text
 from lfield.vm.reference.registers import Registers, null_use

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lfield.vm.exits import Trap
+from lfield.vm.contract import Trap
 from lfield.vm.memory.block import template
 from lfield.vm.memory.layout import ARRAY, OBJECT
 from lfield.vm.reference.registers import Registers, Step, null_use

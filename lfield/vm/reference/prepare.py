@@ -8,9 +8,8 @@ from typing import Any
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import REAL, VOID, DeviceCall, MethodRecord, Program, Quad
-from lfield.vm.exits import Trap
+from lfield.vm.contract import PLAIN, Trap
 from lfield.vm.memory.layout import Layouts
-from lfield.vm.readings import PLAIN
 from lfield.vm.reference import arithmetic, calls, memory
 from lfield.vm.reference.calls import Argument
 from lfield.vm.reference.library import FUNCTIONS, Function

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from lfield.vm.exits import Exit, Trap
-from lfield.vm.limits import Limits
+from lfield.vm.contract import Exit, Limits, Reading, Trap
 from lfield.vm.memory.block import Block
-from lfield.vm.readings import Reading
 
 #: The number of no instruction: the engine leaves, `Registers.exit` says why.
 LEAVE = -1

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from lfield.bytecode.program import Program
-from lfield.vm.exits import SPENT, Exit, NoRoom, Thrown, Trap
-from lfield.vm.limits import Limits
+from lfield.vm.contract import SPENT, Exit, Limits, NoRoom, Reading, Thrown, Trap
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import (
     FRAME_SLOTS,
@@ -16,7 +15,6 @@ from lfield.vm.memory.layout import (
     Layouts,
 )
 from lfield.vm.memory.values import EXCEPTION_WORDS, new_exception
-from lfield.vm.readings import Reading
 from lfield.vm.reference.prepare import Group, Prepared, Raised, prepare
 from lfield.vm.reference.registers import LEAVE, Registers
 from lfield.vm.reference.unwind import find_handler, unwind

@@ -63,7 +63,7 @@ class CanSim:
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
         """A bus with the devices of these bindings behind socketcand; two on one node are one device."""
-        from lfield_sim.can.fleet import parse, spec_of
+        from lfield_sim.can.specs import parse, spec_of
 
         specs: dict[str, str] = {}
         for binding in devices:
@@ -74,9 +74,9 @@ class CanSim:
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until told to end; 0."""
-        from lfield_sim.can.fleet import build, parse
+        from lfield_sim.can.bus import FAULTS
         from lfield_sim.can.server import run
-        from lfield_sim.can.troubles import FAULTS
+        from lfield_sim.can.specs import build, parse
 
         doors = [parse_listen(text) for text in args.listen or ["socketcand:127.0.0.1:0"]]
         specs = [parse(text) for text in args.device]

@@ -1,4 +1,4 @@
-"""The bus: who transmits when, who hears it, and what is lost on the way. Pure: time is given.
+"""The bus and its frames: who transmits when, who hears it, what goes wrong. Pure: time is given.
 
 A frame takes its time at the bit rate. Of the frames that wait when the bus becomes free the lowest rank goes
 first. A corrupted frame ends in an error frame and is repeated; transmit errors count by ISO 11898-1 (8 up,
@@ -12,13 +12,71 @@ import itertools
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
-from lfield_sim.can.frame import ERROR_BUS_OFF, ERROR_PROTOCOL, Frame
-from lfield_sim.faults import Faults
+from lfield_sim.faults import Fault, Faults, share
 
+#: The lengths that a CAN FD frame can have, by data length code.
+FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+STANDARD_MASK, EXTENDED_MASK = 0x7FF, 0x1FFFFFFF
+
+#: Error frames carry, as in Linux's can/error.h, what happened in their identifier.
+ERROR_PROTOCOL, ERROR_BUS_OFF = 0x20000088, 0x20000040
 #: Bits of recessive level after which a bus-off node takes part again.
 RECOVERY_BITS = 128 * 11
 WARNING, PASSIVE, BUS_OFF = 96, 128, 256
+
+#: A fault as one device sees it: its name in, its value out.
+Flaw = Callable[[str], Any]
+
+#: What can go wrong, for the bus or for one device (`NAME@NODE=VALUE`).
+FAULTS = (
+    share("loss", "frames that a device sends or should hear are lost without a trace"),
+    share("corrupt", "frames end in an error frame; the sender tries again until it is bus-off"),
+    Fault("delay", 0.0, "seconds that a device's frames come late", 0.0, 10.0),
+    Fault("bus_off", False, "off the bus, its motor goes on; for the whole bus: nothing gets through"),
+    Fault("unplug", False, "the doors: clients are thrown out, until it is false again"),
+    Fault("silence", False, "without power; when it returns it starts anew"),
+    Fault("stuck", False, "the motor does not move"),
+    Fault("overcurrent", False, "the power stage trips"),
+    Fault("overheat", False, "130 degrees Celsius: the power stage trips"),
+    Fault("follow_error", False, "the drive reports a following error (an ODrive: spinout)"),
+    Fault("lost_heartbeat", False, "the heartbeat is not sent, the rest is"),
+    Fault("lost_tpdo", False, "periodic telemetry is not sent (TPDOs, cyclic and status messages)"),
+    share("nonsense", "answers to requests are random bytes"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A data, remote or error frame (ISO 11898-1).
+
+    `dlc` is that of remote frames, `switch` the FD bit rate switch.
+    """
+
+    identifier: int
+    data: bytes = b""
+    extended: bool = False
+    remote: bool = False
+    dlc: int = 0
+    fd: bool = False
+    switch: bool = False
+    error: bool = False
+
+    @property
+    def rank(self) -> tuple[int, bool, int, bool]:
+        """Of frames that start together the lowest wins: standard before extended, data before remote."""
+        if self.extended:
+            return self.identifier >> 18, True, self.identifier & 0x3FFFF, self.remote
+        return self.identifier, False, 0, self.remote
+
+    def seconds(self, bitrate: float, data_bitrate: float) -> float:
+        """The time on the wire, interframe space included, stuff bits not."""
+        head = 67 if self.extended else 47
+        if not self.fd:
+            return (head + 8 * len(self.data)) / bitrate
+        fast = data_bitrate if self.switch else bitrate
+        return (head - 15) / bitrate + (8 * len(self.data) + 26) / fast
 
 
 @dataclass(slots=True, eq=False)

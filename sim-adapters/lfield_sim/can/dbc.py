@@ -17,9 +17,8 @@ import cantools
 from cantools.database.can import Message, Signal
 
 from lfield.errors import UsageError
-from lfield_sim.can.frame import Frame
+from lfield_sim.can.bus import Flaw, Frame
 from lfield_sim.can.motor import AMBIENT, OVERHEATED
-from lfield_sim.can.troubles import Flaw
 
 #: Between two status messages whose file says nothing, in seconds.
 PERIOD = 0.1

@@ -1,7 +1,11 @@
-"""A motor with its load: torque in, motion, heat and current out. SI units, at the output shaft."""
+"""A motor with its load: torque in, motion, heat and current out; and a reference that it can be led by.
+
+SI units, at the output shaft; a reference has the units of who leads it.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 #: Still air and the fault `overheat`, in degrees Celsius.
@@ -85,3 +89,33 @@ class Motor:
         rated = self.data.rated_torque / self.data.torque_constant
         aim = AMBIENT + RATED_WARMING * (self.current / rated) ** 2
         self._warmth += (aim - self._warmth) * dt / WARMING_TIME
+
+
+@dataclass(slots=True)
+class Trajectory:
+    """Where a reference is and how fast it moves, as a trapezoid: bounded acceleration, no overshoot."""
+
+    position: float = 0.0
+    velocity: float = 0.0
+
+    def to_position(
+        self, target: float, *, speed: float, acceleration: float, deceleration: float, dt: float
+    ) -> None:
+        """One step towards a position, stopping there."""
+        distance = target - self.position
+        brake = deceleration * dt
+        # The fastest speed at which one can still stop after this step.
+        braking = math.sqrt(brake * brake + 2.0 * deceleration * abs(distance)) - brake
+        self._change(math.copysign(min(speed, braking), distance), acceleration, deceleration, dt)
+        if abs(target - self.position) <= brake * dt and abs(self.velocity) <= brake:
+            self.position, self.velocity = target, 0.0
+
+    def to_velocity(self, target: float, *, acceleration: float, deceleration: float, dt: float) -> None:
+        """One step towards a velocity."""
+        self._change(target, acceleration, deceleration, dt)
+
+    def _change(self, wanted: float, acceleration: float, deceleration: float, dt: float) -> None:
+        faster = wanted * self.velocity >= 0.0 and abs(wanted) > abs(self.velocity)
+        most = (acceleration if faster else deceleration) * dt
+        self.velocity += max(-most, min(most, wanted - self.velocity))
+        self.position += self.velocity * dt

@@ -4,61 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import selectors
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
-from lfield_sim.can.bus import Port
-from lfield_sim.can.doors import Door, SlcanDoor, SocketcandDoor
-from lfield_sim.can.frame import Frame
-from lfield_sim.can.world import Device, World
+from lfield_sim.can.doors.hub import Door, Hub
+from lfield_sim.can.doors.slcan_door import SlcanDoor
+from lfield_sim.can.doors.socketcand_door import SocketcandDoor
+from lfield_sim.can.world import Device
 from lfield_sim.faults import Faults
 from lfield_sim.serving import serve_until_told
-
-
-class _Hub:
-    """The world on the loop's clock; wakes when the bus or a model has something to do."""
-
-    def __init__(self, devices: Sequence[Device], faults: Faults, bitrate: int) -> None:
-        self._loop = asyncio.get_running_loop()
-        self._day = time.time() - self._loop.time()
-        self._faults = faults
-        self._world = World(devices, faults, bitrate=bitrate, start=self._loop.time())
-        self._going_on: list[Callable[[], None]] = []
-        self._timer = self._loop.call_soon(self._run)
-
-    def join(self, port: Port) -> None:
-        self._world.bus.attach(port)
-
-    def leave(self, port: Port) -> None:
-        self._world.bus.detach(port)
-
-    def send(self, port: Port, frame: Frame) -> None:
-        self._world.bus.send(port, frame, self._loop.time())
-        self._wake()
-
-    def when_sent(self, go_on: Callable[[], None]) -> None:
-        self._going_on.append(go_on)
-
-    def seconds(self, time: float) -> float:
-        return self._day + time
-
-    def is_off(self, port: Port) -> bool:
-        return bool(self._faults.get("bus_off")) or port.off_until > self._loop.time()
-
-    def stop(self) -> None:
-        """End the world."""
-        self._timer.cancel()
-
-    def _run(self) -> None:
-        self._world.advance(self._loop.time())
-        waiting, self._going_on = self._going_on, []
-        for go_on in waiting:
-            go_on()
-        self._wake()
-
-    def _wake(self) -> None:
-        self._timer.cancel()
-        self._timer = self._loop.call_at(self._world.due(), self._run)
 
 
 def run(
@@ -88,7 +41,7 @@ async def _serve(
     words: str,
     until_stdin_closes: bool,
 ) -> None:
-    hub = _Hub(devices, faults, bitrate)
+    hub = Hub(devices, faults, bitrate)
     doors: list[Door] = []
     try:
         for place in places:
@@ -120,7 +73,7 @@ def _plug(doors: Sequence[Door], *, out: bool) -> None:
             door.plug()
 
 
-async def _door(hub: _Hub, kind: str, place: str, port: int) -> Door:
+async def _door(hub: Hub, kind: str, place: str, port: int) -> Door:
     """A door that is not plugged in yet. Raises AddressError."""
     if kind == "slcan-pty":
         return SlcanDoor(hub, place)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from lfield_sim.can.bus import Bus, Port
-from lfield_sim.can.frame import ERROR_BUS_OFF, Frame
+from lfield_sim.can.bus import ERROR_BUS_OFF, Bus, Frame, Port
 from lfield_sim.faults import Faults
 
 #: Between two steps of the models, in seconds.

@@ -1,24 +1,12 @@
-"""The Dynamixel fake for the command line: `lfield sim dynamixel`."""
+"""The Dynamixel fake for the command line: `lfield sim dynamixel`. The servos are imported when it runs."""
 
 from __future__ import annotations
 
 import argparse
-import asyncio
-import tempfile
-import time
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
-from lfield.errors import UsageError
-from lfield_sim.dynamixel.ax import make_servo
-from lfield_sim.dynamixel.chain import Chain
-from lfield_sim.dynamixel.faults import FAULTS
-from lfield_sim.dynamixel.model import BAUDS, model_named
-from lfield_sim.dynamixel.server import Server
-from lfield_sim.dynamixel.servo import Servo
-from lfield_sim.faults import Faults, add_fault_option
-from lfield_sim.serving import serve_until_told
+from lfield_sim.faults import add_fault_option
 
 #: What a binding that names no model gets.
 DEFAULT_MODEL, DEFAULT_MODEL_1 = "XM430-W350", "AX-12A"
@@ -34,6 +22,8 @@ class DynamixelSim:
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """The servos, their port and its speed."""
+        from lfield_sim.dynamixel.model import BAUDS
+
         parser.add_argument(
             "--servo",
             action="append",
@@ -79,12 +69,9 @@ class DynamixelSim:
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until told to end; 0. Raises UsageError."""
-        servos, names = _servos(args)
-        faults = Faults(FAULTS, names)
-        chain = Chain(servos, faults, seed=args.seed)
-        with tempfile.TemporaryDirectory(prefix="lfield-dynamixel-") as folder:
-            path = Path(args.listen or f"{folder}/ttyDXL").absolute()
-            asyncio.run(_serve(chain, path, args, names))
+        from lfield_sim.dynamixel.run import run
+
+        run(args, DEFAULT_MODEL)
         return 0
 
 
@@ -92,50 +79,6 @@ def _model(device: DeviceBinding) -> str:
     """The model of a binding, or one that speaks its protocol."""
     default = DEFAULT_MODEL_1 if device.options.get("protocol") == 1 else DEFAULT_MODEL
     return str(device.options.get("model") or default)
-
-
-def _servos(args: argparse.Namespace) -> tuple[list[Servo], Mapping[str, str]]:
-    """The servos of a command line, and their names by id. Raises UsageError."""
-    servos, names = [], {}
-    for text in args.servo or [f"1:{DEFAULT_MODEL}"]:
-        number, _, rest = text.partition(":")
-        model, _, name = rest.partition(":")
-        if not number.isdecimal() or not 0 <= int(number) <= 252:
-            raise UsageError(f"--servo {text}: write ID:MODEL[:NAME], with an id from 0 to 252")
-        if str(int(number)) in names:
-            raise UsageError(f"--servo {text}: there is a servo {int(number)} already")
-        names[str(int(number))] = name
-        servos.append(_servo(int(number), model or DEFAULT_MODEL, args))
-    return servos, names
-
-
-def _servo(number: int, model: str, args: argparse.Namespace) -> Servo:
-    servo = make_servo(model_named(model), time.monotonic())
-    protocol = 1 if args.protocol == "1.0" else servo.model.protocol
-    servo.start_with(number, args.baud, protocol, args.return_delay * 1e-6)
-    return servo
-
-
-async def _serve(chain: Chain, path: Path, args: argparse.Namespace, names: Mapping[str, str]) -> None:
-    server = Server(chain, path)
-    server.plug()
-    moving = asyncio.get_running_loop().create_task(server.run())
-    try:
-        try:
-            chain.faults.apply(args.fault)
-        except ValueError as error:
-            raise UsageError(f"--fault: {error}") from None
-        await serve_until_told(
-            "dynamixel",
-            f"serial:{path}:{args.baud}",
-            ", ".join(f"{servo.id} {servo.model.name}" for servo in chain.servos),
-            chain.faults,
-            devices=names,
-            until_stdin_closes=args.until_stdin_closes,
-        )
-    finally:
-        moving.cancel()
-        server.unplug()
 
 
 SIM = DynamixelSim()

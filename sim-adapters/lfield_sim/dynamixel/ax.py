@@ -34,7 +34,7 @@ class AxMotion(Motion):
     @property
     def wheel(self) -> bool:
         """Whether it turns without end."""
-        return self._table["cw_angle_limit"] == self._table["ccw_angle_limit"] == 0
+        return self.table["cw_angle_limit"] == self.table["ccw_angle_limit"] == 0
 
     @property
     def place(self) -> float:
@@ -44,51 +44,53 @@ class AxMotion(Motion):
     @property
     def moving(self) -> bool:
         """On the way to a goal."""
-        return self._ongoing or abs(self.motor.speed) > SPEED_UNIT
+        return self.under_way or abs(self.motor.speed) > SPEED_UNIT
 
     @property
-    def _ongoing(self) -> bool:
-        return bool(self._table["torque_enable"]) and not self.wheel and self._clock < self._profile.duration
+    def under_way(self) -> bool:
+        """On the way to a goal."""
+        return bool(self.table["torque_enable"]) and not self.wheel and self.clock < self.profile.duration
 
     def reset_goals(self) -> None:
         """The goals of a servo that has just started."""
-        self._table.put("moving_speed", 0)
-        self._table.put("torque_limit", self._table["max_torque"])
+        self.table.put("moving_speed", 0)
+        self.table.put("torque_limit", self.table["max_torque"])
         self.hold()
 
     def approach(self) -> None:
         """Plan the way to the goal position, from where it is now."""
-        speed = self._table["moving_speed"] % CLOCKWISE * SPEED_UNIT * COUNTS
-        goal = float(self._table["goal_position"])
-        self._profile = Profile(self.place, 0.0, goal, speed or math.inf, math.inf)
-        self._clock, self.resting = 0.0, False
+        speed = self.table["moving_speed"] % CLOCKWISE * SPEED_UNIT * COUNTS
+        goal = float(self.table["goal_position"])
+        self.profile = Profile(self.place, 0.0, goal, speed or math.inf, math.inf)
+        self.clock, self.resting = 0.0, False
 
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
-        motor, share = self.motor, self._table["torque_limit"] / FULL
-        if self.resting or not self._table["torque_enable"]:
+        motor, share = self.motor, self.table["torque_limit"] / FULL
+        if self.resting or not self.table["torque_enable"]:
             motor.rest(dt)
             self.resting = motor.speed == 0.0
             return
-        self._clock += dt
+        self.clock += dt
         if self.wheel:
             motor.drive(motor.torque_at(self._wheel_share()), share, math.inf, dt)
         else:
-            self._trajectory, self._pace = self._profile.at(self._clock)
-            speed = self._pace / COUNTS + catch_up((self._trajectory - self.place) / COUNTS, motor)
+            self.trajectory, self.pace = self.profile.at(self.clock)
+            speed = self.pace / COUNTS + catch_up((self.trajectory - self.place) / COUNTS, motor)
             motor.drive(motor.torque_for(speed, dt), share, math.inf, dt)
-        self.resting = self._settled()
+        self.resting = self.is_settled()
 
     def _wheel_share(self) -> float:
-        speed = self._table["moving_speed"]
+        speed = self.table["moving_speed"]
         return (speed % CLOCKWISE) / FULL * (-1.0 if speed & CLOCKWISE else 1.0)
 
-    def _settled(self) -> bool:
-        return super()._settled() and not (self.wheel and self._table["moving_speed"] % CLOCKWISE)
+    def is_settled(self) -> bool:
+        """Whether nothing moves, and nothing will by itself."""
+        return super().is_settled() and not (self.wheel and self.table["moving_speed"] % CLOCKWISE)
 
     def publish(self, time: float) -> None:
         """Write what is to the registers of what is present."""
-        motor, put = self.motor, self._table.put
+        motor, put = self.motor, self.table.put
         put("present_position", round(min(1023.0, max(0.0, self.place % (math.tau * COUNTS)))))
         put("present_speed", _directed(motor.speed / SPEED_UNIT))
         put("present_load", _directed(motor.current / motor.strength.stall_current * FULL))
@@ -110,7 +112,8 @@ class AxServo(Servo):
         self._wrong = self._fatal = 0
         super().__init__(model, now)
 
-    def _mechanics(self) -> Motion:
+    def make_motion(self) -> Motion:
+        """An AX moves as an `AxMotion`."""
         return AxMotion(self.model, self.table)
 
     @property
@@ -138,13 +141,14 @@ class AxServo(Servo):
         if protocol != 1 or not BAUD_BASE / 255 <= baud <= BAUD_BASE / 2:
             raise UsageError(f"{self.model.name} does not speak protocol {protocol}.0 at {baud} baud")
         self.table.put("baud_rate", round(BAUD_BASE / baud) - 1)
-        self._start_with(id, return_delay)
+        self.answer_as(id, return_delay)
 
-    def _watch(self) -> None:
+    def watch_bus(self) -> None:
         """It has no bus watchdog."""
 
-    def _protect(self, dt: float) -> None:
-        now = self._errors(dt)
+    def protect(self, dt: float) -> None:
+        """Note what is wrong, and end the torque if Shutdown says so."""
+        now = self.errors(dt)
         self._fatal |= now & self.table["shutdown"]
         self._wrong = now | self._fatal
         if now & self.table["shutdown"]:
@@ -155,22 +159,25 @@ class AxServo(Servo):
         """As after its power came back; no instruction does that, but the factory reset."""
         self.table.reset(eeprom=False)
         self._wrong = self._fatal = 0
-        self._restart()
+        self.restart()
 
-    def _check(self, item: Item, value: int, secondary: bool) -> None:
+    def check(self, item: Item, value: int, secondary: bool) -> None:
+        """Raises Refused: a register that cannot be written, or not with this value."""
         if not item.writable or (item.eeprom and self.table["lock"]):
             raise Refused(Refusal.ACCESS)
         if not item.low <= value <= item.high or (item.name == "lock" and value < self.table["lock"]):
             raise Refused(Refusal.RANGE)
-        if item.name == "goal_position" and not self._within(value):
+        if item.name == "goal_position" and not self.allows_goal(value):
             raise Refused(Refusal.LIMIT)
 
-    def _within(self, place: int) -> bool:
+    def allows_goal(self, place: int) -> bool:
+        """Whether a goal is between the angle limits; a wheel has none."""
         table = self.table
         wheel = table["cw_angle_limit"] == table["ccw_angle_limit"] == 0
         return wheel or table["cw_angle_limit"] <= place <= table["ccw_angle_limit"]
 
-    def _follow_up(self, name: str, before: int, value: int) -> None:
+    def follow_up(self, name: str, before: int, value: int) -> None:
+        """What a register's new value sets going."""
         if name == "torque_enable" and value and not before:
             self.motion.hold()
         elif name == "torque_limit" and value:

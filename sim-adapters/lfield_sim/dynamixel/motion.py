@@ -54,20 +54,20 @@ class Motion:
     def __init__(self, model: Model, table: ControlTable) -> None:
         self.motor = Motor(model.strength)
         self.resting = False
-        self._table, self._unit = table, model.strength.unit
-        self._profile = Profile(0.0, 0.0, 0.0, math.inf, math.inf)
-        self._clock = 0.0
-        self._trajectory, self._pace = 0.0, 0.0
+        self.table, self._unit = table, model.strength.unit
+        self.profile = Profile(0.0, 0.0, 0.0, math.inf, math.inf)
+        self.clock = 0.0
+        self.trajectory, self.pace = 0.0, 0.0
         self.motor.angle = TURN / 2 / COUNTS
 
     @property
     def _way(self) -> int:
-        return -1 if self._table["drive_mode"] & REVERSE else 1
+        return -1 if self.table["drive_mode"] & REVERSE else 1
 
     @property
     def _offset(self) -> int:
-        offset = self._table["homing_offset"]
-        ignored = self._table["operating_mode"] == POSITION and abs(offset) > SMALL_OFFSET
+        offset = self.table["homing_offset"]
+        ignored = self.table["operating_mode"] == POSITION and abs(offset) > SMALL_OFFSET
         return 0 if ignored else offset
 
     @property
@@ -83,17 +83,16 @@ class Motion:
     @property
     def moving(self) -> bool:
         """Faster than the threshold, or on the way to a goal."""
-        return abs(self.speed) > self._table["moving_threshold"] or self._ongoing
+        return abs(self.speed) > self.table["moving_threshold"] or self.under_way
 
     @property
     def _positioned(self) -> bool:
-        return self._table["operating_mode"] in (POSITION, EXTENDED, CURRENT_POSITION)
+        return self.table["operating_mode"] in (POSITION, EXTENDED, CURRENT_POSITION)
 
     @property
-    def _ongoing(self) -> bool:
-        return (
-            bool(self._table["torque_enable"]) and self._positioned and self._clock < self._profile.duration
-        )
+    def under_way(self) -> bool:
+        """On the way to a goal."""
+        return bool(self.table["torque_enable"]) and self._positioned and self.clock < self.profile.duration
 
     def single_turn(self) -> None:
         """Forget the turns: the place, without its offset, is within one."""
@@ -102,7 +101,7 @@ class Motion:
 
     def reset_goals(self) -> None:
         """The goals of a servo that has just started, or changed its mode."""
-        table = self._table
+        table = self.table
         table.put("goal_pwm", table["pwm_limit"])
         table.put("goal_velocity", 0)
         if "goal_current" in table:
@@ -113,61 +112,62 @@ class Motion:
     def hold(self) -> None:
         """Let the goal be where it is: when torque comes on, and when the watchdog stops it."""
         here = self.place
-        self._table.put("goal_position", round(here))
-        self._profile = Profile(here, 0.0, here, math.inf, math.inf)
-        self._clock, self._trajectory, self._pace = 0.0, here, 0.0
+        self.table.put("goal_position", round(here))
+        self.profile = Profile(here, 0.0, here, math.inf, math.inf)
+        self.clock, self.trajectory, self.pace = 0.0, here, 0.0
         self.resting = False
 
     def stop(self) -> None:
         """End all motion at once, without a profile."""
-        self._table.put("goal_velocity", 0)
-        self._table.put("goal_pwm", 0 if self._table["operating_mode"] == PWM else self._table["goal_pwm"])
-        if self._table["operating_mode"] == CURRENT:
-            self._table.put("goal_current", 0)
+        self.table.put("goal_velocity", 0)
+        self.table.put("goal_pwm", 0 if self.table["operating_mode"] == PWM else self.table["goal_pwm"])
+        if self.table["operating_mode"] == CURRENT:
+            self.table.put("goal_current", 0)
         self.hold()
 
     def approach(self) -> None:
         """Plan the way to the goal position, from where and how fast it goes now."""
-        goal = float(self._table["goal_position"])
-        place, pace = (self._trajectory, self._pace) if self._ongoing else (self.place, 0.0)
-        self._profile = Profile(place, pace, goal, *self._bounds(goal - place))
-        self._clock, self.resting = 0.0, False
+        goal = float(self.table["goal_position"])
+        place, pace = (self.trajectory, self.pace) if self.under_way else (self.place, 0.0)
+        self.profile = Profile(place, pace, goal, *self._bounds(goal - place))
+        self.clock, self.resting = 0.0, False
 
     def _bounds(self, distance: float) -> tuple[float, float]:
         """Greatest speed and acceleration of a profile, in counts and seconds."""
-        fastest, rising = self._table["profile_velocity"], self._table["profile_acceleration"]
+        fastest, rising = self.table["profile_velocity"], self.table["profile_acceleration"]
         if not fastest:
             return math.inf, math.inf
-        if self._table["drive_mode"] & TIME_BASED:
+        if self.table["drive_mode"] & TIME_BASED:
             return timed(distance, fastest / 1000.0, rising / 1000.0) if distance else (math.inf, math.inf)
         acceleration = rising * ACCELERATION_UNIT * COUNTS if rising else math.inf
         return fastest * VELOCITY_UNIT * COUNTS, acceleration
 
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
-        if self.resting or not self._table["torque_enable"]:
+        if self.resting or not self.table["torque_enable"]:
             self.motor.rest(dt)
-            self._trajectory, self._pace = self.place, 0.0
+            self.trajectory, self.pace = self.place, 0.0
             self.resting = self.motor.speed == 0.0
             return
-        self._clock += dt
+        self.clock += dt
         torque, duty, current = self._demand(dt)
         self.motor.drive(torque, duty, current, dt)
-        self.resting = self._settled()
+        self.resting = self.is_settled()
 
-    def _settled(self) -> bool:
+    def is_settled(self) -> bool:
+        """Whether nothing moves, and nothing will by itself."""
         motor = self.motor
         still = abs(motor.speed) < 1e-4 and abs(motor.current) < 1e-3 and motor.load == 0.0
-        return still and not self._ongoing and self._pace == 0.0 and not (motor.blocked or motor.slipping)
+        return still and not self.under_way and self.pace == 0.0 and not (motor.blocked or motor.slipping)
 
     def _demand(self, dt: float) -> tuple[float, float, float]:
         """Torque, share of the supply and current that the mode asks for."""
-        mode, motor = self._table["operating_mode"], self.motor
-        share = self._table["goal_pwm"] / FULL_PWM
+        mode, motor = self.table["operating_mode"], self.motor
+        share = self.table["goal_pwm"] / FULL_PWM
         if mode == PWM:
             return motor.torque_at(self._way * share), 1.0, math.inf
         if mode == CURRENT:
-            amperes = self._way * self._table["goal_current"] * self._unit
+            amperes = self._way * self.table["goal_current"] * self._unit
             return (
                 amperes * motor.strength.stall_torque / motor.strength.stall_current,
                 abs(share),
@@ -180,53 +180,53 @@ class Motion:
         """The most current, in A, that the mode allows."""
         if not self._unit:
             return math.inf
-        which = "goal_current" if self._table["operating_mode"] == CURRENT_POSITION else "current_limit"
-        return abs(self._table[which]) * self._unit
+        which = "goal_current" if self.table["operating_mode"] == CURRENT_POSITION else "current_limit"
+        return abs(self.table[which]) * self._unit
 
     def _follow(self) -> float:
         """The speed in rad/s that keeps to the profile."""
-        self._trajectory, self._pace = self._profile.at(self._clock)
-        return self._pace / COUNTS + catch_up((self._trajectory - self.place) / COUNTS, self.motor)
+        self.trajectory, self.pace = self.profile.at(self.clock)
+        return self.pace / COUNTS + catch_up((self.trajectory - self.place) / COUNTS, self.motor)
 
     def _ramp(self, dt: float) -> float:
         """The speed in rad/s, in the register's direction, on the way to the goal velocity."""
-        goal = self._table["goal_velocity"] * VELOCITY_UNIT * COUNTS
-        rising = self._table["profile_acceleration"]
+        goal = self.table["goal_velocity"] * VELOCITY_UNIT * COUNTS
+        rising = self.table["profile_acceleration"]
         if not rising:
-            self._pace = goal
-        elif self._table["drive_mode"] & TIME_BASED:
-            left = max(dt, rising / 1000.0 - self._clock + dt)
-            self._pace += (goal - self._pace) * min(1.0, dt / left)
+            self.pace = goal
+        elif self.table["drive_mode"] & TIME_BASED:
+            left = max(dt, rising / 1000.0 - self.clock + dt)
+            self.pace += (goal - self.pace) * min(1.0, dt / left)
         else:
             change = rising * ACCELERATION_UNIT * COUNTS * dt
-            self._pace += max(-change, min(change, goal - self._pace))
-        self._trajectory = self.place
-        return self._pace / COUNTS
+            self.pace += max(-change, min(change, goal - self.pace))
+        self.trajectory = self.place
+        return self.pace / COUNTS
 
     def accelerate(self) -> None:
         """A new goal velocity: its ramp begins now."""
-        self._clock, self.resting = 0.0, False
+        self.clock, self.resting = 0.0, False
 
     def publish(self, time: float) -> None:
         """Write what is to the registers of what is present; `time` is seconds since it was switched on."""
-        motor, put = self.motor, self._table.put
+        motor, put = self.motor, self.table.put
         put("realtime_tick", int(time * 1000.0) % 32_768)
         put("moving", int(self.moving))
         put("moving_status", self._status())
         put("present_pwm", round(self._way * motor.duty * FULL_PWM))
         put("present_velocity", round(self.speed))
         put("present_position", round(self.place))
-        put("velocity_trajectory", round(self._pace / COUNTS / VELOCITY_UNIT))
-        put("position_trajectory", round(self._trajectory))
+        put("velocity_trajectory", round(self.pace / COUNTS / VELOCITY_UNIT))
+        put("position_trajectory", round(self.trajectory))
         put("present_input_voltage", round(motor.voltage * 10.0))
         put("present_temperature", round(min(255.0, motor.temperature)))
         count = self._unit or motor.strength.stall_current / 1000.0
         put("present_current", round(self._way * motor.current / count))
 
     def _status(self) -> int:
-        if not self._positioned or not self._table["torque_enable"]:
+        if not self._positioned or not self.table["torque_enable"]:
             return 0
-        ongoing, place = self._ongoing, self.place
-        status = (self._profile.kind | ONGOING) if ongoing else STEP
-        status |= IN_POSITION if abs(self._table["goal_position"] - place) <= NEAR else 0
-        return status | (FOLLOWING_ERROR if abs(self._trajectory - place) > ASTRAY else 0)
+        ongoing, place = self.under_way, self.place
+        status = (self.profile.kind | ONGOING) if ongoing else STEP
+        status |= IN_POSITION if abs(self.table["goal_position"] - place) <= NEAR else 0
+        return status | (FOLLOWING_ERROR if abs(self.trajectory - place) > ASTRAY else 0)

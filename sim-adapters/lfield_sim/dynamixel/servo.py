@@ -44,7 +44,7 @@ class Servo:
     def __init__(self, model: Model, now: float = 0.0) -> None:
         self.model = model
         self.table = ControlTable(model)
-        self.motion = self._mechanics()
+        self.motion = self.make_motion()
         self.encoder_fault = False
         self._time = self._born = self._heard = now
         self._awake = now
@@ -54,7 +54,8 @@ class Servo:
         self._stale = True
         self.motion.reset_goals()
 
-    def _mechanics(self) -> Motion:
+    def make_motion(self) -> Motion:
+        """How a servo of this kind moves."""
         return Motion(self.model, self.table)
 
     @property
@@ -76,9 +77,10 @@ class Servo:
             raise UsageError(f"{self.model.name} does not do {baud} baud")
         self.table.put("protocol_type", protocol)
         self.table.put("baud_rate", BAUDS.index(baud))
-        self._start_with(id, return_delay)
+        self.answer_as(id, return_delay)
 
-    def _start_with(self, id: int, return_delay: float) -> None:
+    def answer_as(self, id: int, return_delay: float) -> None:
+        """Set its id, and how long it waits (s) before it answers. Raises UsageError."""
         delay = self.model.items["return_delay_time"]
         if not delay.low <= round(return_delay / DELAY_UNIT) <= delay.high:
             raise UsageError(f"the return delay is from 0 to {delay.high * DELAY_UNIT * 1e6:g} microseconds")
@@ -120,15 +122,16 @@ class Servo:
             dt = min(now - self._time, IDLE_PERIOD if self.motion.resting else PERIOD)
             self._time += dt
             self.motion.step(dt)
-            self._watch()
-            self._protect(dt)
+            self.watch_bus()
+            self.protect(dt)
             self._stale = True
 
     def hear(self, now: float) -> None:
         """An instruction packet was on the bus, for whomever: that feeds the watchdog."""
         self._heard = now
 
-    def _watch(self) -> None:
+    def watch_bus(self) -> None:
+        """Stop when nothing was on the bus for as long as Bus Watchdog says."""
         limit = self.table["bus_watchdog"]
         if not 0 < limit < BITTEN or not self.table["torque_enable"]:
             return
@@ -136,16 +139,16 @@ class Servo:
             self.table.put("bus_watchdog", BITTEN)
             self.motion.stop()
 
-    def _protect(self, dt: float) -> None:
+    def protect(self, dt: float) -> None:
         """Note what is wrong, and give way if Shutdown says so."""
-        found, table = self._errors(dt), self.table
+        found, table = self.errors(dt), self.table
         if found:
             table.put("hardware_error_status", table["hardware_error_status"] | found)
             if found & table["shutdown"]:
                 self._shut = True
                 table.put("torque_enable", 0)
 
-    def _errors(self, dt: float) -> int:
+    def errors(self, dt: float) -> int:
         """What is wrong now, as bits of the hardware error status."""
         table, motor = self.table, self.motion.motor
         strained = abs(motor.current) > OVERLOAD_SHARE * motor.strength.stall_current
@@ -190,11 +193,12 @@ class Servo:
         """Start anew: the RAM area as it was delivered, errors forgotten (they come back if they must)."""
         self.table.reset(eeprom=False)
         self._shut = False
-        self._restart()
+        self.restart()
         if self.table["startup_configuration"] & STARTUP_TORQUE:
             self.table.put("torque_enable", 1)
 
-    def _restart(self) -> None:
+    def restart(self) -> None:
+        """As after its power came back: nothing registered, goals anew, silent while it boots."""
         self._registered = []
         self._strained = self._starved = 0.0
         self._awake = self._time + BOOT
@@ -224,10 +228,11 @@ class Servo:
     def _allowed(self, address: int, data: bytes, secondary: bool) -> list[tuple[Item, int]]:
         changes = self.table.changes(address, data)
         for item, value in changes:
-            self._check(item, value, secondary)
+            self.check(item, value, secondary)
         return changes
 
-    def _check(self, item: Item, value: int, secondary: bool) -> None:
+    def check(self, item: Item, value: int, secondary: bool) -> None:
+        """Raises Refused: a register that cannot be written, or not with this value."""
         if not item.writable or (item.eeprom and (secondary or self.table["torque_enable"])):
             raise Refused(Refusal.ACCESS)
         if not item.low <= value <= item.high or (item.choices and value not in item.choices):
@@ -237,10 +242,10 @@ class Servo:
             raise Refused(Refusal.RANGE)
         if item.limit and abs(value) > self.table[item.limit]:
             raise Refused(Refusal.LIMIT)
-        if item.name == "goal_position" and not self._within(value):
+        if item.name == "goal_position" and not self.allows_goal(value):
             raise Refused(Refusal.LIMIT)
 
-    def _within(self, place: int) -> bool:
+    def allows_goal(self, place: int) -> bool:
         """Whether a goal is allowed; the limits are those of position mode."""
         limits = self.table["min_position_limit"], self.table["max_position_limit"]
         return self.table["operating_mode"] != POSITION or limits[0] <= place <= limits[1]
@@ -249,11 +254,11 @@ class Servo:
         for item, value in changes:
             before = self.table[item.name]
             self.table.put(item.name, value)
-            self._follow_up(item.name, before, value)
+            self.follow_up(item.name, before, value)
         self.motion.resting = False
         self._stale = True
 
-    def _follow_up(self, name: str, before: int, value: int) -> None:
+    def follow_up(self, name: str, before: int, value: int) -> None:
         """What a register's new value sets going."""
         if name == "torque_enable" and self._shut:
             self.table.put("torque_enable", 0)

@@ -6,16 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from lfield_sim.flavours import Result
-from lfield_sim.mavlink.place import Place
-from lfield_sim.vehicle import Vector
+from lfield_sim.autopilot.flavours import Result
+from lfield_sim.autopilot.vehicle import Vector
+from lfield_sim.mavlink.geo import ABOVE_HOME, Place, is_near
 
-#: MAV_FRAMEs whose height is above home; the other global ones are above mean sea level.
-ABOVE_HOME = frozenset({3, 6, 10, 11})
 #: What an integer coordinate is when it means nothing.
 NO_COORDINATE = 0x7FFFFFFF
-#: Farther from the origin than this (m) nothing is flown to.
-FARTHEST = 1e6
 
 #: A result, and messages that follow the acknowledgement.
 Answer = tuple[Result, list[Any]]
@@ -62,4 +58,4 @@ class Command:
         z = self.given(7)
         down = here[2] if z is None else home[2] - z if self.frame in ABOVE_HOME else origin.altitude - z
         place = (north, east, down)
-        return place if all(abs(part) < FARTHEST for part in place) else None
+        return place if is_near(place) else None

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.flavours import Result, Role
+from lfield_sim.autopilot.flavours import Result, Role
+from lfield_sim.autopilot.vehicle import Circle, Vector
 from lfield_sim.mavlink.command import Answer, Command
 from lfield_sim.mavlink.equipment_commands import EQUIPMENT
-from lfield_sim.vehicle import Circle, Vector
-
-if TYPE_CHECKING:
-    from lfield_sim.mavlink.protocol import MavlinkFake
+from lfield_sim.mavlink.sender import Sender
 
 #: param2 of an arming or disarming that is meant whatever the checks say, even in the air.
 FORCE = 21196
@@ -22,69 +19,69 @@ FORCE = 21196
 ORBIT_RADIUS, ORBIT_SPEED = 10.0, 2.0
 
 
-def answer(fake: MavlinkFake, command: Command) -> Answer:
+def answer(sender: Sender, command: Command) -> Answer:
     """Carry a command out: its result, and messages that follow the acknowledgement."""
-    if command.number in fake.autopilot.flavour.unsupported:
+    if command.number in sender.autopilot.flavour.unsupported:
         return Result.UNSUPPORTED, []
     if command.number in EQUIPMENT:
-        return EQUIPMENT[command.number](fake.autopilot, fake.place, command)
+        return EQUIPMENT[command.number](sender.autopilot, sender.place, command)
     handler = _COMMANDS.get(command.number)
-    return handler(fake, command) if handler else (Result.UNSUPPORTED, [])
+    return handler(sender, command) if handler else (Result.UNSUPPORTED, [])
 
 
-def _arm(fake: MavlinkFake, command: Command) -> Answer:
+def _arm(sender: Sender, command: Command) -> Answer:
     force = command.whole(2) == FORCE
     wanted = command.whole(1)
     if wanted not in (0, 1):
         return Result.UNSUPPORTED, []
-    return (fake.autopilot.arm(force=force) if wanted else fake.autopilot.disarm(force=force)), []
+    return (sender.autopilot.arm(force=force) if wanted else sender.autopilot.disarm(force=force)), []
 
 
-def _takeoff(fake: MavlinkFake, command: Command) -> Answer:
+def _takeoff(sender: Sender, command: Command) -> Answer:
     """The height is above home for ArduPilot; for PX4 above mean sea level, or a parameter when it is NaN."""
     height = command.given(7)
-    if height is not None and fake.autopilot.flavour.takeoff_mode:
-        height -= fake.place.altitude - fake.autopilot.home[2]
-    return fake.autopilot.takeoff(height), []
+    if height is not None and sender.autopilot.flavour.takeoff_mode:
+        height -= sender.place.altitude - sender.autopilot.home[2]
+    return sender.autopilot.takeoff(height), []
 
 
-def _land(fake: MavlinkFake, _: Command) -> Answer:
-    return fake.autopilot.command_role(Role.LAND), []
+def _land(sender: Sender, _: Command) -> Answer:
+    return sender.autopilot.command_role(Role.LAND), []
 
 
-def _return(fake: MavlinkFake, _: Command) -> Answer:
-    return fake.autopilot.go_home(), []
+def _return(sender: Sender, _: Command) -> Answer:
+    return sender.autopilot.go_home(), []
 
 
-def _set_mode(fake: MavlinkFake, command: Command) -> Answer:
+def _set_mode(sender: Sender, command: Command) -> Answer:
     if not command.whole(1) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return Result.DENIED, []
     number = command.whole(2)
-    if fake.autopilot.flavour.submodes:
+    if sender.autopilot.flavour.submodes:
         number = number << 16 | (command.whole(3) & 0xFF) << 24
-    return fake.autopilot.set_mode(number), []
+    return sender.autopilot.set_mode(number), []
 
 
-def _yaw(fake: MavlinkFake, command: Command) -> Answer:
+def _yaw(sender: Sender, command: Command) -> Answer:
     angle, relative = command.value(1), command.whole(4)
     if not 0.0 <= angle <= 360.0 or relative not in (0, 1):
         return Result.FAILED, []
-    start = fake.autopilot.vehicle.yaw if relative else 0.0
+    start = sender.autopilot.vehicle.yaw if relative else 0.0
     turn = -1.0 if relative and command.value(3) < 0 else 1.0
-    return fake.autopilot.set_yaw(start + turn * math.radians(angle)), []
+    return sender.autopilot.set_yaw(start + turn * math.radians(angle)), []
 
 
-def _speed(fake: MavlinkFake, command: Command) -> Answer:
+def _speed(sender: Sender, command: Command) -> Answer:
     if command.whole(1) not in (0, 1):
         return Result.UNSUPPORTED, []
-    return fake.autopilot.set_speed(command.value(2)), []
+    return sender.autopilot.set_speed(command.value(2)), []
 
 
-def _reposition(fake: MavlinkFake, command: Command) -> Answer:
-    place = _place(fake, command)
+def _reposition(sender: Sender, command: Command) -> Answer:
+    place = _place(sender, command)
     if place is None:
         return Result.DENIED, []
-    speed, pilot = command.value(1), fake.autopilot
+    speed, pilot = command.value(1), sender.autopilot
     change = bool(command.whole(2) & dialect.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
     result = pilot.reposition(place, command.given(4), change_mode=change or pilot.flavour.submodes)
     if result is Result.ACCEPTED and speed > 0.0:
@@ -92,61 +89,61 @@ def _reposition(fake: MavlinkFake, command: Command) -> Answer:
     return result, []
 
 
-def _orbit(fake: MavlinkFake, command: Command) -> Answer:
-    centre = _place(fake, command)
+def _orbit(sender: Sender, command: Command) -> Answer:
+    centre = _place(sender, command)
     radius = command.given(1) or ORBIT_RADIUS
     speed = command.given(2) or ORBIT_SPEED
     if centre is None or not 1.0 <= abs(radius) <= 1000.0 or not 0.0 < speed <= 20.0:
         return Result.DENIED, []
-    return fake.autopilot.orbit(Circle(centre, abs(radius), math.copysign(speed, radius))), []
+    return sender.autopilot.orbit(Circle(centre, abs(radius), math.copysign(speed, radius))), []
 
 
-def _set_home(fake: MavlinkFake, command: Command) -> Answer:
-    here = fake.autopilot.vehicle.place
-    place = here if command.whole(1) == 1 else _place(fake, command)
+def _set_home(sender: Sender, command: Command) -> Answer:
+    here = sender.autopilot.vehicle.place
+    place = here if command.whole(1) == 1 else _place(sender, command)
     if place is None:
         return Result.DENIED, []
-    fake.autopilot.home = place
+    sender.autopilot.home = place
     return Result.ACCEPTED, []
 
 
-def _reboot(fake: MavlinkFake, command: Command) -> Answer:
-    return (fake.reboot() if command.whole(1) in (1, 3) else Result.UNSUPPORTED), []
+def _reboot(sender: Sender, command: Command) -> Answer:
+    return (sender.reboot() if command.whole(1) in (1, 3) else Result.UNSUPPORTED), []
 
 
-def _terminate(fake: MavlinkFake, command: Command) -> Answer:
-    return (fake.autopilot.terminate() if command.value(1) > 0.5 else Result.ACCEPTED), []
+def _terminate(sender: Sender, command: Command) -> Answer:
+    return (sender.autopilot.terminate() if command.value(1) > 0.5 else Result.ACCEPTED), []
 
 
-def _set_interval(fake: MavlinkFake, command: Command) -> Answer:
+def _set_interval(sender: Sender, command: Command) -> Answer:
     kind, micros = command.whole(1), command.value(2)
-    if not fake.can_send(kind):
+    if not sender.can_send(kind):
         return Result.FAILED, []
     # -1 stops the stream; 0 asks for the default rate, which on ArduPilot is none.
-    fake.stream(kind, 1e6 / micros if micros > 0 else fake.default_rate(kind) if micros == 0 else 0.0)
+    sender.stream(kind, 1e6 / micros if micros > 0 else sender.default_rate(kind) if micros == 0 else 0.0)
     return Result.ACCEPTED, []
 
 
-def _get_interval(fake: MavlinkFake, command: Command) -> Answer:
+def _get_interval(sender: Sender, command: Command) -> Answer:
     kind = command.whole(1)
-    if not fake.can_send(kind):
+    if not sender.can_send(kind):
         return Result.FAILED, []
-    micros = round(fake.interval(kind) * 1e6) or -1
+    micros = round(sender.interval(kind) * 1e6) or -1
     return Result.ACCEPTED, [dialect.MAVLink_message_interval_message(kind, micros)]
 
 
-def _request_message(fake: MavlinkFake, command: Command) -> Answer:
+def _request_message(sender: Sender, command: Command) -> Answer:
     kind = command.whole(1)
-    if not fake.can_send(kind) or fake.withholds(kind):
-        return (Result.DENIED if fake.autopilot.flavour.submodes else Result.FAILED), []
-    return Result.ACCEPTED, [fake.build(kind)]
+    if not sender.can_send(kind) or sender.withholds(kind):
+        return (Result.DENIED if sender.autopilot.flavour.submodes else Result.FAILED), []
+    return Result.ACCEPTED, [sender.build(kind)]
 
 
-def _place(fake: MavlinkFake, command: Command) -> Vector | None:
-    return command.place(fake.place, fake.autopilot.vehicle.place, fake.autopilot.home)
+def _place(sender: Sender, command: Command) -> Vector | None:
+    return command.place(sender.place, sender.autopilot.vehicle.place, sender.autopilot.home)
 
 
-_COMMANDS: Mapping[int, Callable[[MavlinkFake, Command], Answer]] = {
+_COMMANDS: Mapping[int, Callable[[Sender, Command], Answer]] = {
     dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _return,
     dialect.MAV_CMD_NAV_LAND: _land,
     dialect.MAV_CMD_NAV_TAKEOFF: _takeoff,

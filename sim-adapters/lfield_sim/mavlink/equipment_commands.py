@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.autopilot import Autopilot
-from lfield_sim.flavours import Result
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.flavours import Result
 from lfield_sim.mavlink.command import Answer, Command
-from lfield_sim.mavlink.equipment import camera_feedback, camera_image_captured
-from lfield_sim.mavlink.place import Place
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.telemetry.equipment import camera_feedback, camera_image_captured
 
 #: Microseconds that a servo takes.
 PULSES = range(0, 3001)

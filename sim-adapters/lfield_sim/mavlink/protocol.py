@@ -1,4 +1,4 @@
-"""One vehicle of the fake at packet level: packets in, packets out, time given. No sockets and no clock.
+"""Vehicles of the fake at packet level: packets in, packets out, time given. No sockets and no clock.
 
 `receive` answers a packet to the peer that sent it; `advance` moves time and returns what every peer gets:
 heartbeats, streams, what the services have to say, status texts. ArduPilot streams nothing but heartbeats
@@ -7,31 +7,35 @@ until somebody asks, PX4 streams at once.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from lfield_sim.autopilot import Autopilot
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.flavours import Result
+from lfield_sim.autopilot.plans import MissionItem
 from lfield_sim.faults import Faults
-from lfield_sim.flavours import Result
-from lfield_sim.mavlink.codec import Readers, Writer
 from lfield_sim.mavlink.command import Answer, Command
 from lfield_sim.mavlink.commands import answer
-from lfield_sim.mavlink.place import Place
-from lfield_sim.mavlink.services import SERVICES
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.link.codec import Readers, Writer
+from lfield_sim.mavlink.link.signing import Signing
+from lfield_sim.mavlink.link.wire import KNOWN, Wire, make_faults
+from lfield_sim.mavlink.sender import Sender
+from lfield_sim.mavlink.services.files import Files
+from lfield_sim.mavlink.services.parameters import Parameters
+from lfield_sim.mavlink.services.plans import Plans
+from lfield_sim.mavlink.services.service import Service
 from lfield_sim.mavlink.setpoints import attitude_target, global_target, local_target
-from lfield_sim.mavlink.signing import Signing
-from lfield_sim.mavlink.streams import Streams
-from lfield_sim.mavlink.telemetry import DATA_STREAMS, MESSAGES, POSITIONS
-from lfield_sim.mavlink.texts import Texts
-from lfield_sim.mavlink.wire import KNOWN, Wire, make_faults
-from lfield_sim.mission import MissionItem
+from lfield_sim.mavlink.telemetry.messages import DATA_STREAMS
 
 #: The autopilot's component.
 COMPONENT = 1
 #: Length of a model step, in seconds.
 STEP = 0.02
+#: The services of every vehicle, made anew for each.
+SERVICES: tuple[type[Service], ...] = (Parameters, Plans, Files)
 #: Faults that are a state of the vehicle: the attribute of the autopilot.
 STATES = {
     "refuse_arming": "refuse_arming",
@@ -55,14 +59,12 @@ class MavlinkFake:
         self.autopilot, self.system = autopilot, system
         self.place, self.faults = place or Place(), faults or make_faults(systems=(system,))
         self.services = [kind(autopilot, self.place) for kind in SERVICES]
+        self.sender = Sender(autopilot, self.place, self.services)
         self.gate = Signing(system, lambda: autopilot.now)
         self.wire = Wire(self.faults, system)
         self._writer = Writer(system, COMPONENT)
         self._readers = Readers()
-        self._streams = self._first_streams()
-        self._late_acks: dict[int, tuple[float, Any]] = {}
         self._rest = 0.0
-        self._texts = Texts()
         self._known_faults = {fault.name: fault.default for fault in KNOWN}
         self._take_faults()
         self.faults.watch(self._take_faults)
@@ -85,7 +87,7 @@ class MavlinkFake:
         if not self.gate.admits(message, local=local):
             return []
         kind = message.get_msgId()
-        own = _HANDLERS.get(kind)
+        own = HANDLERS.get(kind)
         replies = own(self, message) if own else []
         for service in self.services:
             if kind in service.handles:
@@ -101,11 +103,8 @@ class MavlinkFake:
             messages += self._step()
         if self.autopilot.booting:
             return []
-        messages += self._due_acks()
+        messages += self.sender.due()
         now = self.autopilot.now
-        messages += [self.build(kind) for kind in self._streams.due(now) if not self.withholds(kind)]
-        for severity, text in self.autopilot.take_texts():
-            messages += self._texts.messages(severity, text)
         return [*self.wire.arrived(now), *self.wire.send([self._pack(m) for m in messages], now)]
 
     def _step(self) -> list[Any]:
@@ -113,44 +112,6 @@ class MavlinkFake:
         if self.autopilot.booting:
             return []
         return [m for service in self.services for m in service.advance(self.autopilot.now)]
-
-    # -- what the command table uses ------------------------------------------------------------------
-
-    def can_send(self, kind: int) -> bool:
-        """Whether there is such a message."""
-        return kind in MESSAGES or any(kind in service.messages for service in self.services)
-
-    def withholds(self, kind: int) -> bool:
-        """Whether it cannot tell this now: positions without GPS."""
-        return self.autopilot.gps_lost and kind in POSITIONS
-
-    def build(self, kind: int) -> Any:
-        """A message as it is now. KeyError when there is no such message."""
-        for service in self.services:
-            if kind in service.messages:
-                return service.messages[kind]()
-        return MESSAGES[kind](self.autopilot, self.place)
-
-    def stream(self, kind: int, rate: float) -> None:
-        """Stream a message at a rate in Hz; 0 stops it, but for the heartbeat, which goes on at 1 Hz."""
-        self._streams.set(kind, rate, self.autopilot.now)
-
-    def interval(self, kind: int) -> float:
-        """Seconds between two messages of a stream; 0 when it is not streamed."""
-        return self._streams.interval(kind)
-
-    def default_rate(self, kind: int) -> float:
-        """How often it is sent without being asked for, in Hz."""
-        return self.autopilot.flavour.streams.get(kind, 0.0)
-
-    def reboot(self) -> Result:
-        """Restart the autopilot, unless it is armed."""
-        result = self.autopilot.reboot()
-        if result is Result.ACCEPTED:
-            self._streams, self._late_acks = self._first_streams(), {}
-            for service in self.services:
-                service.reboot()
-        return result
 
     # -- messages -------------------------------------------------------------------------------------
 
@@ -179,12 +140,12 @@ class MavlinkFake:
         def ack(result: Result) -> Any:
             return dialect.MAVLink_command_ack_message(command.number, int(result), 0, 0, *source)
 
-        if command.number in self._late_acks:
+        if self.sender.is_late(command.number):
             return [ack(Result.IN_PROGRESS)]
         result, replies = self._answer(command)
         slow: float = self.faults.get("slow_acks", self.system)
         if slow > 0.0 and result is not Result.UNSUPPORTED:
-            self._late_acks[command.number] = (self.autopilot.now + slow, ack(result))
+            self.sender.acknowledge_later(command.number, ack(result), slow)
             return [ack(Result.IN_PROGRESS), *replies]
         return [ack(result), *replies]
 
@@ -192,7 +153,7 @@ class MavlinkFake:
         for service in self.services:
             if command.number in service.commands:
                 return service.commands[command.number](command)
-        return answer(self, command)
+        return answer(self.sender, command)
 
     def _perform(self, item: MissionItem) -> None:
         """A mission's item that is not flown but done."""
@@ -220,7 +181,7 @@ class MavlinkFake:
         every = [kind for kinds in DATA_STREAMS.values() for kind in kinds]
         wanted = DATA_STREAMS.get(message.req_stream_id, ()) if message.req_stream_id else every
         for kind in wanted:
-            self.stream(kind, float(message.req_message_rate) if message.start_stop else 0.0)
+            self.sender.stream(kind, float(message.req_message_rate) if message.start_stop else 0.0)
         return []
 
     def _on_timesync(self, message: Any) -> list[Any]:
@@ -234,12 +195,6 @@ class MavlinkFake:
         source = message.get_srcSystem(), message.get_srcComponent()
         return [dialect.MAVLink_ping_message(message.time_usec, message.seq, *source)]
 
-    # -- what goes out --------------------------------------------------------------------------------
-
-    def _first_streams(self) -> Streams:
-        rates = {k: rate for k, rate in self.autopilot.flavour.streams.items() if self.can_send(k)}
-        return Streams(rates, self.autopilot.now)
-
     def _take_faults(self) -> None:
         """What has changed among the faults that are a state of the vehicle."""
         known = self._known_faults
@@ -251,16 +206,13 @@ class MavlinkFake:
             self.autopilot.battery.charge = changed["battery"]
         self._known_faults = changed
 
-    def _due_acks(self) -> list[Any]:
-        due = [n for n, (at, _) in self._late_acks.items() if self.autopilot.now >= at]
-        return [self._late_acks.pop(number)[1] for number in due]
-
     def _pack(self, message: Any) -> bytes:
         self.gate.seal(self._writer.packer)
         return self._writer.pack(message)
 
 
-_HANDLERS = {
+#: What it does with which message, beside its services.
+HANDLERS = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: MavlinkFake._on_heartbeat,
     dialect.MAVLINK_MSG_ID_PING: MavlinkFake._on_ping,
     dialect.MAVLINK_MSG_ID_SET_MODE: MavlinkFake._on_set_mode,
@@ -272,3 +224,24 @@ _HANDLERS = {
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: MavlinkFake._on_global_target,
     dialect.MAVLINK_MSG_ID_TIMESYNC: MavlinkFake._on_timesync,
 }
+
+
+class MavlinkLink:
+    """The vehicles of one link, told apart by their system ids."""
+
+    def __init__(self, vehicles: Sequence[MavlinkFake]) -> None:
+        self.vehicles = vehicles
+        self._readers = Readers()
+
+    def receive(self, peer: Hashable, data: bytes, *, local: bool = False) -> list[bytes]:
+        """Bytes from a peer; the packets that answer them. `local` is a peer on a serial line."""
+        return [
+            packet
+            for message in self._readers.feed(peer, data)
+            for vehicle in self.vehicles
+            for packet in vehicle.handle(message, local=local)
+        ]
+
+    def advance(self, seconds: float) -> list[bytes]:
+        """Let time pass; the packets for every peer."""
+        return [packet for vehicle in self.vehicles for packet in vehicle.advance(seconds)]

@@ -7,15 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lfield.errors import UsageError
-from lfield_sim.autopilot import FLAVOURS, Autopilot
-from lfield_sim.battery import Battery
+from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.autopilot.equipment import Battery
 from lfield_sim.faults import Faults
-from lfield_sim.mavlink.link import MavlinkLink
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.link.wire import KNOWN
 from lfield_sim.mavlink.options import VehicleOption
-from lfield_sim.mavlink.place import Place
-from lfield_sim.mavlink.protocol import MavlinkFake
+from lfield_sim.mavlink.protocol import MavlinkFake, MavlinkLink
 from lfield_sim.mavlink.server import Server, open_door
-from lfield_sim.mavlink.wire import KNOWN
 from lfield_sim.serving import serve_until_told
 
 #: The share of the capacity at which ArduPilot calls the battery low, when the capacity is set.

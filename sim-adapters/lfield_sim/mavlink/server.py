@@ -9,7 +9,7 @@ from collections.abc import Callable, Hashable
 from typing import Any, Protocol
 
 from lfield.errors import AddressError
-from lfield_sim.mavlink.link import MavlinkLink
+from lfield_sim.mavlink.protocol import MavlinkLink
 
 #: How often the model moves and packets are sent, in seconds.
 TICK = 0.02

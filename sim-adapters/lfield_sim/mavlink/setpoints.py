@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from lfield_sim.autopilot import Autopilot, Setpoint
-from lfield_sim.mavlink.command import ABOVE_HOME, FARTHEST
-from lfield_sim.mavlink.place import Place
-from lfield_sim.vehicle import GRAVITY, Goal, Keep, Lean, Reach, Vector
+from lfield_sim.autopilot.autopilot import Autopilot, Setpoint
+from lfield_sim.autopilot.vehicle import GRAVITY, Goal, Keep, Lean, Reach, Vector
+from lfield_sim.mavlink.geo import ABOVE_HOME, Place, angles, is_near, turned
 
 # type_mask bits of a position target: set means "ignore".
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW, IGNORE_YAW_RATE = 0x7, 0x38, 0x400, 0x800
@@ -32,7 +31,7 @@ def local_target(pilot: Autopilot, message: Any) -> Setpoint | None:
     place: Vector = (message.x, message.y, message.z)
     velocity: Vector = (message.vx, message.vy, message.vz)
     if frame in (BODY, BODY_OFFSET, BODY_FRD):
-        place, velocity = _turned(place, vehicle.yaw), _turned(velocity, vehicle.yaw)
+        place, velocity = turned(place, vehicle.yaw), turned(velocity, vehicle.yaw)
     if frame != LOCAL:
         place = (place[0] + vehicle.place[0], place[1] + vehicle.place[1], place[2] + vehicle.place[2])
     return _setpoint(message, place, velocity)
@@ -53,10 +52,10 @@ def attitude_target(message: Any) -> Setpoint | None:
     mask = message.type_mask
     goal, yaw = None, None
     if not mask & IGNORE_ATTITUDE and math.hypot(*message.q) > 1e-3:
-        roll, pitch, yaw = _angles(*(part / math.hypot(*message.q) for part in message.q))
+        roll, pitch, yaw = angles(*(part / math.hypot(*message.q) for part in message.q))
         thrust = 0.5 if mask & IGNORE_THRUST else min(max(message.thrust, 0.0), 1.0)
         forward, right = -math.tan(_lean(pitch)) * GRAVITY, math.tan(_lean(roll)) * GRAVITY
-        north, east, _ = _turned((forward, right, 0.0), yaw)
+        north, east, _ = turned((forward, right, 0.0), yaw)
         goal = Lean(north, east, (0.5 - thrust) * 2.0 * CLIMB)
     rate = None if mask & IGNORE_BODY_YAW_RATE else message.body_yaw_rate
     return Setpoint(goal, yaw, rate)
@@ -66,9 +65,9 @@ def _setpoint(message: Any, place: Vector, velocity: Vector) -> Setpoint | None:
     mask = message.type_mask
     goal: Goal | None = None
     if not mask & IGNORE_POSITION:
-        goal = Reach(place) if _near(place) else None
+        goal = Reach(place) if is_near(place) else None
     elif not mask & IGNORE_VELOCITY:
-        goal = Keep(velocity) if _near(velocity) else None
+        goal = Keep(velocity) if is_near(velocity) else None
     yaw = None if mask & IGNORE_YAW or not math.isfinite(message.yaw) else message.yaw
     rate = None if mask & IGNORE_YAW_RATE or not math.isfinite(message.yaw_rate) else message.yaw_rate
     # A heading goes before a rate when both are given.
@@ -76,23 +75,5 @@ def _setpoint(message: Any, place: Vector, velocity: Vector) -> Setpoint | None:
     return None if setpoint == Setpoint() else setpoint
 
 
-def _near(vector: Vector) -> bool:
-    return all(abs(part) < FARTHEST for part in vector)
-
-
-def _turned(vector: Vector, yaw: float) -> Vector:
-    forward, right, down = vector
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    return cos * forward - sin * right, sin * forward + cos * right, down
-
-
 def _lean(angle: float) -> float:
     return max(-STEEPEST, min(STEEPEST, angle))
-
-
-def _angles(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a unit quaternion."""
-    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
-    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return roll, pitch, yaw

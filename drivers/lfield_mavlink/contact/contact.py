@@ -1,0 +1,222 @@
+"""Contact with one vehicle: its messages, commands with their refusals, and waiting for news."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
+
+from lfield.driver import Clock, Device, DeviceBinding, Manifest, Reports
+from lfield_mavlink.contact.exchange import Exchange, is_for_us
+from lfield_mavlink.contact.state import Texts, VehicleState
+from lfield_mavlink.geo import Place
+from lfield_mavlink.link.dialect import dialect, result_words
+from lfield_mavlink.modes import STACKS, Profile
+
+#: Seconds without a heartbeat after which the link is lost: a call must fail within 3 s.
+LINK_LOST = 2.7
+#: Seconds for a state to show after it was accepted (a heartbeat comes every second at least).
+SHOWS = 3.0
+#: How often a command is sent in that time.
+ATTEMPTS = 3
+#: Seconds to wait for a text that explains a refusal.
+EXPLAINS = 0.3
+
+Handler = Callable[[Any], None]
+
+
+class Contact(Device):
+    """A vehicle that is heard and can be asked; what it can do is in its parts.
+
+    They use `state` and `profile` (what is known), `send` (a message), `on` and `expect` (messages),
+    `command` and `achieve` (what must be accepted, and be seen), `exchange` (commands whose answer decides),
+    `seen`, `until` and `next_news` (waiting), and the checks.
+    """
+
+    def __init__(
+        self,
+        binding: DeviceBinding,
+        manifest: Manifest,
+        clock: Clock,
+        reports: Reports,
+        send: Callable[[Any], None],
+    ) -> None:
+        super().__init__(binding, manifest, clock, reports)
+        self.system: int = binding.option("system")
+        #: Set while the owner is gone: nothing is asked for (see Driver.quiet).
+        self.quiet = False
+        #: Set while the vehicle is not heard.
+        self.lost = False
+        #: Sends it a message, which may be lost.
+        self.send = send
+        self.state = VehicleState(binding.option("kind"))
+        self.exchange = Exchange(self.system, send)
+        self._texts = Texts()
+        self._news = asyncio.Event()
+        self._handlers: defaultdict[int, list[Handler]] = defaultdict(list)
+        self._expected: dict[asyncio.Future[Any], Callable[[Any], bool]] = {}
+
+    # -- what is known --------------------------------------------------------------------------------
+
+    @property
+    def profile(self) -> Profile:
+        """What kind of vehicle it is; known once it is open."""
+        if self.state.profile is None:
+            raise self.error("it has not said what it is")
+        return self.state.profile
+
+    @property
+    def silence(self) -> float:
+        """Seconds since the last heartbeat."""
+        return math.inf if self.state.heard is None else self.clock.monotonic() - self.state.heard
+
+    def reasons(self, start: float) -> str:
+        """What the autopilot said from `start` on, to go after a reason."""
+        return "".join(f", {text}" for text in self._texts.since(start))
+
+    def check_link(self) -> None:
+        """Raise DeviceError when the vehicle is not heard any more."""
+        if self.silence > LINK_LOST:
+            raise self.error(f"no heartbeat for {self.silence:.1f} s; the link is lost", timeout=True)
+
+    def check_identity(self) -> None:
+        """Raise DeviceError when it is another vehicle than the binding says."""
+        state, kind = self.state, self.state.kind
+        stack = STACKS.get(state.autopilot)
+        if stack is None:
+            raise self.error(
+                f"system {self.system} has neither ArduPilot nor PX4 (MAV_AUTOPILOT {state.autopilot})"
+            )
+        if state.profile is None:
+            raise self.error(f"a {kind} with {stack} is not served")
+        if state.type not in state.profile.types:
+            raise self.error(f"system {self.system} is no {kind} (MAV_TYPE {state.type})")
+        self.exchange.px4 = state.profile.px4
+
+    # -- messages -------------------------------------------------------------------------------------
+
+    def on_message(self, message: Any) -> None:
+        """A message of this vehicle's autopilot."""
+        now = self.clock.monotonic()
+        if message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT:
+            self._on_text(message, now)
+        values = self.state.update(message, now)
+        if self.state.heard == now:
+            self.heard()
+        if values:
+            self.publish(**values)
+        if is_for_us(message):
+            self._hand_over(message)
+        self._news.set()
+
+    def _hand_over(self, message: Any) -> None:
+        """To everybody who asked for it."""
+        self.exchange.on_message(message)
+        for handler in self._handlers.get(message.get_msgId(), ()):
+            handler(message)
+        for future, wanted in list(self._expected.items()):
+            if not future.done() and wanted(message):
+                future.set_result(message)
+
+    def on(self, message_id: int, handler: Handler) -> None:
+        """Call `handler` with every message of this id that is for us, from now on."""
+        self._handlers[message_id].append(handler)
+
+    def listens_to(self, message_id: int) -> bool:
+        """Whether anybody has asked for messages of this id."""
+        return message_id in self._handlers
+
+    async def expect(self, wanted: Callable[[Any], bool], bound: float) -> Any | None:
+        """The next message for us that is wanted; None when none came within `bound` seconds.
+
+        Nothing is missed between a `send` and the `expect` right after it.
+        """
+        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self._expected[future] = wanted
+        try:
+            async with asyncio.timeout(bound):
+                return await future
+        except TimeoutError:
+            return None
+        finally:
+            del self._expected[future]
+
+    def _on_text(self, message: Any, now: float) -> None:
+        text = self._texts.add(message.text, message.id, message.chunk_seq, now)
+        if text and message.severity <= dialect.MAV_SEVERITY_WARNING:
+            self.note(f"the autopilot says: {text}")
+
+    # -- asking and waiting ---------------------------------------------------------------------------
+
+    async def command(
+        self,
+        what: str,
+        number: int,
+        *values: float | None,
+        place: Place | None = None,
+        once: bool = False,
+        optional: bool = False,
+        taken: Callable[[], bool] = lambda: False,
+    ) -> bool:
+        """Have a command accepted. Raises DeviceError with the result and the autopilot's own reason.
+
+        With `optional`, false when the autopilot does not know the command: there is another one to try.
+
+        `taken` is a state that shows that it was: when the first copy was taken and its answer lost, the
+        second copy may be refused, as a takeoff is in the air. `once` is for what must not be done twice.
+        """
+        start = self.clock.monotonic()
+        answer = await self.exchange.command(number, *values, place=place, once=once)
+        if answer.result == dialect.MAV_RESULT_ACCEPTED:
+            return True
+        if answer.attempts > 1 and await self.seen(taken, EXPLAINS):
+            return True
+        if optional and answer.result == dialect.MAV_RESULT_UNSUPPORTED:
+            return False
+        if answer.result is None:
+            perhaps = "; it may have been done all the same" if once else ""
+            raise self.error(f"{what}: the autopilot did not answer{perhaps}", timeout=True)
+        await self.seen(lambda: bool(self._texts.since(start)), EXPLAINS)
+        raise self.error(f"{what} refused: {result_words(answer.result)}{self.reasons(start)}")
+
+    async def achieve(self, what: str, state: Callable[[], bool], number: int, *values: float | None) -> None:
+        """Have a command accepted and wait until the state shows it. Raises DeviceError.
+
+        It is sent again while the state does not show it: the acceptance may have been a late one of an
+        earlier command. So it must be one that may be carried out twice.
+        """
+        start = self.clock.monotonic()
+        for _ in range(ATTEMPTS):
+            await self.command(what, number, *values, taken=state)
+            if await self.seen(state, SHOWS / ATTEMPTS):
+                return
+        self.check_link()
+        raise self.error(f"{what} was accepted but did not happen within {SHOWS:g} s{self.reasons(start)}")
+
+    async def until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
+        """Wait until the state shows it. Raises DeviceError when it does not."""
+        start = self.clock.monotonic()
+        if not await self.seen(condition, bound):
+            self.check_link()
+            raise self.error(f"{what} did not happen within {bound:g} s{self.reasons(start)}")
+
+    async def seen(self, condition: Callable[[], bool], bound: float) -> bool:
+        """Whether the condition came true within `bound` seconds; looked at with every message."""
+        end = self.clock.monotonic() + bound
+        while not condition():
+            left = end - self.clock.monotonic()
+            if left <= 0.0:
+                return False
+            await self.next_news(left)
+        return True
+
+    async def next_news(self, longest: float) -> None:
+        """Sleep until the next message, at most `longest` seconds."""
+        self._news.clear()
+        try:
+            async with asyncio.timeout(longest):
+                await self._news.wait()
+        except TimeoutError:
+            pass

@@ -1,0 +1,207 @@
+"""What is known of a vehicle from what it sends: its telemetry, and its texts.
+
+Pure: messages and times in, telemetry values and whole texts out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import PROFILES, Profile
+
+#: Which quantities of the manifest each message brings. The autopilot is asked for the message at the
+#: highest rate that the manifest names for one of them. The heartbeat is wanted faster than its 1 Hz, since
+#: modes and arming are confirmed by it.
+SOURCES: Mapping[int, tuple[str, ...]] = {
+    dialect.MAVLINK_MSG_ID_HEARTBEAT: ("mode", "armed", "failsafe"),
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: ("position", "velocity", "altitude"),
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: ("globalPosition",),
+    dialect.MAVLINK_MSG_ID_ATTITUDE: ("attitude", "heading", "yawRate"),
+    dialect.MAVLINK_MSG_ID_VFR_HUD: ("groundSpeed", "climb"),
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: ("gpsFix", "satellites"),
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: ("landed",),
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: ("battery", "batteryVoltage", "batteryCurrent"),
+}
+
+#: Characters of one message; a longer text comes in chunks with one id.
+CHUNK = 50
+#: Unfinished texts that are kept; a lost chunk must not cost memory for ever.
+UNFINISHED = 8
+
+Values = dict[str, object]
+
+
+class VehicleState:
+    """The newest of everything; None is "not heard yet".
+
+    Positions are metres of *home*: the autopilot reports and takes them about the origin of its estimator,
+    which is where it first knew its place, while home moves to where it was armed last.
+    """
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self.heard: float | None = None
+        self.profile: Profile | None = None
+        self.autopilot = -1
+        self.type = -1
+        self.mode = ""
+        self.armed = False
+        self.landed: bool | None = None
+        self.yaw: float | None = None
+        self.home: Place | None = None
+        self.booted: int | None = None
+        self._local: Vector | None = None
+        self._origin: Place | None = None
+        self._local_home: Vector | None = None
+
+    @property
+    def home_offset(self) -> Vector:
+        """Home in the autopilot's local frame."""
+        if self.home is not None and self._origin is not None:
+            return self._origin.to(self.home)
+        return self._local_home or (0.0, 0.0, 0.0)
+
+    @property
+    def position(self) -> Vector | None:
+        """North, east, down of home in metres."""
+        if self._local is None:
+            return None
+        (north, east, down), home = self._local, self.home_offset
+        return (north - home[0], east - home[1], down - home[2])
+
+    @property
+    def knows_frames(self) -> bool:
+        """Whether it is known where home is in the local frame, so that positions are about home."""
+        return self.home is not None and (self._origin is not None or self._local_home is not None)
+
+    def update(self, message: Any, now: float) -> Values:
+        """Take a message in; the telemetry quantities it gives. What makes no sense gives none."""
+        handler = _HANDLERS.get(message.get_msgId())
+        return handler(self, message, now) if handler else {}
+
+    def _on_heartbeat(self, message: Any, now: float) -> Values:
+        self.heard = now
+        self.autopilot, self.type = message.autopilot, message.type
+        self.profile = PROFILES.get((message.autopilot, self.kind))
+        number = message.custom_mode
+        self.mode = self.profile.mode_name(number) if self.profile else f"mode {number}"
+        self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+        failsafe = message.system_status in (dialect.MAV_STATE_CRITICAL, dialect.MAV_STATE_EMERGENCY)
+        return {"mode": self.mode, "armed": self.armed, "failsafe": failsafe}
+
+    def _on_local_position(self, message: Any, _: float) -> Values:
+        numbers = (message.x, message.y, message.z, message.vx, message.vy, message.vz)
+        if not all(map(math.isfinite, numbers)):
+            return {}
+        self._local = numbers[:3]
+        position = self.position
+        assert position is not None
+        return {"position": list(position), "velocity": list(numbers[3:]), "altitude": -position[2]}
+
+    def _on_global_position(self, message: Any, _: float) -> Values:
+        place = Place.scaled(message.lat, message.lon, message.alt)
+        return {"globalPosition": [place.latitude, place.longitude, place.altitude]} if place else {}
+
+    def _on_attitude(self, message: Any, _: float) -> Values:
+        angles = (message.roll, message.pitch, message.yaw)
+        if not all(map(math.isfinite, (*angles, message.yawspeed))):
+            return {}
+        self.yaw, self.booted = message.yaw, message.time_boot_ms
+        return {"attitude": list(angles), "heading": message.yaw % math.tau, "yawRate": message.yawspeed}
+
+    def _on_vfr_hud(self, message: Any, _: float) -> Values:
+        if not (math.isfinite(message.groundspeed) and math.isfinite(message.climb)):
+            return {}
+        return {"groundSpeed": message.groundspeed, "climb": message.climb}
+
+    def _on_gps(self, message: Any, _: float) -> Values:
+        values: Values = {"gpsFix": message.fix_type}
+        if message.satellites_visible != 0xFF:
+            values["satellites"] = message.satellites_visible
+        return values
+
+    def _on_sys_status(self, message: Any, _: float) -> Values:
+        values: Values = {}
+        if message.battery_remaining >= 0:  # -1 is "unknown"
+            values["battery"] = min(message.battery_remaining / 100.0, 1.0)
+        if message.voltage_battery != 0xFFFF:
+            values["batteryVoltage"] = message.voltage_battery / 1000.0
+        if message.current_battery >= 0:
+            values["batteryCurrent"] = message.current_battery / 100.0
+        return values
+
+    def _on_extended_sys_state(self, message: Any, _: float) -> Values:
+        if self.profile is not None and not self.profile.flies:
+            self.landed = True
+        elif message.landed_state == dialect.MAV_LANDED_STATE_UNDEFINED:
+            return {}
+        else:
+            self.landed = message.landed_state == dialect.MAV_LANDED_STATE_ON_GROUND
+        return {"landed": self.landed}
+
+    def _on_home(self, message: Any, _: float) -> Values:
+        self.home = Place.scaled(message.latitude, message.longitude, message.altitude) or self.home
+        local = (message.x, message.y, message.z)
+        # ArduPilot leaves it at 0, wherever home is.
+        if self.profile is not None and self.profile.px4 and all(map(math.isfinite, local)):
+            self._local_home = local
+        return {}
+
+    def _on_origin(self, message: Any, _: float) -> Values:
+        origin = Place.scaled(message.latitude, message.longitude, message.altitude)
+        self._origin = origin or self._origin
+        return {}
+
+
+_HANDLERS: Mapping[int, Callable[[VehicleState, Any, float], Values]] = {
+    dialect.MAVLINK_MSG_ID_HEARTBEAT: VehicleState._on_heartbeat,
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: VehicleState._on_local_position,
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: VehicleState._on_global_position,
+    dialect.MAVLINK_MSG_ID_ATTITUDE: VehicleState._on_attitude,
+    dialect.MAVLINK_MSG_ID_VFR_HUD: VehicleState._on_vfr_hud,
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: VehicleState._on_gps,
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: VehicleState._on_sys_status,
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: VehicleState._on_extended_sys_state,
+    dialect.MAVLINK_MSG_ID_HOME_POSITION: VehicleState._on_home,
+    dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: VehicleState._on_origin,
+}
+
+
+class Texts:
+    """STATUSTEXT: chunks joined, and the newest texts kept as reasons for refusals."""
+
+    def __init__(self) -> None:
+        self._chunks: dict[int, list[str]] = {}
+        self._recent: deque[tuple[float, str]] = deque(maxlen=32)
+
+    def add(self, text: str, text_id: int, sequence: int, now: float) -> str | None:
+        """Take one message in; the whole text when this completes one."""
+        if text_id == 0:
+            return self._complete(text, now)
+        if sequence == 0:
+            self._chunks[text_id] = []
+            while len(self._chunks) > UNFINISHED:
+                del self._chunks[next(iter(self._chunks))]
+        chunks = self._chunks.get(text_id)
+        if chunks is None or len(chunks) != sequence:
+            # A chunk is missing: what remains would be nonsense.
+            self._chunks.pop(text_id, None)
+            return None
+        chunks.append(text)
+        if len(text) == CHUNK:
+            return None
+        del self._chunks[text_id]
+        return self._complete("".join(chunks), now)
+
+    def since(self, start: float) -> list[str]:
+        """The texts completed from `start` on."""
+        return [text for at, text in self._recent if at >= start]
+
+    def _complete(self, text: str, now: float) -> str:
+        self._recent.append((now, text))
+        return text

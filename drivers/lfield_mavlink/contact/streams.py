@@ -1,0 +1,125 @@
+"""Telemetry is asked for: every message at the highest rate that the manifest names for what it brings."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Mapping
+
+from lfield_mavlink.contact.contact import SHOWS, Contact
+from lfield_mavlink.contact.state import SOURCES
+from lfield_mavlink.link.dialect import AUTOPILOT, dialect
+
+#: Seconds after which a stream that was there is asked for again.
+STALE = 3.0
+#: Telemetry that ground stations ask for on the same link, and this driver makes no use of.
+UNUSED = frozenset(
+    {
+        dialect.MAVLINK_MSG_ID_SCALED_IMU,
+        dialect.MAVLINK_MSG_ID_RAW_IMU,
+        dialect.MAVLINK_MSG_ID_SCALED_PRESSURE,
+        dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        dialect.MAVLINK_MSG_ID_RC_CHANNELS_RAW,
+        dialect.MAVLINK_MSG_ID_RC_CHANNELS,
+        dialect.MAVLINK_MSG_ID_ATTITUDE_TARGET,
+        dialect.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED,
+        dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT,
+        dialect.MAVLINK_MSG_ID_HIGHRES_IMU,
+        dialect.MAVLINK_MSG_ID_ALTITUDE,
+        dialect.MAVLINK_MSG_ID_BATTERY_STATUS,
+        dialect.MAVLINK_MSG_ID_VIBRATION,
+        dialect.MAVLINK_MSG_ID_ODOMETRY,
+    }
+)
+#: The share of its period after which a message is read; what comes sooner nobody has asked for.
+EARLY = 0.6
+#: The stream of REQUEST_DATA_STREAM that brings a message, for autopilots that know no intervals.
+GROUPS: Mapping[int, int] = {
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
+    dialect.MAVLINK_MSG_ID_GPS_RAW_INT: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: dialect.MAV_DATA_STREAM_EXTENDED_STATUS,
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: dialect.MAV_DATA_STREAM_POSITION,
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: dialect.MAV_DATA_STREAM_POSITION,
+    dialect.MAVLINK_MSG_ID_ATTITUDE: dialect.MAV_DATA_STREAM_EXTRA1,
+    dialect.MAVLINK_MSG_ID_VFR_HUD: dialect.MAV_DATA_STREAM_EXTRA2,
+}
+#: Messages that parts listen for beside telemetry, and at how many Hz they are wanted.
+LISTENED: Mapping[int, float] = {
+    dialect.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    dialect.MAVLINK_MSG_ID_FENCE_STATUS: 1.0,
+    dialect.MAVLINK_MSG_ID_MISSION_CURRENT: 2.0,
+}
+
+
+class Streams:
+    """Asks for the messages that bring telemetry, and asks again when one has stopped.
+
+    A stream stops when the autopilot was restarted, or when it is now heard on another link: ArduPilot has
+    the rates of each link on their own.
+    """
+
+    def __init__(self, vehicle: Contact) -> None:
+        self._vehicle = vehicle
+        rates = {quantity.name: quantity.rate for quantity in vehicle.manifest.device.telemetry}
+        # Message id -> Hz.
+        self._rates = {kind: max(rates[name] for name in names) for kind, names in SOURCES.items()}
+        self._rates |= LISTENED
+        self._last: dict[int, float] = {}
+        self._read: dict[int, float] = {}
+
+    def heard(self, kind: int, now: float) -> None:
+        """A message has come, and is read."""
+        if kind in self._rates:
+            self._last[kind] = self._read[kind] = now
+
+    def is_spare(self, kind: int, now: float) -> bool:
+        """Whether a message need not be read, since nobody here uses it, or it comes too soon after the last.
+
+        Such a message counts as heard.
+        """
+        if kind in UNUSED:
+            return not self._vehicle.listens_to(kind)
+        # What other parts have asked for may also be told when it changes; a heartbeat is a sign of life.
+        if kind not in SOURCES or kind == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            return False
+        if now - self._read.get(kind, -math.inf) > EARLY / self._rates[kind]:
+            return False
+        self._last[kind] = now
+        return True
+
+    async def prepare(self) -> None:
+        """Ask for every stream, and note what does not come."""
+        vehicle = self._vehicle
+        await asyncio.gather(*(self._ask_for(kind) for kind in self._rates))
+        origin = dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
+        await vehicle.exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, origin)
+        if not await vehicle.seen(lambda: vehicle.state.knows_frames, SHOWS):
+            vehicle.note(
+                "it does not tell where home is; positions are of the place where it was switched on"
+            )
+        await vehicle.seen(lambda: not self._missing(), SHOWS)
+        if missing := self._missing():
+            vehicle.note(f"it does not report {', '.join(missing)}")
+
+    def _missing(self) -> list[str]:
+        return sorted(name for kind, names in SOURCES.items() if kind not in self._last for name in names)
+
+    async def keep(self) -> None:
+        """Ask again for what has stopped, until cancelled."""
+        while True:
+            await asyncio.sleep(STALE / 2)
+            now = self._vehicle.clock.monotonic()
+            if self._vehicle.quiet or self._vehicle.lost:
+                continue
+            for kind, last in list(self._last.items()):
+                if now - last > max(STALE, 3.0 / self._rates[kind]):
+                    await self._ask_for(kind)
+
+    async def _ask_for(self, kind: int) -> None:
+        vehicle, rate = self._vehicle, self._rates[kind]
+        answer = await vehicle.exchange.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / rate)
+        if answer.result != dialect.MAV_RESULT_ACCEPTED and kind in GROUPS:
+            group, hertz = GROUPS[kind], math.ceil(rate)
+            vehicle.send(
+                dialect.MAVLink_request_data_stream_message(vehicle.system, AUTOPILOT, group, hertz, 1)
+            )

@@ -1,0 +1,86 @@
+"""The links of a bus with their readers and writers, and the one that a vehicle is reached on."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from lfield_mavlink.link.dialect import Reader, Writer
+from lfield_mavlink.link.links import Link
+from lfield_mavlink.link.signing import LinkSigning, Signing
+
+#: Seconds without a message after which a vehicle is looked for on its other links.
+STEADY = 1.5
+#: Packets remembered per vehicle: some seconds of all its streams.
+REMEMBERED = 512
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """One link with what reads and writes its packets."""
+
+    link: Link
+    reader: Reader
+    writer: Writer
+    signing: LinkSigning | None
+
+    def send(self, message: Any) -> None:
+        """One message as one packet."""
+        self.link.send(self.writer.pack(message))
+
+
+@dataclass(frozen=True, slots=True)
+class LinkCounts:
+    """What the readers of all links have counted: damaged packets, and signatures."""
+
+    broken: int = 0
+    good_signatures: int = 0
+    bad_signatures: int = 0
+    unsigned: int = 0
+
+    @classmethod
+    def over(cls, ports: Sequence[Port], signing: Signing | None) -> LinkCounts:
+        """What they have counted up to now."""
+        return cls(
+            broken=sum(port.reader.broken for port in ports),
+            good_signatures=signing.good if signing else 0,
+            bad_signatures=signing.bad if signing else 0,
+            unsigned=sum(port.signing.unsigned for port in ports if port.signing),
+        )
+
+
+class Route:
+    """The links of one vehicle by number.
+
+    A link is kept while the vehicle is heard on it: setpoints that went out on two links in turn could
+    overtake one another.
+    """
+
+    def __init__(self, links: int) -> None:
+        self._everywhere = tuple(range(links))
+        self._heard: dict[int, float] = {}
+        self._link: int | None = None
+        self._packets: OrderedDict[bytes, int] = OrderedDict()
+
+    def heard(self, link: int, packet: bytes | bytearray, now: float) -> bool:
+        """A packet came on a link; whether it is new, and not the copy of one that came on another link."""
+        self._heard[link] = now
+        if len(self._everywhere) == 1:
+            return True
+        packet = bytes(packet)
+        first = self._packets.setdefault(packet, link)
+        if len(self._packets) > REMEMBERED:
+            self._packets.popitem(last=False)
+        if first == link:
+            # The same bytes on the same link are not a copy: the numbers of packets have come round.
+            self._packets.move_to_end(packet)
+        return first == link
+
+    def links(self, now: float) -> Sequence[int]:
+        """Where to send: the link that it is heard on, or all when it is heard on none."""
+        if self._link is None or now - self._heard[self._link] > STEADY:
+            newest = max(self._heard, key=self._heard.__getitem__, default=None)
+            self._link = newest if newest is not None and now - self._heard[newest] <= STEADY else None
+        return self._everywhere if self._link is None else (self._link,)

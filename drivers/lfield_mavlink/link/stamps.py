@@ -1,0 +1,139 @@
+"""The key that signs packets, and timestamps that are never given twice, also not after a crash.
+
+A vehicle refuses a packet that is not newer than the last one of its stream, so the timestamp must survive
+this process. It is kept in a file beside the key, written ahead of its use: what is lost in a crash is a
+few seconds of numbers, never their order. All links and processes with the same key share the file.
+
+https://mavlink.io/en/guide/message_signing.html
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+from lfield.driver import Clock, DeviceError, read_within
+
+#: Timestamps count units of 10 us since the first of January 2015.
+PER_SECOND, EPOCH = 100_000, 1_420_070_400
+#: How far ahead of its use the timestamp is written, in those units, and how little may be left of it.
+AHEAD, LOW = 20 * PER_SECOND, 10 * PER_SECOND
+#: Bytes of a key.
+KEY = 32
+#: A timestamp has 48 bits.
+LAST = (1 << 48) - 1
+
+
+def load_key(path: Path) -> bytes:
+    """The key in a file: 32 bytes, or 64 hexadecimal digits. Raises DeviceError.
+
+    A file that others may read is refused: whoever has the key flies the vehicle.
+    """
+    try:
+        data = read_within(path, 4 * KEY)
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:
+        raise _error(f"the signing key {path} cannot be read: {error}") from None
+    if mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise _error(f"the signing key {path} is open to others; run: chmod 600 {path}")
+    key = data if len(data) == KEY else _from_hex(data)
+    if len(key) != KEY or not any(key):
+        raise _error(f"{path} holds no signing key: {KEY} bytes, or {2 * KEY} hexadecimal digits, not all 0")
+    return key
+
+
+class Stamps:
+    """Rising timestamps of one key. `open`, `extend` and `close` work on the file and may block."""
+
+    def __init__(self, key_path: Path, clock: Clock) -> None:
+        self._key_path, self._clock = key_path, clock
+        self._path = key_path.with_name(key_path.name + ".timestamp")
+        self._last = self._written = self._start = 0
+        self._opened = 0.0
+
+    def open(self) -> None:
+        """Take up where the last process with this key was. Raises DeviceError."""
+        wall = int((self._clock.time() - EPOCH) * PER_SECOND)
+        with self._locked():
+            self._start = self._last = max(wall, self._read(), 0)
+            self._write(self._last + AHEAD)
+        self._opened = self._clock.monotonic()
+
+    def next(self) -> int:
+        """A timestamp later than every one before."""
+        self._last = max(self._last + 1, min(self._due(), self._written))
+        return self._last
+
+    def saw(self, timestamp: int) -> None:
+        """Somebody who has the key too is at `timestamp`: ours must not stay behind."""
+        self._start += max(timestamp - self._due(), 0)
+
+    @property
+    def latest(self) -> int:
+        """The last one that was given."""
+        return self._last
+
+    @property
+    def is_low(self) -> bool:
+        """Whether it is time to `extend`."""
+        return self._written - max(self._due(), self._last) < LOW
+
+    def extend(self) -> None:
+        """Write further ahead. Raises DeviceError."""
+        with self._locked():
+            self._write(max(self._due(), self._last, self._read()) + AHEAD)
+
+    def _due(self) -> int:
+        """The timestamp of now, by the monotonic clock: a wall clock that is set must not move it."""
+        return self._start + int((self._clock.monotonic() - self._opened) * PER_SECOND)
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Alone among the processes that have this key. Raises DeviceError."""
+        try:
+            with self._key_path.open("rb") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                yield
+        except OSError as error:
+            raise _error(
+                f"the timestamp of the signing key cannot be kept in {self._path}: {error}"
+            ) from None
+
+    def _read(self) -> int:
+        """What was written last; 0 when nothing was."""
+        try:
+            text = read_within(self._path, 64)
+        except FileNotFoundError:
+            return 0
+        number = text.strip()
+        if not number.isdigit() or int(number) > LAST:
+            raise _error(
+                f"{self._path} holds no timestamp; remove it if this computer's clock is right, "
+                "else the vehicle takes every packet for an old one"
+            )
+        return int(number)
+
+    def _write(self, timestamp: int) -> None:
+        """Replace the file as a whole, safely on the disk before it is used."""
+        fresh = self._path.with_name(self._path.name + ".new")
+        with fresh.open("wb") as file:
+            file.write(b"%d\n" % timestamp)
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(self._path)
+        self._written = timestamp
+
+
+def _from_hex(data: bytes) -> bytes:
+    try:
+        return bytes.fromhex(data.decode("ascii"))
+    except ValueError:
+        return b""
+
+
+def _error(reason: str) -> DeviceError:
+    return DeviceError("signing_key", reason)

@@ -1,0 +1,177 @@
+"""The autopilot's own fence: zones, what it does at their edge, and whether it is on; and its rally points.
+
+The vehicle holds the fence; the driver keeps nothing of it. Each instruction leaves a whole fence behind that
+has been read back. ArduPilot: https://ardupilot.org/copter/docs/common-geofencing-landing-page.html,
+PX4: https://docs.px4.io/main/en/flying/geofence.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import ARDUPILOT, PX4
+from lfield_mavlink.services.parameters import Parameters
+from lfield_mavlink.services.plan_items import (
+    CIRCLES,
+    POLYGONS,
+    RALLY_POINT,
+    Item,
+    PlanKind,
+    circle,
+    coordinates,
+    polygon,
+    rally_points,
+)
+from lfield_mavlink.services.plan_transfer import PlanTransfer
+
+#: Bit of FENCE_TYPE for uploaded polygons and circles; the others are of fences that are parameters.
+ZONES = 4
+
+#: FENCE_ACTION or GF_ACTION by autopilot, kind of vehicle and word.
+ACTIONS: Mapping[tuple[int, str], Mapping[str, int]] = {
+    (ARDUPILOT, "copter"): {"report": 0, "return": 1, "land": 2, "hold": 4},
+    (ARDUPILOT, "rover"): {"report": 0, "return": 1, "hold": 2},
+    (ARDUPILOT, "plane"): {"report": 0, "return": 1},
+    (ARDUPILOT, "submarine"): {"report": 0, "return": 1, "hold": 2},
+    (PX4, "copter"): {"report": 1, "hold": 2, "return": 3, "land": 5},
+    (PX4, "rover"): {"report": 1, "hold": 2, "return": 3},
+    (PX4, "plane"): {"report": 1, "hold": 2, "return": 3, "land": 5},
+}
+
+
+class Fences:
+    """Zones to stay inside (in one of them, where there are several), and zones to stay outside."""
+
+    def __init__(self, vehicle: Contact, plans: PlanTransfer, parameters: Parameters) -> None:
+        self._vehicle, self._plans, self._parameters = vehicle, plans, parameters
+        vehicle.on(dialect.MAVLINK_MSG_ID_FENCE_STATUS, self._on_fence_status)
+        vehicle.on(dialect.MAVLINK_MSG_ID_SYS_STATUS, self._on_fence_health)
+
+    # -- instructions ---------------------------------------------------------------------------------
+
+    async def do_set_fence_circle(self, latitude: float, longitude: float, radius: float) -> None:
+        """A new fence: inside this circle. It is switched on."""
+        await self._set_fence(
+            "setFenceCircle", lambda: circle(latitude, longitude, radius, inside=True), add=False
+        )
+
+    async def do_set_fence_polygon(self, corners: list[float]) -> None:
+        """A new fence: inside this polygon, {latitude, longitude} for each corner. It is switched on."""
+        await self._set_fence("setFencePolygon", lambda: polygon(corners, inside=True), add=False)
+
+    async def do_exclude_circle(self, latitude: float, longitude: float, radius: float) -> None:
+        """One zone more in the fence that is there: outside this circle."""
+        await self._set_fence(
+            "excludeCircle", lambda: circle(latitude, longitude, radius, inside=False), add=True
+        )
+
+    async def do_exclude_polygon(self, corners: list[float]) -> None:
+        """One zone more in the fence that is there: outside this polygon."""
+        await self._set_fence("excludePolygon", lambda: polygon(corners, inside=False), add=True)
+
+    async def do_fence(self) -> str:
+        """The zones that the vehicle holds, one per line: `inside circle LATITUDE LONGITUDE RADIUS`."""
+        return describe(await self._plans.download(PlanKind.FENCE))
+
+    async def do_clear_fence(self) -> None:
+        """No zones any more, and the fence off."""
+        await self._plans.clear(PlanKind.FENCE)
+        if not self._vehicle.profile.px4:
+            await self._parameters.write("FENCE_ENABLE", 0)
+
+    async def do_fence_action(self, action: str) -> None:
+        """What the autopilot does at the edge; the fence is switched on."""
+        profile = self._vehicle.profile
+        actions = ACTIONS.get((profile.autopilot, profile.kind), {})
+        if action not in actions:
+            raise self._vehicle.error(
+                f"fenceAction: there is no '{action}' for a {profile.kind} with {profile.stack}; "
+                f"it has {', '.join(actions)}"
+            )
+        await self._parameters.write("GF_ACTION" if profile.px4 else "FENCE_ACTION", actions[action])
+        await self._switch_on()
+
+    # -- steps ----------------------------------------------------------------------------------------
+
+    async def _set_fence(self, what: str, make: Callable[[], list[Item]], *, add: bool) -> None:
+        try:
+            zone = make()
+        except ValueError as error:
+            raise self._vehicle.error(f"{what}: {error}") from None
+        there = await self._plans.download(PlanKind.FENCE) if add else []
+        await self._plans.upload(PlanKind.FENCE, [*there, *zone])
+        await self._switch_on()
+
+    async def _switch_on(self) -> None:
+        """A fence that is there but asleep protects nobody. PX4 has no switch beside its action."""
+        if self._vehicle.profile.px4:
+            return
+        kinds = await self._parameters.read("FENCE_TYPE")
+        if kinds is None:
+            raise self._parameters.unknown("FENCE_TYPE")
+        if not int(kinds) & ZONES:
+            await self._parameters.write("FENCE_TYPE", int(kinds) | ZONES)
+        await self._parameters.write("FENCE_ENABLE", 1)
+
+    def _on_fence_status(self, message: Any) -> None:
+        self._vehicle.publish(fenceBreached=bool(message.breach_status))
+
+    def _on_fence_health(self, message: Any) -> None:
+        """ArduPilot sends no FENCE_STATUS while its fence is off; a fence that is off is not breached."""
+        is_on = message.onboard_control_sensors_enabled & dialect.MAV_SYS_STATUS_GEOFENCE
+        if self._vehicle.state.autopilot == ARDUPILOT and not is_on:
+            self._vehicle.publish(fenceBreached=False)
+
+
+class Rally:
+    """Rally points, where a vehicle that returns may go instead of home: the list, always as a whole."""
+
+    def __init__(self, vehicle: Contact, plans: PlanTransfer) -> None:
+        self._vehicle, self._plans = vehicle, plans
+
+    async def do_set_rally_points(self, values: list[float]) -> None:
+        """{latitude, longitude, height above home} for each, in place of those that were there."""
+        try:
+            items = rally_points(values)
+        except ValueError as error:
+            raise self._vehicle.error(f"setRallyPoints: {error}") from None
+        await self._plans.upload(PlanKind.RALLY, items)
+
+    async def do_rally_points(self) -> list[float]:
+        """Those that the vehicle holds, as setRallyPoints takes them."""
+        try:
+            return coordinates(await self._plans.download(PlanKind.RALLY), RALLY_POINT)
+        except ValueError as error:
+            raise self._vehicle.error(f"rallyPoints: {error}") from None
+
+    async def do_clear_rally_points(self) -> None:
+        """Leave the vehicle without any."""
+        await self._plans.clear(PlanKind.RALLY)
+
+
+def describe(items: list[Item]) -> str:
+    """A fence in words, a line for each zone."""
+    lines: list[str] = []
+    number = 0
+    while number < len(items):
+        item = items[number]
+        latitude, longitude = item.x / 1e7, item.y / 1e7
+        taken = 1
+        if item.command in POLYGONS:
+            taken = max(int(item.parameters[0]), 1)
+            corners = (f"{c.x / 1e7:.7f} {c.y / 1e7:.7f}" for c in items[number : number + taken])
+            lines.append(f"{_side(item.command, POLYGONS)} polygon {' '.join(corners)}")
+        elif item.command in CIRCLES:
+            side = _side(item.command, CIRCLES)
+            lines.append(f"{side} circle {latitude:.7f} {longitude:.7f} {item.parameters[0]:g}")
+        else:
+            lines.append(f"return point {latitude:.7f} {longitude:.7f}")
+        number += taken
+    return "\n".join(lines)
+
+
+def _side(command: int, pair: tuple[int, int]) -> str:
+    return "inside" if command == pair[0] else "outside"

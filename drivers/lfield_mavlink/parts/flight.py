@@ -1,0 +1,154 @@
+"""Modes, arming, taking off, landing, and the safe states: each confirmed by the vehicle's state."""
+
+from __future__ import annotations
+
+import math
+
+from lfield_mavlink.contact.contact import LINK_LOST, SHOWS, Contact
+from lfield_mavlink.geo import Vector
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.parts.limits import Limits
+from lfield_mavlink.parts.motion import CLOSER, Motion
+from lfield_mavlink.parts.orders import Order
+from lfield_mavlink.parts.watchdog import Watchdog
+
+
+class Flight:
+    """What brings a vehicle into the air and down, and what keeps others' hands free."""
+
+    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits, watchdog: Watchdog) -> None:
+        self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
+        self._limits, self._watchdog = limits, watchdog
+
+    # -- instructions ---------------------------------------------------------------------------------
+
+    async def do_arm(self) -> None:
+        """In a mode that may be armed in, then armed; its own watchdog is looked at before."""
+        vehicle = self._vehicle
+        self._motion.begin("arm")
+        if self._state.armed:
+            return
+        await self._watchdog.check_holds()
+        if self._state.mode != vehicle.profile.arming:
+            await self._motion.set_mode(vehicle.profile.arming)
+        await vehicle.achieve("arm", lambda: self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+
+    async def do_disarm(self) -> None:
+        """Motors off."""
+        self._motion.begin("disarm")
+        await self._vehicle.achieve(
+            "disarm", lambda: not self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0
+        )
+
+    async def do_takeoff(self, height: float) -> None:
+        """Up to `height` above home."""
+        state = self._state
+        self._limits.check_goal("takeoff", (0.0, 0.0, -height))
+        if height <= 0.0:
+            raise self._vehicle.error(f"takeoff needs a height above 0, not {height:g}")
+        self._motion.begin("takeoff")
+        if not state.armed:
+            # PX4 would accept it, and fly off when it is armed later.
+            raise self._vehicle.error("takeoff refused: the motors are off; call arm() first")
+        stood = state.landed
+
+        def climbing() -> bool:
+            return bool(stood) and not state.landed
+
+        order = self._motion.orders.take_off(height)
+        await self._motion.start("takeoff", order, taken=climbing)
+        near = min(self._motion.tolerance, 0.1 * height)
+        await self._motion.travel("takeoff", order, lambda place: abs(height + place[2]), near)
+
+    async def do_land(self) -> None:
+        """Down to the ground, here."""
+        mode = await self._leave_for("land", "land", dialect.MAV_CMD_NAV_LAND)
+
+        def height(place: Vector) -> float:
+            return 0.0 if self._down else max(-place[2], CLOSER) + 1.0
+
+        await self._motion.travel("land", Order(frozenset({mode})), height, 0.0)
+
+    async def do_return_home(self) -> None:
+        """Back to where home is; what flies and can land is done when it stands there."""
+        mode = await self._leave_for("returnHome", "return", dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+        lands = self._vehicle.profile.kind == "copter"
+        way = _Way()
+
+        def left(place: Vector) -> float:
+            if lands:
+                return 0.0 if self._down else way.left(place)
+            return math.hypot(*place[:2])
+
+        near = 0.0 if lands else self._motion.tolerance
+        await self._motion.travel("returnHome", Order(frozenset({mode})), left, near)
+
+    async def do_hold(self) -> None:
+        """Stop and stay."""
+        self._motion.begin("hold")
+        await self._motion.set_mode(self._vehicle.profile.hold)
+
+    async def do_set_mode(self, name: str) -> None:
+        """Any mode of the autopilot, by its own name for it."""
+        wanted, profile = name.upper(), self._vehicle.profile
+        if profile.mode_values(wanted) is None:
+            known = ", ".join(sorted(profile.modes.values()))
+            raise self._vehicle.error(f"{profile.stack} has no mode '{name}'; it has {known}")
+        self._motion.begin(f"mode {wanted}")
+        await self._motion.set_mode(wanted)
+
+    # -- the safe state -------------------------------------------------------------------------------
+
+    async def make_safe(self, state: str) -> None:
+        """Into a safe state of the manifest, unless it is at rest or somebody else has it.
+
+        Raises DeviceError.
+        """
+        vehicle = self._vehicle
+        self._motion.stream.stop()
+        if self._state.heard is not None and vehicle.silence <= LINK_LOST:
+            if not self._state.armed:
+                return
+            if not self._motion.ours:
+                # A pilot or the autopilot's own failsafe flies it: to take it from them would be less safe.
+                vehicle.note(f"in {self._state.mode}, by a pilot or a failsafe: left to them")
+                return
+            if self._state.landed and vehicle.profile.flies and await self._disarmed():
+                return
+        await self._motion.set_mode(vehicle.profile.safe(state))
+
+    async def _disarmed(self) -> bool:
+        """Try to switch the motors off on the ground; the autopilot refuses if it is not there."""
+        answer = await self._vehicle.exchange.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+        if answer.result != dialect.MAV_RESULT_ACCEPTED:
+            return False
+        return await self._vehicle.seen(lambda: not self._state.armed, SHOWS)
+
+    # -- steps ----------------------------------------------------------------------------------------
+
+    @property
+    def _down(self) -> bool:
+        """Whether it stands on the ground, or does not move by itself."""
+        return bool(self._state.landed) or not self._state.armed
+
+    async def _leave_for(self, what: str, safe_state: str, command: int) -> str:
+        """Enter the mode of a safe state by the command that there is for it, such as NAV_LAND; the mode."""
+        self._motion.begin(what)
+        mode = self._vehicle.profile.safe(safe_state)
+        await self._motion.enter(what, mode, command, done=lambda: self._down)
+        return mode
+
+
+class _Way:
+    """The way back of a flight that may first climb, as a number that only falls while it gets on."""
+
+    def __init__(self) -> None:
+        self._moved = 0.0
+        self._last: Vector | None = None
+
+    def left(self, place: Vector) -> float:
+        """Minus the metres flown so far: a return has a shape of its own, so any motion is progress."""
+        if self._last is not None:
+            self._moved += math.dist(place, self._last)
+        self._last = place
+        return 1e6 - self._moved

@@ -1,0 +1,175 @@
+"""Going to places, turning, circling, and setpoints of velocity."""
+
+from __future__ import annotations
+
+import math
+
+from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.link.dialect import dialect, result_words
+from lfield_mavlink.parts.limits import Limits
+from lfield_mavlink.parts.motion import Motion
+from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Target
+
+#: How exactly a heading is reached, in radians, and how long that may take, in seconds.
+HEADING_TOLERANCE, TURNING = math.radians(4.0), 30.0
+#: Seconds after which PX4 is told again to enter OFFBOARD.
+NOTICED = 0.2
+
+
+class Guidance:
+    """Motions in the air, on the ground or in the water, within the limits of the binding."""
+
+    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits) -> None:
+        self._vehicle, self._state = vehicle, vehicle.state
+        self._motion, self._limits = motion, limits
+
+    # -- places ---------------------------------------------------------------------------------------
+
+    async def do_go_to(self, north: float, east: float, down: float) -> None:
+        """To a place relative to home."""
+        await self._go_to("goTo", (north, east, down))
+
+    async def do_go_to_global(self, latitude: float, longitude: float, height: float) -> None:
+        """To a place in degrees, and metres above home; the limits are those about home."""
+        if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):  # so that NaN is refused too
+            raise self._vehicle.error(
+                "goToGlobal needs a latitude from -90 to 90 and a longitude from -180 to 180"
+            )
+        home = self._state.home
+        if home is None or not self._state.knows_frames:
+            raise self._vehicle.error("goToGlobal needs to know where home is, and the vehicle has not told")
+        north, east, _ = home.to(Place(latitude, longitude, home.altitude))
+        await self._go_to("goToGlobal", (north, east, -height))
+
+    async def _go_to(self, what: str, goal: Vector) -> None:
+        motion, vehicle = self._motion, self._vehicle
+        self._limits.check_goal(what, goal)
+        self._check_placed(what)
+        motion.begin(what)
+        order = motion.orders.go_to(self._state, goal, motion.wanted_speed)
+        await motion.start(what, order)
+
+        def distance(place: Vector) -> float:
+            return math.dist(goal, place) if vehicle.profile.flies else math.dist(goal[:2], place[:2])
+
+        await motion.travel(what, order, distance, motion.tolerance)
+
+    async def do_yaw(self, heading: float) -> None:
+        """Turn on the spot to a heading."""
+        if not math.isfinite(heading):
+            raise self._vehicle.error(f"yaw needs a finite heading, not {heading}")
+        self._check_placed("yaw")
+        self._motion.begin("yaw")
+        await self._motion.start("yaw", self._motion.orders.turn(self._state, heading))
+
+        def there() -> bool:
+            yaw = self._state.yaw
+            return yaw is not None and abs(math.remainder(yaw - heading, math.tau)) < HEADING_TOLERANCE
+
+        await self._vehicle.until(there, TURNING, "yaw")
+
+    async def do_orbit(
+        self, north: float, east: float, down: float, radius: float, speed: float, turns: float
+    ) -> None:
+        """Around a place, so many times; clockwise when `turns` is above 0. Then it holds."""
+        motion, limits, centre = self._motion, self._limits, (north, east, down)
+        limits.check_goal("orbit", centre)
+        if not (all(map(math.isfinite, (radius, speed, turns))) and radius > 0.0 and speed > 0.0 and turns):
+            raise self._vehicle.error("orbit needs a radius and a speed above 0, and turns other than 0")
+        limits.check_circle("orbit", centre, radius)
+        limits.check_speed("orbit", speed)
+        self._check_placed("orbit")
+        motion.begin("orbit")
+        circle = Circle(centre, radius, speed, turns > 0.0)
+        order = motion.orders.orbit(self._state, circle)
+        await motion.start("orbit", order)
+        await motion.travel("orbit", order, Revolutions(circle, abs(turns)).left, 0.0)
+        await motion.set_mode(self._vehicle.profile.hold)
+
+    # -- speeds ---------------------------------------------------------------------------------------
+
+    async def do_set_speed(self, speed: float) -> None:
+        """The speed over ground for what follows, within the limit of the binding."""
+        if not speed > 0.0:
+            raise self._vehicle.error(f"setSpeed needs a speed above 0, not {speed:g}")
+        self._limits.check_speed("setSpeed", speed)
+        await self._motion.set_speed(speed)
+
+    async def do_set_velocity(self, north: float, east: float, down: float) -> None:
+        """One velocity setpoint: it acts until the time-to-live of the binding, unless it is replaced."""
+        velocity = (north, east, down)
+        self._limits.check_speed("setVelocity", math.hypot(*velocity))
+        self._limits.check_way_out(self._state.position, velocity)
+        await self._follow("setVelocity", Target(ONLY_VELOCITY, velocity=velocity))
+
+    async def do_set_yaw_rate(self, rate: float) -> None:
+        """One setpoint: it turns on the spot at this rate until the time-to-live."""
+        if not math.isfinite(rate):
+            raise self._vehicle.error(f"setYawRate needs a finite rate, not {rate}")
+        await self._follow("setYawRate", Target(VELOCITY_AND_YAW_RATE, yaw_rate=rate))
+
+    async def _follow(self, what: str, target: Target) -> None:
+        """Send a setpoint, once to ArduPilot; to PX4 again and again until its time-to-live and no longer."""
+        motion, vehicle = self._motion, self._vehicle
+        until = vehicle.clock.monotonic() + vehicle.binding.ttl
+        motion.begin(what)
+        guided = vehicle.profile.guided
+        if vehicle.profile.px4:
+            motion.stream.start(motion.setpoint(target), until)
+            try:
+                await self._enter_offboard(what, until)
+            except BaseException:
+                # Failed or called off: what nobody waits for any more is not sent any more.
+                motion.stream.stop()
+                raise
+            return
+        if self._state.mode != guided:
+            await motion.set_mode(guided)
+        vehicle.send(motion.setpoint(target))
+
+    async def _enter_offboard(self, what: str, until: float) -> None:
+        """PX4 enters OFFBOARD when it has noticed the setpoints; before that it may just accept it."""
+        vehicle = self._vehicle
+        guided, start = vehicle.profile.guided, vehicle.clock.monotonic()
+        self._motion.claim(guided)
+        values = self._motion.mode_values(guided)
+        while self._state.mode != guided:
+            answer = await vehicle.exchange.command(dialect.MAV_CMD_DO_SET_MODE, *values, once=True)
+            if await vehicle.seen(lambda: self._state.mode == guided, NOTICED):
+                return
+            if vehicle.clock.monotonic() >= until:
+                vehicle.check_link()
+                result = "no answer" if answer.result is None else result_words(answer.result)
+                raise vehicle.error(
+                    f"{what}: {guided} was not entered within the time-to-live of {vehicle.binding.ttl:g} s "
+                    f"({result}){vehicle.reasons(start)}"
+                )
+
+    def _check_placed(self, what: str) -> None:
+        needs_home = self._vehicle.profile.px4
+        if self._state.position is None or (needs_home and self._state.home is None):
+            raise self._vehicle.error(f"{what}: the vehicle has not told where it is, or where home is")
+
+
+class Revolutions:
+    """Counts the turns around a circle; `left` is the way still to go, in metres."""
+
+    def __init__(self, circle: Circle, turns: float) -> None:
+        self._circle, self._wanted = circle, turns * math.tau
+        self._turned = 0.0
+        self._last: float | None = None
+
+    def left(self, place: Vector) -> float:
+        """Metres to go, with the way onto the circle."""
+        north, east = place[0] - self._circle.centre[0], place[1] - self._circle.centre[1]
+        off = abs(math.hypot(north, east) - self._circle.radius)
+        angle = math.atan2(east, north)
+        if off > 0.5 * self._circle.radius:
+            self._last = None
+            return off + self._wanted * self._circle.radius
+        if self._last is not None:
+            step = math.remainder(angle - self._last, math.tau)
+            self._turned += step if self._circle.clockwise else -step
+        self._last = angle
+        return (self._wanted - self._turned) * self._circle.radius

@@ -1,0 +1,179 @@
+"""Missions: waypoints that the autopilot flies by itself, uploaded, seen to be there, started, followed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.geo import Place
+from lfield_mavlink.link.dialect import AUTOPILOT, dialect
+from lfield_mavlink.parts.limits import Limits
+from lfield_mavlink.parts.motion import Motion
+from lfield_mavlink.services.plan_items import WAYPOINT, Item, PlanKind, command_name, coordinates, waypoints
+from lfield_mavlink.services.plan_transfer import PlanTransfer
+
+#: Seconds to wait until the current item is the one that was set, and how often it is set.
+PATIENCE, QUESTIONS = 0.5, 6
+
+#: Items with a place that the vehicle goes to, which the limits of the binding hold for.
+_FLOWN = frozenset(
+    {
+        dialect.MAV_CMD_NAV_WAYPOINT,
+        dialect.MAV_CMD_NAV_LOITER_UNLIM,
+        dialect.MAV_CMD_NAV_LOITER_TURNS,
+        dialect.MAV_CMD_NAV_LOITER_TIME,
+        dialect.MAV_CMD_NAV_LAND,
+        dialect.MAV_CMD_NAV_TAKEOFF,
+        dialect.MAV_CMD_NAV_SPLINE_WAYPOINT,
+    }
+)
+_CURRENT = dialect.MAVLINK_MSG_ID_MISSION_CURRENT
+
+
+class Missions:
+    """Waypoints are numbered from 0 here, also for ArduPilot, whose own numbers begin with home."""
+
+    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits, plans: PlanTransfer) -> None:
+        self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
+        self._limits, self._plans = limits, plans
+        self._count = 0
+        self._current = self._reached = -1
+        vehicle.on(_CURRENT, self._on_current)
+        vehicle.on(dialect.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, self._on_reached)
+
+    @property
+    def _mission_mode(self) -> str:
+        return "AUTO.MISSION" if self._vehicle.profile.px4 else "AUTO"
+
+    @property
+    def _first(self) -> int:
+        """The autopilot's number of waypoint 0."""
+        return 0 if self._vehicle.profile.px4 else 1
+
+    # -- instructions ---------------------------------------------------------------------------------
+
+    async def do_upload_mission(self, values: list[float]) -> None:
+        """{latitude, longitude, height above home} for each waypoint, in place of what was there."""
+        try:
+            items = waypoints(values, yaw=math.nan if self._vehicle.profile.px4 else 0.0)
+        except ValueError as error:
+            raise self._vehicle.error(f"uploadMission: {error}") from None
+        self._check_route("uploadMission", items)
+        self._check_not_flown("uploadMission")
+        await self._plans.upload(PlanKind.MISSION, items)
+        self._count, self._reached = len(items), -1
+        await self._make_current("uploadMission", 0)
+
+    async def do_mission_waypoints(self) -> list[float]:
+        """The waypoints that the vehicle holds, as uploadMission takes them."""
+        try:
+            return coordinates(await self._plans.download(PlanKind.MISSION), WAYPOINT)
+        except ValueError as error:
+            raise self._vehicle.error(f"its mission is not made of waypoints alone: {error}") from None
+
+    async def do_start_mission(self) -> None:
+        """Fly the mission that the vehicle holds, on from its current waypoint. Done when it has begun."""
+        self._motion.begin("startMission")
+        if not self._state.armed:
+            raise self._vehicle.error("startMission refused: the vehicle is not armed; call arm() first")
+        items = await self._plans.download(PlanKind.MISSION)
+        if not items:
+            raise self._vehicle.error(
+                "startMission refused: the vehicle holds no mission; call uploadMission() first"
+            )
+        self._check_route("startMission", items)
+        stands = self._vehicle.profile.flies and self._state.landed
+        if stands and items[0].command != dialect.MAV_CMD_NAV_TAKEOFF:
+            raise self._vehicle.error("startMission refused: it stands on the ground; call takeoff() first")
+        self._count = len(items)
+        start = dialect.MAV_CMD_MISSION_START
+        await self._motion.enter("startMission", self._mission_mode, start, 0.0, 0.0)
+        await self._motion.keep_speed()
+
+    async def do_pause_mission(self) -> None:
+        """Stop and stay; startMission goes on from here."""
+        self._motion.begin("pauseMission")
+        if self._state.mode != self._mission_mode:
+            raise self._vehicle.error(
+                f"pauseMission: no mission is being flown, the vehicle is in {self._state.mode}"
+            )
+        await self._motion.set_mode(self._vehicle.profile.hold)
+
+    async def do_set_mission_item(self, number: int) -> None:
+        """The waypoint that is flown to next."""
+        if not 0 <= number < 0xFFFF:
+            raise self._vehicle.error(f"setMissionItem: there is no waypoint {number}")
+        await self._make_current("setMissionItem", number)
+
+    async def do_clear_mission(self) -> None:
+        """Leave the vehicle without a mission."""
+        self._check_not_flown("clearMission")
+        await self._plans.clear(PlanKind.MISSION)
+        self._count, self._reached = 0, -1
+
+    # -- steps ----------------------------------------------------------------------------------------
+
+    async def _make_current(self, what: str, number: int) -> None:
+        """Set the current item and see that it is. Raises DeviceError."""
+        wanted = number + self._first
+        message = dialect.MAVLink_mission_set_current_message(self._vehicle.system, AUTOPILOT, wanted)
+
+        def is_set(news: Any) -> bool:
+            return bool(news.get_msgId() == _CURRENT and news.seq == wanted)
+
+        for _ in range(QUESTIONS):
+            self._vehicle.send(message)
+            if await self._vehicle.expect(is_set, PATIENCE):
+                return
+        raise self._vehicle.error(f"{what}: waypoint {number} did not become the current one", timeout=True)
+
+    def _check_not_flown(self, what: str) -> None:
+        if self._state.armed and self._state.mode == self._mission_mode:
+            raise self._vehicle.error(f"{what} refused: a mission is being flown; call pauseMission() first")
+
+    def _check_route(self, what: str, items: Sequence[Item]) -> None:
+        """Refuse a mission that leaves the limits of the binding, whoever made it. Raises DeviceError."""
+        for number, item in enumerate(items):
+            if item.command == dialect.MAV_CMD_DO_CHANGE_SPEED:
+                self._limits.check_speed(f"{what}: item {number}", item.parameters[1])
+            elif item.command in _FLOWN and self._limits.bound_places:
+                self._limits.check_goal(f"{what}: waypoint {number}", self._goal(what, number, item))
+
+    def _goal(self, what: str, number: int, item: Item) -> tuple[float, float, float]:
+        """Where an item leads, about home. Raises DeviceError when that is not known."""
+        home = self._state.home
+        if home is None or not self._state.knows_frames:
+            raise self._vehicle.error(f"{what} needs to know where home is, and the vehicle has not told")
+        if not (item.above_home or item.above_sea):
+            raise self._vehicle.error(
+                f"{what}: the height of item {number}, {command_name(item.command)}, is not known"
+            )
+        height = item.z if item.above_home else item.z - home.altitude
+        if not (item.x or item.y):  # where the vehicle then is
+            return (0.0, 0.0, -height)
+        north, east, _ = home.to(Place(item.x / 1e7, item.y / 1e7, home.altitude))
+        return (north, east, -height)
+
+    # -- telemetry ------------------------------------------------------------------------------------
+
+    def _on_current(self, message: Any) -> None:
+        if self._state.profile is None:
+            return  # from which number it counts is not known before its first heartbeat
+        before, self._current = self._current, max(message.seq - self._first, -1)
+        # The word that an item was reached comes once and may be lost.
+        if self._state.mode == self._mission_mode:
+            if self._current == before + 1:
+                self._reached = max(self._reached, before)
+            if message.mission_state == dialect.MISSION_STATE_COMPLETE:
+                self._reached = max(self._reached, self._count - 1)
+        self._tell_mission()
+
+    def _on_reached(self, message: Any) -> None:
+        if self._state.profile is not None:
+            self._reached = max(message.seq - self._first, -1)
+            self._tell_mission()
+
+    def _tell_mission(self) -> None:
+        self._vehicle.publish(missionItem=self._current, missionReached=self._reached)

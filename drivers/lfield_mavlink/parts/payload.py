@@ -1,0 +1,162 @@
+"""What hangs on a vehicle: gripper, winch, servos, relays, camera, gimbal.
+
+Each is on a channel of its own, so that it works beside a flight. An autopilot tells little of its payload:
+where there is a message that shows the state, the call waits for it; where there is none, the acceptance of
+the command is all there is to know, and the manifest says so.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from lfield_mavlink.contact.contact import SHOWS, Contact
+from lfield_mavlink.link.dialect import dialect
+
+# The messages that show the state of a payload.
+WINCH, SERVOS = dialect.MAVLINK_MSG_ID_WINCH_STATUS, dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW
+RELAYS, GIMBAL = (
+    dialect.MAVLINK_MSG_ID_RELAY_STATUS,
+    dialect.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS,
+)
+#: Pulse of a servo in microseconds: its middle, and how far it goes to each side.
+PULSE_MIDDLE, PULSE_RANGE = 1500.0, 500.0
+#: How exactly a winch is where it should be, in metres, and a gimbal, in radians.
+LINE_TOLERANCE, GIMBAL_TOLERANCE = 0.1, math.radians(3.0)
+#: Seconds within which a line must have moved.
+WINDING = 10.0
+
+
+class Payload:
+    """Payload instructions."""
+
+    def __init__(self, vehicle: Contact) -> None:
+        self._vehicle = vehicle
+        self._shown: dict[int, Any] = {}
+        for kind in (WINCH, SERVOS, RELAYS, GIMBAL):
+            vehicle.on(kind, self._on_shown)
+
+    def _on_shown(self, message: Any) -> None:
+        self._shown[message.get_msgId()] = message
+        if message.get_msgId() == WINCH and math.isfinite(message.line_length):
+            self._vehicle.publish(winchLine=message.line_length)
+
+    # -- gripper --------------------------------------------------------------------------------------
+
+    async def do_close_gripper(self) -> None:
+        """Grab."""
+        await self._vehicle.command(
+            "closeGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_GRAB
+        )
+
+    async def do_open_gripper(self) -> None:
+        """Let go."""
+        await self._vehicle.command(
+            "openGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_RELEASE
+        )
+
+    # -- winch ----------------------------------------------------------------------------------------
+
+    async def do_winch(self, length: float, speed: float) -> None:
+        """Pay line out (above 0) or in (below 0), at a speed."""
+        if not (math.isfinite(length) and math.isfinite(speed) and speed > 0.0):
+            raise self._vehicle.error("winch needs a finite length and a speed above 0")
+        before = await self._ask(WINCH)
+        relative = float(dialect.WINCH_RELATIVE_LENGTH_CONTROL)
+        await self._vehicle.command(
+            "winch", dialect.MAV_CMD_DO_WINCH, 1.0, relative, length, speed, once=True
+        )
+        if before is not None:
+            goal, bound = before.line_length + length, abs(length) / speed + WINDING
+            await self._shows(
+                "winch", WINCH, lambda now: abs(now.line_length - goal) <= LINE_TOLERANCE, bound
+            )
+
+    # -- servos and relays ----------------------------------------------------------------------------
+
+    async def do_set_servo(self, number: int, position: float) -> None:
+        """A servo to -1..1 of its range; ArduPilot counts outputs, PX4 the actuators of set 1."""
+        if not (1 <= number <= 16 and abs(position) <= 1.0):
+            raise self._vehicle.error("setServo needs a number from 1 to 16 and a position from -1 to 1")
+        if self._vehicle.profile.px4:
+            if number > 6:
+                raise self._vehicle.error("setServo needs a number from 1 to 6 on PX4")
+            others: list[float | None] = [None] * 6
+            others[number - 1] = position
+            await self._vehicle.command("setServo", dialect.MAV_CMD_DO_SET_ACTUATOR, *others, 0.0)
+            return
+        pulse = round(PULSE_MIDDLE + PULSE_RANGE * position)
+        await self._vehicle.command("setServo", dialect.MAV_CMD_DO_SET_SERVO, float(number), float(pulse))
+        await self._shows(
+            "setServo",
+            SERVOS,
+            lambda now: getattr(now, f"servo{number}_raw") == pulse,
+        )
+
+    async def do_set_relay(self, number: int, on: bool) -> None:
+        """A relay on or off, counted from 0."""
+        if not 0 <= number <= 15:
+            raise self._vehicle.error("setRelay needs a number from 0 to 15")
+        await self._vehicle.command("setRelay", dialect.MAV_CMD_DO_SET_RELAY, float(number), float(on))
+        await self._shows(
+            "setRelay",
+            RELAYS,
+            lambda now: bool(now.on >> number & 1) == on,
+        )
+
+    # -- camera and gimbal ----------------------------------------------------------------------------
+
+    async def do_trigger_camera(self) -> None:
+        """One picture: the camera protocol's command, or the older one."""
+        capture, older = dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL
+        if not await self._vehicle.command("triggerCamera", capture, 0.0, 0.0, 1.0, once=True, optional=True):
+            await self._vehicle.command("triggerCamera", older, 0.0, 0.0, 0.0, 0.0, 1.0, once=True)
+
+    async def do_point_gimbal(self, pitch: float, yaw: float) -> None:
+        """Radians; pitch above the horizon, yaw clockwise from the nose."""
+        if not (abs(pitch) <= math.pi and abs(yaw) <= math.pi):
+            raise self._vehicle.error("pointGimbal needs angles from -pi to pi")
+        degrees = (math.degrees(pitch), math.degrees(yaw))
+        manager, mount = dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, dialect.MAV_CMD_DO_MOUNT_CONTROL
+        values = (*degrees, None, None, 0.0, None, 0.0)
+        if not await self._vehicle.command("pointGimbal", manager, *values, optional=True):
+            targeting = float(dialect.MAV_MOUNT_MODE_MAVLINK_TARGETING)
+            older = (degrees[0], 0.0, degrees[1], 0.0, 0.0, 0.0, targeting)
+            await self._vehicle.command("pointGimbal", mount, *older)
+        await self._shows("pointGimbal", GIMBAL, lambda now: _points(now.q, pitch, yaw))
+
+    # -- what shows it --------------------------------------------------------------------------------
+
+    async def _ask(self, kind: int) -> Any | None:
+        """A message of this kind, asked for; None when the autopilot does not send it."""
+        self._shown.pop(kind, None)
+        answer = await self._vehicle.exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, float(kind))
+        if answer.result == dialect.MAV_RESULT_ACCEPTED:
+            await self._vehicle.seen(lambda: kind in self._shown, 0.5)
+        return self._shown.get(kind)
+
+    async def _shows(self, what: str, kind: int, agrees: Callable[[Any], bool], bound: float = SHOWS) -> None:
+        """Wait until a message shows it; an autopilot that does not send it has nothing to show."""
+        end = self._vehicle.clock.monotonic() + bound
+        message = await self._ask(kind)
+        if message is None:
+            return
+        while message is None or not agrees(message):
+            if self._vehicle.clock.monotonic() >= end:
+                raise self._vehicle.error(f"{what} was accepted but did not happen within {bound:.1f} s")
+            self._vehicle.check_link()
+            await asyncio.sleep(0.1)
+            message = await self._ask(kind)
+
+
+def _points(quaternion: Sequence[float], pitch: float, yaw: float) -> bool:
+    """Whether a gimbal's attitude is this pitch and yaw, within GIMBAL_TOLERANCE."""
+    w, x, y, z = quaternion
+    if not all(map(math.isfinite, quaternion)):
+        return False
+    now_pitch = math.asin(min(1.0, max(-1.0, 2.0 * (w * y - z * x))))
+    now_yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    off = (now_pitch - pitch, math.remainder(now_yaw - yaw, math.tau))
+    return max(map(abs, off)) <= GIMBAL_TOLERANCE

@@ -1,0 +1,124 @@
+"""How the agents of the team are: this host looks at its own, tells the others, and hears from them.
+
+Every host looks at its agents once in LOOK_EVERY seconds and tells the others what has changed, in one
+message for all agents. A host that is linked anew is told everything once. In a program that names no
+capability of a registry nothing of all this happens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from lfield.capability.directory.directory import Directory, Links
+from lfield.capability.directory.news import News
+from lfield.capability.model import Registry
+from lfield.clock import Clock
+from lfield.errors import WireError
+from lfield.host.reports import Reports
+from lfield.host.sampling import Devices, Sampler
+from lfield.mission.mission import Mission
+from lfield.mobility.effects import Send
+from lfield.vm.agent import Agent
+from lfield.wire.messages import Hello, Report
+
+#: The registry of a mission that asks for no capability.
+NO_REGISTRY = Registry({}, {}, {}, {}, {}, {})
+
+#: Seconds between two looks at the devices of this host for the others' sake.
+LOOK_EVERY = 1.0
+
+
+class Neighbours(Devices, Links, Protocol):
+    """What a directory may look at: the devices of this host, and its links."""
+
+
+class TeamDirectory:
+    """Keeps the `directory` of a host up to date. Only agents that the `registry` knows are in it.
+
+    `life` tells this run of the host from the next, `running` are the agents of its machine. What is to be
+    told to others comes back as messages to send.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        name: str,
+        life: int,
+        running: Mapping[str, Agent],
+        nearby: Neighbours,
+        clock: Clock,
+    ) -> None:
+        self.registry = registry = mission.registry or NO_REGISTRY
+        agents = mission.team.deployed
+        self._clock = clock
+        self.directory = Directory(registry, agents, name, nearby, clock, life)
+        self._reports = Reports(registry, agents)
+        self._sampler = Sampler(registry.attributes, running, mission.needed, nearby, clock)
+        self._linked: dict[str, None] = {}
+        #: When `tick` has something to do next, None for never.
+        self.due: float | None = None
+
+    def open(self) -> None:
+        """Begin to look at this host's agents, if there are any to tell of."""
+        if self.directory.own_agents:
+            self.due = self._clock.monotonic()
+
+    def linked(self, hello: Hello) -> list[Send]:
+        """A host can be talked to: it is told everything, since it may have been away."""
+        self._linked[hello.host] = None
+        self.directory.linked(hello.host, hello.incarnation)
+        news = self.directory.everything()
+        return [] if news is None else [Send(hello.host, self._report(news))]
+
+    def unlinked(self, host: str) -> None:
+        """A host cannot be talked to any more."""
+        self._linked.pop(host, None)
+        self.directory.unlinked(host)
+
+    def received(self, host: str, report: Report) -> str:
+        """A host tells how its agents are. A report that cannot be is left out: the complaint, else ''."""
+        try:
+            self.directory.take(host, self._reports.read(host, report, self._clock.monotonic()))
+        except WireError as error:
+            return f"ignored a report: {error}"
+        return ""
+
+    def tick(self, now: float) -> list[Send]:
+        """Look at this host's agents if it is time to, and tell the others what has changed."""
+        if self.due is None or now < self.due:
+            return []
+        self.due = now + LOOK_EVERY
+        self.look()
+        news = self.directory.news()
+        if news is None:
+            return []
+        report = self._report(news)
+        return [Send(host, report) for host in self._linked]
+
+    def look(self) -> None:
+        """Bring what the directory knows of this host's agents up to date."""
+        for agent in self.directory.own_agents:
+            self.directory.own(agent, self._sampler.condition(agent, self.directory.live(agent)))
+
+    def _report(self, news: News) -> Report:
+        return self._reports.write(news, self._clock.monotonic())
+
+    def status(self) -> dict[str, Any]:
+        """For each agent, why it cannot be called, or '', and its live attributes.
+
+        `facts` has value and age in seconds of each that is known, `unknown` why the others are not.
+        """
+        self.look()
+        return {
+            candidate.agent: {
+                "refusal": candidate.refusal,
+                "facts": {
+                    name: [candidate.facts[name].value, round(candidate.facts[name].age, 3)]
+                    for name in self.directory.live(candidate.agent)
+                    if name in candidate.facts
+                },
+                "unknown": dict(candidate.unknown),
+            }
+            for candidate in self.directory.everybody()
+        }

@@ -1,0 +1,187 @@
+"""ArduCopter and ArduRover 4.7 as data: modes, parameters, failsafes, texts.
+
+https://ardupilot.org/copter/docs/parameters.html, https://ardupilot.org/rover/docs/parameters.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from lfield_sim.autopilot.flavours import (
+    BatteryLevel,
+    FenceRule,
+    Flavour,
+    GcsRule,
+    Kind,
+    Mode,
+    Result,
+    Role,
+    Severity,
+)
+
+_BATTERY_ACTIONS = {1: Role.LAND, 2: Role.RETURN, 3: Role.RETURN, 4: Role.RETURN, 5: Role.TERMINATE}
+
+COPTER_FLAVOUR = Flavour(
+    name="ardupilot",
+    autopilot=3,
+    version=4 << 24 | 7 << 16,
+    capabilities=0xFBEF,
+    refusal=Result.FAILED,
+    denial=("Arm: {reason}",),
+    armed="Arming motors",
+    disarmed="Disarming motors",
+    serves_components=True,
+    submodes=False,
+    needs_stream=False,
+    takeoff_mode=False,
+    home_item=True,
+    setpoint_timeout="GUID_TIMEOUT",
+    disarm_delay="DISARM_DELAY",
+    land_delay="",
+    gcs=GcsRule(
+        action="FS_GCS_ENABLE",
+        timeout="FS_GCS_TIMEOUT",
+        actions={
+            1: Role.RETURN, 3: Role.RETURN, 4: Role.RETURN, 5: Role.LAND, 6: Role.RETURN, 7: Role.HOLD,
+        },
+        text="GCS Failsafe",
+        cleared="GCS Failsafe Cleared",
+        options="FS_OPTIONS",
+        station="MAV_GCS_SYSID",
+    ),
+    battery=(
+        BatteryLevel(
+            "BATT_LOW_MAH", True, "BATT_FS_LOW_ACT", _BATTERY_ACTIONS,
+            "Battery 1 is low {volts:.2f}V used {used:.0f} mAh",
+        ),
+        BatteryLevel(
+            "BATT_CRT_MAH", True, "BATT_FS_CRT_ACT", _BATTERY_ACTIONS,
+            "Battery 1 is critical {volts:.2f}V used {used:.0f} mAh", Severity.CRITICAL,
+        ),
+    ),
+    fence=FenceRule(
+        enable="FENCE_ENABLE",
+        action="FENCE_ACTION",
+        actions={1: Role.RETURN, 2: Role.LAND, 3: Role.RETURN, 4: Role.HOLD, 5: Role.RETURN},
+        radius="FENCE_RADIUS",
+        ceiling="FENCE_ALT_MAX",
+        circle_text="Circle fence breached",
+        ceiling_text="Max Alt fence breached",
+        shape_text="Polygon fence breached",
+        blind_text="Fence enabled, need position estimate",
+    ),
+    position_lost="EKF Failsafe: changed to LAND Mode",
+    capacity="BATT_CAPACITY",
+    # DO_ORBIT is PX4's; ArduCopter circles by its mode CIRCLE.
+    unsupported=frozenset({34, 187}),
+)  # fmt: skip
+ROVER_FLAVOUR = replace(
+    COPTER_FLAVOUR,
+    gcs=replace(
+        COPTER_FLAVOUR.gcs,
+        enable="FS_GCS_ENABLE",
+        action="FS_ACTION",
+        actions={1: Role.RETURN, 2: Role.HOLD, 3: Role.RETURN, 4: Role.RETURN},
+        options="",
+    ),
+    fence=replace(
+        COPTER_FLAVOUR.fence,
+        actions={1: Role.RETURN, 2: Role.HOLD, 3: Role.RETURN, 4: Role.RETURN},
+        ceiling="",
+    ),
+    position_lost="EKF failsafe",
+)
+
+#: What both have. Times in s, charges in mAh.
+COMMON: Mapping[str, float] = {
+    "ARMING_CHECK": 1,
+    "BATT_CAPACITY": 3300,
+    "BATT_CRT_MAH": 0,
+    "BATT_FS_CRT_ACT": 0,
+    "BATT_FS_LOW_ACT": 0,
+    "BATT_LOW_MAH": 660,
+    "FENCE_ACTION": 1,
+    "FENCE_ENABLE": 0,
+    "FENCE_RADIUS": 300,
+    "FENCE_TOTAL": 0,
+    "FENCE_TYPE": 7,
+    "FS_GCS_ENABLE": 0,
+    "FS_GCS_TIMEOUT": 5,
+    "GUID_TIMEOUT": 3,
+    "MAV_GCS_SYSID": 255,
+    "MIS_TOTAL": 0,
+    "RALLY_TOTAL": 0,
+}
+#: Speeds of a copter are in cm/s, heights in cm but for the fence, which is in m.
+COPTER_PARAMETERS: Mapping[str, float] = {
+    **COMMON,
+    "CIRCLE_RADIUS": 1000,
+    "CIRCLE_RATE": 20,
+    "DISARM_DELAY": 10,
+    "FENCE_ALT_MAX": 100,
+    "FS_OPTIONS": 16,
+    "LAND_SPEED": 100,
+    "RTL_ALT": 1500,
+    "WPNAV_ACCEL": 250,
+    "WPNAV_SPEED": 500,
+    "WPNAV_SPEED_DN": 150,
+    "WPNAV_SPEED_UP": 250,
+}
+ROVER_PARAMETERS: Mapping[str, float] = {
+    **COMMON,
+    "CRUISE_SPEED": 2,
+    "FS_ACTION": 2,
+    "WP_ACCEL": 2.5,
+    "WP_SPEED": 2,
+}
+
+KINDS = {
+    "copter": Kind(
+        "copter",
+        2,
+        COPTER_FLAVOUR,
+        {
+            "STABILIZE": Mode(0, Role.MANUAL),
+            "ACRO": Mode(1, Role.MANUAL),
+            "ALT_HOLD": Mode(2, Role.MANUAL),
+            "AUTO": Mode(3, Role.MISSION, armable=False),
+            "GUIDED": Mode(4, Role.GUIDED),
+            # Before LOITER: it is what ArduCopter falls back to when it is to hold.
+            "BRAKE": Mode(17, Role.HOLD, armable=False),
+            "LOITER": Mode(5, Role.HOLD),
+            "RTL": Mode(6, Role.RETURN, armable=False),
+            "CIRCLE": Mode(7, Role.ORBIT, armable=False),
+            "LAND": Mode(9, Role.LAND, armable=False),
+            "POSHOLD": Mode(16, Role.HOLD),
+        },
+        "STABILIZE",
+        COPTER_PARAMETERS,
+        {
+            "cruise": ("WPNAV_SPEED", 100.0),
+            "climb": ("WPNAV_SPEED_UP", 100.0),
+            "descend": ("WPNAV_SPEED_DN", 100.0),
+            "land": ("LAND_SPEED", 100.0),
+            "acceleration": ("WPNAV_ACCEL", 100.0),
+        },
+        ("RTL_ALT", 100.0),
+    ),
+    "rover": Kind(
+        "rover",
+        10,
+        ROVER_FLAVOUR,
+        {
+            "MANUAL": Mode(0, Role.MANUAL),
+            "ACRO": Mode(1, Role.MANUAL),
+            "STEERING": Mode(3, Role.MANUAL),
+            "HOLD": Mode(4, Role.HOLD),
+            "LOITER": Mode(5, Role.HOLD),
+            "AUTO": Mode(10, Role.MISSION),
+            "RTL": Mode(11, Role.RETURN, armable=False),
+            "GUIDED": Mode(15, Role.GUIDED),
+        },
+        "MANUAL",
+        ROVER_PARAMETERS,
+        {"cruise": ("WP_SPEED", 1.0), "acceleration": ("WP_ACCEL", 1.0)},
+    ),
+}

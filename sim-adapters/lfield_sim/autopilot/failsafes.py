@@ -1,0 +1,151 @@
+"""What an autopilot watches by itself: ground station, setpoints, battery, fence, position.
+
+The rules are data (`flavours`); times and texts are those measured on the real ones. The mode that
+a failsafe chose stays until somebody commands another.
+"""
+
+from __future__ import annotations
+
+from lfield_sim.autopilot.flavours import BatteryLevel, Role, Severity
+from lfield_sim.autopilot.pilot import Pilot
+from lfield_sim.autopilot.plans import NO_BREACH
+
+#: FS_OPTIONS bit 3: a landing goes on whatever fails.
+CONTINUE_LANDING = 0x8
+#: COM_OBL_RC_ACT: what PX4 does when the setpoints end; without a radio control the rest is to hold.
+SETPOINT_ACTIONS = {3: Role.RETURN, 4: Role.LAND}
+#: Seconds without a position after which it is not trusted any more.
+POSITION_LOST = 1.0
+
+
+class Failsafes:
+    """The watchers of one autopilot; they look while it is armed."""
+
+    def __init__(self, pilot: Pilot) -> None:
+        self._pilot = pilot
+        self._rules = pilot.flavour
+        self.gcs_seen: float | None = None
+        self.gcs_lost = False
+        self._later: tuple[float, Role] | None = None
+        self._low: set[str] = set()
+        self._blind: float = 0.0
+        self._was_blind = False
+        self.breach = NO_BREACH
+        self.breaches = 0
+        self.breached_at = 0.0
+
+    def heartbeat(self, system: int, *, station: bool) -> None:
+        """A heartbeat of another system; ArduPilot counts one system's, PX4 every ground station's."""
+        rule = self._rules.gcs
+        if not (system == int(self._pilot.value(rule.station)) if rule.station else station):
+            return
+        self.gcs_seen = self._pilot.now
+        if self.gcs_lost:
+            self.gcs_lost = self._pilot.critical = False
+            self._later = None
+            if rule.cleared:
+                self._pilot.say(rule.cleared, Severity.WARNING)
+
+    def commanded(self) -> None:
+        """Somebody took over: what was still to come does not come."""
+        self._later = None
+        if self._rules.needs_stream and not self.gcs_lost:
+            self._pilot.critical = False
+
+    def check(self, dt: float) -> None:
+        """Look at everything once."""
+        self._check_fence()
+        self._check_gcs()
+        self._check_setpoints()
+        self._check_battery()
+        self._check_position(dt)
+        if self._later is not None and self._pilot.now >= self._later[0]:
+            (_, role), self._later = self._later, None
+            self._pilot.fall_back(role)
+
+    # -- ground station and setpoints -----------------------------------------------------------------
+
+    def _check_gcs(self) -> None:
+        pilot, rule = self._pilot, self._rules.gcs
+        action = int(pilot.value(rule.action))
+        off = rule.enable and not pilot.value(rule.enable)
+        if self.gcs_seen is None or self.gcs_lost or not pilot.armed or off or not action:
+            return
+        if pilot.now - self.gcs_seen <= pilot.value(rule.timeout):
+            return
+        self.gcs_lost = pilot.critical = True
+        pause = pilot.value(rule.pause) if rule.pause else 0.0
+        pilot.say(rule.text.format(pause=pause), Severity.WARNING)
+        role = rule.actions.get(action)
+        if role is None or self._lands_on():
+            return
+        if pause > 0.0:
+            pilot.fall_back(Role.HOLD)
+            self._later = (pilot.now + pause, role)
+        else:
+            pilot.fall_back(role)
+
+    def _lands_on(self) -> bool:
+        """Whether it is landing and is told to go on with that (FS_OPTIONS bit 3)."""
+        options = self._rules.gcs.options
+        wanted = bool(options and int(self._pilot.value(options)) & CONTINUE_LANDING)
+        return wanted and self._pilot.role is Role.LAND
+
+    def _check_setpoints(self) -> None:
+        """The setpoints end: ArduPilot stops a velocity, PX4 leaves the mode."""
+        pilot = self._pilot
+        if pilot.role is not Role.GUIDED or not pilot.setpoints_over:
+            return
+        if not self._rules.needs_stream:
+            pilot.stop_moving()
+        elif pilot.armed:
+            pilot.critical = True
+            pilot.say("Failsafe activated", Severity.WARNING)
+            pilot.fall_back(SETPOINT_ACTIONS.get(int(pilot.value("COM_OBL_RC_ACT")), Role.HOLD))
+
+    # -- battery ---------------------------------------------------------------------------------------
+
+    def _check_battery(self) -> None:
+        pilot = self._pilot
+        for level in self._rules.battery:
+            if level.text not in self._low and pilot.armed and pilot.battery.charge < self._share(level):
+                self._low.add(level.text)
+                text = level.text.format(volts=pilot.battery.volts, used=pilot.battery.used)
+                pilot.say(text, level.severity)
+                self._act(level.actions.get(int(pilot.value(level.action))))
+        if pilot.battery.charge == 0.0 and pilot.vehicle.airborne and pilot.role is not Role.LAND:
+            pilot.critical = True
+            pilot.say("Battery 1 is empty: landing", Severity.CRITICAL)
+            pilot.fall_back(Role.LAND)
+
+    def _share(self, level: BatteryLevel) -> float:
+        threshold = self._pilot.value(level.threshold)
+        return threshold / self._pilot.battery.capacity if level.of_capacity else threshold
+
+    def _act(self, role: Role | None) -> None:
+        if role is not None and not self._lands_on():
+            self._pilot.critical = True
+            self._pilot.fall_back(role)
+
+    # -- fence -----------------------------------------------------------------------------------------
+
+    def _check_fence(self) -> None:
+        pilot = self._pilot
+        breach, text = pilot.fence_at(pilot.vehicle.place)
+        if breach and breach != self.breach and pilot.armed:
+            self.breaches, self.breached_at = min(self.breaches + 1, 0xFFFF), pilot.now
+            pilot.say(text, Severity.WARNING)
+            self._act(self._rules.fence.actions.get(int(pilot.value(self._rules.fence.action))))
+        self.breach = breach if pilot.armed else NO_BREACH
+
+    # -- position --------------------------------------------------------------------------------------
+
+    def _check_position(self, dt: float) -> None:
+        pilot = self._pilot
+        self._blind = self._blind + dt if pilot.gps_lost else 0.0
+        blind = self._blind > POSITION_LOST
+        if blind and not self._was_blind and pilot.armed and pilot.role is not Role.MANUAL:
+            pilot.critical = True
+            pilot.say(self._rules.position_lost, Severity.CRITICAL)
+            pilot.fall_back(Role.LAND)
+        self._was_blind = blind and pilot.armed

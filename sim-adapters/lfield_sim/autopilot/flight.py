@@ -1,0 +1,90 @@
+"""What a vehicle does as time passes: by its mode, and whatever its mode.
+
+Modes that are not listed here go on with what was decided when they were entered, or when a setpoint came.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from lfield_sim.autopilot.flavours import Role, Severity
+from lfield_sim.autopilot.missions import AT_HEIGHT, fly_mission
+from lfield_sim.autopilot.pilot import Pilot
+from lfield_sim.autopilot.vehicle import Descend, Fall, Reach, Rest
+
+
+def fly(pilot: Pilot) -> None:
+    """Let the present mode have its way."""
+    if pilot.armed and pilot.role in _MODES:
+        _MODES[pilot.role](pilot)
+
+
+def _return(pilot: Pilot) -> None:
+    """Up to the return height, over to home, down."""
+    vehicle, home = pilot.vehicle, pilot.home
+    north, east, down = vehicle.place
+    far = math.dist((north, east), home[:2])
+    height = home[2] - pilot.return_height
+    if not pilot.flies:
+        vehicle.goal = Reach(home)
+    elif not vehicle.airborne:
+        vehicle.goal = Rest()
+    elif far < AT_HEIGHT and math.hypot(*vehicle.velocity[:2]) < 0.5:
+        vehicle.goal = Descend()
+    elif far > 1.0 and down > height + AT_HEIGHT:
+        vehicle.goal = Reach((north, east, height))
+    else:
+        vehicle.goal = Reach((home[0], home[1], min(down, height)))
+
+
+def _take_off(pilot: Pilot) -> None:
+    """PX4's mode: up to MIS_TAKEOFF_ALT, then hold."""
+    goal = pilot.home[2] - pilot.takeoff_height
+    north, east, down = pilot.vehicle.place
+    if down <= goal + AT_HEIGHT:
+        pilot.fall_back(Role.HOLD)
+    elif not isinstance(pilot.vehicle.goal, Reach):
+        pilot.vehicle.goal = Reach((north, east, goal))
+
+
+_MODES: Mapping[Role, Callable[[Pilot], None]] = {
+    Role.RETURN: _return,
+    Role.TAKEOFF: _take_off,
+    Role.MISSION: fly_mission,
+}
+
+
+def disarm_when_idle(pilot: Pilot) -> None:
+    """A copter that landed, or never took off, disarms itself."""
+    if not pilot.flies or not pilot.armed:
+        return
+    if pilot.vehicle.airborne:
+        pilot.landed_at, pilot.armed_at = math.inf, pilot.now
+        return
+    if pilot.landed_at == math.inf:
+        pilot.landed_at = pilot.now
+    over = pilot.role in (Role.LAND, Role.RETURN)
+    wait = pilot.value(pilot.flavour.land_delay) if pilot.flavour.land_delay else 0.0
+    delay = pilot.value(pilot.flavour.disarm_delay)
+    landed = over and (pilot.landed_at is None or pilot.now - pilot.landed_at >= wait)
+    forgotten = isinstance(pilot.vehicle.goal, Rest) and 0.0 < delay < pilot.now - pilot.armed_at
+    if landed or forgotten:
+        pilot.disarm()
+
+
+def suffer(pilot: Pilot) -> None:
+    """A copter with a dead motor spins and comes down; a rover stands."""
+    vehicle = pilot.vehicle
+    if not pilot.motor_failed or not pilot.armed:
+        return
+    falling = isinstance(vehicle.goal, Fall)
+    if not pilot.flies:
+        vehicle.goal = Rest()
+    elif falling and not vehicle.airborne:
+        pilot.say("Crash: Disarming", Severity.CRITICAL)
+        pilot.disarm()
+    elif vehicle.airborne:
+        if not falling:
+            pilot.say("Potential Thrust Loss (1)", Severity.CRITICAL)
+        vehicle.goal, vehicle.yaw_rate_goal = Fall(), math.tau

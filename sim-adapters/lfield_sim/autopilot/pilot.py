@@ -1,0 +1,222 @@
+"""The state of a vehicle with its autopilot, and what modes and failsafes do to it: say, enter, fall back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from lfield_sim.autopilot.equipment import Battery, Payload
+from lfield_sim.autopilot.flavours import Flavour, Kind, Result, Role, Severity
+from lfield_sim.autopilot.plans import BOUNDARY, CEILING, NO_BREACH, Fence, Mission, MissionItem, NoFence
+from lfield_sim.autopilot.vehicle import (
+    ZERO,
+    Circle,
+    Descend,
+    Fall,
+    GroundVehicle,
+    Keep,
+    Lean,
+    Rest,
+    Vector,
+    Vehicle,
+)
+
+#: Seconds that a restart takes.
+REBOOT = 3.0
+#: Texts that are kept until somebody takes them.
+KEPT_TEXTS = 100
+
+
+@dataclass(slots=True)
+class Pilot:
+    """What is so, and what becomes of it when a mode is entered; it takes no commands (`Autopilot` does).
+
+    Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `motor_failed`; `warm_up`
+    are the seconds after a start in which it is not healthy yet. `setpoint_at` is when the last setpoint
+    came; `takeoff_goal` the height in m that a takeoff of PX4 was given. `perform` carries out what a
+    mission has beside places.
+    """
+
+    kind: Kind
+    battery: Battery = field(default_factory=Battery)
+    refuse_arming: str = ""
+    gps_lost: bool = False
+    motor_failed: bool = False
+    warm_up: float = 0.0
+    parameters: dict[str, float] = field(init=False)
+    vehicle: Vehicle = field(init=False)
+    payload: Payload = field(default_factory=Payload)
+    mission: Mission = field(default_factory=Mission)
+    fence: Fence = field(default_factory=NoFence)
+    mode: str = field(init=False)
+    armed: bool = False
+    critical: bool = False
+    home: Vector = ZERO
+    now: float = 0.0
+    booted: float = 0.0
+    booting_until: float = -1.0
+    boots: int = 0
+    armed_at: float = 0.0
+    landed_at: float | None = None
+    setpoint_at: float = -math.inf
+    takeoff_goal: float | None = None
+    perform: Callable[[MissionItem], object] = lambda _: None
+    _texts: list[tuple[Severity, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.parameters = dict(self.kind.parameters)
+        self.vehicle = Vehicle() if self.kind.name == "copter" else GroundVehicle()
+        self.mode = self.kind.start
+        self.apply_parameters()
+
+    # -- what is so -----------------------------------------------------------------------------------
+
+    @property
+    def flavour(self) -> Flavour:
+        """ArduPilot or PX4."""
+        return self.kind.flavour
+
+    @property
+    def flies(self) -> bool:
+        """Whether it is a copter."""
+        return self.kind.name == "copter"
+
+    @property
+    def role(self) -> Role:
+        """What the present mode does."""
+        return self.kind.modes[self.mode].role
+
+    @property
+    def uptime(self) -> float:
+        """Seconds since it was switched on or restarted."""
+        return max(0.0, self.now - self.booted)
+
+    @property
+    def booting(self) -> bool:
+        """Whether it is restarting: it says nothing and hears nothing."""
+        return self.now < self.booting_until
+
+    @property
+    def setpoints_over(self) -> bool:
+        """Whether the last setpoint is too old to go on with; positions of ArduPilot stay for ever."""
+        old = self.now - self.setpoint_at > self.value(self.flavour.setpoint_timeout)
+        return old and (self.flavour.needs_stream or isinstance(self.vehicle.goal, Keep | Lean))
+
+    @property
+    def return_height(self) -> float:
+        """Metres above home at which it returns."""
+        name, scale = self.kind.return_height
+        return min(self.value(name) / scale, 1000.0) if name else 0.0
+
+    @property
+    def takeoff_height(self) -> float:
+        """Metres above home to which PX4 takes off."""
+        if self.takeoff_goal is not None:
+            return self.takeoff_goal
+        name = self.kind.takeoff_height
+        return min(max(self.value(name), 0.5), 1000.0) if name else 2.5
+
+    def fence_at(self, place: Vector) -> tuple[int, str]:
+        """Which fence a place is beyond (FENCE_BREACH), with what is said about it; (0, '') for none."""
+        rule = self.flavour.fence
+        if not self.value(rule.enable):
+            return NO_BREACH, ""
+        radius = self.value(rule.radius)
+        if radius > 0 and math.dist(place[:2], self.home[:2]) > radius:
+            return BOUNDARY, rule.circle_text
+        ceiling = self.value(rule.ceiling) if rule.ceiling else 0.0
+        if ceiling > 0 and self.home[2] - place[2] > ceiling:
+            return CEILING, rule.ceiling_text
+        shape = self.fence.breached(place)
+        return (shape, rule.shape_text) if shape else (NO_BREACH, "")
+
+    # -- parameters and texts -------------------------------------------------------------------------
+
+    def value(self, name: str) -> float:
+        """A parameter as a number one can count with: neither NaN nor below 0."""
+        number = self.parameters[name]
+        return min(number, 1e9) if number > 0.0 else 0.0
+
+    def apply_parameters(self) -> None:
+        """Take the limits of motion and the battery's size from the parameters."""
+        limits = self.vehicle.limits
+        for limit, (name, scale) in self.kind.speeds.items():
+            setattr(limits, limit, min(max(self.value(name) / scale, 0.01), 100.0))
+        limits.vertical_acceleration = limits.acceleration
+        self.battery.capacity = min(max(self.value(self.flavour.capacity), 1.0), 1e6)
+
+    def say(self, text: str, severity: Severity = Severity.INFO) -> None:
+        """A status text."""
+        self._texts = [*self._texts[-KEPT_TEXTS:], (severity, text)]
+
+    def take_texts(self) -> list[tuple[Severity, str]]:
+        """What it had to say since the last call."""
+        texts, self._texts = self._texts, []
+        return texts
+
+    # -- what becomes of it ---------------------------------------------------------------------------
+
+    def enter(self, name: str) -> None:
+        """Enter a mode, whoever wants it."""
+        if name == self.mode:
+            return
+        self.mode = name
+        self.apply_parameters()
+        vehicle = self.vehicle
+        vehicle.yaw_goal = vehicle.yaw_rate_goal = None
+        vehicle.goal = Descend() if self.role is Role.LAND and self.armed else Rest()
+        if self.role is Role.MISSION:
+            first = 1 if self.flavour.home_item else 0
+            self.mission.jump(max(self.mission.current, first) if self.mission.item else first)
+        if self.role is Role.ORBIT and "CIRCLE_RADIUS" in self.parameters:
+            vehicle.goal = self._circle_ahead()
+        if self.role is Role.GUIDED:
+            self.armed_at = self.now
+
+    def fall_back(self, role: Role) -> None:
+        """What a failsafe does; a rover stops where a copter would land."""
+        if role is Role.TERMINATE:
+            self.terminate()
+        else:
+            self.enter(self.kind.mode_for(role) or self.kind.mode_for(Role.HOLD))
+
+    def stop_moving(self) -> None:
+        """The setpoint is over: stand still where it is."""
+        self.vehicle.goal, self.vehicle.yaw_rate_goal = Rest(), None
+
+    def disarm(self, *, force: bool = False) -> Result:
+        """COMPONENT_ARM_DISARM 0: refused in the air unless forced."""
+        if self.vehicle.airborne and not force:
+            return self.flavour.refusal
+        if self.armed:
+            self.say(self.flavour.disarmed)
+        self.armed = False
+        if self.vehicle.airborne:
+            self.vehicle.goal = Fall()
+        else:
+            self.vehicle.settle()
+        return Result.ACCEPTED
+
+    def terminate(self) -> Result:
+        """DO_FLIGHTTERMINATION: the motors stop, wherever it is."""
+        self.critical = True
+        return self.disarm(force=True)
+
+    def restart(self) -> None:
+        """Begin again: silent for a moment, then as after a start; parameters and plans are kept."""
+        self.booting_until = self.booted = self.now + REBOOT
+        self.boots += 1
+        self.payload, self.critical = Payload(), False
+        self.mission.jump(0)
+        self.mode, self.home = self.kind.start, ZERO
+        self._texts, self.setpoint_at = [], -math.inf
+        self.apply_parameters()
+
+    def _circle_ahead(self) -> Circle:
+        """ArduCopter's CIRCLE: the centre is a radius (cm) ahead; CIRCLE_RATE is in degrees per second."""
+        radius = min(max(self.value("CIRCLE_RADIUS") / 100.0, 1.0), 2000.0)
+        north, east, down = self.vehicle.place
+        yaw = self.vehicle.yaw
+        centre = (north + radius * math.cos(yaw), east + radius * math.sin(yaw), down)
+        return Circle(centre, radius, math.radians(min(self.value("CIRCLE_RATE"), 90.0)) * radius)

@@ -1,0 +1,173 @@
+"""PX4 1.17 copters and rovers as data: modes, parameters, failsafes, texts.
+
+https://docs.px4.io/main/en/advanced_config/parameter_reference.html; a custom mode is main << 16 | sub << 24
+(px4_custom_mode.h).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from lfield_sim.autopilot.flavours import (
+    BatteryLevel,
+    FenceRule,
+    Flavour,
+    GcsRule,
+    Kind,
+    Mode,
+    Result,
+    Role,
+    Severity,
+)
+
+_WARN, _LAND, _RETURN = 0, 2, 3
+_LINK_ACTIONS = {1: Role.HOLD, 2: Role.RETURN, 3: Role.LAND, 5: Role.TERMINATE}
+
+FLAVOUR = Flavour(
+    name="px4",
+    autopilot=12,
+    version=1 << 24 | 17 << 16 | 255,
+    # Mission and command in integers, byte-wise parameters, FTP, attitude and position targets, fence, rally,
+    # terminate, MAVLink 2.
+    capabilities=0xE9FC,
+    refusal=Result.TEMPORARILY_REJECTED,
+    denial=("Preflight Fail: {reason}", "Arming denied: Resolve system health failures first"),
+    armed="Armed by external command",
+    disarmed="Disarmed by external command",
+    serves_components=False,
+    submodes=True,
+    needs_stream=True,
+    takeoff_mode=True,
+    home_item=False,
+    setpoint_timeout="COM_OF_LOSS_T",
+    disarm_delay="COM_DISARM_PRFLT",
+    land_delay="COM_DISARM_LAND",
+    gcs=GcsRule(
+        action="NAV_DLL_ACT",
+        timeout="COM_DL_LOSS_T",
+        actions=_LINK_ACTIONS,
+        text="Failsafe activated: entering Hold for {pause:.0f} seconds",
+        cleared="",
+        pause="COM_FAIL_ACT_T",
+    ),
+    battery=(
+        BatteryLevel(
+            "BAT_LOW_THR", False, "COM_LOW_BAT_ACT", {}, "Low battery level! Return advised"
+        ),
+        BatteryLevel(
+            "BAT_CRIT_THR", False, "COM_LOW_BAT_ACT", {_LAND: Role.LAND, _RETURN: Role.RETURN},
+            "Critical battery level! Return now", Severity.CRITICAL,
+        ),
+        BatteryLevel(
+            "BAT_EMERGEN_THR", False, "COM_LOW_BAT_ACT", {_LAND: Role.LAND, _RETURN: Role.LAND},
+            "Dangerous battery level! Land immediately", Severity.CRITICAL,
+        ),
+    ),
+    fence=FenceRule(
+        enable="GF_ACTION",
+        action="GF_ACTION",
+        actions={2: Role.HOLD, 3: Role.RETURN, 4: Role.TERMINATE, 5: Role.LAND},
+        radius="GF_MAX_HOR_DIST",
+        ceiling="GF_MAX_VER_DIST",
+        circle_text="Geofence: exceeding maximum distance to Home",
+        ceiling_text="Geofence: exceeding maximum altitude above Home",
+        shape_text="Geofence: approaching or outside geofence",
+    ),
+    position_lost="Failsafe activated",
+    capacity="BAT1_CAPACITY",
+    streams={
+        0: 1.0, 1: 1.0, 2: 1.0, 4: 0.1, 24: 1.0, 30: 15.0, 31: 10.0, 32: 10.0, 33: 5.0, 65: 2.0, 74: 4.0,
+        105: 10.0, 147: 0.5, 242: 0.5, 245: 1.0, 331: 5.0,
+    },
+    # CONDITION_YAW, DO_SET_RELAY, DO_SET_SERVO, DO_WINCH, the old mount commands
+    unsupported=frozenset({115, 181, 183, 205, 42600}),
+)  # fmt: skip
+
+
+def _custom(main: int, sub: int = 0) -> int:
+    return main << 16 | sub << 24
+
+
+#: Speeds in m/s, heights in m, times in s, charges as a share of 1.
+COMMON: Mapping[str, float] = {
+    "BAT1_CAPACITY": 3300,
+    "BAT_CRIT_THR": 0.07,
+    "BAT_EMERGEN_THR": 0.05,
+    "BAT_LOW_THR": 0.15,
+    "CAL_ACC0_ID": 1310988,
+    "CAL_GYRO0_ID": 1310988,
+    "CAL_MAG0_ID": 197388,
+    "COM_DISARM_LAND": 2.0,
+    "COM_DISARM_PRFLT": 10.0,
+    "COM_DL_LOSS_T": 10,
+    "COM_FAIL_ACT_T": 5.0,
+    "COM_LOW_BAT_ACT": _WARN,
+    "COM_OBL_RC_ACT": 0,
+    "COM_OF_LOSS_T": 1.0,
+    "GF_ACTION": 2,
+    "GF_MAX_HOR_DIST": 0.0,
+    "GF_MAX_VER_DIST": 0.0,
+    "MAV_SYS_ID": 1,
+    "NAV_ACC_RAD": 2.0,
+    "NAV_DLL_ACT": 0,
+    "SYS_AUTOSTART": 10040,
+    "SYS_HITL": 0,
+}
+COPTER_PARAMETERS: Mapping[str, float] = {
+    **COMMON,
+    "MIS_TAKEOFF_ALT": 2.5,
+    "MPC_ACC_HOR": 3.0,
+    "MPC_LAND_SPEED": 0.7,
+    "MPC_XY_CRUISE": 5.0,
+    "MPC_XY_VEL_MAX": 12.0,
+    "MPC_Z_VEL_MAX_DN": 1.5,
+    "MPC_Z_VEL_MAX_UP": 3.0,
+    "RTL_RETURN_ALT": 30.0,
+}
+ROVER_PARAMETERS: Mapping[str, float] = {**COMMON, "RO_ACCEL_LIM": 3.0, "RO_SPEED_LIM": 3.0}
+
+_MODES = {
+    "MANUAL": Mode(_custom(1), Role.MANUAL),
+    "ALTCTL": Mode(_custom(2), Role.MANUAL),
+    "POSCTL": Mode(_custom(3), Role.MANUAL),
+    "ACRO": Mode(_custom(5), Role.MANUAL),
+    "OFFBOARD": Mode(_custom(6), Role.GUIDED),
+    "STABILIZED": Mode(_custom(7), Role.MANUAL),
+    "AUTO.READY": Mode(_custom(4, 1), Role.MANUAL),
+    "AUTO.LOITER": Mode(_custom(4, 3), Role.HOLD),
+    "AUTO.MISSION": Mode(_custom(4, 4), Role.MISSION),
+    "AUTO.RTL": Mode(_custom(4, 5), Role.RETURN),
+}
+KINDS = {
+    "copter": Kind(
+        "copter",
+        2,
+        FLAVOUR,
+        {
+            **_MODES,
+            "AUTO.TAKEOFF": Mode(_custom(4, 2), Role.TAKEOFF),
+            "AUTO.LAND": Mode(_custom(4, 6), Role.LAND, armable=False),
+            "POSCTL.ORBIT": Mode(_custom(3, 1), Role.ORBIT, armable=False),
+        },
+        "AUTO.LOITER",
+        COPTER_PARAMETERS,
+        {
+            "cruise": ("MPC_XY_CRUISE", 1.0),
+            "climb": ("MPC_Z_VEL_MAX_UP", 1.0),
+            "descend": ("MPC_Z_VEL_MAX_DN", 1.0),
+            "land": ("MPC_LAND_SPEED", 1.0),
+            "acceleration": ("MPC_ACC_HOR", 1.0),
+        },
+        ("RTL_RETURN_ALT", 1.0),
+        "MIS_TAKEOFF_ALT",
+    ),
+    "rover": Kind(
+        "rover",
+        10,
+        FLAVOUR,
+        _MODES,
+        "AUTO.LOITER",
+        ROVER_PARAMETERS,
+        {"cruise": ("RO_SPEED_LIM", 1.0), "acceleration": ("RO_ACCEL_LIM", 1.0)},
+    ),
+}

@@ -1,0 +1,154 @@
+"""One axis of a CiA 402 drive: its states, modes and faults (CiA 402-2). Pure; stepped by time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from lfield_sim.can.canopen.sdo import ObjectDictionary
+from lfield_sim.can.cia402.drive import Drive, Trouble
+from lfield_sim.can.cia402.modes import MODES, Mode
+from lfield_sim.can.cia402.table import POWERED, TEMPERATURE, TRANSITIONS, Command, State, command
+from lfield_sim.can.motor import Motor
+
+#: Seconds from power to SWITCH ON DISABLED.
+START_UP = 0.05
+#: A motor slower than this stands, in rad/s.
+STILL = 0.05
+HOT, HOTTEST = 80.0, 100.0
+OVERCURRENT, OVERHEAT = (0x2310, 0x02), (0x4310, 0x08)
+_GENERIC = 0x01
+_FAULT_RESET = 0x80
+_VOLTAGE, _WARNING, _REMOTE = 0x10, 0x80, 0x200
+
+
+class Axis:
+    """`report(code, register)` sends an emergency."""
+
+    def __init__(self, objects: ObjectDictionary, motor: Motor, report: Callable[[int, int], None]) -> None:
+        self.objects, self.motor, self._report = objects, motor, report
+        self.drive = Drive(objects, motor, self.fail)
+        objects.watch(self._written)
+        self.reset()
+
+    def reset(self) -> None:
+        """As after power-up."""
+        self.state = State.NOT_READY
+        self.drive.reset()
+        self.mode: Mode = MODES[0]()
+        self._waited = 0.0
+        self._cause: Callable[[], bool] = lambda: False
+
+    def fail(self, error: Trouble, cause: Callable[[], bool] = lambda: False) -> None:
+        """Go to FAULT, after stopping where the power stage still can; `cause` tells while it lasts."""
+        if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            return
+        code, bit = error
+        stopping = self.state in POWERED and error != OVERCURRENT and self.objects.get(0x605E)
+        self._cause = cause
+        self._enter(State.FAULT_REACTION_ACTIVE if stopping else State.FAULT)
+        self.objects.put(0x603F, code)
+        self._report(code, _GENERIC | bit)
+
+    def lose_connection(self, code: int, register: int) -> None:
+        """The master is gone: do what 0x6007 says."""
+        option = self.objects.get(0x6007)
+        if option == 1:
+            self.fail((code, register))
+            return
+        self._report(code, _GENERIC | register)
+        if option == 2 and self.state in POWERED:
+            self._enter(State.SWITCH_ON_DISABLED)
+        elif option == 3 and self.state is State.OPERATION_ENABLED:
+            self._enter(State.QUICK_STOP_ACTIVE)
+
+    def regain_connection(self) -> None:
+        """The master is back: the error is over, unless it was a fault."""
+        if self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            self._report(0, 0)
+
+    def step(self, dt: float) -> None:
+        """Let time pass: states, mode and motor."""
+        if self.motor.temperature > HOTTEST:
+            self.fail(OVERHEAT, lambda: self.motor.temperature > HOTTEST)
+        if self.state is State.NOT_READY:
+            self._waited += dt
+            if self._waited >= START_UP:
+                self._enter(State.SWITCH_ON_DISABLED)
+        if self.state is State.OPERATION_ENABLED:
+            self._choose_mode()
+            self.mode.step(self.drive, dt)
+        elif self.state in POWERED:
+            self._stop(dt)
+        else:
+            self.drive.rest(dt)
+        self._show()
+
+    def _written(self, key: tuple[int, int], value: int) -> None:
+        if key == (0x6040, 0):
+            self._control(value)
+            self._show()
+        elif key == (0x6060, 0) and self.state is State.OPERATION_ENABLED:
+            self._choose_mode()
+
+    def _control(self, word: int) -> None:
+        rising = word & ~self.drive.word
+        self.drive.word = word
+        if rising & _FAULT_RESET and self.state is State.FAULT and not self._cause():
+            self.objects.put(0x603F, 0)
+            self._report(0, 0)
+            self._enter(State.SWITCH_ON_DISABLED)
+            return
+        asked = command(word)
+        goal = TRANSITIONS.get((self.state, asked)) if asked else None
+        if self.state is State.QUICK_STOP_ACTIVE and asked is Command.ENABLE_OPERATION:
+            goal = goal if self.objects.get(0x605A) >= 5 else None
+        if goal:
+            self._enter(goal)
+        if self.state is State.OPERATION_ENABLED:
+            self._choose_mode()
+            self.mode.control(self.drive, rising)
+
+    def _choose_mode(self) -> None:
+        wanted = self.objects.get(0x6060)
+        if self.mode.code != wanted:
+            self.mode = MODES[wanted]()
+            self.mode.begin(self.drive)
+
+    def _enter(self, state: State) -> None:
+        self.state = state
+        self.drive.watch_anew()
+        if state is State.OPERATION_ENABLED:
+            self.drive.take_over()
+            self.mode = MODES[self.objects.get(0x6060)]()
+            self.mode.begin(self.drive)
+
+    def _stop(self, dt: float) -> None:
+        """Quick stop and fault reaction."""
+        option = self.objects.get(0x605A) if self.state is State.QUICK_STOP_ACTIVE else 2
+        slowly = option in (1, 5)
+        if option:
+            self.drive.brake(dt, deceleration=self.objects.get(0x6084 if slowly else 0x6085))
+        still = not option or (self.drive.profile.velocity == 0.0 and abs(self.motor.speed) < STILL)
+        if still and self.state is State.FAULT_REACTION_ACTIVE:
+            self._enter(State.FAULT)
+        elif still and option < 5:
+            self._enter(State.SWITCH_ON_DISABLED)
+
+    def _show(self) -> None:
+        """Write what the axis is and does into its objects."""
+        objects, drive, rated = self.objects, self.drive, self.motor.data.rated_torque
+        bits = self.state.value | _REMOTE | _VOLTAGE | (_WARNING if self.motor.temperature > HOT else 0)
+        if self.state is State.OPERATION_ENABLED:
+            bits |= self.mode.status(self.drive)
+        objects.put(0x6041, bits)
+        objects.put(0x6061, objects.get(0x6060))
+        objects.put(0x6062, drive.profile.position)
+        objects.put(0x6064, drive.position)
+        objects.put(0x606B, drive.profile.velocity)
+        objects.put(0x606C, drive.velocity)
+        objects.put(0x6074, 1000.0 * drive.torque_demand / rated)
+        objects.put(0x6077, 1000.0 * self.motor.torque / rated)
+        objects.put(0x6078, 1000.0 * self.motor.torque / rated)
+        objects.put(0x6079, 1000.0 * self.motor.voltage)
+        objects.put(0x60F4, drive.profile.position - drive.position)
+        objects.put(TEMPERATURE, 10.0 * self.motor.temperature)

@@ -1,0 +1,60 @@
+"""A CiA 402 drive on the bus: a CANopen node with one axis. Pure; stepped by time."""
+
+from __future__ import annotations
+
+from lfield_sim.can.bus import Flaw, Frame
+from lfield_sim.can.canopen.node import COMMUNICATION, HEARTBEAT_LOST, CanopenNode
+from lfield_sim.can.canopen.sdo import ObjectDictionary
+from lfield_sim.can.cia402.axis import OVERCURRENT, Axis
+from lfield_sim.can.cia402.drive import FOLLOWING
+from lfield_sim.can.cia402.table import INCREMENTS, entries
+from lfield_sim.can.motor import Motor, MotorData
+
+
+class Cia402Device:
+    """The drive with a node id from 1 to 127 (see `world.Device`).
+
+    `increments` are those of a turn of its encoder; `data` is its motor, with the ratings (0x6075, 0x6076)
+    that it tells.
+    """
+
+    def __init__(
+        self, node: int, flaw: Flaw, data: MotorData | None = None, increments: int = INCREMENTS
+    ) -> None:
+        data = data or MotorData()
+        self.motor, self._flaw = Motor(data), flaw
+        rated_current = data.rated_torque / data.torque_constant
+        objects = ObjectDictionary(entries(node, increments, data.rated_torque, rated_current))
+        self.node = CanopenNode(node, objects, flaw)
+        self.axis = Axis(objects, self.motor, self.node.emergency)
+        self.node.on_reset = self.axis.reset
+        self.node.on_heartbeat_lost = lambda: self.axis.lose_connection(HEARTBEAT_LOST, COMMUNICATION)
+        self.node.on_heartbeat_back = self.axis.regain_connection
+
+    @property
+    def id(self) -> str:
+        """Its node id."""
+        return str(self.node.node)
+
+    def power_up(self) -> list[Frame]:
+        """Start anew: the boot-up message."""
+        return self.node.boot()
+
+    def power_down(self) -> None:
+        """The brake takes the motor."""
+        self.axis.reset()
+
+    def on_frame(self, frame: Frame) -> list[Frame]:
+        """Hear a frame; the answers."""
+        return self.node.on_frame(frame)
+
+    def step(self, dt: float) -> list[Frame]:
+        """Let time pass; what it sends by itself."""
+        self.motor.stuck = bool(self._flaw("stuck"))
+        self.motor.overheated = bool(self._flaw("overheat"))
+        if self._flaw("overcurrent"):
+            self.axis.fail(OVERCURRENT, lambda: bool(self._flaw("overcurrent")))
+        if self._flaw("follow_error"):
+            self.axis.fail(FOLLOWING, lambda: bool(self._flaw("follow_error")))
+        self.axis.step(dt)
+        return self.node.step(dt)

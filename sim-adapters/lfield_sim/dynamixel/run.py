@@ -1,0 +1,73 @@
+"""A command line's servos, made and served until somebody says that it is enough."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from lfield.errors import UsageError
+from lfield_sim.dynamixel.ax import make_servo
+from lfield_sim.dynamixel.chain import FAULTS, Chain
+from lfield_sim.dynamixel.model import model_named
+from lfield_sim.dynamixel.server import Server
+from lfield_sim.dynamixel.servo import Servo
+from lfield_sim.faults import Faults
+from lfield_sim.serving import serve_until_told
+
+
+def run(args: argparse.Namespace, default: str) -> None:
+    """Serve until told to end; a servo without a model is a `default`. Raises UsageError and AddressError."""
+    servos, names = _servos(args, default)
+    faults = Faults(FAULTS, names)
+    chain = Chain(servos, faults, seed=args.seed)
+    with tempfile.TemporaryDirectory(prefix="lfield-dynamixel-") as folder:
+        path = Path(args.listen or f"{folder}/ttyDXL").absolute()
+        asyncio.run(_serve(chain, path, args, names))
+
+
+def _servos(args: argparse.Namespace, default: str) -> tuple[list[Servo], Mapping[str, str]]:
+    """The servos of a command line, and their names by id. Raises UsageError."""
+    servos, names = [], {}
+    for text in args.servo or [f"1:{default}"]:
+        number, _, rest = text.partition(":")
+        model, _, name = rest.partition(":")
+        if not number.isdecimal() or not 0 <= int(number) <= 252:
+            raise UsageError(f"--servo {text}: write ID:MODEL[:NAME], with an id from 0 to 252")
+        if str(int(number)) in names:
+            raise UsageError(f"--servo {text}: there is a servo {int(number)} already")
+        names[str(int(number))] = name
+        servos.append(_servo(int(number), model or default, args))
+    return servos, names
+
+
+def _servo(number: int, model: str, args: argparse.Namespace) -> Servo:
+    servo = make_servo(model_named(model), time.monotonic())
+    protocol = 1 if args.protocol == "1.0" else servo.model.protocol
+    servo.start_with(number, args.baud, protocol, args.return_delay * 1e-6)
+    return servo
+
+
+async def _serve(chain: Chain, path: Path, args: argparse.Namespace, names: Mapping[str, str]) -> None:
+    server = Server(chain, path)
+    server.plug()
+    moving = asyncio.get_running_loop().create_task(server.run())
+    try:
+        try:
+            chain.faults.apply(args.fault)
+        except ValueError as error:
+            raise UsageError(f"--fault: {error}") from None
+        await serve_until_told(
+            "dynamixel",
+            f"serial:{path}:{args.baud}",
+            ", ".join(f"{servo.id} {servo.model.name}" for servo in chain.servos),
+            chain.faults,
+            devices=names,
+            until_stdin_closes=args.until_stdin_closes,
+        )
+    finally:
+        moving.cancel()
+        server.unplug()

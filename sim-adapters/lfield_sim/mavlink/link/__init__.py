@@ -1,0 +1,1 @@
+"""Bytes to messages and back, by way of air that loses, breaks and delays them; signing."""

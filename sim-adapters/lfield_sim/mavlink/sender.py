@@ -1,0 +1,150 @@
+"""What a vehicle sends beside its answers: messages by id, once or as streams, late answers, texts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.flavours import Result
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.services.service import Service
+from lfield_sim.mavlink.telemetry.messages import MESSAGES, POSITIONS
+
+#: Nothing is streamed faster than this, in Hz.
+MAX_RATE = 100.0
+#: The message that is always sent, at least at 1 Hz.
+HEARTBEAT = 0
+#: Characters of a STATUSTEXT; longer texts go out in chunks, of which there are so many at most.
+CHUNK, CHUNKS = 50, 256
+
+
+class Sender:
+    """What one vehicle can send, and what is due."""
+
+    def __init__(self, autopilot: Autopilot, place: Place, services: Sequence[Service]) -> None:
+        self.autopilot, self.place = autopilot, place
+        self._services = services
+        self._streams = self._first_streams()
+        self._late_acks: dict[int, tuple[float, Any]] = {}
+        self._texts = _Texts()
+
+    def can_send(self, kind: int) -> bool:
+        """Whether there is such a message."""
+        return kind in MESSAGES or any(kind in service.messages for service in self._services)
+
+    def withholds(self, kind: int) -> bool:
+        """Whether it cannot tell this now: positions without GPS."""
+        return self.autopilot.gps_lost and kind in POSITIONS
+
+    def build(self, kind: int) -> Any:
+        """A message as it is now. KeyError when there is no such message."""
+        for service in self._services:
+            if kind in service.messages:
+                return service.messages[kind]()
+        return MESSAGES[kind](self.autopilot, self.place)
+
+    def stream(self, kind: int, rate: float) -> None:
+        """Stream a message at a rate in Hz; 0 stops it, but for the heartbeat, which goes on at 1 Hz."""
+        self._streams.set(kind, rate, self.autopilot.now)
+
+    def interval(self, kind: int) -> float:
+        """Seconds between two messages of a stream; 0 when it is not streamed."""
+        return self._streams.interval(kind)
+
+    def default_rate(self, kind: int) -> float:
+        """How often it is sent without being asked for, in Hz."""
+        return self.autopilot.flavour.streams.get(kind, 0.0)
+
+    def acknowledge_later(self, command: int, ack: Any, seconds: float) -> None:
+        """Send a COMMAND_ACK of a MAV_CMD in some seconds."""
+        self._late_acks[command] = (self.autopilot.now + seconds, ack)
+
+    def is_late(self, command: int) -> bool:
+        """Whether the acknowledgement of a MAV_CMD is still to come."""
+        return command in self._late_acks
+
+    def due(self) -> list[Any]:
+        """What every peer gets now: acknowledgements, streams, texts."""
+        now = self.autopilot.now
+        messages = self._due_acks(now)
+        messages += [self.build(kind) for kind in self._streams.due(now) if not self.withholds(kind)]
+        for severity, text in self.autopilot.take_texts():
+            messages += self._texts.messages(severity, text)
+        return messages
+
+    def reboot(self) -> Result:
+        """Restart the autopilot and all that belongs to it, unless it is armed."""
+        result = self.autopilot.reboot()
+        if result is Result.ACCEPTED:
+            self._streams, self._late_acks = self._first_streams(), {}
+            for service in self._services:
+                service.reboot()
+        return result
+
+    def _first_streams(self) -> _Streams:
+        rates = {k: rate for k, rate in self.autopilot.flavour.streams.items() if self.can_send(k)}
+        return _Streams(rates, self.autopilot.now)
+
+    def _due_acks(self, now: float) -> list[Any]:
+        due = [command for command, (at, _) in self._late_acks.items() if now >= at]
+        return [self._late_acks.pop(command)[1] for command in due]
+
+
+@dataclass(slots=True)
+class _Stream:
+    interval: float
+    due: float
+
+
+class _Streams:
+    """The streams of one vehicle, by message id. Times in seconds, as the caller counts them."""
+
+    def __init__(self, rates: Mapping[int, float], now: float) -> None:
+        self._streams: dict[int, _Stream] = {}
+        for kind, rate in {HEARTBEAT: 1.0, **rates}.items():
+            self.set(kind, rate, now)
+
+    def set(self, kind: int, rate: float, now: float) -> None:
+        """Stream a message at a rate in Hz from now on; 0 stops it, but for the heartbeat."""
+        if kind == HEARTBEAT:
+            rate = max(rate, 1.0)
+        if rate <= 0.0:
+            self._streams.pop(kind, None)
+        else:
+            self._streams[kind] = _Stream(1.0 / min(rate, MAX_RATE), now)
+
+    def interval(self, kind: int) -> float:
+        """Seconds between two messages of a stream; 0 when it is not streamed."""
+        return self._streams[kind].interval if kind in self._streams else 0.0
+
+    def due(self, now: float) -> list[int]:
+        """What is to be sent now; after a pause each once, not the whole backlog."""
+        due = [kind for kind, stream in self._streams.items() if now >= stream.due]
+        for kind in due:
+            stream = self._streams[kind]
+            stream.due = max(stream.due + stream.interval, now)
+        return due
+
+
+class _Texts:
+    """Numbers the texts that need it."""
+
+    def __init__(self) -> None:
+        self._number = 0
+
+    def messages(self, severity: int, text: str) -> list[Any]:
+        """The STATUSTEXTs (253) of one text."""
+        data = text.encode("ascii", "replace")
+        if len(data) <= CHUNK:
+            return [dialect.MAVLink_statustext_message(severity, data)]
+        self._number = self._number % 0xFFFF + 1
+        # A last chunk that is full would not end the text: an empty one must follow.
+        chunks = [data[i : i + CHUNK] for i in range(0, len(data) + 1, CHUNK)]
+        return [
+            dialect.MAVLink_statustext_message(severity, chunk, self._number, place)
+            for place, chunk in enumerate(chunks[:CHUNKS])
+        ]

@@ -1,0 +1,299 @@
+"""MAVLink FTP as a server: requests in, replies out, over a tree of files in memory. Pure.
+
+Protocol: https://mavlink.io/en/services/ftp.html. A request that comes twice is answered twice and carried
+out once, since a reply may be lost. A burst goes out some packets per step, as on a link with a limit.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+
+from lfield_sim.mavlink.services.tree import FtpError, Tree, TreeError
+
+#: Bytes of a payload, of its header, and of its data.
+PAYLOAD, HEADER = 251, struct.Struct("<HBBBBBxI")
+DATA = PAYLOAD - HEADER.size
+ACK, NAK = 128, 129
+#: Open files at a time, of all peers; peers whose last reply is kept.
+MAX_SESSIONS, MAX_PEERS = 5, 16
+#: Packets of a burst that go out in one step, and of one burst until it must be asked to go on.
+BURST_STEP, BURST_LENGTH = 10, 200
+
+Peer = tuple[int, int]
+
+
+class Op(IntEnum):
+    """MAV_FTP_OPCODE."""
+
+    NONE = 0
+    TERMINATE = 1
+    RESET = 2
+    LIST = 3
+    OPEN_READ = 4
+    READ = 5
+    CREATE = 6
+    WRITE = 7
+    REMOVE = 8
+    MAKE_FOLDER = 9
+    REMOVE_FOLDER = 10
+    OPEN_WRITE = 11
+    CRC32 = 14
+    BURST_READ = 15
+
+
+@dataclass(frozen=True, slots=True)
+class FtpPacket:
+    """One request or reply. `of` is the opcode that a reply answers, `size` how much data it has or wants."""
+
+    number: int
+    session: int
+    opcode: int
+    size: int = 0
+    of: int = 0
+    burst_over: int = 0
+    offset: int = 0
+    data: bytes = b""
+
+    @classmethod
+    def read(cls, payload: bytes) -> FtpPacket | None:
+        """From the payload of message 110; None when it is none."""
+        if len(payload) < HEADER.size:
+            return None
+        number, session, opcode, size, of, over, offset = HEADER.unpack_from(payload)
+        data = payload[HEADER.size : HEADER.size + size]
+        return cls(number, session, opcode, size, of, over, offset, data)
+
+    def write(self) -> bytes:
+        """The whole payload of message 110."""
+        head = (self.number, self.session, self.opcode, self.size, self.of, self.burst_over, self.offset)
+        return (HEADER.pack(*head) + self.data).ljust(PAYLOAD, b"\0")
+
+    @property
+    def path(self) -> str:
+        """The data as a path; bytes that are no text become characters that no file name has."""
+        return self.data.split(b"\0", 1)[0].decode("utf-8", "replace")
+
+    def ack(self, data: bytes = b"", *, session: int | None = None) -> FtpPacket:
+        """The answer that it is done; `session` is one that was opened for it."""
+        number = (self.number + 1) & 0xFFFF
+        own = self.session if session is None else session
+        return FtpPacket(number, own, ACK, len(data), self.opcode, 0, self.offset, data)
+
+    def nak(self, error: TreeError) -> FtpPacket:
+        """The answer that it is refused."""
+        with_errno = error.error is FtpError.FAIL_ERRNO
+        data = bytes([error.error, error.number] if with_errno else [error.error])
+        return replace(self.ack(data), opcode=NAK)
+
+
+@dataclass(slots=True)
+class _Session:
+    """An open file: what was read of it when it was opened, or where to write."""
+
+    path: str
+    content: bytes | None = None
+
+
+@dataclass(slots=True)
+class _Burst:
+    """The answer to a burst read: pieces of the file, numbered on, until its end or a pause."""
+
+    request: FtpPacket
+    content: bytes
+    offset: int
+    sent: int = 0
+
+    def next(self) -> FtpPacket:
+        """The next packet; the last one says that the burst pauses, or refuses since the file is over."""
+        piece = self.content[self.offset : self.offset + (self.request.size or DATA)]
+        reply = self.request.ack(piece) if piece else self.request.nak(TreeError(FtpError.EOF))
+        number = (reply.number + self.sent) & 0xFFFF
+        reply = replace(reply, number=number, offset=self.offset)
+        self.sent, self.offset = self.sent + 1, self.offset + len(piece)
+        return replace(reply, burst_over=1) if piece and self.sent == BURST_LENGTH else reply
+
+
+@dataclass(slots=True)
+class FtpServer:
+    """The files of one vehicle.
+
+    `own_sessions`: it numbers sessions itself (PX4), else the client does (ArduPilot). `unknown` is the
+    error for an opcode that it does not know.
+    """
+
+    tree: Tree
+    own_sessions: bool = False
+    unknown: FtpError = FtpError.UNKNOWN_COMMAND
+    _sessions: OrderedDict[tuple[Peer, int], _Session] = field(default_factory=OrderedDict)
+    _bursts: dict[tuple[Peer, int], _Burst] = field(default_factory=dict)
+    _last: OrderedDict[Peer, tuple[FtpPacket, FtpPacket]] = field(default_factory=OrderedDict)
+
+    def receive(self, peer: Peer, payload: bytes) -> list[bytes]:
+        """Answer a payload; one that is no request is not answered."""
+        request = FtpPacket.read(payload)
+        if request is None or request.opcode in (ACK, NAK):
+            return []
+        if peer in self._last and self._last[peer][0] == request:
+            return [self._last[peer][1].write()]
+        try:
+            reply = self._carry_out(peer, request)
+        except TreeError as error:
+            reply = request.nak(error)
+        if reply is None:
+            return []
+        self._last[peer] = request, reply
+        self._last.move_to_end(peer)
+        if len(self._last) > MAX_PEERS:
+            self._last.popitem(last=False)
+        return [reply.write()]
+
+    def advance(self) -> list[tuple[Peer, bytes]]:
+        """The next packets of the bursts that are under way."""
+        return [(key[0], packet.write()) for key in list(self._bursts) for packet in self._next_of_burst(key)]
+
+    def forget(self) -> None:
+        """Close everything."""
+        self._sessions.clear()
+        self._bursts.clear()
+        self._last.clear()
+
+    def _carry_out(self, peer: Peer, request: FtpPacket) -> FtpPacket | None:
+        if request.size > DATA:
+            raise TreeError(FtpError.INVALID_DATA_SIZE)
+        handler = _HANDLERS.get(request.opcode)
+        if handler is None:
+            raise TreeError(self.unknown)
+        return handler(self, peer, request)
+
+    # -- folders and whole files ----------------------------------------------------------------------
+
+    def _list(self, _: Peer, request: FtpPacket) -> FtpPacket:
+        data = b""
+        for entry in self.tree.entries(request.path)[request.offset :]:
+            text = entry.encode() + b"\0"
+            if len(data) + len(text) > DATA:
+                break
+            data += text
+        if not data:
+            raise TreeError(FtpError.EOF)
+        return request.ack(data)
+
+    def _remove(self, _: Peer, request: FtpPacket) -> FtpPacket:
+        self.tree.remove(request.path)
+        return request.ack()
+
+    def _make_folder(self, _: Peer, request: FtpPacket) -> FtpPacket:
+        self.tree.make_folder(request.path)
+        return request.ack()
+
+    def _remove_folder(self, _: Peer, request: FtpPacket) -> FtpPacket:
+        self.tree.remove_folder(request.path)
+        return request.ack()
+
+    def _crc32(self, _: Peer, request: FtpPacket) -> FtpPacket:
+        return request.ack(struct.pack("<I", ftp_crc32(self.tree.read(request.path))))
+
+    # -- sessions -------------------------------------------------------------------------------------
+
+    def _open_read(self, peer: Peer, request: FtpPacket) -> FtpPacket:
+        content = self.tree.read(request.path)
+        session = self._open(peer, request, _Session(request.path, content))
+        return request.ack(struct.pack("<I", len(content)), session=session)
+
+    def _open_write(self, peer: Peer, request: FtpPacket) -> FtpPacket:
+        self.tree.write(request.path, 0, b"")
+        return request.ack(session=self._open(peer, request, _Session(request.path)))
+
+    def _create(self, peer: Peer, request: FtpPacket) -> FtpPacket:
+        self.tree.create(request.path)
+        return request.ack(session=self._open(peer, request, _Session(request.path)))
+
+    def _open(self, peer: Peer, request: FtpPacket, session: _Session) -> int:
+        taken = {number for _, number in self._sessions}
+        number = min(set(range(MAX_SESSIONS + 1)) - taken) if self.own_sessions else request.session
+        if (peer, number) not in self._sessions and len(self._sessions) >= MAX_SESSIONS:
+            raise TreeError(FtpError.NO_SESSIONS)
+        self._sessions[peer, number] = session
+        return number
+
+    def _session(self, peer: Peer, request: FtpPacket) -> _Session:
+        if (peer, request.session) not in self._sessions:
+            raise TreeError(FtpError.INVALID_SESSION)
+        return self._sessions[peer, request.session]
+
+    def _content(self, peer: Peer, request: FtpPacket) -> bytes:
+        """Of the open file; TreeError at its end, and for one that is open for writing."""
+        content = self._session(peer, request).content
+        if content is None:
+            raise TreeError(FtpError.FAIL)
+        if request.offset >= len(content):
+            raise TreeError(FtpError.EOF)
+        return content
+
+    def _read(self, peer: Peer, request: FtpPacket) -> FtpPacket:
+        content = self._content(peer, request)
+        return request.ack(content[request.offset : request.offset + (request.size or DATA)])
+
+    def _burst_read(self, peer: Peer, request: FtpPacket) -> None:
+        content = self._content(peer, request)
+        self._bursts[peer, request.session] = _Burst(request, content, request.offset)
+
+    def _next_of_burst(self, key: tuple[Peer, int]) -> list[FtpPacket]:
+        burst = self._bursts[key]
+        packets: list[FtpPacket] = []
+        for _ in range(BURST_STEP):
+            packets.append(burst.next())
+            if packets[-1].burst_over or packets[-1].opcode == NAK:
+                del self._bursts[key]
+                break
+        return packets
+
+    def _write(self, peer: Peer, request: FtpPacket) -> FtpPacket:
+        session = self._session(peer, request)
+        if session.content is not None:
+            raise TreeError(FtpError.FAIL)
+        self.tree.write(session.path, request.offset, request.data)
+        return request.ack(struct.pack("<I", len(request.data)))
+
+    def _terminate(self, peer: Peer, request: FtpPacket) -> FtpPacket:
+        self._session(peer, request)
+        del self._sessions[peer, request.session]
+        self._bursts.pop((peer, request.session), None)
+        return request.ack()
+
+    def _reset(self, peer: Peer, request: FtpPacket) -> FtpPacket:
+        for held in (self._sessions, self._bursts):
+            for key in [key for key in held if key[0] == peer]:
+                del held[key]
+        return request.ack()
+
+    def _none(self, _: Peer, request: FtpPacket) -> FtpPacket:
+        return request.ack()
+
+
+def ftp_crc32(data: bytes) -> int:
+    """The CRC-32 of FTP: as everybody's, but it starts from 0 and is not inverted at the end."""
+    return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
+
+
+_HANDLERS: Mapping[int, Callable[[FtpServer, Peer, FtpPacket], FtpPacket | None]] = {
+    Op.NONE: FtpServer._none,
+    Op.TERMINATE: FtpServer._terminate,
+    Op.RESET: FtpServer._reset,
+    Op.LIST: FtpServer._list,
+    Op.OPEN_READ: FtpServer._open_read,
+    Op.READ: FtpServer._read,
+    Op.CREATE: FtpServer._create,
+    Op.WRITE: FtpServer._write,
+    Op.REMOVE: FtpServer._remove,
+    Op.MAKE_FOLDER: FtpServer._make_folder,
+    Op.REMOVE_FOLDER: FtpServer._remove_folder,
+    Op.OPEN_WRITE: FtpServer._open_write,
+    Op.CRC32: FtpServer._crc32,
+    Op.BURST_READ: FtpServer._burst_read,
+}

@@ -1,0 +1,141 @@
+"""Parameters on the wire: read, set, listed, each autopilot with its own way of writing integers.
+
+Protocol: https://mavlink.io/en/services/parameter.html. PX4 puts the bytes of an integer where a float would
+be, ArduPilot its value as a float.
+
+What there is beyond the parameters that the model heeds is a table for each flavour and kind in the folder
+`tables`: `name,type,value`. The names and types are those of the autopilots
+(https://ardupilot.org/copter/docs/parameters.html,
+https://docs.px4.io/main/en/advanced_config/parameter_reference.html); the choice is ours.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import struct
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.flavours import Severity
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.services.service import Service
+
+#: Values of a list that go out after one step of the model: 1500 a second.
+PER_STEP = 30
+
+
+class ParameterType(IntEnum):
+    """MAV_PARAM_TYPE, the part that autopilots use."""
+
+    INT8 = 2
+    INT16 = 4
+    INT32 = 6
+    REAL32 = 9
+
+    @property
+    def bounds(self) -> tuple[int, int]:
+        """The least and the greatest value of an integer type."""
+        bits = {ParameterType.INT8: 7, ParameterType.INT16: 15}.get(self, 31)
+        return -(1 << bits), (1 << bits) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRow:
+    """The type of a parameter, and what it is when nothing else is said."""
+
+    type: ParameterType
+    value: float
+
+
+@cache
+def parameter_table(flavour: str, kind: str) -> Mapping[str, ParameterRow]:
+    """The table of a flavour (`ardupilot`, `px4`) and a kind of vehicle (`copter`, `rover`), by name."""
+    text = (files(__package__) / "tables" / f"{flavour}_{kind}.csv").read_text(encoding="ascii")
+    return {
+        row["name"]: ParameterRow(ParameterType[row["type"].upper()], float(row["value"]))
+        for row in csv.DictReader(text.splitlines())
+    }
+
+
+class Parameters(Service):
+    """The parameter protocol. An unknown name gets no answer, from ArduPilot and from PX4."""
+
+    def __init__(self, autopilot: Autopilot, place: Place) -> None:
+        super().__init__(autopilot, place)
+        table = parameter_table(autopilot.flavour.name, autopilot.kind.name)
+        self._rows = table
+        self._bytewise = autopilot.flavour.name == "px4"
+        for name, row in table.items():
+            autopilot.parameters.setdefault(name, row.value)
+        self._names = sorted(autopilot.parameters)
+        self._numbers = {name: number for number, name in enumerate(self._names)}
+        self._listing: deque[str] = deque()
+        self.handles = {
+            dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._on_request_read,
+            dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: self._on_request_list,
+            dialect.MAVLINK_MSG_ID_PARAM_SET: self._on_set,
+        }
+
+    def advance(self, now: float) -> list[Any]:
+        """The next values of a list that was asked for."""
+        return [self._value(self._listing.popleft()) for _ in range(min(PER_STEP, len(self._listing)))]
+
+    def reboot(self) -> None:
+        """A list that was under way is not gone on with; values stay."""
+        self._listing.clear()
+
+    def _on_request_read(self, message: Any) -> list[Any]:
+        name, number = message.param_id, message.param_index
+        if number >= 0:
+            name = self._names[number] if number < len(self._names) else ""
+        return [self._value(name)] if name in self._numbers else []
+
+    def _on_request_list(self, _: Any) -> list[Any]:
+        self._listing = deque(self._names)
+        return []
+
+    def _on_set(self, message: Any) -> list[Any]:
+        name = message.param_id
+        if name not in self._numbers:
+            return []
+        kind = self._row(name).type
+        if self._bytewise and message.param_type != kind:
+            self.autopilot.say(f"param types mismatch param: {name}", Severity.WARNING)
+            return []
+        value = self._decoded(message.param_value, kind)
+        if math.isfinite(value):
+            self.autopilot.parameters[name] = value
+            self.autopilot.apply_parameters()
+        return [self._value(name)]
+
+    def _row(self, name: str) -> ParameterRow:
+        return self._rows.get(name, ParameterRow(ParameterType.REAL32, 0.0))
+
+    def _value(self, name: str) -> Any:
+        kind, number = self._row(name).type, self._numbers[name]
+        value = self._encoded(self.autopilot.parameters[name], kind)
+        return dialect.MAVLink_param_value_message(name.encode(), value, kind, len(self._names), number)
+
+    def _encoded(self, value: float, kind: ParameterType) -> float:
+        if kind is ParameterType.REAL32 or not self._bytewise:
+            return value
+        encoded: float = struct.unpack("<f", struct.pack("<i", int(value)))[0]
+        return encoded
+
+    def _decoded(self, value: float, kind: ParameterType) -> float:
+        """What a foreign value means: whole and within its type where it is an integer."""
+        if kind is ParameterType.REAL32:
+            return value
+        if self._bytewise:
+            return float(struct.unpack("<i", struct.pack("<f", value))[0])
+        least, greatest = kind.bounds
+        return float(min(max(int(value), least), greatest)) if math.isfinite(value) else math.nan

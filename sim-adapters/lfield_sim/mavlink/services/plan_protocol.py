@@ -1,0 +1,233 @@
+"""Plans by the mission protocol: missions, fences and rally points are sent, fetched and cleared alike.
+
+The vehicle leads an upload: it asks for item after item, asks again when one does not come, and gives up
+in the end. A plan changes only when all of a new one has come and is right. Pure: messages in, messages out.
+
+Protocol: https://mavlink.io/en/services/mission.html; what the two autopilots do with it was measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from lfield_sim.mavlink.services.plan_items import Item, PlanResult, PlanType, check, check_fence
+
+#: mission_type of a CLEAR_ALL that means every plan.
+ALL = 255
+
+Peer = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class PlanStyle:
+    """How an autopilot speaks the protocol.
+
+    `home_first`: item 0 of a mission is home, whatever was uploaded. `old_request`: asks by the deprecated
+    MISSION_REQUEST 40. `refuses_disorder`: an item out of turn ends the upload, instead of being asked for
+    again. Times in seconds.
+    """
+
+    home_first: bool
+    old_request: bool
+    refuses_disorder: bool
+    nan_means_unset: bool
+    ask_again: float
+    give_up: float
+    capacity: Mapping[PlanType, int]
+
+
+ARDUPILOT = PlanStyle(
+    home_first=True,
+    old_request=True,
+    refuses_disorder=True,
+    nan_means_unset=False,
+    ask_again=1.0,
+    give_up=8.0,
+    capacity={PlanType.MISSION: 724, PlanType.FENCE: 84, PlanType.RALLY: 10},
+)
+PX4 = PlanStyle(
+    home_first=False,
+    old_request=False,
+    refuses_disorder=False,
+    nan_means_unset=True,
+    ask_again=0.25,
+    give_up=5.0,
+    capacity={PlanType.MISSION: 500, PlanType.FENCE: 32, PlanType.RALLY: 32},
+)
+
+
+@dataclass(slots=True)
+class _Upload:
+    """A plan on its way: who sends it, and when something came or was asked for last."""
+
+    peer: Peer
+    kind: PlanType
+    count: int
+    heard: float
+    asked: float
+    items: list[Item] = field(default_factory=list)
+
+
+def _nothing(_: PlanType) -> None:
+    pass
+
+
+class PlanProtocol:
+    """The plans of one vehicle: `home` is item 0 of an ArduPilot mission, `changed` hears of new plans."""
+
+    def __init__(
+        self, style: PlanStyle, home: Callable[[], Item], changed: Callable[[PlanType], None] = _nothing
+    ) -> None:
+        self._style, self._home, self._changed = style, home, changed
+        self.items: dict[PlanType, list[Item]] = {kind: [] for kind in PlanType}
+        #: The item of the mission that is flown now, for downloads.
+        self.current = 0
+        self._upload: _Upload | None = None
+
+    def receive(self, message: Any, now: float) -> list[Any]:
+        """Answer a message of the protocol; one that is not in HANDLED is not answered."""
+        handler = _HANDLERS.get(message.get_msgId())
+        if handler is None:
+            return []
+        if message.get_msgId() == dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL and message.mission_type == ALL:
+            return self._clear(_peer(message), list(PlanType), ALL)
+        if message.mission_type not in (0, 1, 2):
+            return [_ack(_peer(message), PlanResult.UNSUPPORTED, message.mission_type)]
+        return handler(self, message, PlanType(message.mission_type), now)
+
+    def advance(self, now: float) -> list[Any]:
+        """Ask again for an item that does not come, and give up on one that never came."""
+        upload = self._upload
+        if upload is None:
+            return []
+        if now - upload.heard > self._style.give_up:
+            self._upload = None
+            return [_ack(upload.peer, PlanResult.OPERATION_CANCELLED, upload.kind)]
+        if now - upload.asked > self._style.ask_again:
+            return [self._request(upload, now)]
+        return []
+
+    def forget(self) -> None:
+        """Break off an upload, without a word."""
+        self._upload = None
+
+    # -- uploads --------------------------------------------------------------------------------------
+
+    def _on_count(self, message: Any, kind: PlanType, now: float) -> list[Any]:
+        peer = _peer(message)
+        if self._upload is not None and (self._upload.peer, self._upload.kind) != (peer, kind):
+            return [_ack(peer, PlanResult.DENIED, kind)]
+        self._upload = None
+        if message.count > self._style.capacity[kind]:
+            return [_ack(peer, PlanResult.NO_SPACE, kind)]
+        if message.count == 0:
+            return self._clear(peer, [kind], kind)
+        self._upload = _Upload(peer, kind, message.count, now, now)
+        return [self._request(self._upload, now)]
+
+    def _on_item(self, message: Any, kind: PlanType, now: float) -> list[Any]:
+        peer, upload = _peer(message), self._upload
+        if upload is None or (upload.peer, upload.kind) != (peer, kind):
+            return [_ack(peer, PlanResult.ERROR, kind)]
+        wanted = len(upload.items)
+        if message.seq != wanted:
+            return self._out_of_turn(upload, message.seq, now)
+        item = Item.read(message)
+        result = check(item, kind, nan_means_unset=self._style.nan_means_unset)
+        if result is not PlanResult.ACCEPTED:
+            return self._end(upload, result)
+        upload.items.append(item)
+        upload.heard = now
+        return self._finish(upload) if len(upload.items) == upload.count else [self._request(upload, now)]
+
+    def _out_of_turn(self, upload: _Upload, number: int, now: float) -> list[Any]:
+        if number == len(upload.items) - 1:
+            # The item before, once more: its sender did not hear the request that followed it.
+            return [self._request(upload, now)]
+        if self._style.refuses_disorder:
+            return self._end(upload, PlanResult.INVALID_SEQUENCE)
+        return [self._request(upload, now)]
+
+    def _finish(self, upload: _Upload) -> list[Any]:
+        result = check_fence(upload.items) if upload.kind is PlanType.FENCE else PlanResult.ACCEPTED
+        if result is PlanResult.ACCEPTED:
+            self._store(upload.kind, upload.items)
+        return self._end(upload, result)
+
+    def _end(self, upload: _Upload, result: PlanResult) -> list[Any]:
+        self._upload = None
+        return [_ack(upload.peer, result, upload.kind)]
+
+    def _request(self, upload: _Upload, now: float) -> Any:
+        upload.asked = now
+        make = dialect.MAVLink_mission_request_int_message
+        if self._style.old_request:
+            make = dialect.MAVLink_mission_request_message
+        return make(*upload.peer, len(upload.items), int(upload.kind))
+
+    # -- downloads and the rest -----------------------------------------------------------------------
+
+    def _on_request_list(self, message: Any, kind: PlanType, _: float) -> list[Any]:
+        peer, count = _peer(message), len(self.items[kind])
+        if self._upload is not None and self._upload.kind is kind:
+            return [_ack(peer, PlanResult.DENIED, kind)]
+        return [dialect.MAVLink_mission_count_message(*peer, count, int(kind))]
+
+    def _on_request(self, message: Any, kind: PlanType, _: float) -> list[Any]:
+        peer, number, items = _peer(message), message.seq, self.items[kind]
+        if number >= len(items):
+            return [_ack(peer, PlanResult.INVALID_SEQUENCE, kind)]
+        is_home = number == 0 and kind is PlanType.MISSION and self._style.home_first
+        item = self._home() if is_home else items[number]
+        whole = message.get_msgId() == dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT
+        current = kind is PlanType.MISSION and number == self.current
+        return [item.write(peer, number, kind, current=current, whole=whole)]
+
+    def _on_ack(self, message: Any, kind: PlanType, _: float) -> list[Any]:
+        """The end of a download needs nothing; anything but ACCEPTED calls an upload off."""
+        upload = self._upload
+        if upload is not None and (upload.peer, upload.kind) == (_peer(message), kind) and message.type:
+            self._upload = None
+        return []
+
+    def _on_clear_all(self, message: Any, kind: PlanType, _: float) -> list[Any]:
+        return self._clear(_peer(message), [kind], kind)
+
+    def _clear(self, peer: Peer, kinds: list[PlanType], told: int) -> list[Any]:
+        if self._upload is not None and self._upload.peer != peer and self._upload.kind in kinds:
+            return [_ack(peer, PlanResult.DENIED, told)]
+        self._upload = None
+        for kind in kinds:
+            self._store(kind, [])
+        return [_ack(peer, PlanResult.ACCEPTED, told)]
+
+    def _store(self, kind: PlanType, items: list[Item]) -> None:
+        self.items[kind] = items
+        self._changed(kind)
+
+
+def _peer(message: Any) -> Peer:
+    return message.get_srcSystem(), message.get_srcComponent()
+
+
+def _ack(peer: Peer, result: PlanResult, kind: int) -> Any:
+    return dialect.MAVLink_mission_ack_message(*peer, int(result), int(kind))
+
+
+_HANDLERS: Mapping[int, Callable[[PlanProtocol, Any, PlanType, float], list[Any]]] = {
+    dialect.MAVLINK_MSG_ID_MISSION_COUNT: PlanProtocol._on_count,
+    dialect.MAVLINK_MSG_ID_MISSION_ITEM: PlanProtocol._on_item,
+    dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT: PlanProtocol._on_item,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: PlanProtocol._on_request_list,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST: PlanProtocol._on_request,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT: PlanProtocol._on_request,
+    dialect.MAVLINK_MSG_ID_MISSION_ACK: PlanProtocol._on_ack,
+    dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: PlanProtocol._on_clear_all,
+}
+
+#: The ids of the messages that the protocol is made of.
+HANDLED = frozenset(_HANDLERS)

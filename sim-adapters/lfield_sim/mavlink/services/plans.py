@@ -1,0 +1,164 @@
+"""Missions, fences and rally points of one vehicle: what was uploaded is what it flies, and keeps to."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.flavours import Result, Role
+from lfield_sim.autopilot.plans import MissionItem
+from lfield_sim.autopilot.vehicle import Vector
+from lfield_sim.mavlink.command import Answer, Command
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.services.fences import Fence, shapes_of
+from lfield_sim.mavlink.services.plan_items import (
+    ABOVE_HOME,
+    ABOVE_SEA,
+    PLACE_COMMANDS,
+    TAKEOFF,
+    WAYPOINT,
+    Item,
+    PlanType,
+)
+from lfield_sim.mavlink.services.plan_protocol import ARDUPILOT, HANDLED, PX4, PlanProtocol
+from lfield_sim.mavlink.services.service import Service
+
+#: The parameters in which ArduPilot counts what is stored.
+COUNTS = {PlanType.MISSION: "MIS_TOTAL", PlanType.FENCE: "FENCE_TOTAL", PlanType.RALLY: "RALLY_TOTAL"}
+
+
+class Plans(Service):
+    """The mission protocol of one vehicle, and the commands that start, stop and move along a mission."""
+
+    def __init__(self, autopilot: Autopilot, place: Place) -> None:
+        super().__init__(autopilot, place)
+        self._home_first = autopilot.flavour.home_item
+        style = ARDUPILOT if self._home_first else PX4
+        self._protocol = PlanProtocol(style, self._home, self._changed)
+        self._fence = autopilot.fence = Fence()
+        self._told = self._progress
+        self.handles = dict.fromkeys(HANDLED, self._on_plan)
+        self.handles[dialect.MAVLINK_MSG_ID_MISSION_SET_CURRENT] = self._on_set_current
+        self.commands = {
+            dialect.MAV_CMD_DO_SET_MISSION_CURRENT: self._jump,
+            dialect.MAV_CMD_MISSION_START: self._start,
+            dialect.MAV_CMD_DO_PAUSE_CONTINUE: self._pause_or_go_on,
+            dialect.MAV_CMD_DO_FENCE_ENABLE: self._enable_fence,
+        }
+        self.messages = {dialect.MAVLINK_MSG_ID_MISSION_CURRENT: self._current}
+
+    def advance(self, now: float) -> list[Any]:
+        """What the protocol waits for, which items were reached, and how the mission is when that changes."""
+        messages = self._protocol.advance(now)
+        reached = self.autopilot.mission.take_reached()
+        messages += [dialect.MAVLink_mission_item_reached_message(number) for number in reached]
+        self._protocol.current = self._number
+        if self._progress != self._told:
+            self._told = self._progress
+            messages.append(self._current())
+        return messages
+
+    def reboot(self) -> None:
+        """An upload that was under way is over; what was stored stays."""
+        self._protocol.forget()
+
+    # -- the protocol ---------------------------------------------------------------------------------
+
+    def _on_plan(self, message: Any) -> list[Any]:
+        return self._protocol.receive(message, self.autopilot.now)
+
+    def _changed(self, kind: PlanType) -> None:
+        """A new plan is complete: fly it when asked to, or keep to it from now on."""
+        items = self._protocol.items[kind]
+        if COUNTS[kind] in self.autopilot.parameters:
+            self.autopilot.parameters[COUNTS[kind]] = float(len(items))
+        if kind is PlanType.MISSION:
+            self.autopilot.mission.items = [self._to_fly(item) for item in items]
+            self.autopilot.mission.jump(0)
+        elif kind is PlanType.FENCE:
+            self._fence.shapes = shapes_of(items, self.place)
+
+    def _home(self) -> Item:
+        """Item 0 of an ArduPilot mission."""
+        north, east, down = self.autopilot.home
+        return Item(
+            WAYPOINT, 0, (0.0, 0.0, 0.0, 0.0), *self.place.at(north, east), self.place.altitude - down
+        )
+
+    def _to_fly(self, item: Item) -> MissionItem:
+        return MissionItem(item.command, (*item.values, *item.degrees, item.z), self._place(item))
+
+    def _place(self, item: Item) -> Vector | None:
+        """In the local frame; None for a command without one, and for 0, 0: "where you are".
+
+        A takeoff goes straight up, wherever its place is, to the height that it has.
+        """
+        somewhere = (item.x, item.y) != (0, 0) or item.command == TAKEOFF
+        if item.command not in PLACE_COMMANDS or not somewhere:
+            return None
+        # The ground is flat at down 0, which is therefore what "above terrain" is above.
+        base = 0.0
+        if item.frame in ABOVE_SEA:
+            base = self.place.altitude
+        elif item.frame in ABOVE_HOME:
+            base = self.autopilot.home[2]
+        return (*self.place.local(item.x, item.y), base - item.z)
+
+    # -- flying it ------------------------------------------------------------------------------------
+
+    @property
+    def _number(self) -> int:
+        """Of the current item; the last one stays current when the mission is over."""
+        mission = self.autopilot.mission
+        return max(0, min(mission.current, len(mission.items) - 1))
+
+    def _current(self) -> Any:
+        return dialect.MAVLink_mission_current_message(*self._progress, 0)
+
+    @property
+    def _progress(self) -> tuple[int, int, int]:
+        """The current item, how many there are, and the MISSION_STATE."""
+        return self._number, len(self.autopilot.mission.items), self._state
+
+    @property
+    def _state(self) -> int:
+        mission, total = self.autopilot.mission, len(self.autopilot.mission.items)
+        if total <= int(self._home_first):
+            return int(dialect.MISSION_STATE_NO_MISSION)
+        if mission.current >= total:
+            return int(dialect.MISSION_STATE_COMPLETE)
+        if self.autopilot.role is Role.MISSION and self.autopilot.armed:
+            return int(dialect.MISSION_STATE_ACTIVE)
+        begun = mission.current > int(self._home_first)
+        return int(dialect.MISSION_STATE_PAUSED if begun else dialect.MISSION_STATE_NOT_STARTED)
+
+    def _on_set_current(self, message: Any) -> list[Any]:
+        return [self._current()] if self.autopilot.mission.jump(message.seq) else []
+
+    def _jump(self, command: Command) -> Answer:
+        if not self.autopilot.mission.jump(command.whole(1)):
+            return Result.DENIED, []
+        return Result.ACCEPTED, [self._current()]
+
+    def _start(self, command: Command) -> Answer:
+        first = command.whole(1)
+        return self.autopilot.start_mission(first if first > 0 else None), []
+
+    def _pause_or_go_on(self, command: Command) -> Answer:
+        wanted = command.whole(1)
+        if wanted not in (0, 1) or (self.autopilot.role is not Role.MISSION and not wanted):
+            return Result.DENIED, []
+        if wanted:
+            return self.autopilot.start_mission(None), []
+        return self.autopilot.command_role(Role.HOLD), []
+
+    def _enable_fence(self, command: Command) -> Answer:
+        """ArduPilot's way to switch its fence; PX4 has none but the parameter of its action."""
+        if not self._home_first:
+            return Result.UNSUPPORTED, []
+        if command.whole(1) not in (0, 1):
+            return Result.FAILED, []
+        self.autopilot.parameters["FENCE_ENABLE"] = float(command.whole(1))
+        return Result.ACCEPTED, []

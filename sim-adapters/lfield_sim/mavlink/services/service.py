@@ -1,0 +1,67 @@
+"""What a service of the fake is: missions, fences, parameters, files, each in a file of its own.
+
+A service belongs to one vehicle and sees whole messages, never packets. Three tables say what it takes:
+
+- `handles`: message id -> handler. Called with the message (addressed to this vehicle or to all); returns
+  the messages that answer it, which go to the asking peer alone.
+- `commands`: MAV_CMD -> handler. Called with the `Command`; returns the result and messages that follow
+  the acknowledgement. A command of a service goes before one of `commands.py`.
+- `messages`: message id -> builder. What can be asked for with REQUEST_MESSAGE (512), SET_MESSAGE_INTERVAL
+  (511) and, for PX4, is streamed.
+
+`advance(now)` is called after every step of the model (`now` is `autopilot.now`, in seconds; it goes on over
+a reboot); what it returns goes to every peer. Long answers (a parameter list, a burst read) belong there,
+some per step.
+Handlers get foreign values: they never raise, and what they keep is bounded. `reboot` forgets what the
+real one would forget.
+
+What the autopilot offers to services (`lfield_sim.autopilot.autopilot`):
+
+- `parameters`: name -> float; after a change call `apply_parameters()`. The defaults that the autopilot acts
+  by are `autopilot.kind.parameters` (`autopilot.ardupilot`, `autopilot.px4`). `flavour.name` is `ardupilot`
+  or `px4`, `kind.name` `copter` or `rover`.
+- `mission`: an `autopilot.plans.Mission`. Set `mission.items` (a list of `MissionItem`: MAV_CMD, seven
+  values, and the place in the local frame, or None), then `autopilot.start_mission(first)` enters the
+  mission mode. `mission.current` is the index that is being flown, `mission.take_reached()` gives the
+  indexes reached since the last call. `mission.jump(index)` sets the current one.
+- `fence`: an object with `breached(place) -> int`: a FENCE_BREACH type (0 none, 1 floor, 2 ceiling, 3
+  boundary) for a place in the local frame. It knows uploaded polygons and circles only; the fences that are
+  parameters (FENCE_RADIUS, FENCE_ALT_MAX, GF_MAX_HOR_DIST, GF_MAX_VER_DIST) and whether fences are on
+  (FENCE_ENABLE, GF_ACTION) are the autopilot's own business, as is what a breach leads to.
+- `say(text, severity)`: a STATUSTEXT. `armed`, `mode`, `vehicle.place`, `home`, `battery.charge`, `flavour`.
+
+Places: `Place.at(north, east)` and `Place.local(latitude, longitude)` (1e-7 degrees) translate.
+
+Mission items that are not flown (speed, servo, camera) are carried out as the commands of that number. A
+result is an `autopilot.flavours.Result`, a severity a `Severity` of the same file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.mavlink.command import Answer, Command
+from lfield_sim.mavlink.geo import Place
+
+Handler = Callable[[Any], list[Any]]
+CommandHandler = Callable[[Command], Answer]
+MessageBuilder = Callable[[], Any]
+
+
+class Service:
+    """One service of one vehicle; the empty one. Subclasses fill the tables in `__init__`."""
+
+    def __init__(self, autopilot: Autopilot, place: Place) -> None:
+        self.autopilot, self.place = autopilot, place
+        self.handles: Mapping[int, Handler] = {}
+        self.commands: Mapping[int, CommandHandler] = {}
+        self.messages: Mapping[int, MessageBuilder] = {}
+
+    def advance(self, now: float) -> list[Any]:
+        """Messages for every peer, after a step of the model."""
+        return []
+
+    def reboot(self) -> None:
+        """The autopilot starts again: forget what does not survive that."""

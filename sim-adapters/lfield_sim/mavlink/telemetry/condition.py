@@ -1,0 +1,138 @@
+"""Messages about the condition of a vehicle: what it is, its mode, health, battery, home, fence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.flavours import Role
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.telemetry.motion import micros, millis
+
+NO_VALUE_16 = 0xFFFF
+#: Seconds since 1970 when the fake's GPS clock begins: 2026-11-01, so that runs are alike.
+EPOCH = 1_793_491_200
+#: MAV_SYS_STATUS_SENSOR: inertial, magnetic, pressure, GPS, control, motors, battery, pre-arm checks.
+GPS, PREARM, FENCE = 0x20, 0x10000000, 0x100000
+SENSORS = 0x1 | 0x2 | 0x4 | 0x8 | GPS | 0x400 | 0x800 | 0x1000 | 0x2000 | 0x4000 | 0x8000 | FENCE
+SENSORS |= 0x200000 | 0x2000000 | PREARM
+#: EKF_STATUS_REPORT: attitude, velocities, positions; what is left of it without a position.
+EKF_GOOD, EKF_BLIND = 0x33F, 0xA7
+#: ESTIMATOR_STATUS: the same for PX4.
+ESTIMATOR_GOOD, ESTIMATOR_BLIND = 0x37F, 0xA5
+
+
+def _percent(autopilot: Autopilot) -> int:
+    return round(autopilot.battery.charge * 100)
+
+
+def heartbeat(autopilot: Autopilot, _: Place) -> Any:
+    """HEARTBEAT 0."""
+    flags = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+    flags |= dialect.MAV_MODE_FLAG_SAFETY_ARMED if autopilot.armed else 0
+    state = dialect.MAV_STATE_ACTIVE if autopilot.armed else dialect.MAV_STATE_STANDBY
+    return dialect.MAVLink_heartbeat_message(
+        autopilot.kind.mav_type,
+        autopilot.flavour.autopilot,
+        flags,
+        autopilot.kind.modes[autopilot.mode].number,
+        dialect.MAV_STATE_CRITICAL if autopilot.critical else state,
+        3,
+    )
+
+
+def sys_status(autopilot: Autopilot, _: Place) -> Any:
+    """SYS_STATUS 1: sensors and whether it may be armed; mV, 10 mA, percent."""
+    battery = autopilot.battery
+    health = SENSORS
+    if autopilot.gps_lost:
+        health &= ~GPS
+    if autopilot.unfit and not autopilot.armed:
+        health &= ~PREARM
+    if autopilot.failsafes.breach:
+        health &= ~FENCE
+    volts, amperes = round(battery.volts * 1000), round(battery.current * 100)
+    return dialect.MAVLink_sys_status_message(
+        SENSORS, SENSORS, health, 200, volts, amperes, _percent(autopilot), 0, 0, 0, 0, 0, 0
+    )
+
+
+def system_time(autopilot: Autopilot, _: Place) -> Any:
+    """SYSTEM_TIME 2."""
+    unix = int((EPOCH + autopilot.now) * 1e6)
+    return dialect.MAVLink_system_time_message(unix, millis(autopilot))
+
+
+def battery_status(autopilot: Autopilot, _: Place) -> Any:
+    """BATTERY_STATUS 147: one pack, its voltage in the first cell field."""
+    battery = autopilot.battery
+    cells = [round(battery.volts * 1000)] + [NO_VALUE_16] * 9
+    return dialect.MAVLink_battery_status_message(
+        0, 0, 0, 32767, cells, round(battery.current * 100), round(battery.used), -1, _percent(autopilot)
+    )
+
+
+def rc_channels(autopilot: Autopilot, _: Place) -> Any:
+    """RC_CHANNELS 65: no radio control."""
+    return dialect.MAVLink_rc_channels_message(millis(autopilot), 0, *[NO_VALUE_16] * 18, 255)
+
+
+def autopilot_version(autopilot: Autopilot, _: Place) -> Any:
+    """AUTOPILOT_VERSION 148."""
+    flavour = autopilot.flavour
+    return dialect.MAVLink_autopilot_version_message(
+        flavour.capabilities, flavour.version, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0, [0] * 18
+    )
+
+
+def home_position(autopilot: Autopilot, place: Place) -> Any:
+    """HOME_POSITION 242; ArduPilot leaves the local part at 0."""
+    north, east, down = autopilot.home
+    local = autopilot.home if autopilot.flavour.name == "px4" else (0.0, 0.0, 0.0)
+    return dialect.MAVLink_home_position_message(
+        *place.at(north, east),
+        round((place.altitude - down) * 1000),
+        *local,
+        [1.0, 0.0, 0.0, 0.0],
+        *(0.0, 0.0, 0.0),
+    )
+
+
+def extended_sys_state(autopilot: Autopilot, _: Place) -> Any:
+    """EXTENDED_SYS_STATE 245: the landed state of a copter, undefined for a rover."""
+    if not autopilot.flies:
+        landed = dialect.MAV_LANDED_STATE_UNDEFINED
+    elif not autopilot.vehicle.airborne:
+        landed = dialect.MAV_LANDED_STATE_ON_GROUND
+    elif autopilot.role is Role.LAND:
+        landed = dialect.MAV_LANDED_STATE_LANDING
+    elif autopilot.role is Role.TAKEOFF:
+        landed = dialect.MAV_LANDED_STATE_TAKEOFF
+    else:
+        landed = dialect.MAV_LANDED_STATE_IN_AIR
+    return dialect.MAVLink_extended_sys_state_message(dialect.MAV_VTOL_STATE_UNDEFINED, landed)
+
+
+def fence_status(autopilot: Autopilot, _: Place) -> Any:
+    """FENCE_STATUS 162."""
+    watch = autopilot.failsafes
+    at = int(max(0.0, watch.breached_at - autopilot.booted) * 1000)
+    return dialect.MAVLink_fence_status_message(
+        1 if watch.breach else 0, watch.breaches, watch.breach, at & 0xFFFFFFFF
+    )
+
+
+def ekf_status_report(autopilot: Autopilot, _: Place) -> Any:
+    """EKF_STATUS_REPORT 193, ArduPilot's."""
+    flags = EKF_BLIND if autopilot.gps_lost else EKF_GOOD
+    return dialect.MAVLink_ekf_status_report_message(flags, 0.1, 0.1, 0.1, 0.1, 0.0)
+
+
+def estimator_status(autopilot: Autopilot, _: Place) -> Any:
+    """ESTIMATOR_STATUS 230, PX4's."""
+    flags = ESTIMATOR_BLIND if autopilot.gps_lost else ESTIMATOR_GOOD
+    return dialect.MAVLink_estimator_status_message(
+        micros(autopilot), flags, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.5, 0.5
+    )

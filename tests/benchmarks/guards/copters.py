@@ -1,0 +1,29 @@
+"""Fake copters, and the bindings of agents that have them behind a guard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from harness.checkout import Checkout
+from harness.processes import Processes
+
+_DEVICE = """\
+  v%d:
+    devices:
+      fc:
+        {driver: mavlink, endpoint: "udp:127.0.0.1:%s", system: %d, ttl: %g, safe_state: land,
+         waivers: [device_watchdog]}
+"""
+
+
+def fake_copters(checkout: Checkout, processes: Processes, systems: Iterable[int] = (1,), *words: str) -> str:
+    """Start vehicles on one link; returns their port."""
+    vehicles = [word for system in systems for word in ("--vehicle", str(system))]
+    endpoint = checkout.fake(processes, "mavlink", "--listen", "udp:127.0.0.1:0", *vehicles, *words)
+    return endpoint.rpartition(":")[2]
+
+
+def bindings(copters: Iterable[tuple[str, int]], silence: float = 10.0, ttl: float = 0.5) -> str:
+    """A devices file of agents v0, v1, ...: the port and system of each. By default hosts may stand still."""
+    devices = [_DEVICE % (n, port, system, ttl) for n, (port, system) in enumerate(copters)]
+    return f"silence: {silence}\nagents:\n" + "".join(devices)

@@ -1,0 +1,125 @@
+"""A checkout of lfield with its own .venv, used by its commands only: so an older one can be measured too."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+from harness.paced import Paced
+from harness.processes import Child, Processes, free_port
+
+#: Python keeps compiled modules here, as it does after the first start of an installed program.
+_KEPT = tempfile.TemporaryDirectory(prefix="lfield-bench-")
+
+
+class CheckoutError(Exception):
+    """A folder that cannot be measured; one sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checkout:
+    """Where it is, and the Python that runs it."""
+
+    root: Path
+    python: str
+
+    @classmethod
+    def own(cls) -> Self:
+        """The one that this file is in."""
+        return cls(Path(__file__).resolve().parents[3], sys.executable)
+
+    @classmethod
+    def at(cls, root: Path) -> Self:
+        """Another one. Raises CheckoutError when it has no environment of its own."""
+        checkout = cls(root.resolve(), str(root.resolve() / ".venv/bin/python"))
+        if not Path(checkout.python).exists():
+            raise CheckoutError(f"{root} has no .venv/bin/python: run 'make test' there first")
+        asked = (checkout.python, "-c", "import lfield; print(lfield.__file__)")
+        found = subprocess.run(asked, capture_output=True, text=True, cwd="/", env=checkout.environment)
+        if not found.stdout.startswith(f"{checkout.root}/"):
+            raise CheckoutError(
+                f"the .venv of {root} has not lfield of that folder: run 'make test' there again"
+            )
+        return checkout
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What its processes run in; nothing that they keep is left behind."""
+        told = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+        return told | {"PYTHONPYCACHEPREFIX": _KEPT.name, "XDG_CACHE_HOME": _KEPT.name}
+
+    @property
+    def commit(self) -> str:
+        """A short name of what is measured."""
+        asked = ("git", "-C", str(self.root), "describe", "--always", "--dirty")
+        try:
+            return subprocess.run(asked, capture_output=True, text=True).stdout.strip() or "unknown"
+        except OSError:
+            return "unknown"
+
+    def run(self, processes: Processes, *words: str, merged: bool = False) -> Child:
+        """Start a Python command of it, in its folder."""
+        return processes.start(
+            self.python, *words, environment=self.environment, folder=self.root, merged=merged
+        )
+
+    def lfield(self, processes: Processes, *words: str, merged: bool = False) -> Child:
+        """Start an `lfield` command of it."""
+        return self.run(processes, "-m", "lfield", *words, merged=merged)
+
+    def fake(self, processes: Processes, kind: str, *words: str) -> str:
+        """Start a stand-alone fake; returns the endpoint that it listens on."""
+        return self.run(processes, "-m", "lfield_sim", kind, *words).line().split()[1]
+
+
+@dataclass(slots=True)
+class Mission:
+    """An L program and who runs it, written to a folder; `agents` are lines of a deployment file."""
+
+    folder: Path
+    program: str
+    agents: Sequence[str]
+    devices: str = ""
+    addresses: Mapping[str, str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.source.write_text(self.program, encoding="utf-8")
+        self.deploy.write_text("\n".join([*self.agents, ""]), encoding="utf-8")
+        if self.devices:
+            self.deploy.with_suffix(".devices.yaml").write_text(self.devices, encoding="utf-8")
+        hosts = dict.fromkeys(agent.partition("@")[2].partition("?")[0] for agent in self.agents)
+        self.addresses = {host: f"127.0.0.1:{free_port()}" for host in hosts}
+
+    @property
+    def source(self) -> Path:
+        """The L text."""
+        return self.folder / "mission.L"
+
+    @property
+    def deploy(self) -> Path:
+        """The deployment file."""
+        return self.folder / "mission.dL"
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The options that say which mission, and where its hosts are."""
+        maps = [word for host, at in self.addresses.items() for word in ("--map", f"{host}={at}")]
+        return "--deploy", str(self.deploy), *maps
+
+    def up(self, checkout: Checkout, processes: Processes) -> list[Child]:
+        """Start a process for each host."""
+        return [checkout.lfield(processes, "up", *self.words, "--host", host) for host in self.addresses]
+
+
+def paced_mission(
+    checkout: Checkout, processes: Processes, program: Path, agents: Sequence[str], devices: str = ""
+) -> Paced:
+    """A mission that measures itself in rounds; the first host is the one that writes."""
+    mission = Mission(processes.folder(), program.read_text(encoding="utf-8"), agents, devices)
+    return Paced(mission.up(checkout, processes))

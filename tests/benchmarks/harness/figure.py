@@ -1,0 +1,124 @@
+"""A figure: who is measured, and how the samples become rows. Nothing here asserts a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+from harness.checkout import Checkout
+from harness.processes import Processes
+from harness.samples import Contender, Samples, Tick, flat, in_turns, median, pair_ratios, percentile
+from harness.words import SECONDS, TIMES
+
+#: Makes a contender of a checkout ready; what it starts ends with `Processes`.
+Opener = Callable[[Checkout, Processes], Contender]
+#: What a later version may cost against an earlier one.
+ALLOWED = "1.10x"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A line: a case, what was measured, its samples in `unit`; or, with `error`, why there are none."""
+
+    case: str
+    measured: str
+    unit: str = SECONDS
+    samples: Sequence[float] = ()
+    ratio: float | None = None
+    target: str = ""
+    error: str = ""
+
+    def numbers(self) -> dict[str, float]:
+        """Minimum, median, 99th percentile and maximum."""
+        if not self.samples:
+            return {}
+        low, high = min(self.samples), max(self.samples)
+        return {"min": low, "median": median(self.samples), "p99": percentile(self.samples, 99), "max": high}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """What `make bench` shows under one name.
+
+    `base` names the contenders whose fastest is ratio 1. `units` and `targets` are by case or by contender.
+    `between` names the contenders by which two checkouts can be compared: those that use commands only.
+    """
+
+    title: str
+    contenders: Mapping[str, Opener]
+    base: Sequence[str] = ()
+    rounds: int = 10
+    units: Mapping[str, str] = field(default_factory=dict)
+    targets: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    between: Sequence[str] = ()
+
+    def unit(self, case: str, name: str) -> str:
+        """Of the samples of a contender in a case."""
+        return self.units.get(case) or self.units.get(name) or SECONDS
+
+    def target(self, case: str, name: str) -> str:
+        """What a contender must keep to in a case."""
+        return self.targets.get(case) or self.targets.get(name) or ""
+
+
+def rows_of(figure: Figure, checkout: Checkout, tick: Tick) -> Iterator[Row]:
+    """Measure all contenders."""
+    with Processes() as processes:
+        openers = {name: partial(opener, checkout, processes) for name, opener in figure.contenders.items()}
+        samples, errors = in_turns(openers, figure.rounds, tick)
+    for case in _cases(samples):
+        shown = case
+        for name, of_case in samples.items():
+            if case in of_case:
+                ratio = _ratio_to_fastest(samples, figure.base, name, case)
+                unit, target = figure.unit(case, name), figure.target(case, name)
+                yield Row(shown, name, unit, flat(of_case[case]), ratio, target)
+                shown = ""
+    yield from (Row("", name, error=error) for name, error in errors.items())
+
+
+def rows_between(figure: Figure, own: Checkout, other: Checkout, sessions: int, tick: Tick) -> Iterator[Row]:
+    """Measure what two checkouts can be compared by: the samples of each, and the ratio round by round.
+
+    Every session starts all processes anew, as some are lucky with their place in memory and some are not.
+    """
+    for name in figure.between:
+        samples: Samples = {"this": {}, "other": {}}
+        errors: dict[str, str] = {}
+        for _ in range(sessions):
+            with Processes() as processes:
+                opener = figure.contenders[name]
+                openers = {
+                    "this": partial(opener, own, processes),
+                    "other": partial(opener, other, processes),
+                }
+                found, wrong = in_turns(openers, -(-figure.rounds // sessions), tick)
+            errors |= wrong
+            for side, of_side in found.items():
+                for case, rounds in of_side.items():
+                    samples[side].setdefault(case, []).extend(rounds)
+        for case in _cases(samples):
+            shown = f"{name}: {case}"
+            for side, of_side in samples.items():
+                if case in of_side:
+                    yield Row(shown, side, figure.unit(case, name), flat(of_side[case]))
+                    shown = ""
+            if all(case in of_side for of_side in samples.values()):
+                ratios = pair_ratios(samples["this"][case], samples["other"][case])
+                yield Row("", "this / other", TIMES, ratios, median(ratios) if ratios else None, ALLOWED)
+        yield from (Row(name, side, error=error) for side, error in errors.items())
+
+
+def _cases(samples: Samples) -> list[str]:
+    return list(dict.fromkeys(case for of_contender in samples.values() for case in of_contender))
+
+
+def _ratio_to_fastest(samples: Samples, base: Sequence[str], name: str, case: str) -> float | None:
+    """Against that base which is the fastest in this case."""
+    there = [samples[b][case] for b in base if case in samples.get(b, {})]
+    if not there:
+        return None
+    ratios = pair_ratios(samples[name][case], min(there, key=lambda rounds: median(flat(rounds))))
+    return median(ratios) if ratios else None

@@ -1,0 +1,56 @@
+"""Processes that measure themselves in rounds, and stand still while others are measured.
+
+The first of them writes a line `CASE = SECONDS...` for each case, then `end`, and rests for a quarter of a
+second, long enough to be stopped in. A line `error: ...` is the end of it.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+
+from harness.processes import Child, ChildError
+
+Round = dict[str, list[float]]
+
+
+class Paced:
+    """Each call is one round. The first round only warms it up."""
+
+    def __init__(self, children: Sequence[Child]) -> None:
+        self._children = children
+        self._finish()
+
+    def __call__(self) -> Round:
+        """The samples of the next round, by case."""
+        for child in self._children:
+            child.go_on()
+        return self._finish()
+
+    def _finish(self) -> Round:
+        found = read_round(self._children[0])
+        for child in self._children:
+            child.pause()
+        return found
+
+
+def whole_run(child: Child, case: str) -> Round:
+    """Seconds of a command from start to end, and of a processor, in which load counts for less."""
+    before = os.times()
+    child.wait()
+    took, after = time.perf_counter() - child.started, os.times()
+    used = after.children_user + after.children_system - before.children_user - before.children_system
+    return {case: [took], f"{case}, processor": [used]}
+
+
+def read_round(child: Child) -> Round:
+    """The samples of a round as a child writes them. Raises ChildError."""
+    found: Round = {}
+    while (line := child.line()) != "end":
+        if line.startswith("error: "):
+            raise ChildError(line.removeprefix("error: "))
+        case, _, samples = line.partition(" =")
+        if samples:
+            found.setdefault(case, []).extend(float(word) for word in samples.split())
+    return found

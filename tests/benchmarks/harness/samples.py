@@ -1,0 +1,97 @@
+"""Samples: measured in turns, their quantiles, and ratios of rounds.
+
+Machines are shared and noisy, so contenders are measured in turns (A B, B A, A B ...), and what is compared
+is the two sides of each round: both have seen the same weather.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from harness.processes import ChildError
+
+#: One round: samples by case.
+Contender = Callable[[], Mapping[str, Iterable[float]]]
+#: Samples of each round, by contender and case.
+Samples = dict[str, dict[str, list[list[float]]]]
+#: Is told what goes on.
+Tick = Callable[[str], None]
+
+
+def percentile(samples: Iterable[float], percent: float) -> float:
+    """The smallest sample that so many percent of them do not exceed. Raises ValueError without samples."""
+    ordered = sorted(samples)
+    if not ordered:
+        raise ValueError("there are no samples")
+    return ordered[min(len(ordered) - 1, int(len(ordered) * percent / 100))]
+
+
+def median(samples: Iterable[float]) -> float:
+    """The 50th percentile."""
+    return percentile(samples, 50)
+
+
+def flat(rounds: Iterable[Sequence[float]]) -> list[float]:
+    """The samples of all rounds."""
+    return [sample for found in rounds for sample in found]
+
+
+def pair_ratios(own: Sequence[Sequence[float]], base: Sequence[Sequence[float]]) -> list[float]:
+    """The ratio of the medians of each round that both have."""
+    return [median(a) / median(b) for a, b in zip(own, base, strict=False) if a and b and median(b)]
+
+
+def timed(work: Callable[[], object], at_least: float = 0.0) -> float:
+    """Seconds that one call takes; it is called again and again until `at_least` has passed."""
+    calls, start = 0, time.perf_counter()
+    while True:
+        work()
+        calls += 1
+        took = time.perf_counter() - start
+        if took >= at_least:
+            return took / calls
+
+
+def in_turns(
+    openers: Mapping[str, Callable[[], Contender]], rounds: int, tick: Tick
+) -> tuple[Samples, dict[str, str]]:
+    """Samples of every contender, measured one after the other in each round, and what failed.
+
+    The order is reversed in every other round, so that nobody is always first. A contender that fails loses
+    its place and its samples; the others go on.
+    """
+    contenders: dict[str, Contender] = {}
+    samples: Samples = {name: {} for name in openers}
+    errors: dict[str, str] = {}
+
+    def attempt(name: str, work: Callable[[str], None], where: str) -> None:
+        tick(f"{name}, {where}")
+        try:
+            work(name)
+        except Exception as error:
+            errors[name] = sentence(error)
+            contenders.pop(name, None)
+            del samples[name]
+
+    def ready(name: str) -> None:
+        contenders[name] = openers[name]()
+
+    def measure(name: str) -> None:
+        for case, found in contenders[name]().items():
+            samples[name].setdefault(case, []).append(list(found))
+
+    for name in openers:
+        attempt(name, ready, "made ready")
+    order = list(contenders)
+    for number in range(rounds):
+        for name in [name for name in order if name in contenders]:
+            attempt(name, measure, f"round {number + 1} of {rounds}")
+        order.reverse()
+    return samples, errors
+
+
+def sentence(error: BaseException) -> str:
+    """An exception on one line."""
+    told = " ".join(str(error).split())
+    return told if isinstance(error, ChildError) else f"{type(error).__name__}: {told}"

@@ -1,0 +1,79 @@
+"""How figures look: a table for each on stdout, what is going on now on stderr."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Self
+
+from harness.figure import Row
+from harness.words import times, words
+from rich.console import Console
+from rich.progress import Progress as Bar
+from rich.progress import SpinnerColumn, TextColumn
+from rich.table import Table
+from rich.text import Text
+
+#: Widths that hold from figure to figure, as each is a table of its own.
+COLUMNS = {
+    "CASE": 36,
+    "MEASURED": 30,
+    "MIN": 10,
+    "MEDIAN": 10,
+    "P99": 10,
+    "MAX": 10,
+    "RATIO": 8,
+    "TARGET": 12,
+}
+
+
+class Progress:
+    """What is measured now, gone when it is done. It has no thread, which would be measured too."""
+
+    def __init__(self, name: str) -> None:
+        columns = SpinnerColumn(), TextColumn("{task.description}")
+        console = Console(stderr=True)
+        self._bar = Bar(
+            *columns, console=console, transient=True, auto_refresh=False, disable=not console.is_terminal
+        )
+        self._name = name
+        self._task = self._bar.add_task(name)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def tick(self, text: str) -> None:
+        """Say what goes on."""
+        self._bar.update(self._task, description=f"{self._name}: {text}", refresh=True)
+
+
+def print_figure(out: Console, name: str, title: str, rows: Sequence[Row], notes: Sequence[str]) -> None:
+    """A figure: its title, its rows, how it was made."""
+    out.print()
+    out.print(Text(name, style="bold"), Text(title), soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
+    for column, width in COLUMNS.items():
+        table.add_column(
+            column,
+            min_width=width,
+            justify="left" if column in ("CASE", "MEASURED") else "right",
+            overflow="fold",
+        )
+    for row in rows:
+        if not row.error:
+            table.add_row(*map(Text, _cells(row)))
+    out.print(table)
+    for row in rows:
+        if row.error:
+            out.print(Text(f"{row.case} {row.measured}: {row.error}".strip(), style="red"), soft_wrap=True)
+    for note in notes:
+        out.print(Text(note, style="dim"), soft_wrap=True)
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    numbers = [words(number, row.unit) for number in row.numbers().values()] or [""] * 4
+    ratio = "" if row.ratio is None else times(row.ratio)
+    return row.case, row.measured, *numbers, ratio, row.target

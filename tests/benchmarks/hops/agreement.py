@@ -1,0 +1,122 @@
+"""Messages for N resources to agree: a coordinator collects from each, then informs each (chapter IV).
+
+N hosts run in one process on the in-memory network, which counts what is sent. The coordinator starts on
+the last host, visits all in order to collect and again to inform: every visit is one hop, 2N in all. In a
+broadcast everyone tells everyone, N(N-1) messages, and at its end all know all opinions but nobody has
+decided.
+
+A hop is confirmed by a short message that nobody waits for, as TCP confirms each message of a broadcast;
+the table shows these too.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import io
+from collections import Counter
+from pathlib import Path
+
+from harness.checkout import Checkout
+from harness.figure import Figure, Opener
+from harness.processes import Processes
+from harness.samples import Contender
+from harness.words import COUNT
+
+from lfield.clock import SystemClock
+from lfield.host.host import Host, Options
+from lfield.host.logbook import Logbook
+from lfield.host.until_done import until_done
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.simulate.network import MemoryNetwork
+
+SIZES = (2, 4, 8, 16, 32, 64)
+
+#: Seconds without a link after which a host counts as gone; none goes here.
+_LOST_AFTER = 30.0
+
+_PROGRAM = """
+resource Voter {
+    int wish;
+
+    init(string[] arg) { wish = s2i(arg[1]); }
+
+    portal opinion() emit int { return wish; }
+
+    portal decide(int choice) { write(i2s(choice) + "\\n"); }
+}
+
+coordinator Vote {
+    init(string[] arg) {
+        Voter[] voters = findVoter();
+        int choice = 0;
+        for (int i = 0; i < voters.length(); i = i + 1) choice = max(choice, voters[i].opinion());
+        for (int i = 0; i < voters.length(); i = i + 1) voters[i].decide(choice);
+    }
+}
+"""
+
+
+def counted(message: str) -> Opener:
+    """How many of these the coordinator takes: its migrations, or their short answers."""
+
+    def opener(checkout: Checkout, processes: Processes) -> Contender:
+        return lambda: {case: [agree(processes.folder(), count)[message]] for case, count in _CASES.items()}
+
+    return opener
+
+
+def broadcasting(checkout: Checkout, processes: Processes) -> Contender:
+    """Everyone tells everyone."""
+    return lambda: {case: [count * (count - 1)] for case, count in _CASES.items()}
+
+
+def agree(folder: Path, count: int) -> Counter[str]:
+    """Let so many resources, each on a host of its own, agree on their greatest wish; what was sent."""
+    (folder / "vote.L").write_text(_PROGRAM, encoding="utf-8")
+    lines = [f"//Voter:v{i}@h{i}?{7 * i % count}" for i in range(count)]
+    deploy = folder / "vote.dL"
+    deploy.write_text("\n".join([*lines, f"//Vote:vote@h{count - 1}"]), encoding="utf-8")
+    return asyncio.run(_agree(load_mission(deploy)))
+
+
+async def _agree(mission: Mission) -> Counter[str]:
+    loop = asyncio.get_running_loop()
+    network = MemoryNetwork(SystemClock(), on_pending=lambda: loop.call_soon(network.step))
+    written = {name: io.StringIO() for name in mission.team.hosts}
+    hosts = [_host(mission, name, network, out) for name, out in written.items()]
+    try:
+        # At once: a host with coordinators waits for the others' greetings before it starts them.
+        await asyncio.gather(*(host.start() for host in hosts))
+        (fate,) = await until_done(hosts[-1], _LOST_AFTER)
+        if fate.outcome != "done":
+            raise RuntimeError(f"{fate.agent} {fate.outcome}: {fate.detail}")
+        sent: Counter[str] = network.sent.copy()
+    finally:
+        for host in hosts:
+            await host.stop()
+    decisions = {int(out.getvalue()) for out in written.values()}
+    if decisions != {max(7 * i % len(hosts) for i in range(len(hosts)))}:
+        raise RuntimeError(f"they decided on {decisions}")
+    return sent
+
+
+def _host(mission: Mission, name: str, network: MemoryNetwork, out: io.StringIO) -> Host:
+    address = mission.team.addresses[mission.team.number(name)]
+    return Host(mission, name, network.transport(name), Logbook(out, io.StringIO()), Options(address))
+
+
+_CASES = {f"N = {count}": count for count in SIZES}
+
+FIGURE = Figure(
+    "Messages for N resources to agree, counted; ratio to a broadcast",
+    {
+        "lfield: hops": counted("Transfer"),
+        "lfield: confirmations of hops": counted("Accepted"),
+        "broadcast: N(N-1) messages": broadcasting,
+    },
+    base=("broadcast: N(N-1) messages",),
+    rounds=1,
+    units=dict.fromkeys(_CASES, COUNT),
+    targets={"lfield: hops": "2N"},
+)

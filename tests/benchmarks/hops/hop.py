@@ -1,0 +1,71 @@
+"""A remote portal call: hop there, run the portal, go on. Compared with a remote method call.
+
+Two hosts run as real processes on loopback TCP. One call is one hop: the block goes over once and nothing
+comes back but a confirmation that nobody waits for. With an RPC library the caller stays, so one call is a
+request and a reply with the same bytes in both. The live state is an int array of the given size, on top of
+the coordinator itself. L times itself: the two hosts share this machine's clock.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from harness.checkout import Checkout, paced_mission
+from harness.figure import Figure, Opener
+from harness.processes import Processes
+from harness.samples import Contender
+from hops.rpc import CLIENTS, Echo
+
+SIZES = (64, 1 << 10, 8 << 10, 64 << 10)
+CALLS, WARM_UP = 300, 20
+
+_HERE = Path(__file__).parent
+
+
+def hops(checkout: Checkout, processes: Processes) -> Contender:
+    """The coordinator of hop.L, on two hosts."""
+    words = "&".join(str(word) for word in (CALLS, WARM_UP, *SIZES))
+    kept = CALLS // 2
+    agents = f"//Post:near@a?{kept}", f"//Post:far@b?{kept}", f"//Traveller:traveller@a?{words}"
+    return paced_mission(checkout, processes, _HERE / "hop.L", agents)
+
+
+def calls(library: str, share: float = 1.0) -> Opener:
+    """Echoes of a library, each of them so much of a call."""
+
+    def opener(checkout: Checkout, processes: Processes) -> Contender:
+        server = checkout.run(processes, str(_HERE / "rpc.py"), library)
+        echo = CLIENTS[library](int(server.line()))
+        return lambda: {f"{count} B": [share * took for took in _echoes(echo, count)] for count in SIZES}
+
+    return opener
+
+
+def _echoes(echo: Echo, count: int) -> list[float]:
+    """Seconds of each of CALLS echoes of so many bytes, after a warm-up."""
+    data, taken = bytes(count), []
+    for _ in range(WARM_UP):
+        echo(data)
+    for _ in range(CALLS):
+        start = time.perf_counter()
+        echo(data)
+        taken.append(time.perf_counter() - start)
+    return taken
+
+
+FIGURE = Figure(
+    "A remote portal call by live state; ratio to the fastest RPC library",
+    {
+        "lfield: a hop": hops,
+        "TCP, one way (half an echo)": calls("TCP", 0.5),
+        "Pyro5, method call": calls("Pyro5"),
+        "RPyC, method call": calls("RPyC"),
+        "gRPC, method call": calls("gRPC"),
+    },
+    base=("Pyro5, method call", "RPyC, method call", "gRPC, method call"),
+    rounds=8,
+    targets={"lfield: a hop": "1.00x"},
+    notes=(f"rounds of {CALLS} calls; a portal call is one hop, a method call goes and returns",),
+    between=("lfield: a hop",),
+)

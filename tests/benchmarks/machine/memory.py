@@ -1,0 +1,32 @@
+"""The memory of a host without devices: all its pages, and with its share only of those it shares (PSS)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from harness.checkout import Checkout
+from harness.figure import Figure
+from harness.paced import Round
+from harness.processes import Processes
+from harness.words import BYTES
+from machine.small import settled, small_host
+
+_KINDS = {"resident": "Rss:", "proportional": "Pss:"}
+
+
+def memory(checkout: Checkout, words: Sequence[str]) -> Round:
+    """Bytes of one host."""
+    with Processes() as processes:
+        told = (settled(checkout, processes, words) / "smaps_rollup").read_text(encoding="ascii")
+    kilobytes = {line.split()[0]: int(line.split()[1]) for line in told.splitlines() if line.endswith("kB")}
+    return {kind: [kilobytes[field] * 1024.0] for kind, field in _KINDS.items()}
+
+
+FIGURE = Figure(
+    "The memory of a host without devices",
+    {"from L text": small_host(memory), "from a program file": small_host(memory, compiled=True)},
+    rounds=3,
+    units=dict.fromkeys(_KINDS, BYTES),
+    targets={"resident": "45.0 MB"},
+    between=("from L text", "from a program file"),
+)

@@ -1,0 +1,76 @@
+"""A mission of one host without devices and one resource that idles: what a host costs by itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from harness.checkout import Checkout, Mission
+from harness.figure import Opener
+from harness.paced import Round
+from harness.processes import Child, Processes
+from harness.samples import Contender
+
+#: Measures one start of a host with these options.
+Measure = Callable[[Checkout, Sequence[str]], Round]
+
+_LOOPS = {"parked": "while (true) yield();", "polling": "while (!done) yield();"}
+_PROGRAM = """
+resource Part {
+    boolean done;
+
+    init(string[] arg) {
+        done = false;
+        %s
+    }
+
+    portal hello() { write("called\\n"); }
+}
+
+coordinator First {
+    init(string[] arg) {
+        Part part = findPart("part");
+        part.hello();
+    }
+}
+"""
+
+
+def small_host(measure: Measure, loop: str = "parked", compiled: bool = False) -> Opener:
+    """Every round is a host of its own, that compiles L text at its start or runs a program file."""
+
+    def opener(checkout: Checkout, processes: Processes) -> Contender:
+        agents = "//Part:part@here", "//First:first@here"
+        mission = Mission(processes.folder(), _PROGRAM % _LOOPS[loop], agents)
+        words = [*mission.words, "--host", "here"]
+        if compiled:
+            built = mission.folder / "mission.lb"
+            checkout.lfield(processes, "build", str(mission.source), "-o", str(built)).wait()
+            words += ["--program", str(built)]
+        return lambda: measure(checkout, words)
+
+    return opener
+
+
+def started(checkout: Checkout, processes: Processes, words: Sequence[str]) -> tuple[Child, Round]:
+    """A host after its first portal call, and the seconds that it took from its start."""
+    host, took = checkout.lfield(processes, "up", *words, merged=True), {}
+    while (line := host.line()) != "called":
+        if " is up on " in line:
+            took["until it is up"] = [time.perf_counter() - host.started]
+    took["to the first portal call"] = [time.perf_counter() - host.started]
+    return host, took | {"the same, processor": [processor_seconds(Path(f"/proc/{host.pid}"))]}
+
+
+def processor_seconds(folder: Path) -> float:
+    """What all threads of a process have run, by its folder in /proc."""
+    tasks = (folder / "task").glob("*/schedstat")
+    return sum(int(task.read_text(encoding="ascii").split()[0]) for task in tasks) / 1e9
+
+
+def settled(checkout: Checkout, processes: Processes, words: Sequence[str]) -> Path:
+    """The /proc folder of a host, after what is left of starting up."""
+    host, _ = started(checkout, processes, words)
+    time.sleep(0.5)
+    return Path(f"/proc/{host.pid}")

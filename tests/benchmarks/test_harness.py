@@ -1,0 +1,220 @@
+"""The harness of the figures: what is lost when one fails (nothing), what is counted, what is saved."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from harness.bench import main
+from harness.checkout import Checkout, CheckoutError
+from harness.figure import Figure, Row, rows_between, rows_of
+from harness.paced import Paced, read_round
+from harness.processes import ChildError, Processes
+from harness.samples import in_turns, median, pair_ratios, percentile, timed
+from harness.words import BYTES, COUNT, TIMES, words
+from rich.console import Console
+
+HERE = Checkout(Path("/here"), sys.executable)
+THERE = Checkout(Path("/there"), sys.executable)
+
+
+def silent(text: str) -> None:
+    """Nobody is told."""
+
+
+def giving(*seconds):
+    """Opens a contender that gives the same in each round."""
+    return lambda checkout, processes: lambda: {"case": seconds}
+
+
+def failing(checkout, processes):
+    raise OSError("no such\n   thing")
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """Runs the command on figures; returns its status and what it printed."""
+
+    def run(figures, *words):
+        modules = {}
+        for name, figure in figures.items():
+            module = modules[name] = f"figure_of_{name}"
+            if figure is not None:
+                made = ModuleType(module)
+                made.FIGURE = figure
+                monkeypatch.setitem(sys.modules, module, made)
+        out = Console(file=io.StringIO(), width=160)
+        return main(modules, words, out), out.file.getvalue()
+
+    return run
+
+
+A = Figure("The first; ratio to b", {"a": giving(0.002, 0.004), "b": giving(0.001)}, base=("b",), rounds=3)
+B = Figure("The second", {"b": giving(5.0)})
+
+
+def test_quantiles():
+    samples = [5.0, 1.0, 4.0, 2.0, 3.0]
+    assert (median(samples), percentile(samples, 0), percentile(samples, 99)) == (3.0, 1.0, 5.0)
+    with pytest.raises(ValueError, match="no samples"):
+        median([])
+
+
+def test_a_row_has_minimum_median_and_maximum():
+    assert Row("", "", samples=[3.0, 1.0, 2.0]).numbers() == {
+        "min": 1.0,
+        "median": 2.0,
+        "p99": 3.0,
+        "max": 3.0,
+    }
+    assert Row("", "", error="gone").numbers() == {}
+
+
+def test_a_ratio_is_of_rounds_that_were_measured_together():
+    # The second round was made under load, for both.
+    assert pair_ratios([[1.1], [11.0]], [[1.0], [10.0]]) == pytest.approx([1.1, 1.1])
+
+
+def test_a_short_work_is_repeated_until_it_can_be_trusted():
+    calls = []
+    assert timed(lambda: calls.append(1), at_least=0.002) * len(calls) >= 0.002
+    assert len(calls) > 10
+
+
+def test_contenders_take_turns_and_nobody_is_always_first():
+    order = []
+    openers = {name: lambda n=name: lambda: order.append(n) or {"": [1.0]} for name in "ab"}
+    samples, errors = in_turns(openers, 3, silent)
+    assert ("".join(order), errors) == ("abbaab", {})
+    assert samples == {"a": {"": [[1.0]] * 3}, "b": {"": [[1.0]] * 3}}
+
+
+def test_a_contender_that_fails_leaves_the_others():
+    figure = Figure("", {"a": failing, "b": giving(1.0)}, rounds=2)
+    good, bad = rows_of(figure, HERE, silent)
+    assert (good.measured, list(good.samples)) == ("b", [1.0, 1.0])
+    assert (bad.measured, bad.error) == ("a", "OSError: no such thing")
+
+
+def test_one_that_fails_in_a_later_round_leaves_the_others():
+    left = [1.0]
+    openers = {"a": lambda: lambda: {"": [left.pop()]}, "b": lambda: lambda: {"": [2.0]}}
+    samples, errors = in_turns(openers, 2, silent)
+    assert samples == {"b": {"": [[2.0], [2.0]]}}
+    assert errors == {"a": "IndexError: pop from empty list"}
+
+
+def test_a_failing_figure_leaves_the_others(bench):
+    status, shown = bench({"lost": None, "second": B})
+    assert status == 1
+    assert "lost: ModuleNotFoundError: No module named 'figure_of_lost'" in shown
+    assert "5.00 s" in shown
+
+
+def test_only_the_figures_that_are_named(bench):
+    status, shown = bench({"first": A, "second": B}, "--only", "second")
+    assert status == 0
+    assert "The second" in shown
+    assert "The first" not in shown
+
+
+def test_an_unknown_figure(bench, capsys):
+    assert bench({"first": A, "second": B}, "--only", "third")[0] == 64
+    assert capsys.readouterr().err == "there is no figure 'third'; there are first, second\n"
+
+
+def test_rows_are_saved(bench, tmp_path):
+    file = tmp_path / "rows.json"
+    assert bench({"first": A, "lost": None}, "--save", str(file), "--rounds", "2")[0] == 1
+    saved = json.loads(file.read_text(encoding="utf-8"))
+    a, b, lost = saved["rows"]
+    assert saved["format"] == 1
+    assert (a["figure"], a["case"], a["measured"], a["count"]) == ("first", "case", "a", 4)
+    assert (a["min"], a["median"], a["max"], a["ratio"]) == (0.002, 0.004, 0.004, 4.0)
+    assert (b["case"], b["ratio"]) == ("case", 1.0)
+    assert lost["error"].startswith("ModuleNotFoundError")
+
+
+def test_what_is_interrupted_is_printed_and_saved(bench, tmp_path, capsys):
+    def interrupted(checkout, processes):
+        raise KeyboardInterrupt
+
+    file = tmp_path / "rows.json"
+    figures = {"first": A, "second": Figure("", {"c": interrupted})}
+    status, shown = bench(figures, "--save", str(file))
+    assert (status, "4.00x" in shown) == (130, True)
+    assert len(json.loads(file.read_text(encoding="utf-8"))["rows"]) == 2
+    assert capsys.readouterr().err.startswith("interrupted")
+
+
+def test_two_checkouts_are_compared_round_by_round():
+    def opener(checkout, processes):
+        return lambda: {"case": [3.0 if checkout is HERE else 2.0]}
+
+    figure = Figure("", {"a": opener, "alone": giving(9.0)}, rounds=4, between=("a",))
+    this, other, ratio = rows_between(figure, HERE, THERE, 2, silent)
+    assert (list(this.samples), list(other.samples)) == ([3.0] * 4, [2.0] * 4)
+    assert (list(ratio.samples), ratio.unit, ratio.ratio) == ([1.5] * 4, TIMES, 1.5)
+
+
+def test_a_case_that_only_one_checkout_has():
+    def opener(checkout, processes):
+        if checkout is THERE:
+            raise OSError("never heard of it")
+        return lambda: {"case": [1.0]}
+
+    this, lost = rows_between(Figure("", {"a": opener}, rounds=1, between=("a",)), HERE, THERE, 1, silent)
+    assert this.measured == "this"
+    assert (lost.measured, lost.error) == ("other", "OSError: never heard of it")
+
+
+def test_a_checkout_without_an_environment(bench, tmp_path, capsys):
+    with pytest.raises(CheckoutError):
+        Checkout.at(tmp_path)
+    assert bench({"first": A}, "--against", str(tmp_path))[0] == 66
+    assert capsys.readouterr().err == f"{tmp_path} has no .venv/bin/python: run 'make test' there first\n"
+
+
+@pytest.mark.parametrize(
+    ("number", "unit", "shown"),
+    [
+        (1.5e-7, "s", "0.150 µs"), (2.5e-5, "s", "25.0 µs"), (2.5e-3, "s", "2.50 ms"), (12.0, "s", "12.0 s"),
+        (-0.5, "s", "-500 ms"), (37.5e6, BYTES, "37.5 MB"), (128, COUNT, "128"), (0.05, TIMES, "0.05x"),
+        (42.0, TIMES, "42x"), (0.5, "%", "0.50 %"),
+    ],
+)  # fmt: skip
+def test_numbers_in_words(number, unit, shown):
+    assert words(number, unit) == shown
+
+
+@pytest.mark.process
+def test_a_process_that_measures_itself_stands_still_between_its_rounds():
+    loop = (
+        "import time\nfor n in range(9): print(f'a = {n}\\nb =\\na = 0.5\\nend', flush=True); time.sleep(0.1)"
+    )
+    with Processes() as processes:
+        child = processes.start(sys.executable, "-c", loop)
+        paced = Paced([child])
+        state = Path(f"/proc/{child.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0]
+        assert state == "T"
+        # The first round has warmed it up.
+        assert paced() == {"a": [1.0, 0.5]}
+        assert paced() == {"a": [2.0, 0.5]}
+    with pytest.raises(ProcessLookupError):
+        os.kill(child.pid, 0)
+
+
+@pytest.mark.process
+def test_a_process_that_cannot_go_on_says_why():
+    with Processes() as processes:
+        wrong = processes.start(sys.executable, "-c", "print('error: fib gave 3 instead of 5')")
+        with pytest.raises(ChildError, match=r"^fib gave 3 instead of 5$"):
+            read_round(wrong)
+        gone = processes.start(sys.executable, "-c", "raise OSError('no bus')")
+        with pytest.raises(ChildError, match=r"ended: OSError: no bus$"):
+            read_round(gone)

@@ -1,0 +1,96 @@
+"""A device of parts: each instruction is carried out in one place, by the device or by one of its parts."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.clock import ManualClock
+from lfield.driver import Device, DeviceBinding
+from lfield.driver.device import check_methods
+from lfield.driver.manifest_file import load_manifest
+from lfield.errors import PluginError
+from lfield.testing.reports import KeptReports
+
+MANIFEST = load_manifest(
+    "lamp.yaml",
+    b"""
+driver: lamp
+type: Lamp
+meaning: a lamp that can be turned
+safe_states: [off]
+instructions:
+  light: {parameters: {on: {type: boolean}}, effect: idempotent, blocking: true}
+  turn: {parameters: {angle: {type: real}}, result: real, blocking: true}
+telemetry:
+  angle: {type: real, max_age: 1.0}
+""",
+)
+
+
+class Neck:
+    def __init__(self, lamp: Device) -> None:
+        self.lamp = lamp
+
+    async def do_turn(self, angle: float) -> float:
+        self.lamp.publish(angle=angle)
+        return -angle
+
+
+class Lamp(Device):
+    def __init__(self, *parts) -> None:
+        binding = DeviceBinding(
+            agent="a", field="f", type="Lamp", driver="lamp", endpoint="x", safe_state="off"
+        )
+        self.reports, self.on = KeptReports(), False
+        super().__init__(binding, MANIFEST, ManualClock(), self.reports)
+        self.parts = [part(self) for part in parts]
+
+    async def do_light(self, on: bool) -> None:
+        self.on = on
+
+
+def test_a_part_carries_out_what_the_device_does_not():
+    lamp = Lamp(Neck)
+    check_methods(Lamp, MANIFEST, lamp.parts)
+    assert asyncio.run(lamp.execute("turn", [1])) == -1.0
+    asyncio.run(lamp.execute("light", [True]))
+    assert lamp.on
+    assert lamp.reports.values == {"angle": 1.0}
+
+
+def test_what_nobody_carries_out_is_asked_of_the_device():
+    with pytest.raises(PluginError, match="Lamp needs 'async def do_turn' for 'turn'"):
+        check_methods(Lamp, MANIFEST)
+
+
+class Shade(Neck):
+    async def do_release(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("parts", "words"),
+    [
+        ((Neck, Neck), "Neck and Neck both define do_turn: 'turn' must be carried out in one place"),
+        ((Shade,), "Lamp and Shade both define do_release"),
+    ],
+)
+def test_an_instruction_in_two_places_is_an_error(parts, words):
+    lamp = Lamp(*parts)
+    with pytest.raises(PluginError, match=words):
+        check_methods(Lamp, MANIFEST, lamp.parts)
+
+
+def test_a_part_must_take_what_the_manifest_gives():
+    class Stiff:
+        def __init__(self, lamp: Device) -> None:
+            pass
+
+        async def do_turn(self) -> None:
+            pass
+
+    lamp = Lamp(Stiff)
+    with pytest.raises(PluginError, match=r"Stiff\.do_turn must take the 1 parameters of its manifest"):
+        check_methods(Lamp, MANIFEST, lamp.parts)

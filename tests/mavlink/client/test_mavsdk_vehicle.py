@@ -1,0 +1,119 @@
+"""The driver and a vehicle by others: MAVSDK's server plugins, over UDP, in real time."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+from mavsdk_stand_in import ALTITUDE, EAST, LATITUDE, LONGITUDE, NORTH, StandIn
+
+from lfield.clock import SystemClock
+from lfield.errors import DeviceError
+from lfield.testing.driver_bench import DriverBench, bind
+from lfield_mavlink import PLUGIN
+
+pytestmark = [pytest.mark.process, pytest.mark.timeout(60)]
+
+#: No story may take longer, in seconds.
+LONGEST = 30.0
+
+
+def fly(story, *, opened=True, **stand_in):
+    """Run `story(device, vehicle, bench)` with the driver at MAVSDK's vehicle."""
+
+    async def main():
+        async with StandIn(**stand_in) as vehicle:
+            bench = DriverBench(PLUGIN, bind(PLUGIN, agent="a", field="fc", endpoint=vehicle.endpoint))
+            await bench.play(
+                lambda device: story(device, vehicle, bench), SystemClock(), opened=opened, within=LONGEST
+            )
+
+    asyncio.run(main())
+
+
+def test_it_is_identified_its_telemetry_read_and_its_failsafes_set():
+    async def story(device, vehicle, bench):
+        assert await device.open() == "PX4 copter, system 1"
+        expected = {
+            "position": [NORTH, EAST, 0.0], "velocity": [0.5, 0.25, 0.0], "altitude": 0.0,
+            "globalPosition": [LATITUDE, LONGITUDE, ALTITUDE], "attitude": [0.0, 0.0, math.pi / 2],
+            "yawRate": 0.1, "groundSpeed": 0.6, "gpsFix": 3, "satellites": 14, "battery": 0.75,
+            "batteryVoltage": 12.5, "landed": True, "armed": False, "mode": "AUTO.LOITER",
+        }  # fmt: skip
+        for name, value in expected.items():
+            assert bench.values[name] == pytest.approx(value, abs=1e-5), name
+        assert await vehicle.parameters.retrieve_param_int("NAV_DLL_ACT") == 3
+        assert await vehicle.parameters.retrieve_param_int("COM_DL_LOSS_T") == 5
+        assert await vehicle.parameters.retrieve_param_float("COM_OF_LOSS_T") == 1.0
+
+    fly(story, opened=False)
+
+
+def test_it_flies_goes_safe_and_what_it_refuses_is_told():
+    async def story(device, vehicle, bench):
+        await device.execute("arm", [])
+        assert device.state.armed
+        await device.execute("takeoff", [7.0])
+        assert vehicle.height == 7.0
+        assert bench.values["altitude"] == pytest.approx(7.0, abs=0.5)
+        with pytest.raises(DeviceError, match=r"mode AUTO\.LOITER refused: TEMPORARILY_REJECTED \(1\)"):
+            await device.execute("hold", [])
+        await device.execute("setMode", ["AUTO.RTL"])
+        assert device.state.mode == "AUTO.RTL"
+        await device.make_safe()
+        assert device.state.mode == "AUTO.LAND"
+        assert vehicle.height == 0.0
+        await device.execute("disarm", [])
+        assert not device.state.armed
+
+    fly(story)
+
+
+def test_a_mission_is_uploaded():
+    waypoints = [LATITUDE, LONGITUDE, 10.0, LATITUDE + 5e-5, LONGITUDE, 12.0]
+
+    async def story(device, vehicle, _):
+        await device.execute("uploadMission", [waypoints])
+        got = (await vehicle.missions.get()).mission_items[-2:]
+        assert [(i.command, i.x, i.z) for i in got] == [(16, 473977420, 10.0), (16, 473977920, 12.0)]
+        assert await device.execute("missionWaypoints", []) == pytest.approx(waypoints)
+
+    fly(story)
+
+
+def test_parameters_are_listed_read_and_set():
+    async def story(device, vehicle, _):
+        await vehicle.parameters.provide_param_int("BIG_INT", 123456789)
+        everything = (await device.execute("parameters", [])).splitlines()
+        assert {"BIG_INT 123456789", "MIS_TAKEOFF_ALT 2.5"} <= set(everything)
+        await device.execute("setParameter", ["MIS_TAKEOFF_ALT", 4.25])
+        assert await vehicle.parameters.retrieve_param_float("MIS_TAKEOFF_ALT") == 4.25
+        await device.execute("setParameter", ["BIG_INT", -7.0])
+        assert await vehicle.parameters.retrieve_param_int("BIG_INT") == -7
+        assert await device.execute("parameter", ["BIG_INT"]) == -7.0
+
+    fly(story)
+
+
+def test_files_are_listed_read_and_written(tmp_path):
+    content = "a line of a log\n" * 400
+    (tmp_path / "log.txt").write_text(content)
+
+    async def story(device, vehicle, _):
+        assert await device.execute("listFiles", ["/"]) == "log.txt"
+        assert await device.execute("readFile", ["/log.txt"]) == content
+        await device.execute("writeFile", ["/new.txt", "hello" * 100])
+        assert (tmp_path / "new.txt").read_text() == "hello" * 100
+        await device.execute("removeFile", ["/log.txt"])
+        assert not (tmp_path / "log.txt").exists()
+
+    fly(story, files=str(tmp_path))
+
+
+def test_without_a_label_it_is_neither_ardupilot_nor_px4():
+    async def story(device, vehicle, _):
+        with pytest.raises(DeviceError, match=r"neither ArduPilot nor PX4 \(MAV_AUTOPILOT 0\)"):
+            await device.open()
+
+    fly(story, opened=False, label=False)

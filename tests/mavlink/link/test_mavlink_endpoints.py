@@ -1,0 +1,110 @@
+"""Endpoints and the links behind them, over real sockets and a pseudo-terminal."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pty
+import socket
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield_mavlink.link.links import make_link
+
+
+@pytest.mark.parametrize(
+    "text", ["", "udp", "udp:14550", "udp:h:x", "serial:/dev/x", "tcp::1", "tcp:h:0", "http:h:1"]
+)
+def test_endpoints_that_are_none(text):
+    with pytest.raises(DeviceError, match=r"is not an endpoint|has no port"):
+        make_link(text, lambda data: None)
+
+
+async def until(condition):
+    async with asyncio.timeout(10):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+def test_udpin_answers_all_who_speak():
+    async def talk():
+        got = bytearray()
+        loop = asyncio.get_running_loop()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        link = make_link(f"udpin:127.0.0.1:{port}", got.extend)
+        await link.open()
+        link.send(b"nobody there yet")
+        replies = asyncio.Queue()
+
+        class Vehicle(asyncio.DatagramProtocol):
+            def datagram_received(self, data, addr):
+                replies.put_nowait(data)
+
+        transport, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=("127.0.0.1", port))
+        transport.sendto(b"hello")
+        await until(lambda: got == b"hello")
+        link.send(b"you")
+        assert await replies.get() == b"you"
+        other, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=("127.0.0.1", port))
+        other.sendto(b" there")
+        await until(lambda: got == b"hello there")
+        link.send(b"both")
+        assert [await replies.get(), await replies.get()] == [b"both", b"both"]
+        other.close()
+        with pytest.raises(DeviceError, match=rf"cannot open udp:127.0.0.1:{port}: .*in use"):
+            await make_link(f"udpin:127.0.0.1:{port}", got.extend).open()
+        transport.close()
+        link.close()
+
+    asyncio.run(talk())
+
+
+def test_tcp_comes_back_after_a_broken_connection(monkeypatch):
+    monkeypatch.setattr("lfield_mavlink.link.links.AGAIN", 0.01)
+
+    async def talk():
+        got, writers = bytearray(), []
+
+        async def serve(reader, writer):
+            writers.append(writer)
+            writer.write(b"hello")
+
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        link = make_link(f"tcp:127.0.0.1:{port}", got.extend)
+        await link.open()
+        await until(lambda: got == b"hello")
+        writers[0].transport.abort()
+        await until(lambda: got == b"hellohello")
+        link.send(b"x")
+        link.close()
+        for writer in writers:
+            writer.close()
+        server.close()
+
+    asyncio.run(talk())
+
+
+def test_serial_reads_writes_and_is_locked():
+    async def talk():
+        master, slave = pty.openpty()
+        path = os.ttyname(slave)
+        got = bytearray()
+        link = make_link(f"serial:{path}:57600", got.extend)
+        await link.open()
+        os.write(master, b"\x00\xfd\r\n\x11\x13")
+        await until(lambda: got == b"\x00\xfd\r\n\x11\x13")
+        link.send(b"\n\xff\x03")
+        assert os.read(master, 10) == b"\n\xff\x03"
+        with pytest.raises(DeviceError, match=f"{path} is in use by another program"):
+            await make_link(f"serial:{path}:57600", got.extend).open()
+        os.close(master)
+        await until(lambda: link._port is None)
+        link.send(b"lost")
+        link.close()
+        os.close(slave)
+
+    asyncio.run(talk())

@@ -1,0 +1,152 @@
+"""Several links, several vehicles: who is heard where, and what goes out on which link."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield_mavlink.link.dialect import Reader, dialect
+from lfield_mavlink.link.links import split_endpoint
+from lfield_mavlink.link.ports import REMEMBERED, Route
+
+
+def commands(link, number):
+    reader = Reader()
+    found = [m for data in link.sent for m in reader.feed(data)]
+    return [m for m in found if m.get_msgId() == 76 and m.command == number]
+
+
+def test_an_endpoint_may_be_several_links():
+    assert split_endpoint("udp:127.0.0.1:14550, serial:/dev/ttyUSB0:57600") == [
+        "udp:127.0.0.1:14550",
+        "serial:/dev/ttyUSB0:57600",
+    ]
+
+
+def test_a_route_is_kept_while_the_vehicle_is_heard_on_it():
+    route = Route(3)
+    assert route.links(0.0) == (0, 1, 2)
+    assert route.heard(1, b"a", 0.0)
+    assert route.links(0.1) == (1,)
+    assert route.heard(2, b"b", 1.4)
+    assert route.links(1.45) == (1,)
+    assert route.links(1.6) == (2,)
+    assert route.links(3.0) == (0, 1, 2)
+
+
+def test_copies_of_a_packet_are_told_from_new_ones():
+    route = Route(2)
+    assert route.heard(0, b"a", 0.0)
+    assert not route.heard(1, b"a", 0.0)
+    assert route.heard(0, b"a", 5.0)
+    for number in range(2 * REMEMBERED):
+        assert route.heard(1, b"%d" % number, 6.0)
+    assert len(route._packets) <= REMEMBERED
+
+
+def test_two_links_to_one_vehicle_carry_it_through_the_loss_of_either(bench):
+    b = bench(links=2)
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        flight = asyncio.create_task(fc.execute("goTo", [40.0, 0.0, -5.0]))
+        await asyncio.sleep(2.0)
+        b.links[0].cut = True
+        await asyncio.sleep(4.0)
+        b.links[0].cut, b.links[1].cut = False, True
+        await flight
+
+    b.run(mission)
+    assert [note for note in b.notes if "lost" in note] == []
+
+
+def test_a_command_goes_out_on_one_link_and_a_heartbeat_on_both(bench):
+    b = bench(links=2)
+
+    async def mission(fc):
+        for link in b.links:
+            link.sent.clear()
+        await fc.execute("arm", [])
+        await asyncio.sleep(1.0)
+
+    b.run(mission)
+    arming = [commands(link, dialect.MAV_CMD_COMPONENT_ARM_DISARM) for link in b.links]
+    assert sorted(map(len, arming)) == [0, 1]
+    for link in b.links:
+        assert sum(data[7] == dialect.MAVLINK_MSG_ID_HEARTBEAT for data in link.sent) >= 4
+
+
+def test_a_text_that_comes_on_two_links_is_told_once(bench):
+    b = bench(links=2)
+
+    async def mission(fc):
+        b.autopilot.refuse_arming = "compass not calibrated"
+        with pytest.raises(DeviceError) as error:
+            await fc.execute("arm", [])
+        return error.value.reason
+
+    assert b.run(mission) == "arm refused: FAILED (4), Arm: compass not calibrated"
+    assert b.notes.count("the autopilot says: Arm: compass not calibrated") == 1
+
+
+def test_a_link_that_cannot_be_opened_is_told_and_tried_again(bench):
+    b = bench(links=2)
+    b.refused = {1}
+
+    async def mission(fc):
+        b.links[1].refused = False
+        await asyncio.sleep(2.0)
+        b.links[0].cut = True
+        await asyncio.sleep(5.0)
+        await fc.execute("arm", [])
+
+    b.run(mission)
+    assert "cannot open link 1; it goes on with the other links" in b.notes
+
+
+def test_no_link_at_all_is_an_error(bench):
+    b = bench(links=2)
+    b.refused = {0, 1}
+    with pytest.raises(DeviceError, match="cannot open link 0"):
+        b.run(lambda fc: asyncio.sleep(0.0))
+
+
+def test_two_vehicles_on_one_link_fly_at_once(bench):
+    b = bench(systems=(1, 2))
+
+    async def mission(one, two):
+        async def fly(fc, height, north):
+            await fc.execute("arm", [])
+            await fc.execute("takeoff", [height])
+            await fc.execute("goTo", [north, 0.0, -height])
+
+        await asyncio.gather(fly(one, 4.0, 10.0), fly(two, 7.0, -10.0))
+
+    b.run(mission)
+    assert b.reported["a1.fc"]["position"] == pytest.approx([10.0, 0.0, -4.0], abs=0.6)
+    assert b.reported["a2.fc"]["position"] == pytest.approx([-10.0, 0.0, -7.0], abs=0.6)
+
+
+def test_one_vehicle_that_is_lost_does_not_hold_up_the_other(bench):
+    b = bench(systems=(1, 2))
+
+    async def mission(one, two):
+        b.faults.apply(["silence@2=true"])
+        await asyncio.sleep(3.5)
+        with pytest.raises(DeviceError, match="the link is lost"):
+            await two.execute("arm", [])
+        await one.execute("arm", [])
+        await one.execute("takeoff", [4.0])
+
+    b.run(mission)
+    assert b.notes.count("no heartbeat; the link is lost") == 1
+
+
+def test_two_devices_with_one_system_id_are_refused(bench):
+    b = bench(systems=(1, 2))
+    b.bindings[1].options["system"] = 1
+    with pytest.raises(DeviceError, match="two devices are system 1"):
+        b.run(lambda *_: asyncio.sleep(0.0))

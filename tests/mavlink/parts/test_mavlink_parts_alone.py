@@ -1,0 +1,282 @@
+"""Parts of a vehicle alone, each with a small stand-in for what it takes."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from lfield.clock import ManualClock
+from lfield.driver import DeviceBinding
+from lfield.errors import DeviceError
+from lfield_mavlink.contact.exchange import Answer
+from lfield_mavlink.contact.state import VehicleState
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
+from lfield_mavlink.parts.fences import Fences, Rally
+from lfield_mavlink.parts.limits import Limits
+from lfield_mavlink.parts.motion import Motion
+from lfield_mavlink.parts.payload import Payload
+from lfield_mavlink.parts.storage import MAX_TEXT, Files, Settings
+from lfield_mavlink.parts.upkeep import Upkeep
+from lfield_mavlink.parts.watchdog import Watchdog
+from lfield_mavlink.services.plan_items import Item, PlanKind
+
+
+def binding(**limits: float) -> DeviceBinding:
+    return DeviceBinding(
+        agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint="x", safe_state="land",
+        ttl=1.0, limits=limits, options={"tolerance": 0.5},
+    )  # fmt: skip
+
+
+class StandIn:
+    """As much of a Contact as parts use; what is asked for is kept, and accepted unless it is `refused`."""
+
+    def __init__(self, autopilot: int = ARDUPILOT) -> None:
+        self.clock, self.system, self.binding = ManualClock(), 1, binding()
+        self.state = VehicleState("copter")
+        self.profile = PROFILES[autopilot, "copter"]
+        self.exchange = self
+        self.refused = False
+        self.asked: list[tuple[Any, ...]] = []
+        self.values: dict[str, Any] = {}
+        self.notes: list[str] = []
+        self.handlers: dict[int, Any] = {}
+
+    def on(self, message_id, handler):
+        self.handlers[message_id] = handler
+
+    def publish(self, **values):
+        self.values |= values
+
+    def note(self, text):
+        self.notes.append(text)
+
+    def error(self, reason, *, timeout=False):
+        return DeviceError("fc", reason, kind="DeviceTimeoutException" if timeout else "DeviceException")
+
+    def send(self, message): ...
+
+    def check_link(self): ...
+
+    def check_identity(self): ...
+
+    async def command(self, *words, once=False):
+        """Of Contact, where `words` begin with what is done, and of its Exchange, where with a number."""
+        self.asked.append(words)
+        if self.refused:
+            raise self.error(f"{words[0]} refused")
+        return Answer(0, 1)
+
+    async def achieve(self, what, state, *command):
+        await self.command(what, *command)
+
+
+class Plans:
+    """The plans of a vehicle, as a table."""
+
+    def __init__(self) -> None:
+        self.held: dict[PlanKind, list[Item]] = {}
+
+    async def upload(self, kind, items):
+        self.held[kind] = list(items)
+
+    async def download(self, kind):
+        return self.held.get(kind, [])
+
+    async def clear(self, kind):
+        self.held.pop(kind, None)
+
+
+class Parameters:
+    """The parameters of a vehicle, as a table; those in `stuck` keep their values."""
+
+    def __init__(self, **values: float) -> None:
+        self.values = values
+        self.stuck: frozenset[str] = frozenset()
+
+    async def read(self, name):
+        return self.values.get(name)
+
+    async def write(self, name, value):
+        if name not in self.stuck:
+            self.values[name] = value
+
+    async def read_all(self):
+        return self.values
+
+    def unknown(self, name):
+        return DeviceError("fc", f"no answer about {name}")
+
+
+def refused(work) -> str:
+    with pytest.raises(DeviceError) as raised:
+        asyncio.run(work)
+    return raised.value.reason
+
+
+def test_rally_points_are_what_the_plans_hold():
+    plans = Plans()
+    rally = Rally(StandIn(), plans)
+    points = [47.4, 8.5, 10.0, 47.5, 8.6, 12.0]
+    asyncio.run(rally.do_set_rally_points(points))
+    assert len(plans.held[PlanKind.RALLY]) == 2
+    assert asyncio.run(rally.do_rally_points()) == pytest.approx(points)
+    assert refused(rally.do_set_rally_points([1.0, 2.0])).startswith("setRallyPoints: rally points are given")
+    asyncio.run(rally.do_clear_rally_points())
+    assert asyncio.run(rally.do_rally_points()) == []
+
+
+def test_a_fence_is_switched_on_beside_what_is_on_already():
+    plans, parameters = Plans(), Parameters(FENCE_TYPE=3.0, FENCE_ENABLE=0.0)
+    fences = Fences(StandIn(), plans, parameters)
+    asyncio.run(fences.do_set_fence_circle(47.4, 8.5, 100.0))
+    asyncio.run(fences.do_exclude_circle(47.4, 8.5, 10.0))
+    assert parameters.values == {"FENCE_TYPE": 7, "FENCE_ENABLE": 1}
+    assert [line.split()[:2] for line in asyncio.run(fences.do_fence()).splitlines()] == [
+        ["inside", "circle"],
+        ["outside", "circle"],
+    ]
+    asyncio.run(fences.do_clear_fence())
+    assert (parameters.values["FENCE_ENABLE"], plans.held) == (0, {})
+
+
+def test_a_fence_that_is_off_is_not_breached():
+    vehicle = StandIn()
+    vehicle.state.autopilot = ARDUPILOT
+    Fences(vehicle, Plans(), Parameters())
+    vehicle.handlers[dialect.MAVLINK_MSG_ID_FENCE_STATUS](SimpleNamespace(breach_status=1))
+    assert vehicle.values == {"fenceBreached": True}
+    vehicle.handlers[dialect.MAVLINK_MSG_ID_SYS_STATUS](SimpleNamespace(onboard_control_sensors_enabled=0))
+    assert vehicle.values == {"fenceBreached": False}
+
+
+def test_parameters_that_protect_the_vehicle_are_not_for_programs():
+    parameters = Parameters(FS_GCS_ENABLE=5.0, WPNAV_SPEED=500.0)
+    settings = Settings(StandIn(), parameters)
+    assert refused(settings.do_set_parameter("FS_GCS_ENABLE", 0.0)).startswith("setParameter refused")
+    asyncio.run(settings.do_set_parameter("WPNAV_SPEED", 250.0))
+    assert asyncio.run(settings.do_parameters()) == "FS_GCS_ENABLE 5\nWPNAV_SPEED 250"
+    assert refused(settings.do_parameter("NONE")) == "no answer about NONE"
+
+
+def test_only_texts_become_strings():
+    class Card:
+        async def read(self, path, most):
+            assert most == MAX_TEXT
+            return b"\xff"
+
+    files = Files(StandIn(), Card())
+    assert refused(files.do_read_file("/a")) == "readFile: /a holds 1 bytes that are not text (UTF-8)"
+    assert "more than" in refused(files.do_write_file("/a", "x" * (MAX_TEXT + 1)))
+
+
+def test_the_watchdog_is_set_and_found_changed():
+    parameters = Parameters(
+        FS_GCS_ENABLE=0.0, FS_GCS_TIMEOUT=5.0, SYSID_MYGCS=1.0, GUID_TIMEOUT=3.0, FS_OPTIONS=1.0
+    )
+    vehicle = StandIn()
+    watchdog = Watchdog(vehicle, parameters)
+    assert asyncio.run(watchdog.set(2.0)) == 2.0
+    assert parameters.values == {
+        "FS_GCS_ENABLE": 5, "FS_GCS_TIMEOUT": 2, "SYSID_MYGCS": 255, "GUID_TIMEOUT": 2, "FS_OPTIONS": 9,
+    }  # fmt: skip
+    assert vehicle.values == {"gcsFailsafe": True}
+    assert "FS_GCS_TIMEOUT was 5 and is now 2" in vehicle.notes
+    asyncio.run(watchdog.check_holds())
+    del parameters.values["FS_GCS_TIMEOUT"]
+    assert refused(watchdog.check_holds()).startswith("it does not tell FS_GCS_TIMEOUT")
+
+
+def test_older_cameras_are_triggered_by_the_older_command():
+    class Old(StandIn):
+        async def command(self, *words, once=False, optional=False):
+            await super().command(*words, once=once)
+            return not optional
+
+    vehicle = Old()
+    asyncio.run(Payload(vehicle).do_trigger_camera())
+    numbers = [number for _, number, *_ in vehicle.asked]
+    assert numbers == [dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL]
+
+
+def test_raw_commands_are_looked_at_before_they_are_sent():
+    vehicle = StandIn()
+    upkeep = Upkeep(vehicle, renew=lambda: asyncio.sleep(0))
+    for number, values in ((dialect.MAV_CMD_NAV_LAND, []), (70000, []), (512, [math.nan]), (512, [0.0] * 8)):
+        refused(upkeep.do_command(number, values))
+    assert vehicle.asked == []
+    assert asyncio.run(upkeep.do_command(512, [148.0])) == 0
+    assert vehicle.asked == [(512, 148.0)]
+
+
+def test_a_mode_that_was_not_entered_leaves_the_vehicle_ours():
+    vehicle = StandIn()
+    motion = Motion(vehicle, Parameters())
+    vehicle.state.armed = True
+    asyncio.run(motion.set_mode("BRAKE"))
+    vehicle.state.mode, vehicle.refused = "BRAKE", True
+    assert (
+        refused(motion.enter("startMission", "AUTO", dialect.MAV_CMD_MISSION_START)) == "startMission refused"
+    )
+    motion.begin("land")
+    vehicle.state.mode = "LOITER"
+    with pytest.raises(
+        DeviceError, match="land refused: the vehicle is in LOITER, which this program did not"
+    ):
+        motion.begin("land")
+
+
+def test_the_wanted_speed_is_what_was_asked_for_last_else_the_limit():
+    vehicle = StandIn(PX4)
+    motion = Motion(vehicle, Parameters())
+    asyncio.run(motion.keep_speed())
+    assert vehicle.asked == []
+    vehicle.binding = binding(speed=5.0)
+    assert motion.wanted_speed == 5.0
+    asyncio.run(motion.set_speed(2.0))
+    asyncio.run(motion.keep_speed())
+    assert vehicle.asked == [("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0, -1.0)] * 2
+
+
+@pytest.mark.parametrize(
+    ("check", "words"),
+    [
+        (lambda limits: limits.check_goal("goTo", (0.0, math.nan, 0.0)), "goTo needs finite numbers"),
+        (lambda limits: limits.check_goal("goTo", (0.0, 0.0, -31.0)), "31 m is above the limit of 30 m"),
+        (lambda limits: limits.check_goal("goTo", (60.0, 60.0, 0.0)), "84.9 m from home is beyond the limit"),
+        (lambda limits: limits.check_circle("orbit", (60.0, 0.0, -5.0), 30.0), "90.0 m from home is beyond"),
+        (lambda limits: limits.check_circle("orbit", (0.0, 0.0, -5.0), 81.0), "81.0 m from home is beyond"),
+        (lambda limits: limits.check_speed("setSpeed", 5.1), "setSpeed of 5.1 m/s is above the limit of 5"),
+        (lambda limits: limits.check_way_out((79.5, 0.0, 0.0), (1.0, 0.0, 0.0)), "beyond the limit of 80 m"),
+        (lambda limits: limits.check_way_out((0.0, 0.0, -29.5), (0.0, 0.0, -1.0)), "above the limit of 30 m"),
+    ],
+)
+def test_what_is_beyond_the_limits(check, words):
+    limits = Limits(binding(altitude=30.0, radius=80.0, speed=5.0), StandIn().error)
+    with pytest.raises(DeviceError, match=words):
+        check(limits)
+    check_all_allowed(limits)
+
+
+def check_all_allowed(limits: Limits) -> None:
+    assert limits.bound_places
+    limits.check_goal("goTo", (80.0, 0.0, -30.0))
+    limits.check_circle("orbit", (50.0, 0.0, -5.0), 30.0)
+    limits.check_speed("setSpeed", 5.0)
+    # Who is outside already may come back.
+    limits.check_way_out((90.0, 0.0, -40.0), (-1.0, 0.0, 1.0))
+    limits.check_way_out(None, (99.0, 0.0, 0.0))
+
+
+def test_without_limits_only_nonsense_is_refused():
+    limits = Limits(binding(), StandIn().error)
+    assert not limits.bound_places
+    limits.check_goal("goTo", (1e6, 0.0, -1e6))
+    limits.check_speed("setSpeed", 1e3)
+    with pytest.raises(DeviceError, match="above the limit"):
+        limits.check_speed("setSpeed", math.nan)

@@ -1,0 +1,216 @@
+"""Payload and upkeep: what hangs on a vehicle, home, restart, raw commands."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.parts.upkeep import REFUSED
+
+
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_payload_is_moved_and_seen_to_have_moved(bench, flavour):
+    b = bench(flavour=flavour)
+    payload = b.autopilot.payload
+
+    async def mission(fc):
+        await fc.execute("closeGripper", [])
+        assert payload.gripped
+        await fc.execute("openGripper", [])
+        assert not payload.gripped
+        await fc.execute("setServo", [3, 0.5])
+        assert payload.servos[3] == 1750
+        await fc.execute("triggerCamera", [])
+        assert payload.pictures == 1
+        await fc.execute("pointGimbal", [-0.8, 0.4])
+        assert (payload.pitch, payload.yaw) == pytest.approx((-0.8, 0.4), abs=0.06)
+
+    b.run(mission)
+
+
+def test_the_winch_is_done_when_the_line_is_out(bench):
+    b = bench()
+
+    async def mission(fc):
+        start = asyncio.get_running_loop().time()
+        await fc.execute("winch", [3.0, 1.0])
+        assert asyncio.get_running_loop().time() - start > 2.5
+        assert b.autopilot.payload.line == pytest.approx(3.0, abs=0.15)
+        assert b.values["winchLine"] == pytest.approx(3.0, abs=0.15)
+        await fc.execute("winch", [-2.0, 1.0])
+        assert b.autopilot.payload.line == pytest.approx(1.0, abs=0.15)
+
+    b.run(mission)
+
+
+def test_a_relay_is_switched(bench):
+    b = bench()
+
+    async def mission(fc):
+        await fc.execute("setRelay", [1, True])
+        assert b.autopilot.payload.relays[1]
+        await fc.execute("setRelay", [1, False])
+        assert not b.autopilot.payload.relays[1]
+
+    b.run(mission)
+
+
+def test_a_servo_that_stays_where_it_is_is_an_error(bench):
+    b = bench()
+
+    class Stuck(dict):
+        def __setitem__(self, number, pulse):
+            pass
+
+    async def mission(fc):
+        b.autopilot.payload.servos = Stuck(b.autopilot.payload.servos)
+        with pytest.raises(DeviceError, match="setServo was accepted but did not happen"):
+            await fc.execute("setServo", [5, 0.0])
+
+    b.run(mission)
+
+
+def test_payload_works_beside_a_flight(bench):
+    b = bench()
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        flight = asyncio.create_task(fc.execute("goTo", [15.0, 0.0, -5.0]))
+        await asyncio.sleep(0.5)
+        await fc.execute("closeGripper", [])
+        await fc.execute("winch", [1.0, 1.0])
+        assert not flight.done()
+        await flight
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize(
+    ("instruction", "arguments"),
+    [
+        ("winch", [math.nan, 1.0]),
+        ("winch", [1.0, 0.0]),
+        ("setServo", [0, 0.0]),
+        ("setServo", [1, math.nan]),
+        ("setServo", [1, 1.5]),
+        ("setRelay", [-1, True]),
+        ("pointGimbal", [math.inf, 0.0]),
+        ("setHome", [91.0, 0.0, 0.0]),
+        ("setHome", [0.0, 0.0, math.nan]),
+        ("command", [200, [math.nan]]),
+        ("command", [200, [0.0] * 8]),
+        ("command", [70000, []]),
+        ("command", [-1, []]),
+    ],
+)
+def test_nonsense_is_refused_before_anything_is_sent(bench, instruction, arguments):
+    b = bench()
+
+    async def mission(fc):
+        sent = len(b.sent)
+        with pytest.raises(DeviceError, match=instruction):
+            await fc.execute(instruction, arguments)
+        assert len(b.sent) == sent
+
+    b.run(mission)
+
+
+def test_a_picture_whose_answer_is_lost_is_not_taken_twice(bench):
+    b = bench()
+    deliver = b.filter
+
+    def without_acks(link, packet):
+        if packet[7] != dialect.MAVLINK_MSG_ID_COMMAND_ACK:
+            deliver(link, packet)
+
+    async def mission(fc):
+        b.filter = without_acks
+        with pytest.raises(DeviceError, match="may have been done all the same") as error:
+            await fc.execute("triggerCamera", [])
+        assert error.value.kind == "DeviceTimeoutException"
+
+    b.run(mission)
+    assert b.autopilot.payload.pictures == 1
+
+
+def test_home_is_set_on_the_ground_only(bench):
+    b = bench()
+
+    async def mission(fc):
+        latitude, longitude, altitude = b.values["globalPosition"]
+        await fc.execute("setHome", [latitude + 1e-4, longitude, altitude])
+        await asyncio.sleep(1.0)
+        assert b.values["position"][0] == pytest.approx(-11.13, abs=0.1)
+        await fc.execute("arm", [])
+        with pytest.raises(DeviceError, match="the vehicle is armed"):
+            await fc.execute("setHome", [latitude, longitude, altitude])
+
+    b.run(mission)
+
+
+def test_reboot_is_done_when_it_is_back_and_set_up_again(bench):
+    b = bench()
+
+    async def mission(fc):
+        await asyncio.sleep(20.0)
+        before = b.autopilot.uptime
+        await fc.execute("reboot", [])
+        assert b.autopilot.uptime < before
+        b.values.clear()
+        await asyncio.sleep(2.0)
+        assert "position" in b.values
+        await fc.execute("arm", [])
+        with pytest.raises(DeviceError, match="reboot refused: the vehicle is armed"):
+            await fc.execute("reboot", [])
+
+    b.run(mission)
+
+
+def test_raw_commands_give_their_result(bench):
+    async def mission(fc):
+        known = await fc.execute("command", [int(dialect.MAV_CMD_DO_SET_RELAY), [0.0, 1.0]])
+        unknown = await fc.execute("command", [31010, []])
+        return known, unknown
+
+    assert bench().run(mission) == (0, 3)
+
+
+MOVING = [
+    dialect.MAV_CMD_NAV_TAKEOFF,
+    dialect.MAV_CMD_NAV_WAYPOINT,
+    dialect.MAV_CMD_DO_REPOSITION,
+    dialect.MAV_CMD_DO_ORBIT,
+    dialect.MAV_CMD_DO_SET_MODE,
+    dialect.MAV_CMD_COMPONENT_ARM_DISARM,
+    dialect.MAV_CMD_DO_FLIGHTTERMINATION,
+    dialect.MAV_CMD_DO_MOTOR_TEST,
+    dialect.MAV_CMD_DO_CHANGE_SPEED,
+    dialect.MAV_CMD_DO_PARACHUTE,
+    dialect.MAV_CMD_DO_FENCE_ENABLE,
+    dialect.MAV_CMD_CONDITION_YAW,
+    dialect.MAV_CMD_MISSION_START,
+    dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN,
+    dialect.MAV_CMD_PREFLIGHT_STORAGE,
+    dialect.MAV_CMD_DO_SET_HOME,
+    dialect.MAV_CMD_DO_FOLLOW,
+    dialect.MAV_CMD_DO_PAUSE_CONTINUE,
+]
+
+
+@pytest.mark.parametrize("number", sorted(map(int, MOVING)))
+def test_raw_commands_that_move_are_refused(bench, number):
+    b = bench()
+
+    async def mission(fc):
+        sent = len(b.sent)
+        with pytest.raises(DeviceError, match="use the instruction for it"):
+            await fc.execute("command", [number, []])
+        assert len(b.sent) == sent
+
+    b.run(mission)
+    assert number in REFUSED

@@ -1,0 +1,350 @@
+"""The services through the driver, against the fake in both flavours."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield_mavlink.services.plan_items import PlanKind, waypoints
+from lfield_sim.mavlink.link.signing import Signing as Gate
+
+BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+
+
+def at(bench, north, east):
+    """Latitude and longitude of a place about home."""
+    latitude, longitude = bench.fakes[1].place.at(north, east)
+    return [latitude / 1e7, longitude / 1e7]
+
+
+def route(bench, *places):
+    return [number for north, east, height in places for number in (*at(bench, north, east), height)]
+
+
+async def fly_up(fc, height=5.0):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [height])
+
+
+async def until(condition, seconds=60.0):
+    async with asyncio.timeout(seconds):
+        while not condition():
+            await asyncio.sleep(0.1)
+
+
+@BOTH
+def test_a_mission_is_flown_paused_and_finished(bench, flavour):
+    b = bench(flavour=flavour)
+    places = [(20.0, 0.0, 8.0), (20.0, 20.0, 8.0), (0.0, 20.0, 8.0)]
+
+    async def mission(fc):
+        values = route(b, *places)
+        await fc.execute("uploadMission", [values])
+        assert await fc.execute("missionWaypoints", []) == pytest.approx(values, abs=1e-6)
+        await until(lambda: b.values.get("missionItem") == 0, 5.0)
+        assert b.values["missionReached"] == -1
+        await fly_up(fc)
+        await fc.execute("startMission", [])
+        await until(lambda: b.values["missionReached"] == 0)
+        assert b.values["missionItem"] == 1
+        await fc.execute("pauseMission", [])
+        await asyncio.sleep(3.0)
+        place = b.values["position"]
+        await asyncio.sleep(3.0)
+        assert b.values["position"] == pytest.approx(place, abs=0.2)
+        await fc.execute("startMission", [])
+        await until(lambda: b.values["missionReached"] == 2)
+        assert b.values["position"] == pytest.approx([0.0, 20.0, -8.0], abs=3.0)
+
+    b.run(mission)
+
+
+@BOTH
+def test_a_mission_jumps_to_a_waypoint(bench, flavour):
+    b = bench(flavour=flavour)
+
+    async def mission(fc):
+        await fc.execute("uploadMission", [route(b, (9.0, 0.0, 5.0), (9.0, 9.0, 5.0), (0.0, 9.0, 5.0))])
+        await fc.execute("setMissionItem", [2])
+        await until(lambda: b.values.get("missionItem") == 2, 5.0)
+        with pytest.raises(DeviceError, match="waypoint 3 did not become the current one"):
+            await fc.execute("setMissionItem", [3])
+        with pytest.raises(DeviceError, match="no waypoint -1"):
+            await fc.execute("setMissionItem", [-1])
+
+    b.run(mission)
+
+
+@BOTH
+def test_what_cannot_be_started_or_uploaded(bench, flavour):
+    b = bench(flavour=flavour, limits={"altitude": 20.0, "radius": 50.0, "speed": 5.0})
+
+    async def refused(work, words):
+        with pytest.raises(DeviceError, match=words):
+            await work
+
+    async def mission(fc):
+        upload = lambda values: fc.execute("uploadMission", [values])  # noqa: E731  # short on purpose
+        await refused(fc.execute("startMission", []), "not armed")
+        await fc.execute("arm", [])
+        await refused(fc.execute("startMission", []), "holds no mission")
+        b.sent.clear()
+        await refused(
+            upload(route(b, (9.0, 0.0, 5.0), (9.0, 0.0, 21.0))), "waypoint 1 refused: 21 m is above"
+        )
+        await refused(upload(route(b, (60.0, 0.0, 5.0))), "waypoint 0 refused: .* beyond the limit of 50 m")
+        await refused(upload([1.0]), "1 numbers are not that")
+        await refused(upload([float("nan"), 0.0, 5.0]), "no place")
+        # Nothing of all that was sent (message 44 is MISSION_COUNT).
+        assert not any(packet[7:10] == b"\x2c\0\0" for packet in b.sent)
+        await upload(route(b, (30.0, 0.0, 5.0)))
+        await refused(fc.execute("startMission", []), "stands on the ground")
+        await fc.execute("takeoff", [5.0])
+        await refused(fc.execute("pauseMission", []), "no mission is being flown")
+        await fc.execute("startMission", [])
+        await refused(upload(route(b, (9.0, 0.0, 5.0))), "a mission is being flown")
+        await refused(fc.execute("clearMission", []), "a mission is being flown")
+
+    b.run(mission)
+
+
+@BOTH
+def test_a_mission_that_others_made_is_held_to_the_limits(bench, flavour):
+    b = bench(flavour=flavour, limits={"radius": 50.0})
+
+    async def mission(fc):
+        await fly_up(fc)
+        # As another ground station would: past the checks of uploadMission.
+        await fc.plans.upload(PlanKind.MISSION, waypoints(route(b, (90.0, 0.0, 5.0)), yaw=0.0))
+        with pytest.raises(
+            DeviceError, match=r"startMission: waypoint 0 refused: .* beyond the limit of 50 m"
+        ):
+            await fc.execute("startMission", [])
+
+    b.run(mission)
+
+
+@BOTH
+def test_a_mission_survives_a_bad_radio(bench, flavour):
+    b = bench(flavour=flavour, faults=("loss=0.2", "delay=0.05"))
+    places = [(float(number), 0.0, 5.0) for number in range(1, 20)]
+
+    async def mission(fc):
+        await fc.execute("uploadMission", [route(b, *places)])
+        await fc.execute("setFencePolygon", [[*at(b, 60, 60), *at(b, 60, -60), *at(b, -60, 0)]])
+        assert len(await fc.execute("missionWaypoints", [])) == 57
+        await until(lambda: "linkQuality" in b.values, 5.0)
+        await asyncio.sleep(3.0)
+        assert 0.6 < b.values["linkQuality"] < 0.95
+
+    b.run(mission)
+
+
+@BOTH
+def test_a_fence_is_set_extended_told_and_cleared(bench, flavour):
+    b = bench(flavour=flavour)
+
+    async def mission(fc):
+        centre = at(b, 0.0, 0.0)
+        await fc.execute("setFenceCircle", [*centre, 60.0])
+        await fc.execute("excludePolygon", [[*at(b, 30, 0), *at(b, 30, 9), *at(b, 40, 0)]])
+        await fc.execute("excludeCircle", [*at(b, -30, 0), 5.0])
+        lines = (await fc.execute("fence", [])).splitlines()
+        assert [line.split()[:2] for line in lines] == [
+            ["inside", "circle"],
+            ["outside", "polygon"],
+            ["outside", "circle"],
+        ]
+        assert [float(n) for n in lines[0].split()[2:]] == pytest.approx([*centre, 60.0], abs=1e-6)
+        await fc.execute("fenceAction", ["return"])
+        name, value = ("GF_ACTION", 3.0) if flavour == "px4" else ("FENCE_ACTION", 1.0)
+        assert await fc.execute("parameter", [name]) == value
+        with pytest.raises(DeviceError, match="there is no 'explode' for a copter"):
+            await fc.execute("fenceAction", ["explode"])
+        await fc.execute("setFencePolygon", [[*at(b, 60, 60), *at(b, 60, -60), *at(b, -60, 0)]])
+        assert len((await fc.execute("fence", [])).splitlines()) == 1
+        await fc.execute("clearFence", [])
+        assert await fc.execute("fence", []) == ""
+
+    b.run(mission)
+    if flavour == "ardupilot":
+        assert b.autopilot.parameters["FENCE_ENABLE"] == 0.0
+
+
+def test_a_breach_is_told(bench):
+    b = bench(options={"tolerance": 1.0})
+
+    async def mission(fc):
+        await fc.execute("setFenceCircle", [*at(b, 0.0, 0.0), 30.0])
+        await fc.execute("fenceAction", ["report"])
+        assert b.autopilot.parameters["FENCE_ENABLE"] == 1.0
+        assert int(b.autopilot.parameters["FENCE_TYPE"]) & 4
+        await fly_up(fc)
+        await until(lambda: b.values.get("fenceBreached") is False, 5.0)
+        flight = asyncio.create_task(fc.execute("goTo", [45.0, 0.0, -5.0]))
+        await until(lambda: b.values["fenceBreached"], 60.0)
+        assert b.values["position"][0] > 29.0
+        flight.cancel()
+        await asyncio.gather(flight, return_exceptions=True)
+
+    b.run(mission)
+
+
+@BOTH
+def test_rally_points(bench, flavour):
+    b = bench(flavour=flavour)
+
+    async def mission(fc):
+        points = route(b, (20.0, 0.0, 10.0), (0.0, 20.0, 12.0))
+        await fc.execute("setRallyPoints", [points])
+        assert await fc.execute("rallyPoints", []) == pytest.approx(points, abs=1e-6)
+        await fc.execute("clearRallyPoints", [])
+        assert await fc.execute("rallyPoints", []) == []
+
+    b.run(mission)
+
+
+@BOTH
+def test_parameters(bench, flavour):
+    b = bench(flavour=flavour)
+    real, whole = (
+        ("MPC_XY_VEL_MAX", "COM_RC_IN_MODE") if flavour == "px4" else ("PILOT_TKOFF_ALT", "RTL_LOIT_TIME")
+    )
+
+    async def mission(fc):
+        for name, value in ((real, 4.5), (whole, 3.0)):
+            if name in b.autopilot.parameters:
+                await fc.execute("setParameter", [name, value])
+                assert await fc.execute("parameter", [name]) == value
+                assert b.autopilot.parameters[name] == value
+        start = asyncio.get_running_loop().time()
+        with pytest.raises(DeviceError, match="no answer about a parameter NOPE"):
+            await fc.execute("parameter", ["NOPE"])
+        assert asyncio.get_running_loop().time() - start <= 3.01
+        protected = "NAV_DLL_ACT" if flavour == "px4" else "FS_GCS_ENABLE"
+        with pytest.raises(DeviceError, match=f"{protected} stops the vehicle when this computer is gone"):
+            await fc.execute("setParameter", [protected, 0.0])
+        lines = (await fc.execute("parameters", [])).splitlines()
+        assert len(lines) == len(b.autopilot.parameters)
+        assert lines == sorted(lines)
+
+    b.run(mission)
+
+
+@BOTH
+def test_files(bench, flavour):
+    b = bench(flavour=flavour)
+
+    async def mission(fc):
+        await fc.execute("makeFolder", ["/notes"])
+        text = "grüezi\n" * 500
+        await fc.execute("writeFile", ["/notes/a.txt", text])
+        assert await fc.execute("listFiles", ["/notes"]) == "a.txt"
+        assert "notes/" in (await fc.execute("listFiles", ["/"])).splitlines()
+        assert await fc.execute("readFile", ["/notes/a.txt"]) == text
+        await fc.files.write("/notes/b", b"\xff\xfe")
+        with pytest.raises(DeviceError, match="2 bytes that are not text"):
+            await fc.execute("readFile", ["/notes/b"])
+        with pytest.raises(DeviceError, match="more than the 262144"):
+            await fc.execute("writeFile", ["/notes/c", "x" * 300_000])
+        await fc.execute("removeFile", ["/notes/a.txt"])
+        with pytest.raises(DeviceError, match="no such file"):
+            await fc.execute("readFile", ["/notes/a.txt"])
+
+    b.run(mission)
+
+
+def test_a_service_ends_with_the_link(bench):
+    b = bench()
+
+    async def mission(fc):
+        values = route(b, *[(float(number), 0.0, 5.0) for number in range(1, 50)])
+        task = asyncio.create_task(fc.execute("uploadMission", [values]))
+        await asyncio.sleep(0)
+        b.cut, start = True, asyncio.get_running_loop().time()
+        with pytest.raises(DeviceError, match="the link is lost") as raised:
+            await task
+        assert raised.value.kind == "DeviceTimeoutException"
+        assert asyncio.get_running_loop().time() - start <= 3.1
+        b.cut = False
+        await asyncio.sleep(2.0)
+        await fc.execute("uploadMission", [values])
+
+    b.run(mission)
+
+
+def test_the_state_of_the_link_is_told(bench):
+    b = bench()
+
+    async def mission(fc):
+        await until(lambda: "clockOffset" in b.values, 5.0)
+        await asyncio.sleep(2.0)
+        assert b.values["linkQuality"] == 1.0
+        assert b.values["packetsLost"] == 0
+        assert b.values["roundTrip"] < 0.5
+        told = b.values["clockOffset"]
+        true = b.autopilot.uptime - asyncio.get_running_loop().time()
+        assert told == pytest.approx(true, abs=0.5)
+        b.links[0].on_data(b"\xfd\x01\0\0\0\x01\x01\0\0\0\x07nonsense")
+        await asyncio.sleep(2.0)
+        assert b.values["packetsBroken"] >= 1
+
+    b.run(mission)
+
+
+# -- signing ----------------------------------------------------------------------------------------------
+
+
+def signed(bench, tmp_path, **options):
+    """A bench whose vehicle and driver have the same key."""
+    path = tmp_path / "alpha.key"
+    path.write_bytes(b"k" * 32)
+    path.chmod(0o600)
+    b = bench(options={"signing_key": str(path)}, **options)
+    fake = b.fakes[1]
+    fake.gate = gate = Gate(1, lambda: b.autopilot.uptime)
+    gate.key = b"k" * 32
+    return b, gate
+
+
+def test_a_signed_vehicle_is_flown(bench, tmp_path):
+    b, _ = signed(bench, tmp_path)
+
+    async def mission(fc):
+        await fly_up(fc)
+        await asyncio.sleep(2.0)
+        assert b.values["signaturesGood"] > 100
+        assert b.values["signaturesBad"] == b.values["unsignedRefused"] == 0
+        packet = bytes(b.sent[-1])
+        b.links[0].on_data(packet)
+        await asyncio.sleep(2.0)
+        assert b.values["position"][2] == pytest.approx(-5.0, abs=1.0)
+
+    b.run(mission)
+    assert all(packet[2] & 1 for packet in b.sent)
+
+
+def test_a_vehicle_without_the_key_is_not_heard(bench, tmp_path):
+    b, gate = signed(bench, tmp_path)
+    gate.key = None
+
+    async def mission(fc):
+        with pytest.raises(DeviceError, match="no heartbeat"):
+            await fc.open()
+        await asyncio.sleep(2.0)
+        assert b.values["unsignedRefused"] > 0
+
+    b.run(mission, opened=False)
+
+
+def test_a_vehicle_without_the_key_is_heard_where_that_is_waived(bench, tmp_path):
+    b, gate = signed(bench, tmp_path, waivers=("device_watchdog", "unsigned"))
+    gate.key = None
+
+    async def mission(fc):
+        await asyncio.sleep(1.0)
+        assert b.values["armed"] is False
+
+    b.run(mission)

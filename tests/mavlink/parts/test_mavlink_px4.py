@@ -1,0 +1,237 @@
+"""The driver against the PX4 flavour of the fake: the same instructions, other messages."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield_mavlink.link.dialect import Reader, dialect
+
+TARGET = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+
+
+@pytest.fixture
+def px4(bench):
+    return lambda **given: bench(flavour="px4", waivers=(), **given)
+
+
+def sent(b, kind, since=0):
+    """The messages of a kind that the driver sent."""
+    reader = Reader()
+    return [m for data in b.sent[since:] for m in reader.feed(data) if m.get_msgId() == kind]
+
+
+async def up(fc, height=5.0):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [height])
+
+
+def test_a_whole_flight(px4):
+    b = px4()
+
+    async def mission(fc):
+        await up(fc, 6.0)
+        assert b.values["altitude"] == pytest.approx(6.0, abs=0.6)
+        assert b.autopilot.parameters["MIS_TAKEOFF_ALT"] == 6.0
+        await fc.execute("goTo", [10.0, -4.0, -6.0])
+        assert math.dist(b.values["position"], (10.0, -4.0, -6.0)) <= 0.5
+        await fc.execute("yaw", [2.0])
+        assert b.values["heading"] == pytest.approx(2.0, abs=0.08)
+        await fc.execute("hold", [])
+        await fc.execute("land", [])
+        await fc.execute("disarm", [])
+
+    b.run(mission)
+    assert not b.autopilot.armed
+
+
+def test_its_watchdog_is_that_of_its_setpoints(px4):
+    b = px4(ttl=0.5, safe_state="return")
+    b.autopilot.parameters["COM_OF_LOSS_T"] = 5.0
+    b.run(lambda fc: asyncio.sleep(0.1))
+    wanted = {"COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 3, "COM_DL_LOSS_T": 5, "NAV_DLL_ACT": 2}
+    assert {name: b.autopilot.parameters[name] for name in wanted} == wanted
+
+
+def test_a_velocity_is_streamed_until_its_time_is_over_and_no_longer(px4):
+    b = px4()
+
+    async def mission(fc):
+        loop = asyncio.get_running_loop()
+        await up(fc)
+        before, start = len(b.sent), loop.time()
+        await fc.execute("setVelocity", [2.0, 0.0, 0.0])
+        assert b.values["mode"] == "OFFBOARD"
+        assert loop.time() - start < 0.5
+        await asyncio.sleep(start + 0.5 - loop.time())
+        targets = sent(b, TARGET, before)
+        assert 9 <= len(targets) <= 11
+        assert {(m.vx, m.type_mask) for m in targets} == {(2.0, 0x0DC7)}
+        before = len(b.sent)
+        await asyncio.sleep(2.0)
+        assert sent(b, TARGET, before) == []
+
+    b.run(mission)
+    # Nobody feeds it any more: PX4's own watchdog has taken it out of OFFBOARD.
+    assert b.autopilot.mode == "AUTO.LAND"
+
+
+def test_velocities_that_are_renewed_fly_on(px4):
+    b = px4()
+
+    async def mission(fc):
+        await up(fc)
+        for _ in range(10):
+            await fc.execute("setVelocity", [2.0, 0.0, 0.0])
+            await asyncio.sleep(0.3)
+        assert b.values["mode"] == "OFFBOARD"
+        assert b.values["velocity"][0] == pytest.approx(2.0, abs=0.1)
+        # Another motion ends the stream at once.
+        await fc.execute("hold", [])
+        before = len(b.sent)
+        await asyncio.sleep(1.0)
+        assert sent(b, TARGET, before) == []
+
+    b.run(mission)
+
+
+def test_an_accepted_offboard_that_is_not_entered_is_an_error(px4):
+    b = px4()
+
+    async def mission(fc):
+        await up(fc)
+        # As measured: PX4 accepts OFFBOARD without a stream and does not enter it.
+        b.driver.devices["a1.fc"].motion.stream.start = lambda message, until: None
+        with pytest.raises(DeviceError, match=r"OFFBOARD was not entered within .* \(ACCEPTED"):
+            await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+
+    b.run(mission)
+
+
+def test_a_takeoff_while_disarmed_is_not_left_with_px4_for_later(px4):
+    b = px4()
+
+    async def mission(fc):
+        with pytest.raises(DeviceError, match="the motors are off"):
+            await fc.execute("takeoff", [5.0])
+        assert b.autopilot.mode == "AUTO.LOITER"
+
+    b.run(mission)
+
+
+def test_a_refused_arming_has_the_reason(px4):
+    async def mission(fc):
+        with pytest.raises(DeviceError) as error:
+            await fc.execute("arm", [])
+        return error.value.reason
+
+    reason = px4(faults=("refuse_arming=Compass 0 missing",)).run(mission)
+    assert reason.startswith("arm refused: TEMPORARILY_REJECTED (1), Preflight Fail: Compass 0 missing")
+    assert "health failures first" in reason
+
+
+@pytest.mark.parametrize(
+    ("state", "mode"), [("land", "AUTO.LAND"), ("hold", "AUTO.LOITER"), ("return", "AUTO.RTL")]
+)
+def test_safe_states_in_the_air(px4, state, mode):
+    b = px4(safe_state=state)
+
+    async def mission(fc):
+        await up(fc)
+        await fc.execute("setVelocity", [3.0, 0.0, 0.0])
+        await asyncio.sleep(0.3)
+        before = len(b.sent)
+        await fc.make_safe()
+        assert b.autopilot.mode == mode
+        assert sent(b, TARGET, before) == []
+        await asyncio.sleep(60.0)
+
+    b.run(mission)
+    assert b.autopilot.vehicle.airborne == (state == "hold")
+
+
+def test_orbit_and_return(px4):
+    b = px4()
+
+    async def mission(fc):
+        await up(fc)
+        await fc.execute("orbit", [0.0, 0.0, -5.0, 6.0, 3.0, 1.0])
+        assert b.values["mode"] == "AUTO.LOITER"
+        await fc.execute("returnHome", [])
+        assert b.values["landed"]
+
+    b.run(mission)
+
+
+def test_the_speed_of_the_binding_is_kept(px4):
+    b = px4(limits={"speed": 2.0})
+
+    async def mission(fc):
+        await up(fc)
+        flight = asyncio.create_task(fc.execute("goTo", [15.0, 0.0, -5.0]))
+        fastest = 0.0
+        while not flight.done():
+            await asyncio.sleep(0.1)
+            fastest = max(fastest, b.values["groundSpeed"])
+        return fastest
+
+    assert 1.8 < b.run(mission) <= 2.05
+
+
+def test_global_goals(px4):
+    b = px4()
+
+    async def mission(fc):
+        await up(fc)
+        latitude, longitude, _ = b.values["globalPosition"]
+        await fc.execute("goToGlobal", [latitude + 1e-4, longitude, 7.0])
+        return b.values["position"]
+
+    assert b.run(mission) == pytest.approx([11.13, 0.0, -7.0], abs=0.6)
+
+
+def test_parameters_of_whole_numbers_are_packed_by_bytes(px4):
+    b = px4()
+
+    async def mission(fc):
+        found = await fc.parameters.read("NAV_DLL_ACT")
+        assert (found, type(found)) == (3, int)
+
+    b.run(mission)
+
+
+def test_offboard_is_asked_for_again_when_the_setpoints_were_not_noticed_yet(px4):
+    b = px4(ttl=1.0)
+
+    async def mission(fc):
+        await up(fc)
+        start, stream = asyncio.get_running_loop().time(), fc.motion.stream
+        begin = stream.start
+        # The first setpoints are lost, so the first request is accepted and not followed.
+        stream.start = lambda message, until: asyncio.get_running_loop().call_later(
+            0.3, begin, message, until
+        )
+        await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+        assert b.values["mode"] == "OFFBOARD"
+        assert 0.3 < asyncio.get_running_loop().time() - start < 0.9
+
+    b.run(mission)
+
+
+def test_a_setpoint_that_is_called_off_is_not_streamed_on(px4):
+    b = px4()
+
+    async def mission(fc):
+        await up(fc)
+        call = asyncio.create_task(fc.execute("setVelocity", [1.0, 0.0, 0.0]))
+        await asyncio.sleep(0.03)
+        call.cancel()
+        await asyncio.gather(call, return_exceptions=True)
+        before = len(b.sent)
+        await asyncio.sleep(0.5)
+        assert sent(b, TARGET, before) == []
+
+    b.run(mission)

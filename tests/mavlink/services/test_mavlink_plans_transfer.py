@@ -1,0 +1,341 @@
+"""Plans to and from scripted vehicles of both kinds, over good channels and bad ones."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scripted_peer import Channel, run
+
+from lfield.errors import DeviceError
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.services.plan_items import (
+    HOME,
+    Item,
+    PlanKind,
+    circle,
+    coordinates,
+    polygon,
+    rally_points,
+    waypoints,
+)
+from lfield_mavlink.services.plan_transfer import PlanTransfer
+
+HERE = (47.397742, 8.545594)
+TO_US = (255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER)
+
+
+class Vehicle:
+    """The vehicle's side of the protocol; plans change item by item if `in_place`."""
+
+    def __init__(self, *, ardupilot: bool, in_place: bool = False) -> None:
+        self.ardupilot, self.in_place = ardupilot, in_place
+        self.plans: dict[int, list[Item]] = {0: [HOME] if ardupilot else [], 1: [], 2: []}
+        self.upload: tuple[int, int, list[Item]] | None = None
+        self.channel: Channel | None = None
+        self.result: int | None = None
+        self.keeps = 10_000
+        self.asks_again = False
+
+    def __call__(self, message):
+        name = message.get_type()
+        handler = getattr(self, "on_" + name.lower(), None)
+        return handler(message) if handler else []
+
+    def request(self):
+        kind, _, items = self.upload
+        make = dialect.MAVLink_mission_request_int_message
+        if self.ardupilot:
+            make = dialect.MAVLink_mission_request_message
+        upload = self.upload
+
+        def again():
+            if self.upload is upload and len(upload[2]) == len(items_before):
+                self.channel.tell([make(*TO_US, len(upload[2]), kind)])
+                asyncio.get_running_loop().call_later(1.0, again)
+
+        items_before = list(items)
+        if self.asks_again:
+            asyncio.get_running_loop().call_later(1.0, again)
+        return make(*TO_US, len(items), kind)
+
+    def ack(self, result, kind):
+        return dialect.MAVLink_mission_ack_message(*TO_US, result, kind)
+
+    def on_mission_count(self, message):
+        if self.result is not None:
+            return [self.ack(self.result, message.mission_type)]
+        if message.count == 0:
+            self.plans[message.mission_type] = []
+            return [self.ack(0, message.mission_type)]
+        self.upload = (message.mission_type, message.count, [])
+        if self.in_place:
+            del self.plans[message.mission_type][message.count :]
+        return [self.request()]
+
+    def on_mission_item_int(self, message):
+        if self.upload is None or self.upload[0] != message.mission_type:
+            return []
+        kind, count, items = self.upload
+        if message.seq != len(items):
+            return [self.ack(13, kind)]
+        items.append(Item.of(message))
+        if self.in_place:
+            self.plans[kind][message.seq : message.seq + 1] = [Item.of(message)]
+        if len(items) < count:
+            return [self.request()]
+        self.plans[kind], self.upload = items[: self.keeps], None
+        return [self.ack(0, kind)]
+
+    def on_mission_request_list(self, message):
+        if self.upload is not None:
+            return [self.ack(14, message.mission_type)]
+        count = len(self.plans[message.mission_type])
+        return [dialect.MAVLink_mission_count_message(*TO_US, count, message.mission_type)]
+
+    def on_mission_request_int(self, message):
+        plan = self.plans[message.mission_type]
+        if message.seq >= len(plan):
+            return [self.ack(13, message.mission_type)]
+        item = plan[message.seq]
+        # ArduPilot gives the frame of whole numbers back as the other.
+        frame = item.frame - 3 if item.frame in (5, 6) and self.ardupilot else item.frame
+        return [
+            dialect.MAVLink_mission_item_int_message(
+                *TO_US, message.seq, frame, item.command, 0, 1, *item.parameters,
+                item.x, item.y, round(item.z, 2), message.mission_type,
+            )
+        ]  # fmt: skip
+
+    def on_mission_ack(self, message):
+        if message.type:
+            self.upload = None
+        return []
+
+    def on_mission_clear_all(self, message):
+        self.plans[message.mission_type] = []
+        return [self.ack(0, message.mission_type)]
+
+
+def joined(vehicle, **faults):
+    channel = Channel(vehicle, **faults)
+    vehicle.channel = channel
+    return channel, PlanTransfer(channel, lambda: vehicle.ardupilot)
+
+
+def route(count):
+    values = []
+    for number in range(count):
+        values += [HERE[0] + number * 1e-4, HERE[1] - number * 1e-4, 10.0 + number]
+    return waypoints(values, yaw=0.0)
+
+
+def same(items, others):
+    return len(items) == len(others) and all(a.same(b) for a, b in zip(items, others, strict=True))
+
+
+@pytest.mark.parametrize("ardupilot", [True, False])
+def test_a_mission_goes_up_and_comes_back(ardupilot):
+    vehicle = Vehicle(ardupilot=ardupilot)
+    channel, transfer = joined(vehicle)
+
+    async def story():
+        await transfer.upload(PlanKind.MISSION, route(5))
+        return await transfer.download(PlanKind.MISSION)
+
+    found = run(story(), 10.0)
+    assert same(found, route(5))
+    assert len(vehicle.plans[0]) == (6 if ardupilot else 5)
+    assert coordinates(found, found[0].command)[:3] == pytest.approx([*HERE, 10.0])
+    # Read back after the upload, then read: two downloads, each ended with an acknowledgement.
+    assert channel.kinds().count("MISSION_REQUEST_LIST") == 2
+    assert channel.kinds().count("MISSION_ACK") == 2
+
+
+@pytest.mark.parametrize("ardupilot", [True, False])
+def test_clear_leaves_nothing(ardupilot):
+    vehicle = Vehicle(ardupilot=ardupilot)
+    channel, transfer = joined(vehicle)
+
+    async def story():
+        for kind in PlanKind:
+            await transfer.upload(kind, route(2))
+            await transfer.clear(kind)
+        return [await transfer.download(kind) for kind in PlanKind]
+
+    assert run(story(), 20.0) == [[], [], []]
+    # A mission of ArduPilot is cleared by the upload of home alone.
+    assert channel.kinds().count("MISSION_CLEAR_ALL") == (2 if ardupilot else 3)
+
+
+def test_the_three_plans_do_not_mix():
+    vehicle = Vehicle(ardupilot=False)
+    _, transfer = joined(vehicle)
+    fence = circle(*HERE, 50.0, inside=True)
+
+    async def story():
+        await transfer.upload(PlanKind.MISSION, route(2))
+        await transfer.upload(PlanKind.FENCE, fence)
+        await transfer.upload(PlanKind.RALLY, rally_points([*HERE, 20.0]))
+        await transfer.clear(PlanKind.RALLY)
+
+    run(story(), 20.0)
+    assert same(vehicle.plans[0], route(2))
+    assert same(vehicle.plans[1], fence)
+    assert vehicle.plans[2] == []
+
+
+def test_a_plan_that_came_out_shorter_is_an_error():
+    vehicle = Vehicle(ardupilot=True)
+    vehicle.keeps = 3
+    _, transfer = joined(vehicle)
+    with pytest.raises(DeviceError, match="mission could not be uploaded in 3 attempts: it holds 3 items"):
+        run(transfer.upload(PlanKind.MISSION, route(5)), 60.0)
+
+
+@pytest.mark.parametrize(
+    ("result", "words"), [(4, r"NO_SPACE \(4\)"), (14, r"DENIED \(14\)"), (77, "unknown result")]
+)
+def test_a_refusal_comes_in_words(result, words):
+    vehicle = Vehicle(ardupilot=False)
+    vehicle.result = result
+    _, transfer = joined(vehicle)
+    with pytest.raises(DeviceError, match=f"refuses the mission: .*{words}"):
+        run(transfer.upload(PlanKind.MISSION, route(2)), 5.0)
+
+
+def test_silence_is_an_error_within_its_bound():
+    transfer = PlanTransfer(Channel(lambda message: []), lambda: True)
+    for work in (
+        lambda: transfer.upload(PlanKind.MISSION, route(2)),
+        lambda: transfer.download(PlanKind.FENCE),
+        lambda: transfer.clear(PlanKind.RALLY),
+    ):
+        with pytest.raises(DeviceError, match="did not answer") as raised:
+            run(work(), 3.1)
+        assert raised.value.kind == "DeviceTimeoutException"
+
+
+def test_a_lost_link_ends_a_transfer_at_once():
+    vehicle = Vehicle(ardupilot=True)
+    channel, transfer = joined(vehicle)
+    vehicle.on_mission_item_int = lambda message: []
+
+    def lost():
+        if asyncio.get_running_loop().time() > 1003.0:
+            raise DeviceError("fc", "the link is lost", kind="DeviceTimeoutException")
+
+    channel.check_link = lost
+    with pytest.raises(DeviceError, match="the link is lost"):
+        run(transfer.upload(PlanKind.MISSION, route(2)), 3.2)
+
+
+def test_a_vehicle_that_asks_for_ever_is_left():
+    def mad(message):
+        if message.get_type() not in ("MISSION_COUNT", "MISSION_ITEM_INT"):
+            return []
+        return [dialect.MAVLink_mission_request_int_message(*TO_US, 0, 0)]
+
+    channel = Channel(mad)
+    with pytest.raises(DeviceError, match="asked for 1 of 3 items only"):
+        run(PlanTransfer(channel, lambda: False).upload(PlanKind.MISSION, route(3)), 60.0)
+
+
+def test_an_absurd_count_is_not_believed():
+    channel = Channel(lambda m: [dialect.MAVLink_mission_count_message(*TO_US, 65535, 0)])
+    with pytest.raises(DeviceError, match="65535 items"):
+        run(PlanTransfer(channel, lambda: False).download(PlanKind.MISSION), 5.0)
+
+
+def test_a_cancelled_upload_tells_the_vehicle_and_frees_the_next():
+    vehicle = Vehicle(ardupilot=True)
+    channel, transfer = joined(vehicle)
+
+    async def story():
+        task = asyncio.get_running_loop().create_task(transfer.upload(PlanKind.MISSION, route(50)))
+        await asyncio.sleep(0.1)
+        assert vehicle.upload is not None
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        await asyncio.sleep(0.1)
+        assert vehicle.upload is None
+        await transfer.upload(PlanKind.MISSION, route(3))
+
+    run(story(), 20.0)
+    assert dialect.MAV_MISSION_OPERATION_CANCELLED in [
+        message.type for message in channel.sent if message.get_type() == "MISSION_ACK"
+    ]
+    assert len(vehicle.plans[0]) == 4
+
+
+def test_a_repeated_packet_does_not_double_the_rest():
+    vehicle = Vehicle(ardupilot=False)
+    channel, transfer = joined(vehicle, seed=1, repeat=0.3)
+    run(transfer.upload(PlanKind.MISSION, route(40)), 300.0)
+    assert same(vehicle.plans[0], route(40))
+    assert channel.kinds().count("MISSION_ITEM_INT") < 200
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    ardupilot=st.booleans(),
+    in_place=st.booleans(),
+    loss=st.floats(0.0, 0.5),
+    repeat=st.floats(0.0, 0.5),
+    overtake=st.floats(0.0, 0.5),
+    count=st.integers(1, 12),
+)
+def test_over_any_channel_both_hold_the_same_plan_or_it_is_an_error(
+    seed, ardupilot, in_place, loss, repeat, overtake, count
+):
+    vehicle = Vehicle(ardupilot=ardupilot, in_place=in_place)
+    vehicle.asks_again = True
+    _, transfer = joined(vehicle, seed=seed, loss=loss, repeat=repeat, overtake=overtake)
+
+    async def story():
+        try:
+            await transfer.upload(PlanKind.MISSION, route(count))
+        except DeviceError:
+            return None
+        return list(vehicle.plans[0])
+
+    held = run(story(), 600.0)
+    if held is not None:
+        assert same(held[1 if ardupilot else 0 :], route(count))
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-90, 90), st.floats(-180, 180), st.floats(-1e4, 1e4)), min_size=1, max_size=20
+    )
+)
+def test_waypoints_are_themselves_again(places):
+    values = [number for place in places for number in place]
+    back = coordinates(waypoints(values, yaw=math.nan), dialect.MAV_CMD_NAV_WAYPOINT)
+    assert back == pytest.approx(values, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: waypoints([1.0, 2.0], yaw=0.0), "2 numbers are not that"),
+        (lambda: waypoints([], yaw=0.0), "0 numbers"),
+        (lambda: waypoints([91.0, 0.0, 1.0], yaw=0.0), "no place in degrees"),
+        (lambda: waypoints([math.nan, 0.0, 1.0], yaw=0.0), "no place in degrees"),
+        (lambda: waypoints([1.0, 0.0, math.inf], yaw=0.0), "finite"),
+        (lambda: rally_points([1.0, 181.0, 1.0]), "no place in degrees"),
+        (lambda: circle(1.0, 1.0, 0.0, inside=True), "radius above 0"),
+        (lambda: circle(1.0, 1.0, math.nan, inside=True), "radius above 0"),
+        (lambda: polygon([1.0, 1.0, 2.0, 2.0], inside=True), "3 to 255 corners, not 2"),
+        (lambda: coordinates([HOME], HOME.command), "cannot say"),
+        (lambda: coordinates(circle(1.0, 1.0, 9.0, inside=True), 16), r"NAV_FENCE_CIRCLE_INCLUSION \(5003\)"),
+    ],
+)
+def test_what_is_no_plan(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()

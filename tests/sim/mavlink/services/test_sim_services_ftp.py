@@ -1,0 +1,285 @@
+"""The fake's file server by payloads: every operation, its refusals, bursts, lost replies, nonsense."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield_sim.mavlink.services.ftp import (
+    ACK,
+    DATA,
+    MAX_SESSIONS,
+    NAK,
+    PAYLOAD,
+    FtpPacket,
+    FtpServer,
+    Op,
+    ftp_crc32,
+)
+from lfield_sim.mavlink.services.tree import MAX_ENTRIES, MAX_FILE, FtpError, Tree
+
+PEER = (255, 190)
+LOG = bytes(range(256)) * 100
+
+
+class Client:
+    """One who asks for files."""
+
+    def __init__(self, server=None, peer=PEER):
+        self.server = server or FtpServer(Tree({"/a/log.bin": LOG, "/a/one.txt": b"1", "/b.txt": b""}))
+        self.peer, self.number = peer, 0
+
+    def ask(self, opcode, path=b"", *, session=0, offset=0, size=None, data=None):
+        content = data if data is not None else path.encode() if isinstance(path, str) else path
+        self.number += 2
+        request = FtpPacket(
+            self.number, session, opcode, len(content) if size is None else size, 0, 0, offset, content
+        )
+        return self.send(request)
+
+    def send(self, request):
+        replies = self.server.receive(self.peer, request.write())
+        assert all(len(reply) == PAYLOAD for reply in replies)
+        if not replies:
+            return None
+        (reply,) = map(FtpPacket.read, replies)
+        assert (reply.number, reply.of) == (request.number + 1, request.opcode)
+        return reply
+
+    def refused(self, *words, **options):
+        reply = self.ask(*words, **options)
+        assert reply.opcode == NAK
+        return FtpError(reply.data[0])
+
+    def ok(self, *words, **options):
+        reply = self.ask(*words, **options)
+        assert reply.opcode == ACK, reply
+        return reply
+
+    def listing(self, path):
+        entries = []
+        while True:
+            reply = self.ask(Op.LIST, path, offset=len(entries))
+            if reply.opcode == NAK:
+                assert reply.data[0] == FtpError.EOF
+                return entries
+            entries += reply.data.rstrip(b"\0").decode().split("\0")
+
+
+def test_folders_are_listed_in_pieces():
+    names = [f"/many/file{n:04}.bin" for n in range(100)]
+    c = Client(FtpServer(Tree(dict.fromkeys(names, b"12345"), {})))
+    assert c.listing("/many") == [f"Ffile{n:04}.bin\t5" for n in range(100)]
+    assert c.listing("/") == ["Dmany"]
+    assert c.listing("") == ["Dmany"]
+    assert c.refused(Op.LIST, "/nowhere") is FtpError.NOT_FOUND
+
+
+def test_a_file_is_read_in_pieces_until_its_end():
+    c = Client()
+    opened = c.ok(Op.OPEN_READ, "/a/log.bin", session=3)
+    assert struct.unpack("<I", opened.data) == (len(LOG),)
+    content = b""
+    while True:
+        reply = c.ask(Op.READ, session=opened.session, offset=len(content), size=DATA)
+        if reply.opcode == NAK:
+            break
+        assert reply.offset == len(content)
+        content += reply.data
+    assert reply.data[0] == FtpError.EOF
+    assert content == LOG
+    assert c.ok(Op.READ, session=opened.session, offset=5, size=7).data == LOG[5:12]
+    c.ok(Op.TERMINATE, session=opened.session)
+    assert c.refused(Op.READ, session=opened.session, size=DATA) is FtpError.INVALID_SESSION
+
+
+def test_a_burst_comes_in_steps_says_when_it_pauses_and_ends():
+    c = Client()
+    session = c.ok(Op.OPEN_READ, "/a/log.bin").session
+    content, pauses, over = b"", [], False
+    while not over:
+        assert c.ask(Op.BURST_READ, session=session, offset=len(content), size=80) is None
+        while packets := [FtpPacket.read(payload) for _, payload in c.server.advance()]:
+            assert len(packets) <= 10
+            pieces = [p for p in packets if p.opcode == ACK]
+            assert [p.offset for p in pieces] == [len(content) + 80 * i for i in range(len(pieces))]
+            content += b"".join(p.data for p in pieces)
+            pauses += [len(content) for p in pieces if p.burst_over]
+            over = packets[-1].opcode == NAK
+    assert content == LOG
+    assert pauses == [200 * 80]
+
+
+def test_the_last_packet_of_a_burst_tells_the_end():
+    c = Client()
+    session = c.ok(Op.OPEN_READ, "/a/one.txt").session
+    c.ask(Op.BURST_READ, session=session, size=DATA)
+    first, last = [FtpPacket.read(payload) for _, payload in c.server.advance()]
+    assert (first.opcode, first.data, first.burst_over) == (ACK, b"1", 0)
+    assert (last.opcode, last.data[0], last.burst_over) == (NAK, FtpError.EOF, 0)
+    assert last.number == first.number + 1
+    assert c.server.advance() == []
+    assert c.refused(Op.BURST_READ, session=session, offset=1, size=DATA) is FtpError.EOF
+
+
+def test_files_are_made_written_checked_and_removed():
+    c = Client()
+    session = c.ok(Op.CREATE, "/a/new.txt", session=1).session
+    data = b"hello " * 100
+    for offset in range(0, len(data), DATA):
+        c.ok(Op.WRITE, session=session, offset=offset, data=data[offset : offset + DATA])
+    c.ok(Op.TERMINATE, session=session)
+    crc = struct.unpack("<I", c.ok(Op.CRC32, "/a/new.txt").data)[0]
+    assert crc == ftp_crc32(data)
+    assert "Fnew.txt\t600" in c.listing("/a")
+    session = c.ok(Op.OPEN_WRITE, "/a/new.txt", session=1).session
+    c.ok(Op.WRITE, session=session, offset=602, data=b"!")
+    assert c.refused(Op.READ, session=session, size=5) is FtpError.FAIL
+    assert c.server.tree.read("/a/new.txt") == data + b"\0\0!"
+    c.ok(Op.REMOVE, "/a/new.txt")
+    assert c.refused(Op.OPEN_READ, "/a/new.txt") is FtpError.NOT_FOUND
+    assert c.refused(Op.CRC32, "/a/new.txt") is FtpError.NOT_FOUND
+
+
+def test_the_checksum_is_not_everybodys():
+    # The CRC-32 register of zlib without its inversions: start 0, end as it is.
+    register = 0
+    for byte in b"123456789":
+        register ^= byte
+        for _ in range(8):
+            register = register >> 1 ^ (0xEDB88320 if register & 1 else 0)
+    assert ftp_crc32(b"123456789") == register != zlib.crc32(b"123456789")
+
+
+def test_folders_are_made_and_removed():
+    c = Client()
+    c.ok(Op.MAKE_FOLDER, "/a/deep")
+    c.ok(Op.MAKE_FOLDER, "/a/deep/er")
+    assert c.refused(Op.MAKE_FOLDER, "/a/deep") is FtpError.EXISTS
+    assert c.refused(Op.MAKE_FOLDER, "/no/deep") is FtpError.NOT_FOUND
+    assert c.refused(Op.REMOVE_FOLDER, "/a/deep") is FtpError.FAIL_ERRNO
+    assert c.refused(Op.REMOVE_FOLDER, "/") is FtpError.PROTECTED
+    c.ok(Op.REMOVE_FOLDER, "/a/deep/er")
+    c.ok(Op.REMOVE_FOLDER, "/a/deep")
+    assert c.refused(Op.REMOVE_FOLDER, "/a/deep") is FtpError.NOT_FOUND
+    assert c.refused(Op.REMOVE, "/a") is FtpError.FAIL
+    assert c.refused(Op.CREATE, "/a") is FtpError.FAIL_ERRNO
+
+
+@pytest.mark.parametrize("path", ["/a/../b.txt", "/" + "x" * 230, "/a/b\tc"])
+def test_paths_that_lead_nowhere(path):
+    assert Client().refused(Op.CREATE, path) is FtpError.NOT_FOUND
+
+
+def test_the_autopilots_differ_in_unknown_operations_and_who_numbers_sessions():
+    ardupilot, px4 = Client(FtpServer(Tree({"/f": b"1"}), unknown=FtpError.FAIL)), Client()
+    assert ardupilot.refused(16, "/") is FtpError.FAIL
+    assert px4.refused(16, "/") is FtpError.UNKNOWN_COMMAND
+    assert ardupilot.ok(Op.OPEN_READ, "/f", session=77).session == 77
+    own = Client(FtpServer(Tree({"/f": b"1"}), own_sessions=True))
+    assert [own.ok(Op.OPEN_READ, "/f", session=77).session for _ in range(3)] == [0, 1, 2]
+
+
+def test_sessions_are_few_and_reset_gives_ones_own_back():
+    c = Client()
+    for number in range(MAX_SESSIONS):
+        c.ok(Op.OPEN_READ, "/b.txt", session=number)
+    other = Client(c.server, (1, 191))
+    assert other.refused(Op.OPEN_READ, "/b.txt") is FtpError.NO_SESSIONS
+    other.ok(Op.RESET)
+    assert other.refused(Op.OPEN_READ, "/b.txt") is FtpError.NO_SESSIONS
+    c.ok(Op.RESET)
+    other.ok(Op.OPEN_READ, "/b.txt")
+    assert c.refused(Op.READ, size=1) is FtpError.INVALID_SESSION, "not that of another"
+
+
+def test_a_request_that_comes_twice_is_carried_out_once():
+    c = Client()
+    request = FtpPacket(8, 0, Op.REMOVE, 6, data=b"/b.txt")
+    assert c.send(request).opcode == ACK
+    assert c.send(request).opcode == ACK, "its first reply may be lost"
+    assert c.refused(Op.REMOVE, "/b.txt") is FtpError.NOT_FOUND
+
+
+def test_the_tree_is_bounded():
+    tree = Tree({})
+    c = Client(FtpServer(tree))
+    for number in range(MAX_ENTRIES - 1):
+        c.ok(Op.MAKE_FOLDER, f"/{number}")
+    assert c.refused(Op.MAKE_FOLDER, "/more") is FtpError.FAIL_ERRNO
+    c = Client()
+    session = c.ok(Op.OPEN_WRITE, "/b.txt").session
+    assert c.refused(Op.WRITE, session=session, offset=MAX_FILE, data=b"1") is FtpError.FAIL_ERRNO
+    assert c.refused(Op.WRITE, session=session, offset=0xFFFFFFFF, data=b"1") is FtpError.FAIL_ERRNO
+
+
+def test_sizes_that_cannot_be():
+    assert Client().refused(Op.READ, size=DATA + 1) is FtpError.INVALID_DATA_SIZE
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.binary(max_size=300), max_size=10))
+def test_arbitrary_payloads_never_raise(payloads):
+    c = Client()
+    for payload in payloads:
+        c.server.receive(PEER, payload)
+        assert len(c.server.advance()) <= 10 * MAX_SESSIONS
+    c.ok(Op.NONE)
+
+
+requests = st.builds(
+    FtpPacket,
+    st.integers(0, 0xFFFF),
+    st.integers(0, 7),
+    st.one_of(st.sampled_from(list(Op)), st.integers(0, 255)),
+    st.integers(0, 255),
+    st.integers(0, 255),
+    st.integers(0, 1),
+    st.one_of(st.integers(0, 300), st.integers(0, 0xFFFFFFFF)),
+    st.one_of(
+        st.sampled_from([b"/", b"/a", b"/a/log.bin", b"/b.txt", b"/new", b"@PARAM/param.pck"]),
+        st.binary(max_size=DATA),
+    ),
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(st.integers(1, 40), requests), max_size=30))
+def test_arbitrary_requests_never_raise_and_hold_bounded_memory(story):
+    server = FtpServer(Tree({"/a/log.bin": LOG, "/b.txt": b""}, {"@PARAM/param.pck": lambda: b"x" * 999}))
+    for system, request in story:
+        replies = server.receive((system, 1), request.write())
+        assert len(replies) <= 1
+        server.advance()
+    assert len(server._sessions) <= MAX_SESSIONS
+    assert len(server._last) <= 16
+    assert len(server._bursts) <= MAX_SESSIONS
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.binary(max_size=3000), st.data())
+def test_what_was_written_over_a_lossy_link_is_read_back(content, data):
+    """Every request is repeated until its reply arrives; what is lost is drawn."""
+    server = FtpServer(Tree({"/d/.keep": b""}))
+    client = Client(server)
+
+    def ask(opcode, payload=b"", *, session=0, offset=0):
+        client.number += 2
+        request = FtpPacket(client.number, session, opcode, len(payload), 0, 0, offset, payload)
+        for _ in range(5):
+            arrives, returns = data.draw(st.booleans()), data.draw(st.booleans())
+            reply = client.send(request) if arrives else None
+            if reply is not None and returns:
+                return reply
+        return client.send(request)
+
+    session = ask(Op.CREATE, b"/d/f").session
+    for offset in range(0, len(content), DATA):
+        piece = content[offset : offset + DATA]
+        assert ask(Op.WRITE, piece, session=session, offset=offset).opcode == ACK
+    ask(Op.TERMINATE, session=session)
+    assert server.tree.read("/d/f") == content

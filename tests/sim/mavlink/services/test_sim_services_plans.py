@@ -1,0 +1,306 @@
+"""The mission protocol of the fake by messages and given time: both autopilots, three kinds of plan."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from lfield_sim.mavlink.services.plan_items import Item, PlanResult, PlanType
+from lfield_sim.mavlink.services.plan_protocol import ARDUPILOT, HANDLED, PX4, PlanProtocol
+
+HOME = Item(16, 0, (0, 0, 0, 0), 473977420, 85455940, 488.0)
+HERE = (473977420, 85455940)
+STYLES = {"ardupilot": ARDUPILOT, "px4": PX4}
+
+
+def waypoint(number=0, **changes):
+    return replace(Item(16, 6, (0, 0, 0, 0), HERE[0] + number, HERE[1], 10.0), **changes)
+
+
+def corner(of, number, command=5001):
+    return Item(command, 0, (of, 0, 0, 0), HERE[0] + 1000 * number, HERE[1] + 1000 * (number % 2))
+
+
+@pytest.fixture(params=["ardupilot", "px4"])
+def style(request):
+    return STYLES[request.param]
+
+
+class Station:
+    """A ground station that uploads; it may be deaf, dumb or out of order."""
+
+    def __init__(self, style, *, system=255, vehicle=None):
+        self.changes = []
+        self.vehicle = vehicle or PlanProtocol(style, lambda: HOME, self.changes.append)
+        self.system, self.now = system, 0.0
+
+    def send(self, message):
+        """One message as it would come off the wire; the answers, which are all for this station."""
+        packer = dialect.MAVLink(None, srcSystem=self.system, srcComponent=190)
+        (heard,) = dialect.MAVLink(None).parse_buffer(message.pack(packer))
+        answers = self.vehicle.receive(heard, self.now)
+        assert all((a.target_system, a.target_component) == (self.system, 190) for a in answers)
+        return answers
+
+    def wait(self, seconds, step=0.02):
+        heard = []
+        for _ in range(round(seconds / step)):
+            self.now += step
+            heard += self.vehicle.advance(self.now)
+        return heard
+
+    def count(self, number, kind=PlanType.MISSION):
+        return self.send(dialect.MAVLink_mission_count_message(1, 1, number, int(kind)))
+
+    def item(self, number, item, kind=PlanType.MISSION):
+        return self.send(item.write((1, 1), number, kind, current=False))
+
+    def upload(self, items, kind=PlanType.MISSION):
+        """The result of an upload in which nothing is lost."""
+        answers = self.count(len(items), kind)
+        while answers[0].get_msgId() != dialect.MAVLINK_MSG_ID_MISSION_ACK:
+            answers = self.item(answers[0].seq, items[answers[0].seq], kind)
+        assert answers[0].mission_type == kind
+        return PlanResult(answers[0].type)
+
+    def download(self, kind=PlanType.MISSION, *, whole=True):
+        (count,) = self.send(dialect.MAVLink_mission_request_list_message(1, 1, int(kind)))
+        ask = (
+            dialect.MAVLink_mission_request_int_message if whole else dialect.MAVLink_mission_request_message
+        )
+        return [self.send(ask(1, 1, number, int(kind)))[0] for number in range(count.count)]
+
+
+@pytest.mark.parametrize("kind", list(PlanType))
+def test_what_is_uploaded_is_downloaded(style, kind):
+    items = {
+        PlanType.MISSION: [waypoint(n) for n in range(20)],
+        PlanType.FENCE: [corner(3, n) for n in range(3)] + [Item(5004, 0, (25.0, 0, 0, 0), *HERE)],
+        PlanType.RALLY: [Item(5100, 3, (0, 0, 0, 0), *HERE, 30.0)],
+    }[kind]
+    s = Station(style)
+    assert s.upload(items, kind) is PlanResult.ACCEPTED
+    assert s.changes == [kind]
+    expected = [HOME, *items[1:]] if kind is PlanType.MISSION and style.home_first else items
+    assert [Item.read(message) for message in s.download(kind)] == expected
+
+
+def test_the_autopilots_ask_in_their_own_ways():
+    (asked,) = Station(ARDUPILOT).count(2)
+    assert asked.get_type() == "MISSION_REQUEST"
+    (asked,) = Station(PX4).count(2)
+    assert asked.get_type() == "MISSION_REQUEST_INT"
+
+
+def test_the_old_items_in_degrees_are_understood_both_ways(style):
+    s = Station(style)
+    s.count(2)
+    for number in (0, 1):
+        (answer,) = s.send(
+            waypoint(number).write((1, 1), number, PlanType.MISSION, current=False, whole=False)
+        )
+    assert answer.type == PlanResult.ACCEPTED
+    item = s.download(whole=False)[1]
+    assert item.get_type() == "MISSION_ITEM"
+    assert item.x == pytest.approx(47.3977421, abs=4e-6)
+
+
+def test_an_item_that_does_not_come_is_asked_for_again_until_it_gives_up(style):
+    s = Station(style)
+    s.count(3)
+    s.item(0, waypoint())
+    heard = s.wait(style.give_up - 0.1)
+    assert {m.seq for m in heard} == {1}
+    assert len(heard) == pytest.approx((style.give_up - 0.1) / style.ask_again, abs=2)
+    (end,) = s.wait(style.ask_again + 0.3)[-1:]
+    assert (end.get_type(), end.type) == ("MISSION_ACK", PlanResult.OPERATION_CANCELLED)
+    assert s.wait(20.0) == []
+    assert s.item(1, waypoint())[0].type == PlanResult.ERROR
+    assert s.changes == [], "half a mission is none"
+
+
+def test_items_out_of_turn():
+    ardupilot, px4 = Station(ARDUPILOT), Station(PX4)
+    for s in (ardupilot, px4):
+        s.count(5)
+        s.item(0, waypoint())
+        s.item(1, waypoint())
+        (again,) = s.item(1, waypoint())
+        assert again.seq == 2, "the same once more: its request was lost"
+    assert ardupilot.item(4, waypoint())[0].type == PlanResult.INVALID_SEQUENCE
+    assert ardupilot.item(2, waypoint())[0].type == PlanResult.ERROR
+    assert px4.item(4, waypoint())[0].seq == 2
+
+
+def test_too_many_items(style):
+    for kind in PlanType:
+        assert Station(style).count(style.capacity[kind] + 1, kind)[0].type == PlanResult.NO_SPACE
+        assert Station(style).count(style.capacity[kind], kind)[0].seq == 0
+
+
+def test_a_plan_of_none_and_clear_all(style):
+    for clear in (
+        lambda s: s.count(0),
+        lambda s: s.send(dialect.MAVLink_mission_clear_all_message(1, 1, 0)),
+        lambda s: s.send(dialect.MAVLink_mission_clear_all_message(1, 1, 255)),
+    ):
+        s = Station(style)
+        s.upload([waypoint(n) for n in range(3)])
+        (answer,) = clear(s)
+        assert answer.type == PlanResult.ACCEPTED
+        assert s.download() == []
+
+
+def test_ardupilots_empty_mission_is_home():
+    s = Station(ARDUPILOT)
+    assert s.upload([waypoint()]) is PlanResult.ACCEPTED
+    assert [Item.read(m) for m in s.download()] == [HOME]
+
+
+def test_two_stations_do_not_mix(style):
+    one = Station(style)
+    two = Station(style, system=254, vehicle=one.vehicle)
+    one.count(2)
+    assert two.count(1)[0].type == PlanResult.DENIED
+    assert two.item(0, waypoint(7))[0].type == PlanResult.ERROR
+    assert two.send(dialect.MAVLink_mission_clear_all_message(1, 1, 0))[0].type == PlanResult.DENIED
+    assert two.send(dialect.MAVLink_mission_request_list_message(1, 1, 0))[0].type == PlanResult.DENIED
+    one.item(0, waypoint())
+    assert one.item(1, waypoint())[0].type == PlanResult.ACCEPTED
+    assert len(two.download()) == 2
+
+
+def test_an_upload_is_begun_anew_or_called_off(style):
+    s = Station(style)
+    s.count(3)
+    s.item(0, waypoint())
+    assert s.count(2)[0].seq == 0
+    s.send(dialect.MAVLink_mission_ack_message(1, 1, PlanResult.OPERATION_CANCELLED, 0))
+    assert s.wait(20.0) == []
+    assert s.item(0, waypoint())[0].type == PlanResult.ERROR
+
+
+@pytest.mark.parametrize(
+    ("item", "result"),
+    [
+        (waypoint(command=31000), PlanResult.UNSUPPORTED),
+        (waypoint(command=5001), PlanResult.UNSUPPORTED),
+        (waypoint(frame=1), PlanResult.UNSUPPORTED_FRAME),
+        (waypoint(frame=2), PlanResult.UNSUPPORTED_FRAME),
+        (Item(178, 2, (1, 5, -1, 0)), PlanResult.ACCEPTED),
+        (waypoint(values=(math.inf, 0, 0, 0)), PlanResult.INVALID_PARAM1),
+        (waypoint(values=(0, 0, -math.inf, 0)), PlanResult.INVALID_PARAM3),
+        (waypoint(values=(0, 0, 0, math.nan)), PlanResult.ACCEPTED),
+        (waypoint(x=910000000), PlanResult.INVALID_PARAM5_X),
+        (waypoint(y=-1810000000), PlanResult.INVALID_PARAM6_Y),
+        (waypoint(z=math.nan), PlanResult.INVALID_PARAM7),
+        (waypoint(z=math.inf), PlanResult.INVALID_PARAM7),
+    ],
+)
+def test_items_that_are_wrong(style, item, result):
+    s = Station(style)
+    assert s.upload([waypoint(), item]) is result
+    assert (s.changes == []) == (result is not PlanResult.ACCEPTED)
+
+
+def test_px4_takes_nan_for_what_is_not_given():
+    unset = waypoint(values=(0, math.nan, math.nan, math.nan))
+    assert Station(PX4).upload([unset]) is PlanResult.ACCEPTED
+    assert Station(ARDUPILOT).upload([waypoint(), unset]) is PlanResult.INVALID_PARAM2
+
+
+@pytest.mark.parametrize(
+    "items",
+    [
+        [corner(2, n) for n in range(2)],
+        [corner(4, n) for n in range(3)],
+        [corner(3, 0), corner(3, 1), corner(4, 2)],
+        [corner(3, 0), corner(3, 1), corner(3, 2, 5002)],
+        [corner(math.nan, 0)],
+        [Item(5003, 0, (0.0, 0, 0, 0), *HERE)],
+        [Item(5003, 0, (-5.0, 0, 0, 0), *HERE)],
+        [corner(3, 0), Item(5003, 0, (5.0, 0, 0, 0), *HERE)],
+    ],
+)
+def test_fences_that_make_no_sense(style, items):
+    s = Station(style)
+    assert s.upload(items, PlanType.FENCE) not in (PlanResult.ACCEPTED, PlanResult.NO_SPACE)
+    assert s.changes == []
+
+
+def test_what_is_not_there(style):
+    s = Station(style)
+    s.upload([waypoint(), waypoint()])
+    assert (
+        s.send(dialect.MAVLink_mission_request_int_message(1, 1, 2, 0))[0].type == PlanResult.INVALID_SEQUENCE
+    )
+    assert s.count(1, 7)[0].type == PlanResult.UNSUPPORTED
+    assert s.send(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
+
+
+one, byte, word, number = st.just(1), st.integers(0, 255), st.integers(0, 0xFFFF), st.floats(width=32)
+whole = st.integers(-(1 << 31), (1 << 31) - 1)
+
+
+def items_by(make, where):
+    """Items with any command, frame, values and kind; the first numbers of a plan."""
+    head = (one, one, st.integers(0, 9), st.integers(0, 30), word, st.just(0), one)
+    return st.builds(make, *head, *[number] * 4, where, where, number, st.integers(0, 3))
+
+
+messages = st.one_of(
+    st.builds(dialect.MAVLink_mission_count_message, one, one, word, byte),
+    st.builds(dialect.MAVLink_mission_ack_message, one, one, byte, byte),
+    st.builds(dialect.MAVLink_mission_clear_all_message, one, one, byte),
+    st.builds(dialect.MAVLink_mission_request_list_message, one, one, byte),
+    st.builds(dialect.MAVLink_mission_request_int_message, one, one, word, st.integers(0, 3)),
+    items_by(dialect.MAVLink_mission_item_int_message, whole),
+    items_by(dialect.MAVLink_mission_item_message, number),
+)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.sampled_from([ARDUPILOT, PX4]), st.lists(st.tuples(st.integers(1, 9), messages), max_size=20))
+def test_hostile_messages_never_raise(style, story):
+    s = Station(style)
+    for system, message in story:
+        s.system = system
+        s.send(message)
+        for answer in s.wait(0.5, step=0.5):
+            answer.pack(dialect.MAVLink(None))
+    assert all(len(items) <= style.capacity[kind] for kind, items in s.vehicle.items.items())
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.sampled_from([ARDUPILOT, PX4]), st.integers(1, 12), st.data())
+def test_a_lossy_link_never_leaves_a_wrong_mission(style, size, data):
+    """A station that answers every request it hears, with a third of all packets lost."""
+    s = Station(style)
+    old, new = [waypoint(900 + n) for n in range(2)], [waypoint(n) for n in range(size)]
+    s.upload(old)
+    lost = st.sampled_from([True, False, False])
+    answers, told = s.count(size), None
+    for _ in range(400):
+        heard = [a for a in answers + s.wait(0.3, step=0.3) if not data.draw(lost)]
+        answers = []
+        for message in heard:
+            if message.get_type() == "MISSION_ACK":
+                told = message.type
+            elif not data.draw(lost):
+                answers += s.item(message.seq, new[message.seq])
+        if s.vehicle._upload is None and not answers:
+            break
+    else:
+        pytest.fail("it neither ended nor gave up")
+    kept = s.vehicle.items[PlanType.MISSION]
+    assert kept in (old, new)
+    assert told != PlanResult.ACCEPTED or kept == new
+
+
+def test_every_message_of_the_protocol_has_a_handler():
+    assert sorted(HANDLED) == [39, 40, 43, 44, 45, 47, 51, 73]

@@ -1,0 +1,363 @@
+"""The services on a vehicle that moves: missions are flown, fences kept, parameters typed, files served."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.autopilot.flavours import Result, Role
+from lfield_sim.mavlink.command import Command
+from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.services.files import Files, packed_parameters
+from lfield_sim.mavlink.services.ftp import FtpPacket, Op
+from lfield_sim.mavlink.services.parameters import Parameters, ParameterType, parameter_table
+from lfield_sim.mavlink.services.plan_items import Item, PlanResult, PlanType
+from lfield_sim.mavlink.services.plans import Plans
+
+STEP = 0.02
+TAKEOFF, WAYPOINT, LAND, RETURN, SPEED, JUMP = 22, 16, 21, 20, 178, 177
+BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+
+
+class Craft:
+    """A vehicle with one service, and a ground station made of messages."""
+
+    def __init__(self, service, flavour="ardupilot", kind="copter"):
+        self.pilot, self.place = Autopilot(FLAVOURS[flavour][kind]), Place()
+        self.service = service(self.pilot, self.place)
+        self.heard = []
+
+    def send(self, message):
+        (received,) = dialect.MAVLink(None).parse_buffer(message.pack(dialect.MAVLink(None, 255, 190)))
+        return self.service.handles[received.get_msgId()](received)
+
+    def command(self, number, *values):
+        result, replies = self.service.commands[number](
+            Command(number, (*values, *[0.0] * (7 - len(values))))
+        )
+        self.heard += replies
+        return result
+
+    def wait(self, seconds):
+        heard = []
+        for _ in range(round(seconds / STEP)):
+            self.pilot.step(STEP)
+            heard += self.service.advance(self.pilot.now)
+        self.heard += heard
+        return heard
+
+    def upload(self, items, kind=PlanType.MISSION):
+        """Upload a plan with ArduPilot's item 0 put before a mission."""
+        if kind is PlanType.MISSION and self.pilot.flavour.home_item:
+            items = [self.item(WAYPOINT, 0, 0, 0), *items]
+        answers = self.send(dialect.MAVLink_mission_count_message(1, 1, len(items), int(kind)))
+        for number, item in enumerate(items):
+            assert answers[0].seq == number
+            answers = self.send(item.write((1, 1), number, kind, current=False))
+        assert answers[0].type == PlanResult.ACCEPTED
+        return answers
+
+    def item(self, command, north=0.0, east=0.0, height=5.0, values=(0, 0, 0, 0)):
+        return Item(command, 6, values, *self.place.at(north, east), height)
+
+    def arm(self):
+        mode = self.pilot.kind.modes[self.pilot.kind.mode_for(Role.GUIDED)]
+        if self.pilot.flavour.name == "ardupilot":
+            assert self.pilot.set_mode(mode.number) is Result.ACCEPTED
+        assert self.pilot.arm() is Result.ACCEPTED
+
+    def reached(self):
+        return [m.seq for m in self.heard if m.get_type() == "MISSION_ITEM_REACHED"]
+
+    def current(self):
+        return self.service.messages[dialect.MAVLINK_MSG_ID_MISSION_CURRENT]()
+
+
+@BOTH
+def test_a_mission_is_flown_item_by_item_and_returns(flavour):
+    c = Craft(Plans, flavour)
+    first = 1 if flavour == "ardupilot" else 0
+    assert c.current().mission_state == dialect.MISSION_STATE_NO_MISSION
+    c.upload([c.item(TAKEOFF), c.item(WAYPOINT, 20.0), c.item(WAYPOINT, 20.0, 10.0), c.item(RETURN)])
+    assert c.current().mission_state == dialect.MISSION_STATE_NOT_STARTED
+    c.arm()
+    assert c.command(300) is Result.ACCEPTED
+    assert c.pilot.role is Role.MISSION
+    c.wait(7.0)
+    assert c.current().mission_state == dialect.MISSION_STATE_ACTIVE
+    c.wait(83.0)
+    assert c.reached()[:3] == [first, first + 1, first + 2]
+    changes = [m for m in c.heard if m.get_type() == "MISSION_CURRENT"]
+    assert [m.seq for m in changes] == sorted(m.seq for m in changes)
+    assert dialect.MISSION_STATE_ACTIVE in {m.mission_state for m in changes}
+    assert (c.pilot.armed, c.pilot.vehicle.airborne) == (False, False)
+    assert math.dist(c.pilot.vehicle.place, (0, 0, 0)) < 1.0
+
+
+@BOTH
+def test_a_mission_that_lands(flavour):
+    c = Craft(Plans, flavour)
+    c.upload([c.item(TAKEOFF), c.item(LAND, 8.0, 0.0, 0.0)])
+    c.arm()
+    c.command(300)
+    c.wait(40.0)
+    assert not c.pilot.armed
+    assert c.pilot.vehicle.place == pytest.approx((8.0, 0.0, 0.0), abs=1.0)
+    told = [m for m in c.heard if m.get_type() == "MISSION_CURRENT"][-1]
+    assert told.mission_state == c.current().mission_state == dialect.MISSION_STATE_COMPLETE
+
+
+@BOTH
+def test_pause_go_on_and_jump(flavour):
+    c = Craft(Plans, flavour)
+    first = 1 if flavour == "ardupilot" else 0
+    c.upload([c.item(TAKEOFF), c.item(WAYPOINT, 100.0), c.item(WAYPOINT, 0.0, 50.0)])
+    assert c.command(193, 0) is Result.DENIED, "nothing is flown"
+    c.arm()
+    c.command(300)
+    c.wait(10.0)
+    assert c.command(193, 0) is Result.ACCEPTED
+    c.wait(3.0)
+    here = c.pilot.vehicle.place
+    assert c.current().mission_state == dialect.MISSION_STATE_PAUSED
+    c.wait(3.0)
+    assert c.pilot.vehicle.place == pytest.approx(here, abs=0.01)
+    assert c.command(193, 1) is Result.ACCEPTED
+    assert c.current().seq == first + 1
+    assert c.command(224, first + 2) is Result.ACCEPTED
+    c.wait(2.0)
+    assert c.heard[-1].seq == first + 2
+    assert c.command(224, 99) is Result.DENIED
+    assert c.send(dialect.MAVLink_mission_set_current_message(1, 1, first))[0].seq == first
+    assert c.send(dialect.MAVLink_mission_set_current_message(1, 1, 77)) == []
+    assert c.command(193, 7) is Result.DENIED
+
+
+@BOTH
+def test_without_a_mission_there_is_no_start(flavour):
+    c = Craft(Plans, flavour)
+    c.arm()
+    assert c.command(300) is c.pilot.flavour.refusal
+    assert c.pilot.take_texts()[-1][1].endswith("failed: no mission")
+
+
+def test_ardupilot_tells_home_as_item_0_and_counts_in_parameters():
+    c = Craft(Plans)
+    c.upload([c.item(TAKEOFF), c.item(WAYPOINT, 5.0)])
+    assert c.pilot.parameters["MIS_TOTAL"] == 3.0
+    (item,) = c.send(dialect.MAVLink_mission_request_int_message(1, 1, 0, 0))
+    assert (item.x, item.y, item.frame) == (*c.place.at(0.0, 0.0), 0)
+    assert item.z == pytest.approx(488.0)
+
+
+@pytest.mark.parametrize(("frame", "z"), [(6, 12.0), (3, 12.0), (5, 500.0), (0, 500.0), (11, 12.0)])
+def test_heights_in_every_frame(frame, z):
+    c = Craft(Plans, "px4")
+    c.upload([Item(WAYPOINT, frame, (0, 0, 0, 0), *c.place.at(3.0, 4.0), z)])
+    assert c.pilot.mission.items[0].place == pytest.approx((3.0, 4.0, -12.0), abs=0.02)
+
+
+def test_a_place_of_zeros_is_here_and_a_takeoff_keeps_its_height():
+    c = Craft(Plans, "px4")
+    nowhere = [Item(WAYPOINT, 6, (0, 0, 0, 0), 0, 0, 9.0), Item(TAKEOFF, 6, (0, 0, 0, 0), 0, 0, 9.0)]
+    c.upload([*nowhere, Item(SPEED, 2, (1, 3.0, -1, 0))])
+    here, up, speed = c.pilot.mission.items
+    assert (here.place, speed.place) == (None, None)
+    assert up.place[2] == -9.0
+
+
+@BOTH
+def test_an_uploaded_fence_is_kept(flavour):
+    c = Craft(Plans, flavour)
+    corners = [
+        c.item(5001, n, e, values=(4, 0, 0, 0)) for n, e in ((-20, -20), (-20, 20), (20, 20), (20, -20))
+    ]
+    c.upload(corners, PlanType.FENCE)
+    if flavour == "ardupilot":
+        assert c.pilot.parameters["FENCE_TOTAL"] == 4.0
+        c.pilot.parameters["FENCE_ENABLE"] = 1.0
+    c.upload([c.item(TAKEOFF), c.item(WAYPOINT, 60.0)])
+    c.arm()
+    c.command(300)
+    c.wait(25.0)
+    assert c.pilot.role is (Role.RETURN if flavour == "ardupilot" else Role.HOLD)
+    assert c.pilot.failsafes.breaches >= 1
+    c.send(dialect.MAVLink_mission_clear_all_message(1, 1, 1))
+    assert c.pilot.fence.breached((1e4, 0.0, 0.0)) == 0
+
+
+def test_the_fence_is_switched_and_wants_a_position():
+    c = Craft(Plans)
+    assert c.command(207, 1) is Result.ACCEPTED
+    assert c.pilot.parameters["FENCE_ENABLE"] == 1.0
+    c.pilot.gps_lost = True
+    assert c.pilot.arm() is Result.FAILED
+    assert c.pilot.take_texts()[-1][1] == "Arm: Fence enabled, need position estimate"
+    assert c.command(207, 0) is Result.ACCEPTED
+    assert c.pilot.arm() is Result.FAILED
+    assert c.pilot.take_texts()[-1][1] == "Arm: Need Position Estimate"
+    assert c.command(207, 7) is Result.FAILED
+    assert Craft(Plans, "px4").command(207, 1) is Result.UNSUPPORTED
+
+
+def test_a_restart_breaks_off_an_upload_and_keeps_the_plan():
+    c = Craft(Plans)
+    c.upload([c.item(TAKEOFF)])
+    c.send(dialect.MAVLink_mission_count_message(1, 1, 5, 0))
+    c.service.reboot()
+    assert {m.get_type() for m in c.wait(10.0)} == {"MISSION_CURRENT"}
+    assert len(c.pilot.mission.items) == 2
+
+
+# -- parameters ---------------------------------------------------------------------------------------------
+
+
+def read(c, name):
+    answers = c.send(dialect.MAVLink_param_request_read_message(1, 1, name.encode(), -1))
+    return answers[0] if answers else None
+
+
+def set_(c, name, value, kind):
+    answers = c.send(dialect.MAVLink_param_set_message(1, 1, name.encode(), value, kind))
+    return answers[0] if answers else None
+
+
+def as_float(value):
+    return struct.unpack("<f", struct.pack("<i", value))[0]
+
+
+@pytest.mark.parametrize("kind", ["copter", "rover"])
+@BOTH
+def test_a_list_is_whole_numbered_and_takes_its_time(flavour, kind):
+    c = Craft(Parameters, flavour, kind)
+    assert c.send(dialect.MAVLink_param_request_list_message(1, 1)) == []
+    assert len(c.wait(STEP)) == 30
+    c.wait(2.0)
+    assert [m.param_index for m in c.heard] == list(range(len(c.heard)))
+    assert {m.param_count for m in c.heard} == {len(c.heard)}
+    assert len(c.heard) >= 400
+    names = [m.param_id for m in c.heard]
+    assert names == sorted(set(names))
+    assert set(c.pilot.kind.parameters) <= set(names)
+
+
+def test_ardupilot_writes_integers_as_floats():
+    c = Craft(Parameters)
+    answer = read(c, "FS_GCS_ENABLE")
+    assert (answer.param_value, answer.param_type) == (0.0, ParameterType.INT8)
+    assert set_(c, "FS_GCS_ENABLE", 1.9, ParameterType.REAL32).param_value == 1.0
+    assert set_(c, "FS_GCS_ENABLE", 500.0, ParameterType.INT32).param_value == 127.0
+    assert set_(c, "WPNAV_SPEED", 123.5, ParameterType.REAL32).param_value == 123.5
+    assert c.pilot.vehicle.limits.cruise == pytest.approx(1.235)
+
+
+def test_px4_writes_integers_as_bytes_and_minds_types():
+    c = Craft(Parameters, "px4")
+    answer = read(c, "SYS_AUTOSTART")
+    assert (answer.param_value, answer.param_type) == (as_float(10040), ParameterType.INT32)
+    assert set_(c, "NAV_DLL_ACT", as_float(2), ParameterType.INT32).param_value == as_float(2)
+    assert c.pilot.parameters["NAV_DLL_ACT"] == 2.0
+    assert set_(c, "NAV_DLL_ACT", 3.0, ParameterType.REAL32) is None
+    assert c.pilot.take_texts()[-1][1] == "param types mismatch param: NAV_DLL_ACT"
+    assert set_(c, "NAV_DLL_ACT", as_float(-1), ParameterType.INT32) is not None
+    assert c.pilot.parameters["NAV_DLL_ACT"] == -1.0
+
+
+@BOTH
+def test_what_is_unknown_gets_no_answer(flavour):
+    c = Craft(Parameters, flavour)
+    assert read(c, "NO_SUCH") is None
+    assert set_(c, "NO_SUCH", 1.0, ParameterType.REAL32) is None
+    count = len(c.pilot.parameters)
+    assert c.send(dialect.MAVLink_param_request_read_message(1, 1, b"", count)) == []
+    assert (
+        c.send(dialect.MAVLink_param_request_read_message(1, 1, b"", count - 1))[0].param_index == count - 1
+    )
+
+
+def test_values_that_are_no_numbers_are_not_taken():
+    for flavour, name in (
+        ("ardupilot", "WPNAV_SPEED"),
+        ("px4", "MPC_XY_CRUISE"),
+        ("ardupilot", "FS_GCS_ENABLE"),
+    ):
+        c = Craft(Parameters, flavour)
+        before = c.pilot.parameters[name]
+        for value in (math.nan, math.inf, -math.inf):
+            set_(c, name, value, ParameterType.REAL32)
+        assert c.pilot.parameters[name] == before
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.sampled_from(["ardupilot", "px4"]), st.data(), st.integers(0, 255), st.binary(min_size=4, max_size=4)
+)
+def test_any_value_for_any_parameter_is_answered_by_what_it_now_is(flavour, data, kind, raw):
+    c = Craft(Parameters, flavour)
+    name = data.draw(st.sampled_from(sorted(c.pilot.parameters)))
+    answer = set_(c, name, struct.unpack("<f", raw)[0], kind)
+    if answer is not None:
+        again = read(c, name)
+        assert struct.pack("<f", again.param_value) == struct.pack("<f", answer.param_value)
+    c.wait(0.1)
+
+
+# -- files --------------------------------------------------------------------------------------------------
+
+
+def unpacked(data):
+    """A param.pck read by its description in https://ardupilot.org/dev/docs/common-mavftp.html."""
+    magic, count, total = struct.unpack_from("<HHH", data)
+    assert (magic, count) == (0x671B, total)
+    place, name, rows = 6, "", {}
+    while place < len(data):
+        kind, lengths = data[place], data[place + 1]
+        common, rest = lengths & 15, (lengths >> 4) + 1
+        name = name[:common] + data[place + 2 : place + 2 + rest].decode()
+        form = {1: "<b", 2: "<h", 3: "<i", 4: "<f"}[kind]
+        (rows[name],) = struct.unpack_from(form, data, place + 2 + rest)
+        place += 2 + rest + struct.calcsize(form)
+    assert len(rows) == count
+    return rows
+
+
+def test_the_packed_parameters_are_those_that_are_listed():
+    c = Craft(Files)
+    table = parameter_table("ardupilot", "copter")
+    for name, row in table.items():
+        c.pilot.parameters.setdefault(name, row.value)
+    rows = unpacked(packed_parameters({n: (table[n].type, v) for n, v in c.pilot.parameters.items()}))
+    assert rows == pytest.approx(c.pilot.parameters)
+
+
+def fetch(c, path):
+    ask = lambda number, opcode, **f: c.send(  # noqa: E731 - a request in one line
+        dialect.MAVLink_file_transfer_protocol_message(
+            0,
+            1,
+            1,
+            FtpPacket(
+                number, f.get("session", 0), opcode, len(f.get("data", b"")), data=f.get("data", b"")
+            ).write(),
+        )
+    )
+    (opened,) = ask(1, Op.OPEN_READ, data=path.encode())
+    session = FtpPacket.read(bytes(opened.payload)).session
+    assert ask(3, Op.BURST_READ, session=session) == []
+    packets = [FtpPacket.read(bytes(m.payload)) for m in c.wait(3.0)]
+    return b"".join(p.data for p in packets if p.opcode == 128)
+
+
+def test_files_of_both_are_fetched():
+    for flavour, path in (
+        ("ardupilot", "/APM/LOGS/00000001.BIN"),
+        ("px4", "/fs/microsd/log/2026-11-20/10_00_00.ulg"),
+    ):
+        assert len(fetch(Craft(Files, flavour), path)) >= 10_000
+    assert len(unpacked(fetch(Craft(Files), "@PARAM/param.pck"))) >= 15

@@ -1,0 +1,297 @@
+"""Setpoints, payload, failsafes and faults of the fake, by raw packets and given time."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from mavlink_client import ACCEPTED, ARM, DENIED, FAILED, GUIDED, MODE, ONCE, STREAM, UNSUPPORTED, Client
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.mavlink.link.wire import make_faults
+from lfield_sim.mavlink.protocol import MavlinkFake, MavlinkLink
+
+NAN = math.nan
+POSITION, VELOCITY = 0x0DF8, 0x0DC7
+
+
+def test_a_yaw_rate():
+    c = Client()
+    c.up()
+    message = dialect.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, 1, 0x05C7, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0.5
+    )
+    c.send(message)
+    c.wait(2.0)
+    assert c.autopilot.vehicle.yaw == pytest.approx(1.0, abs=0.05)
+    assert c.ask(30).yawspeed == pytest.approx(0.5, abs=0.01)
+    c.wait(5.0)
+    assert c.autopilot.vehicle.yaw_rate == 0.0, "it ends with GUID_TIMEOUT"
+
+
+def test_body_and_offset_frames():
+    c = Client()
+    c.up()
+    c.command(115, 90)
+    c.wait(3.0)
+    c.target(VELOCITY, velocity=(2, 0, 0), frame=8)
+    c.wait(1.5)
+    north, east, _ = c.autopilot.vehicle.velocity
+    assert east == pytest.approx(2.0, abs=0.05)
+    assert north == pytest.approx(0.0, abs=0.05)
+    start = c.place
+    c.target(POSITION, place=(3, 0, 0), frame=7)
+    c.wait(5.0)
+    assert c.place[0] == pytest.approx(start[0] + 3, abs=0.2)
+
+
+def test_a_global_setpoint():
+    c = Client()
+    c.up()
+    lat, lon = c.fake.place.at(8.0, -6.0)
+    zero = [0.0] * 8
+    c.send(dialect.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, POSITION, lat, lon, 7.0, *zero))
+    c.wait(8.0)
+    assert math.dist(c.place, (8, -6, -7)) < 0.2
+
+
+def test_an_attitude_setpoint_leans_and_climbs():
+    c = Client()
+    c.up()
+    forward = [math.cos(-0.05), 0.0, math.sin(-0.05), 0.0]
+    c.send(dialect.MAVLink_set_attitude_target_message(0, 1, 1, 0x07, forward, 0, 0, 0, 0.7))
+    c.wait(2.0)
+    assert c.autopilot.vehicle.velocity[0] > 0.5
+    assert c.autopilot.vehicle.velocity[2] == pytest.approx(-1.0, abs=0.1)
+
+
+def test_reposition():
+    c = Client()
+    c.up()
+    c.command(MODE, 1, 17)
+    lat, lon = c.fake.place.at(5.0, 5.0)
+    height = c.fake.place.altitude + 6.0
+    assert c.command_int(192, -1, 0, 0, 0, x=lat, y=lon, z=height) == DENIED, (
+        "not in GUIDED, and not asked to"
+    )
+    assert c.command_int(192, -1, 1, 0, 0, x=lat, y=lon, z=height) == ACCEPTED
+    c.wait(6.0)
+    assert math.dist(c.place, (5, 5, -6)) < 0.2
+    assert c.command_int(192, 0, 1, x=0, y=0, z=0.0) == DENIED, "that is another continent"
+    c.autopilot.parameters.update({"FENCE_ENABLE": 1, "FENCE_RADIUS": 20})
+    lat, lon = c.fake.place.at(50.0, 0.0)
+    assert c.command_int(192, -1, 1, x=lat, y=lon, z=height) == FAILED
+
+
+def test_home_and_termination():
+    c = Client()
+    c.up()
+    c.target(POSITION, place=(10, 0, -5))
+    c.wait(8.0)
+    assert c.command(179, 1) == ACCEPTED
+    assert c.autopilot.home == c.place
+    assert c.command(185, 1) == ACCEPTED
+    c.wait(3.0)
+    assert c.place[2] == 0.0
+    assert not c.autopilot.armed
+
+
+def test_payload():
+    c = Client()
+    assert c.command(183, 9, 1700) == ACCEPTED
+    assert c.ask(36).servo9_raw == 1700
+    assert c.command(183, 99, 1700) == FAILED
+    assert c.command(181, 2, 1) == ACCEPTED
+    assert c.ask(376).on == 0b100
+    assert c.command(211, 1, 1) == ACCEPTED
+    assert c.autopilot.payload.gripped
+    assert c.command(42600, 1, 1, 3.0, 1.0) == ACCEPTED
+    c.wait(1.0)
+    assert c.ask(9005).line_length == pytest.approx(1.0, abs=0.05)
+    c.wait(3.0)
+    assert c.ask(9005).line_length == pytest.approx(3.0)
+    assert c.command(1000, -45, 30, NAN, NAN) == ACCEPTED
+    c.wait(1.0)
+    status = c.ask(158)
+    assert (status.pointing_a, status.pointing_c) == (-4500, 3000)
+    assert c.command(203, 0, 0, 0, 0, 1) == ACCEPTED
+    assert c.heard[-1].get_type() == "CAMERA_FEEDBACK"
+    assert c.command(2000, 0, 0, 1) == ACCEPTED
+    assert c.heard[-1].image_index == 2
+    assert c.command(34) == UNSUPPORTED, "ArduCopter has no orbit"
+
+
+def test_times_and_pings_are_answered():
+    c = Client()
+    (pong,) = c.send(dialect.MAVLink_ping_message(1, 7, 0, 0))
+    assert (pong.seq, pong.target_system) == (7, 255)
+    (answer,) = c.send(dialect.MAVLink_timesync_message(0, 1234))
+    assert answer.ts1 == 1234
+    assert c.ask(2).time_unix_usec > 1.7e15
+
+
+@pytest.mark.parametrize(("action", "mode"), [(1, "RTL"), (5, "LAND"), (7, "BRAKE")])
+def test_what_the_gcs_failsafe_does(action, mode):
+    c = Client()
+    c.up()
+    c.autopilot.parameters.update({"FS_GCS_ENABLE": action, "FS_GCS_TIMEOUT": 2})
+    c.heartbeat()
+    c.wait(2.2)
+    assert c.autopilot.mode == mode
+    assert c.autopilot.critical
+
+
+def test_a_landing_goes_on_when_it_is_told_to():
+    c = Client()
+    c.up(20.0)
+    c.autopilot.parameters.update({"FS_GCS_ENABLE": 1, "FS_GCS_TIMEOUT": 2, "FS_OPTIONS": 8})
+    c.heartbeat()
+    c.command(21)
+    c.wait(3.0)
+    assert "GCS Failsafe" in c.texts()
+    assert c.autopilot.mode == "LAND"
+
+
+def test_a_rover_holds_when_the_station_is_lost():
+    c = Client("rover")
+    c.autopilot.parameters.update({"FS_GCS_ENABLE": 1, "FS_GCS_TIMEOUT": 2})
+    c.command(MODE, 1, 15)
+    c.command(ARM, 1)
+    c.heartbeat()
+    c.wait(2.2)
+    assert c.autopilot.mode == "HOLD"
+
+
+def test_the_circle_fence():
+    c = Client()
+    c.autopilot.parameters.update({"FENCE_ENABLE": 1, "FENCE_RADIUS": 40})
+    c.up()
+    c.target(POSITION, place=(60, 0, -5))
+    far = 0.0
+    while c.autopilot.mode == "GUIDED" and far < 60:
+        c.wait(0.02)
+        far = c.place[0]
+    assert far == pytest.approx(40.0, abs=0.3)
+    assert c.autopilot.mode == "RTL"
+    c.wait(0.1)
+    assert "Circle fence breached" in c.texts()
+    status = c.ask(162)
+    assert (status.breach_status, status.breach_type, status.breach_count) == (1, 3, 1)
+    c.wait(30.0)
+    assert c.ask(162).breach_status == 0
+
+
+def test_a_low_battery_returns():
+    c = Client()
+    c.autopilot.parameters["BATT_FS_LOW_ACT"] = 2
+    c.up()
+    c.fault("battery=0.15")
+    c.wait(0.2)
+    assert c.autopilot.mode == "RTL"
+    assert c.ask(147).battery_remaining == 15
+
+
+def test_gps_loss():
+    c = Client()
+    c.up()
+    c.command(STREAM, 33, 100_000)
+    c.fault("gps_loss=true")
+    c.heard.clear()
+    c.wait(1.2)
+    assert not [m for m in c.heard if m.get_type() == "GLOBAL_POSITION_INT"]
+    assert c.ask(24).fix_type == dialect.GPS_FIX_TYPE_NO_FIX
+    assert not c.ask(1).onboard_control_sensors_health & 0x20
+    assert c.command(ONCE, 33) == FAILED
+    assert c.autopilot.mode == "LAND"
+    c.wait(10.0)
+    assert c.command(MODE, 1, GUIDED) == ACCEPTED
+    assert c.command(ARM, 1) == FAILED
+    assert "Arm: Need Position Estimate" in [
+        *c.texts(),
+        *(m.text for m in c.wait(0.1) if m.get_msgId() == 253),
+    ]
+    c.fault("gps_loss=false")
+    assert c.command(ARM, 1) == ACCEPTED
+
+
+def test_a_dead_motor():
+    c = Client()
+    c.up(10.0)
+    c.fault("motor_failure=true")
+    c.wait(3.0)
+    assert c.place[2] == 0.0
+    assert not c.autopilot.armed
+    assert {"Potential Thrust Loss (1)", "Crash: Disarming"} <= set(c.texts())
+    assert c.command(ARM, 1) == ACCEPTED
+    assert c.command(22, 0, 0, 0, 0, 0, 0, 5) == ACCEPTED
+    c.wait(4.0)
+    assert c.place[2] > -0.5, "it cannot hold itself"
+
+
+def test_arming_is_refused_while_the_fault_lasts():
+    c = Client(faults=["refuse_arming=no compass"])
+    assert c.command(ARM, 1) == FAILED
+    c.wait(0.1)
+    assert c.texts() == ["Arm: no compass"]
+    c.fault("refuse_arming=")
+    assert c.command(ARM, 1) == ACCEPTED
+
+
+def test_delay_and_duplicates():
+    c = Client(faults=["delay=0.5", "duplicate=1"])
+    assert c.command(MODE, 1, GUIDED) is None
+    c.heard.clear()
+    c.wait(0.4)
+    assert not [m for m in c.heard if m.get_type() == "COMMAND_ACK"]
+    c.wait(0.2)
+    assert len([m for m in c.heard if m.get_type() == "COMMAND_ACK"]) == 2
+
+
+def test_reordered_packets_all_come():
+    c = Client(faults=["reorder=0.3"])
+    c.command(STREAM, 32, 20_000)
+    heard = [m.get_seq() for m in c.wait(4.0)]
+    assert heard != sorted(heard)
+    assert len(set(heard)) > 150
+
+
+def test_broken_packets_are_no_packets():
+    fake = MavlinkFake(Autopilot(FLAVOURS["px4"]["copter"]), faults=make_faults("corrupt=0.5"))
+    packets = [p for _ in range(100) for p in fake.advance(0.02)]
+    reader = dialect.MAVLink(None)
+    reader.robust_parsing = True
+    good = [m for p in packets for m in reader.parse_buffer(p) or [] if m.get_type() != "BAD_DATA"]
+    assert 0.3 * len(packets) < len(good) < 0.7 * len(packets)
+
+
+def pair() -> MavlinkLink:
+    faults = make_faults(systems=(1, 2))
+    kinds = [FLAVOURS["ardupilot"]["rover"], FLAVOURS["px4"]["copter"]]
+    return MavlinkLink(
+        [MavlinkFake(Autopilot(kind), system=n, faults=faults) for n, kind in enumerate(kinds, start=1)]
+    )
+
+
+def parse(packets) -> list:
+    return dialect.MAVLink(None).parse_buffer(b"".join(packets)) or []
+
+
+def test_vehicles_of_one_link_are_told_apart():
+    link = pair()
+    heard = parse(p for _ in range(60) for p in link.advance(0.02))
+    assert {(m.get_srcSystem(), m.autopilot) for m in heard if m.get_type() == "HEARTBEAT"} == {
+        (1, 3),
+        (2, 12),
+    }
+    client = dialect.MAVLink(None, srcSystem=255, srcComponent=190)
+    arm = dialect.MAVLink_command_long_message(2, 1, ARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    (ack,) = parse(link.receive("c", arm.pack(client)))
+    assert (ack.get_srcSystem(), ack.result) == (2, ACCEPTED)
+    assert [v.autopilot.armed for v in link.vehicles] == [False, True]
+
+
+def test_a_fault_of_one_vehicle_is_not_the_others():
+    link = pair()
+    link.vehicles[0].faults.apply(["silence@2=true"])
+    assert {m.get_srcSystem() for m in parse(link.advance(1.0))} == {1}
