@@ -17,7 +17,7 @@ from lfield.host.directory import Neighbours, TeamDirectory
 from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Say, Write
 from lfield.host.offers import Offers
 from lfield.manifest import DeviceValue
-from lfield.mission.load import Mission
+from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
 from lfield.mobility.core import Mobility, MobilityMessage
 from lfield.vm.agent import Agent, Member
@@ -109,6 +109,7 @@ class HostCore:
             self.mission.max_block,
             coordinators,
             self.mission.registry.digest if self.mission.registry is not None else b"",
+            self.mission.world,
         )
 
     # --- time -----------------------------------------------------------------------------------------
