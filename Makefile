@@ -5,13 +5,19 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench lint clean
+.PHONY: demo test bench lint locks clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
 
-test: $(VENV)/.tested lint
-	$(BIN)/pytest
+# Lint and types run beside the tests and are shown behind them; either may fail the whole. A job in the background does
+# not hear Ctrl-C, so it is ended here.
+test: $(VENV)/.tested
+	@$(MAKE) --no-print-directory lint >$(VENV)/lint.log 2>&1 & lint=$$!; \
+	trap 'kill $$lint 2>/dev/null; exit 130' INT TERM; \
+	$(BIN)/pytest; tests=$$?; \
+	wait $$lint; checks=$$?; cat $(VENV)/lint.log; \
+	test $$tests -eq 0 && test $$checks -eq 0
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .
@@ -26,18 +32,33 @@ bench: $(VENV)/.measured
 	$(BIN)/python tests/benchmarks/run.py --only "$(ONLY)" $(if $(SAVE),--save "$(SAVE)") \
 		$(if $(AGAINST),--against "$(AGAINST)") $(if $(ROUNDS),--rounds $(ROUNDS))
 
-$(VENV)/.installed: pyproject.toml
+# What is installed, to the byte, stands in deploy/locks; lfield itself is built by what stands there too.
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check
+LOCKED = $(INSTALL) --require-hashes --requirement deploy/locks/$(1).txt && \
+	$(INSTALL) --no-deps --no-build-isolation --editable .
+
+$(VENV)/.installed: pyproject.toml deploy/locks/run.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[all]'
+	$(call LOCKED,run)
 	touch $@
 
-$(VENV)/.tested: $(VENV)/.installed
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[all,test]'
+$(VENV)/.tested: $(VENV)/.installed deploy/locks/test.txt
+	$(call LOCKED,test)
 	touch $@
 
-$(VENV)/.measured: $(VENV)/.tested
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[all,test,bench]'
+$(VENV)/.measured: $(VENV)/.tested deploy/locks/bench.txt
+	$(call LOCKED,bench)
 	touch $@
+
+LOCK = printf 'editables\nhatchling\n' | $(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 \
+	--generate-hashes --no-header --no-annotate --no-emit-index-url \
+	$(addprefix --extra ,$(2) $(3) $(4)) --output-file deploy/locks/$(1).txt pyproject.toml -
+
+# Takes the newest versions that pyproject.toml allows, for every Python and processor it names, and tries them.
+locks: $(VENV)/.tested
+	$(INSTALL) uv
+	$(call LOCK,run,all) && $(call LOCK,test,all,test) && $(call LOCK,bench,all,test,bench)
+	$(MAKE) test
 
 clean:
 	rm -rf $(VENV) dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis

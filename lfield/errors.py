@@ -23,12 +23,21 @@ Data is kept in attributes; `str()` is one sentence that says what is wrong and 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from lfield.text.source import Diagnostic
+
+class Finding(Protocol):
+    """One thing found in a text, which can show itself with its place (text/source.py: Diagnostic)."""
+
+    @property
+    def severity(self) -> str:
+        """`error` or `warning`."""
+
+    def render(self) -> str:
+        """The finding for a reader, in several lines without the last newline."""
 
 
 class LfieldError(Exception):
@@ -48,7 +57,7 @@ class ProgramError(LfieldError):
 
     exit_status = 65
 
-    def __init__(self, diagnostics: Sequence[Diagnostic]) -> None:
+    def __init__(self, diagnostics: Sequence[Finding]) -> None:
         self.diagnostics = tuple(diagnostics)
         count = len(self.diagnostics)
         super().__init__(f"{count} error{'s' if count != 1 else ''}")

@@ -87,7 +87,6 @@ class DeviceManifest:
     telemetry: tuple[Quantity, ...] = ()
     safe_states: tuple[str, ...] = ()
     meaning: str = ""
-    bindings: dict[str, str] = field(default_factory=dict)
     capabilities: tuple[str, ...] = ()
     _by_name: dict[str, Instruction] = field(init=False, repr=False, compare=False)
 

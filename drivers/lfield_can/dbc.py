@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import cantools
 from cantools.database.can import Database, Message, Signal
 
-from lfield_can.frames import EXTENDED, Frame
+from lfield_can.bus.frames import EXTENDED, Frame
 
 _TERM = re.compile(r"\s*(\w+)\.(\w+)\s*=\s*([-+0-9.eE]+)\s*(?:within\s+([0-9.eE+-]+)\s*)?")
 

@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 
-from lfield.driver import DeviceBinding, Driver
+from lfield.driver import Clock, DeviceBinding, Driver, Manifest, Reports
 from lfield_can.axis import CanAxis
-from lfield_can.bus import Bus
-from lfield_can.frames import Frame
+from lfield_can.bus.bus import Bus
+from lfield_can.bus.frames import Frame
 from lfield_can.signals import CanSignals
 
 CanDevice = CanAxis | CanSignals
+#: Makes the bus at an endpoint, with what is to be called for every frame and for every note.
+MakeBus = Callable[[str, Callable[[Frame], None], Callable[[str], None]], Bus]
 
 
 class CanDriver(Driver):
-    """One CAN bus with the axes and the devices of DBC files on it."""
+    """One CAN bus with the axes and the devices of DBC files on it. `make_bus` is for tests."""
+
+    def __init__(
+        self,
+        bindings: Sequence[DeviceBinding],
+        manifests: Mapping[str, Manifest],
+        clock: Clock,
+        reports: Reports,
+        *,
+        make_bus: MakeBus = Bus,
+    ) -> None:
+        self._make_bus = make_bus
+        super().__init__(bindings, manifests, clock, reports)
 
     def _set_up(self) -> None:
         first = self.bindings[0].name
-        self._bus = self._make_bus(self.endpoint, lambda text: self.reports.note(first, text))
+        self._bus = self._make_bus(self.endpoint, self._received, lambda text: self.reports.note(first, text))
         self._members: list[CanDevice] = []
         self._listeners: dict[int, list[CanDevice]] = {}
-
-    def _make_bus(self, endpoint: str, note: Callable[[str], None]) -> Bus:
-        return Bus(endpoint, self._received, note)
 
     def _device(self, binding: DeviceBinding) -> CanDevice:
         kind = CanAxis if binding.type == "CanAxis" else CanSignals

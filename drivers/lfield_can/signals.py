@@ -5,13 +5,11 @@ from __future__ import annotations
 import asyncio
 import math
 
-from lfield.clock import Clock
-from lfield.driver import Device, DeviceBinding, Manifest, Reports
-from lfield.errors import DeviceError
-from lfield_can.bus import Bus
+from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
+from lfield_can.bus.bus import Bus
+from lfield_can.bus.frames import Frame
 from lfield_can.dbc import DbcError, DbcFile, Term
-from lfield_can.frames import Frame
-from lfield_can.waiting import News
+from lfield_can.timing import News
 
 #: Seconds between two looks at a device that says nothing.
 LOOK = 0.1

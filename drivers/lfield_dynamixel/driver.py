@@ -3,26 +3,43 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable, Mapping, Sequence
 
-from lfield.driver import DeviceBinding, Driver
-from lfield_dynamixel.bus import Bus
-from lfield_dynamixel.chain import Chain
-from lfield_dynamixel.group import DynamixelGroup
+from lfield.driver import Clock, DeviceBinding, Driver, Manifest, Reports
+from lfield_dynamixel.bus.bus import Bus
+from lfield_dynamixel.bus.chain import Chain
+from lfield_dynamixel.bus.port import Port, PortEvents, SerialPort
+from lfield_dynamixel.devices import Dynamixel, DynamixelGroup
 from lfield_dynamixel.members import Members
-from lfield_dynamixel.port import Port, PortEvents, SerialPort
-from lfield_dynamixel.single import Dynamixel
 
 #: Seconds between two looks at the servos; at most half a time-to-live, or their watchdogs would fire.
 PERIOD = 0.05
+
+#: Makes the port at an endpoint, with who uses it and what is to be called with a note.
+MakePortAt = Callable[[str, PortEvents, Callable[[str], None]], Port]
 
 _TYPES: dict[str, type[Members]] = {"Dynamixel": Dynamixel, "DynamixelGroup": DynamixelGroup}
 
 
 class DynamixelDriver(Driver):
-    """One serial port with the servos on it."""
+    """One serial port with the servos on it. `make_port` is for tests."""
+
+    def __init__(
+        self,
+        bindings: Sequence[DeviceBinding],
+        manifests: Mapping[str, Manifest],
+        clock: Clock,
+        reports: Reports,
+        *,
+        make_port: MakePortAt = SerialPort,
+    ) -> None:
+        self._make_port = make_port
+        super().__init__(bindings, manifests, clock, reports)
 
     def _set_up(self) -> None:
-        self._bus = Bus(self._make_port, self._lost, self._back)
+        self._bus = Bus(
+            lambda events: self._make_port(self.endpoint, events, self._note), self._lost, self._back
+        )
         self._chain = Chain(self._bus)
         # Cleared while the owner is silent: a servo that is polled never sees that it is alone.
         self._awake = asyncio.Event()
@@ -31,9 +48,6 @@ class DynamixelDriver(Driver):
     def _device(self, binding: DeviceBinding) -> Members:
         kind = _TYPES[binding.type]
         return kind(binding, self.manifests[binding.type], self.clock, self.reports, self._chain)
-
-    def _make_port(self, events: PortEvents) -> Port:
-        return SerialPort(self.endpoint, events, self._note)
 
     @property
     def _members(self) -> list[Members]:

@@ -9,9 +9,8 @@ import asyncio
 import math
 import time
 
+from lfield.driver import WATCHDOG
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused
-from lfield.driver.manifest_file import WATCHDOG
-from lfield.guard.core import QUIET_BY
 
 KIT = Kit()
 
@@ -138,7 +137,7 @@ async def watchdog(bench: Bench) -> str:
     await bench.call("torque", True)
     told = len(bench.notes)
     # So long the guard may try to see the safe state before it makes the bus quiet.
-    await bench.fall_silent(bench.silence + QUIET_BY + 2.0 * bench.binding.ttl + LATE)
+    await bench.fall_silent(bench.quiet_after + 2.0 * bench.binding.ttl + LATE)
     if not bench.latched:
         raise CheckFailed("its guard did not notice, while the host was silent, that it was")
     await bench.until(lambda: bool(_stopped(bench, told)), 5.0, "it to stop by itself and to be told so")

@@ -10,12 +10,10 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable
 from typing import TypeVar
 
-from lfield.clock import Clock
-from lfield.driver import Device, DeviceBinding, Manifest, Reports
-from lfield.errors import DeviceError
-from lfield_dynamixel.bus import COMMAND, POLL, SAFETY
-from lfield_dynamixel.chain import Chain, Node
-from lfield_dynamixel.packets import Status
+from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
+from lfield_dynamixel.bus.bus import COMMAND, POLL, SAFETY
+from lfield_dynamixel.bus.chain import Chain, Node
+from lfield_dynamixel.bus.packets import Status
 from lfield_dynamixel.servo import FIRED, Condition, Present, Servo, condition, present
 
 #: Every so many polls the conditions are read too.
@@ -34,7 +32,7 @@ T = TypeVar("T")
 
 
 class Members(Device):
-    """The servos of one device. Authors of a device type override `_tell`."""
+    """The servos of one device. Authors of a device type override `tell`."""
 
     def __init__(
         self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports, chain: Chain
@@ -50,7 +48,7 @@ class Members(Device):
         self._polls = 0
         self.opened = False
 
-    def _tell(self, seen: Seen) -> None:
+    def tell(self, seen: Seen) -> None:
         """Publish what the members measure."""
         raise NotImplementedError
 
@@ -62,12 +60,17 @@ class Members(Device):
             raise self.error("its binding names no servo: write 'ids: [1, 2, 3]'")
         servos = [Servo(self.chain, Node(number, protocol)) for number in numbers]
         model = self.binding.option("model")
-        identities = await self._each(servos, lambda servo: servo.open(model))
+        identities = await self.each(servos, lambda servo: servo.open(model))
         self.servos = dict(zip(numbers, servos, strict=True))
-        self._tell(await self.observe())
+        self.tell(await self.observe())
         await self.look()
         self.opened = True
         return ", ".join(identities)
+
+    @property
+    def last_seen(self) -> Seen:
+        """What each member measured when it was last looked at."""
+        return {number: value for number, (_, value) in self._seen.items()}
 
     @property
     def numbers(self) -> list[int]:
@@ -77,16 +80,16 @@ class Members(Device):
 
     async def _set_watchdog(self, longest: float) -> float | None:
         self._watchdog = longest
-        times = await self._each(self.servos.values(), lambda servo: servo.set_watchdog(longest))
+        times = await self.each(self.servos.values(), lambda servo: servo.set_watchdog(longest))
         return None if None in times else max(time for time in times if time is not None)
 
     async def do_release(self) -> None:
         """The owner takes the device back: members that their watchdog has stopped follow goals again."""
-        await self._each(self.servos.values(), self._revive)
+        await self.each(self.servos.values(), self._revive)
 
     async def do_reboot(self) -> None:
         """Restart the members, and set them up as at opening."""
-        await self._each(self.servos.values(), self._reboot)
+        await self.each(self.servos.values(), self._reboot)
         await self.look()
 
     async def _reboot(self, servo: Servo) -> None:
@@ -112,7 +115,7 @@ class Members(Device):
     async def poll(self) -> None:
         """One look at the members; publishes it. What fails is told, not raised."""
         seen = await self.observe(urgency=POLL)
-        self._tell(seen)
+        self.tell(seen)
         self._polls += 1
         if self._polls % CONDITIONS_EVERY == 0 or any(value.alert for value in seen.values()):
             await self.look()
@@ -203,13 +206,13 @@ class Members(Device):
 
     async def _make_safe(self, state: str) -> None:
         if state == "torque_off":
-            await self._go_limp(SAFETY)
+            await self.go_limp(SAFETY)
             return
         seen = await self.observe(urgency=SAFETY, alone=False)
-        await self._send({servo: _stay(servo, place) for servo, place in self._places(seen).items()})
-        await self._each(self.servos.values(), self._be_still)
+        await self.send({servo: _stay(servo, place) for servo, place in self._places(seen).items()})
+        await self.each(self.servos.values(), self._be_still)
 
-    async def _go_limp(self, urgency: int) -> None:
+    async def go_limp(self, urgency: int) -> None:
         """Switch every torque off by one packet, then see it of each."""
 
         async def be_limp(servo: Servo) -> None:
@@ -218,8 +221,8 @@ class Members(Device):
                 await servo.put("torque_enable", 0, urgency=urgency)
 
         servos = self.servos.values()
-        await self._send({s: (s.item("torque_enable").address, b"\0") for s in servos}, urgency)
-        await self._each(servos, be_limp)
+        await self.send({s: (s.item("torque_enable").address, b"\0") for s in servos}, urgency)
+        await self.each(servos, be_limp)
 
     def _places(self, seen: Seen) -> dict[Servo, Present]:
         """Where each member is to stay; one that is silent now, but may hear, where it was a moment ago.
@@ -236,7 +239,7 @@ class Members(Device):
         known = self.conditions.get(servo.node.number)
         return known is not None and not known.torque
 
-    async def _send(self, writes: dict[Servo, tuple[int, bytes]], urgency: int = SAFETY) -> None:
+    async def send(self, writes: dict[Servo, tuple[int, bytes]], urgency: int = SAFETY) -> None:
         """Write to several at once, one packet for each address; it reaches those that cannot answer too."""
         for address in sorted({address for address, _ in writes.values()}):
             data = {s.node.number: part for s, (at, part) in writes.items() if at == address}
@@ -262,7 +265,7 @@ class Members(Device):
 
     # -- parts ------------------------------------------------------------------------------------------
 
-    async def _each(self, servos: Iterable[Servo], work: Callable[[Servo], Awaitable[T]]) -> list[T]:
+    async def each(self, servos: Iterable[Servo], work: Callable[[Servo], Awaitable[T]]) -> list[T]:
         """Do something with every servo. Raises DeviceError with what failed, when all had their turn."""
         done, failed = [], []
         for servo in servos:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lfield.errors import DeviceError
-from lfield_dynamixel.bus import COMMAND
-from lfield_dynamixel.chain import Chain, NoAnswer, Node
-from lfield_dynamixel.packets import Status
+from lfield.driver import DeviceError
+from lfield_dynamixel.bus.bus import COMMAND
+from lfield_dynamixel.bus.chain import Chain, NoAnswer, Node
+from lfield_dynamixel.bus.packets import Status
+from lfield_dynamixel.bus.words import alerted, faults
 from lfield_dynamixel.tables import Item, Model, models
-from lfield_dynamixel.words import alerted, faults
 
 #: Operating modes: the name in L and the value of the register (e-manual, address 11).
 MODES = {"current": 0, "velocity": 1, "position": 3, "extended": 4, "currentPosition": 5, "pwm": 16}

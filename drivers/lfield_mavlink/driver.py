@@ -7,8 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from lfield.driver import DeviceBinding, Driver
-from lfield.errors import DeviceError
+from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, dialect
 from lfield_mavlink.link.links import AGAIN, Link, make_link, split_endpoint
 from lfield_mavlink.link.ports import LinkCounts, Port, Route

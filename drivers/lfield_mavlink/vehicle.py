@@ -6,9 +6,7 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from lfield.clock import Clock
-from lfield.driver import DeviceBinding, Manifest, Reports
-from lfield.errors import DeviceError
+from lfield.driver import Clock, DeviceBinding, DeviceError, Manifest, Reports
 from lfield_mavlink.contact.contact import LINK_LOST, Contact
 from lfield_mavlink.contact.link_health import LinkHealth
 from lfield_mavlink.contact.streams import Streams

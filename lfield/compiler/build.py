@@ -1,16 +1,32 @@
-"""Checked tree to program, in two passes (chapter IV, Execution Model)."""
+"""Checked tree to program, in two passes (chapter IV, Execution Model).
+
+The first pass (tables.py) numbers types, classes and methods; the second compiles one method after another.
+"""
 
 from __future__ import annotations
 
+from pathlib import PurePath
+
 from lfield.bytecode.encoding import assemble
-from lfield.bytecode.program import Core, Program, Quad, encode_quads
-from lfield.compiler.collect import Tables
-from lfield.compiler.debug import debug_information
-from lfield.compiler.frame import Frame
-from lfield.compiler.methods import compile_method, method_record
+from lfield.bytecode.program import (
+    Core,
+    Debug,
+    MethodDebug,
+    MethodRecord,
+    Program,
+    Quad,
+    SourceText,
+    encode_quads,
+)
+from lfield.bytecode.verify.methods import MAX_SLOTS
+from lfield.compiler.frame import Code, Frame
+from lfield.compiler.slots import Slots
+from lfield.compiler.statements import Statements
+from lfield.compiler.tables import Tables
 from lfield.errors import ProgramError
-from lfield.lang.tree import CheckedProgram
-from lfield.text.source import Diagnostic
+from lfield.lang import types
+from lfield.lang.tree import CheckedProgram, Method
+from lfield.text.source import Diagnostic, Source
 
 
 def compile_program(checked: CheckedProgram) -> Program:
@@ -23,7 +39,7 @@ def compile_program(checked: CheckedProgram) -> Program:
     problems: list[Diagnostic] = []
     quads: list[Quad] = []
     for method in tables.methods:
-        compiled = compile_method(method, tables, len(quads))
+        compiled = _compiled(method, tables, len(quads))
         if isinstance(compiled, Diagnostic):
             problems.append(compiled)
         else:
@@ -31,7 +47,7 @@ def compile_program(checked: CheckedProgram) -> Program:
             quads.extend(compiled.code.quads)
     if problems:
         raise ProgramError(problems)
-    records = tuple(map(method_record, frames))
+    records = tuple(map(_record, frames))
     core = Core(
         tuple(tables.types),
         tuple(tables.pool.values),
@@ -40,4 +56,57 @@ def compile_program(checked: CheckedProgram) -> Program:
         tuple(tables.device_calls),
         encode_quads(quads),
     )
-    return assemble(core, debug_information(checked.sources, frames))
+    return assemble(core, _debug(checked.sources, frames))
+
+
+def _compiled(method: Method, tables: Tables, entry: int) -> Frame | Diagnostic:
+    """The code of a method whose first instruction is number `entry`; L499 when it is beyond a limit."""
+    frame = Frame(method, tables, Slots(tables.object_type(method.unit.name)), Code(entry))
+    for parameter in method.parameters:
+        frame.slots.parameter(parameter, tables.type_index(parameter.type))
+    frame.code.line = method.span.line
+    frame.code.emit("frame", tables.method_index(method))
+    Statements(frame).block(method.body)
+    frame.code.line = method.end.line
+    frame.code.emit("rtn" if method.result == types.VOID else "noreturn")
+    if len(frame.slots.types) > MAX_SLOTS:
+        message = f"{method.signature} needs more than {MAX_SLOTS} variables and intermediate values"
+        return Diagnostic("L499", message, method.span, "split it into several methods")
+    return frame
+
+
+def _record(frame: Frame) -> MethodRecord:
+    """The record of a compiled method."""
+    method, tables = frame.method, frame.tables
+    return MethodRecord(
+        method.name,
+        tables.class_index(method.unit.name),
+        method.kind,
+        len(method.parameters),
+        tables.type_index(method.result),
+        tuple(frame.slots.types),
+        frame.code.position - len(frame.code.quads),
+        frame.code.position,
+        method.synchronized,
+        tuple(frame.handlers),
+    )
+
+
+def _debug(sources: list[Source], frames: list[Frame]) -> Debug:
+    """What a debugger, a traceback and a listing need to speak in the words of the source.
+
+    Sources go by their base name: where they lay on somebody's disk is nobody's business on a robot.
+    """
+    number = {id(source): i for i, source in enumerate(sources)}
+    return Debug(
+        tuple(
+            MethodDebug(
+                number[id(frame.method.span.source)],
+                tuple(frame.code.lines),
+                tuple(frame.slots.names),
+                frame.method.signature,
+            )
+            for frame in frames
+        ),
+        tuple(SourceText(PurePath(source.name).name, source.text) for source in sources),
+    )

@@ -7,12 +7,10 @@ then. Without one, the result is where it is cheapest: in the slot of a local, o
 
 from __future__ import annotations
 
-from lfield.compiler import comparisons
 from lfield.compiler.calls import Calls
-from lfield.compiler.code import Label
-from lfield.compiler.conditions import Conditions
+from lfield.compiler.conditions import Conditions, comparison, constant_last, tested_for_null
 from lfield.compiler.constants import Unknown, fold
-from lfield.compiler.frame import Frame
+from lfield.compiler.frame import Frame, Label
 from lfield.compiler.objects import Objects, takes_steps
 from lfield.lang import types
 from lfield.lang.tree import (
@@ -104,7 +102,7 @@ class Expressions:
                 return self._comparison(expr, wanted)
             case Binary():
                 name = _ARITHMETIC[expr.type][expr.op]
-                return self._binary(name, *comparisons.constant_last(expr), expr, wanted)
+                return self._binary(name, *constant_last(expr), expr, wanted)
             case Negate():
                 return self._unary("negi" if expr.type == types.INT else "negf", expr.operand, expr, wanted)
             case Not():
@@ -184,9 +182,9 @@ class Expressions:
         return result
 
     def _comparison(self, expr: Binary, wanted: int | None) -> int:
-        tested = comparisons.tested_for_null(expr)
+        tested = tested_for_null(expr)
         if tested is None:
-            name, left, right = comparisons.instruction(expr)
+            name, left, right = comparison(expr)
             return self._binary(name, left, right, expr, wanted)
         result = self._unary("eqnull", tested, expr, wanted if expr.op == "==" else None)
         if expr.op == "==":

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from lfield.bytecode.program import MESSAGE
 from lfield.compiler.calls import Calls
-from lfield.compiler.code import Label
-from lfield.compiler.frame import Evaluator, Frame
+from lfield.compiler.frame import Evaluator, Frame, Label
 from lfield.lang import types
 from lfield.lang.tree import Expr, New, NewArray
-from lfield.lang.types import ArrayType
+from lfield.lang.types import ArrayType, Type
 
 
 def takes_steps(expr: Expr) -> bool:
@@ -49,18 +48,18 @@ class Objects:
         if len(lengths) == 1:
             self._frame.slots.release(*lengths)
         result = self._frame.result(expr.type, wanted)
-        self._fill(result, expr.array, lengths)
+        self._fill(result, expr.type, lengths)
         if len(lengths) > 1:
             self._frame.slots.release(*lengths)
         return result
 
-    def _fill(self, made: int, array: ArrayType, lengths: list[int]) -> None:
+    def _fill(self, made: int, array: Type, lengths: list[int]) -> None:
         self._frame.code.emit("newarray", made, self._frame.tables.type_index(array), lengths[0])
         if len(lengths) > 1:
-            assert isinstance(array.element, ArrayType)
+            assert isinstance(array, ArrayType)
             self._fill_elements(made, array.element, lengths)
 
-    def _fill_elements(self, made: int, element: ArrayType, lengths: list[int]) -> None:
+    def _fill_elements(self, made: int, element: Type, lengths: list[int]) -> None:
         frame, code = self._frame, self._frame.code
         index, more = frame.result(types.INT, None), frame.result(types.BOOLEAN, None)
         inner = frame.result(element, None)

@@ -7,7 +7,7 @@ from typing import cast
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.manifest_file import AGE
+from lfield.driver.contract import AGE
 from lfield.driver.plugins import Installed
 from lfield.driver.values import conform
 from lfield.errors import DeviceError

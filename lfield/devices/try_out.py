@@ -10,12 +10,12 @@ from lfield.clock import SystemClock
 from lfield.devices.guards import Guards
 from lfield.devices.keeper import Guard
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import Manifest
 from lfield.driver.kit import SAFE, Check, CheckFailed, Finding, run_kit
 from lfield.driver.kit_checks import KIT
-from lfield.driver.manifest_file import Manifest
 from lfield.driver.plugins import Installed, Plugins
 from lfield.errors import DeviceError
-from lfield.guard.core import SILENCE
+from lfield.guard.core import QUIET_BY, SILENCE
 from lfield.manifest import DeviceValue
 from lfield.vm.world import Pending
 
@@ -38,7 +38,7 @@ class LiveBench:
         silence: float = SILENCE,
     ) -> None:
         self._guards, self.binding, self.manifest, self.notes = guards, binding, manifest, notes
-        self.silence = silence
+        self.silence, self.quiet_after = silence, silence + QUIET_BY
 
     @property
     def _guard(self) -> Guard:
@@ -48,6 +48,11 @@ class LiveBench:
     def identity(self) -> str:
         """Who the device is, in its driver's words."""
         return self._guard.identities[self.binding.name]
+
+    @property
+    def guard_pid(self) -> int:
+        """The id of its guard's process, 0 while there is none."""
+        return self._guard.pid
 
     @property
     def latched(self) -> str:

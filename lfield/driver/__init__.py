@@ -1,8 +1,26 @@
-"""Everything a driver plugin may import: the contract, and the guard that runs it (DESIGN section 7)."""
+"""All that a driver imports; its conformance kit imports `lfield.driver.kit` beside it (docs/drivers.md).
 
+The contract is here: a plugin's `Driver` and its `Device`s, what they are bound by, what they tell, and the
+few words of lfield that they speak.
+"""
+
+from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import WATCHDOG, Manifest
 from lfield.driver.device import Device, Driver, Reports
-from lfield.driver.manifest_file import Manifest
 from lfield.driver.plugin import Plugin
+from lfield.errors import DeviceError
+from lfield.text.files import read_within
 
-__all__ = ["Device", "DeviceBinding", "Driver", "Manifest", "Plugin", "Reports"]
+__all__ = [
+    "WATCHDOG",
+    "Clock",
+    "Device",
+    "DeviceBinding",
+    "DeviceError",
+    "Driver",
+    "Manifest",
+    "Plugin",
+    "Reports",
+    "read_within",
+]

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Protocol
 
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.manifest_file import WATCHDOG, Manifest
+from lfield.driver.contract import WATCHDOG, Manifest
 from lfield.driver.values import CHECKS, Check, conform
 from lfield.errors import DeviceError, PluginError
 from lfield.manifest import DeviceValue, Instruction

@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.manifest_file import Manifest
+from lfield.driver.contract import Manifest
 from lfield.errors import DeviceError
 
 #: Seconds that one check may take, and a safe state to be confirmed.
@@ -48,6 +48,8 @@ class Bench(Protocol):
     manifest: Manifest
     #: How long the host may be silent, in seconds, before the device goes safe.
     silence: float
+    #: Seconds from the host's last sign of life until its bus is made quiet, at the latest.
+    quiet_after: float
     #: What the guard has told since it was opened, one sentence each.
     notes: list[str]
 

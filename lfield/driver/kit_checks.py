@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
+from lfield.driver.contract import WATCHDOG
 from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, held, refused
-from lfield.driver.manifest_file import WATCHDOG
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
 from lfield.manifest import Instruction, Quantity

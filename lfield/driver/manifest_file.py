@@ -29,10 +29,10 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 from typing import cast
 
 from lfield.driver.binding import OptionValue
+from lfield.driver.contract import STANDARD, WATCHDOG, Limit, Manifest, Option
 from lfield.errors import PluginError
 from lfield.manifest import (
     DEVICE_EXCEPTIONS,
@@ -47,22 +47,6 @@ from lfield.text.source import Diagnostics, Span
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Listing, Node, Scalar, decode
 
-#: What every device can do; the guard and the host answer them.
-RELEASE = Instruction(
-    "release",
-    effect="idempotent",
-    blocking=True,
-    meaning="takes the device out of its latched safe state, once that state is confirmed",
-    channel="release",
-)
-AGE = Instruction(
-    "age", result="real", unit="s", effect="query", meaning="seconds since the device was last heard"
-)
-STANDARD = (RELEASE, AGE)
-
-#: The waiver that every device knows: it has no watchdog of its own, or a slower one than is wanted.
-WATCHDOG = "device_watchdog"
-
 #: L types of options; a path is taken from the folder of the devices file.
 OPTION_TYPES = ("boolean", "int", "real", "string", "path", "int[]", "string[]")
 
@@ -71,43 +55,6 @@ _NAME = re.compile(r"[a-z][A-Za-z0-9]*")
 _KEY = re.compile(r"[a-z][A-Za-z0-9_]*")
 _DOTTED = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
-
-
-@dataclass(frozen=True, slots=True)
-class Option:
-    """A key of a binding that only this driver knows; `default` None means that it must be given."""
-
-    name: str
-    type: str
-    default: OptionValue | None = None
-    choices: tuple[str, ...] = ()
-    minimum: float = -math.inf
-    maximum: float = math.inf
-    meaning: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Limit:
-    """A limit that a binding may set; the driver refuses what would exceed it."""
-
-    name: str
-    unit: str = ""
-    meaning: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Manifest:
-    """A manifest file: the device type for L, and what its bindings may say."""
-
-    device: DeviceManifest
-    options: tuple[Option, ...] = ()
-    limits: tuple[Limit, ...] = ()
-    waivers: tuple[tuple[str, str], ...] = ()
-
-    @property
-    def default_safe_state(self) -> str:
-        """The first that the manifest lists."""
-        return self.device.safe_states[0]
 
 
 def load_manifest(name: str, data: bytes) -> Manifest:
@@ -152,7 +99,6 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
         telemetry=telemetry,
         safe_states=safe_states,
         meaning=meaning,
-        bindings={option.name: option.meaning for option in options},
         capabilities=capabilities,
     )
     return Manifest(device, options, limits, waivers)

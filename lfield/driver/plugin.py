@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lfield.driver.manifest_file import Manifest, load_manifest
+from lfield.driver.contract import Manifest
 from lfield.errors import PluginError
 
 if TYPE_CHECKING:
@@ -42,6 +42,9 @@ class Plugin:
         return types
 
     def _manifest(self, file: str) -> Manifest:
+        # Only here: a driver that imports its Plugin need not wait for a reader of YAML.
+        from lfield.driver.manifest_file import load_manifest
+
         try:
             data = (files(self.package) / file).read_bytes()
         except (OSError, ImportError) as error:

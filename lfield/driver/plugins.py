@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path, PurePosixPath
 
-from lfield.driver.manifest_file import Manifest
+from lfield.driver.contract import Manifest
 from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import PluginError
 from lfield.manifest import DeviceManifest

@@ -27,7 +27,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from lfield.clock import Clock
-from lfield.driver.manifest_file import RELEASE
+from lfield.driver.contract import RELEASE
 from lfield.guard.messages import Call, Done, Latched, Message, Note, Refused, Released, Stopped
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction
 

@@ -1,11 +1,25 @@
-"""Who offers what: the answers of this host to its programs, from its directory. A question sends nothing."""
+"""Who offers what: a host's answers to `findC` and `explainC`, from its directory. A question sends nothing.
+
+They are plain values, which the machine puts into a block.
+"""
 
 from __future__ import annotations
 
-from lfield.host.answers import Answers
+import math
+from collections.abc import Collection, Mapping
+from functools import lru_cache
+
+from lfield.capability.matching.explain import cut_short, render
+from lfield.capability.matching.expression import compile_constraint
+from lfield.capability.matching.matcher import Matcher
+from lfield.capability.model import Expression, Registry, Value
+from lfield.capability.offer import Offer, Team
 from lfield.host.directory import TeamDirectory
 from lfield.mission.load import Mission
 from lfield.vm.offers import Found, ways
+
+#: How many conditions are kept compiled.
+MOST_CONSTRAINTS = 256
 
 
 class Offers:
@@ -25,3 +39,93 @@ class Offers:
         """Why everybody else does not, a line each. Raises ConstraintError."""
         self._directory.look()
         return self._answers.explain(capability, constraint)
+
+
+class Answers:
+    """The capabilities of a `team`, by the ways that the program was built with.
+
+    `numbers` are those of the agents in the deployment.
+    """
+
+    def __init__(
+        self,
+        registry: Registry,
+        team: Team,
+        ways: Mapping[str, Collection[str]],
+        numbers: Mapping[str, int],
+    ) -> None:
+        self._attributes, self._numbers = registry.attributes, numbers
+        self._matcher = Matcher(registry, team, ways)
+        self._compiled = lru_cache(MOST_CONSTRAINTS)(self._compile)
+
+    def offers(self, capability: str, constraint: str | None) -> list[Found]:
+        """The best who offer a capability and fulfil the condition, best first. Raises ConstraintError."""
+        offers = self._matcher.offers(capability, self._compiled(constraint))
+        return [found(offer, self._numbers) for offer in offers]
+
+    def explain(self, capability: str, constraint: str | None) -> str:
+        """Why everybody else does not, a line each; '' when there is nobody else. Raises ConstraintError.
+
+        Where there are more offers than a find gives, the first line says how many.
+        """
+        wanted = self._compiled(constraint)
+        count, refusals = self._matcher.count(capability, wanted), self._matcher.explain(capability, wanted)
+        if not count and not refusals:
+            return f"no agent of this program serves {capability}, alone or with others"
+        return "\n".join(filter(None, [cut_short(count, self._matcher.most), render(refusals)]))
+
+    def _compile(self, constraint: str | None) -> Expression | None:
+        return None if constraint is None else compile_constraint(constraint, self._attributes)
+
+
+def found(offer: Offer, numbers: Mapping[str, int]) -> Found:
+    """What L gets to know of an offer."""
+    direct = offer.kind == "direct"
+    values = [fact.value for fact in offer.facts.values()]
+    return Found(
+        way=offer.way,
+        agent=offer.agent,
+        host=offer.host,
+        kind=way_text(offer),
+        score=offer.score,
+        member=numbers[offer.agent] if direct else -1,
+        parts={name: found(part, numbers) for name, part in offer.parts.items()},
+        names=tuple(offer.facts),
+        numbers=tuple(float(v) if isinstance(v, int | float) else math.nan for v in values),
+        texts=tuple(_text(value) for value in values),
+        ages=tuple(fact.age for fact in offer.facts.values()),
+    )
+
+
+def _text(value: Value) -> str | None:
+    """A value in words; None for a number, which L shows itself."""
+    match value:
+        case bool():
+            return str(value).lower()
+        case int() | float():
+            return None
+        case str():
+            return value
+        case _:
+            return ", ".join(sorted(value))
+
+
+def way_text(offer: Offer) -> str:
+    """How it is served, in words.
+
+    `direct`; `equivalent: climb-lifts of Climb`; `composed: grip-and-climb of Grip (hand), Climb (sky)`.
+    How a part is served itself is told in the same way, unless it is directly.
+    """
+    if offer.kind == "direct":
+        return offer.kind
+    whole = offer.kind == "composed"
+    said = (f"{part.primitive}{_aside(part, whole)}" for part in offer.parts.values())
+    return f"{offer.kind}: {offer.rule} of {', '.join(said)}"
+
+
+def _aside(part: Offer, whole: bool) -> str:
+    """Of a part of a whole, who it is; of any part, how it is served."""
+    told = [part.agent] if whole else []
+    if part.kind != "direct":
+        told.append(way_text(part))
+    return f" ({', '.join(told)})" if told else ""

@@ -17,9 +17,8 @@ from typing import Literal
 from lfield.errors import ProgramError, UsageError
 from lfield.lang import messages
 from lfield.lang.deployment_line import Entry, read_line
-from lfield.lang.reading import MAX_BYTES, bad_byte
 from lfield.lang.tree import UnitKind
-from lfield.text.files import read_bytes
+from lfield.text.files import MAX_TEXT, bad_byte, read_bytes
 from lfield.text.source import Diagnostic, Diagnostics, Source, Span
 from lfield.text.suggest import did_you_mean, listed
 
@@ -109,7 +108,7 @@ def parse_deployment(
 
 def read_deployment(path: Path, units: Mapping[str, UnitKind] | None) -> Deployment:
     """The deployment of a file. Raises InputFileError, or ProgramError with all that is wrong in it."""
-    data = read_bytes(path, MAX_BYTES)
+    data = read_bytes(path, MAX_TEXT)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

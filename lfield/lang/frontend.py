@@ -12,10 +12,9 @@ from lfield.lang.checker import check
 from lfield.lang.checker.symbols import BUILTIN_TYPES
 from lfield.lang.includes import FileSet, FindInclude
 from lfield.lang.parser import parse
-from lfield.lang.reading import MAX_BYTES
 from lfield.lang.tree import CheckedProgram
 from lfield.manifest import DeviceManifest
-from lfield.text.files import read_bytes
+from lfield.text.files import MAX_TEXT, read_bytes
 from lfield.text.source import Diagnostic, Diagnostics, Source
 
 
@@ -56,7 +55,7 @@ def check_file(
     `include <name/file.L>;` to a file; `capabilities` are the types of the registry. Raises InputFileError
     when the file itself cannot be read; everything else that is wrong with it is a diagnostic.
     """
-    data = read_bytes(path, MAX_BYTES)
+    data = read_bytes(path, MAX_TEXT)
     found = Diagnostics()
     files = FileSet(found, find_include)
     files.read(data, path)
@@ -117,5 +116,5 @@ def _generated(
         wanted |= new
         made = capabilities.generate(wanted, files.files)
         for path in made.files:
-            files.read(read_bytes(path, MAX_BYTES), path)
+            files.read(read_bytes(path, MAX_TEXT), path)
     return made

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from lfield.lang import messages
 from lfield.lang.parser import parse
-from lfield.lang.reading import MAX_BYTES, bad_byte
 from lfield.lang.syntax import File, Include
-from lfield.text.files import read_within, reason
+from lfield.text.files import MAX_TEXT, bad_byte, read_within, reason
 from lfield.text.source import Diagnostic, Diagnostics, Source
 
 FindInclude = Callable[[str], Path | None]
@@ -55,7 +54,7 @@ class FileSet:
             if identity in self._seen:
                 return []
             self._seen.add(identity)
-            source = self._decoded(read_within(path, MAX_BYTES), str(path))
+            source = self._decoded(read_within(path, MAX_TEXT), str(path))
         except FileNotFoundError:
             self._missing(messages.INCLUDE_MISSING.at(include.span, path=path))
             return []

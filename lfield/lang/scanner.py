@@ -41,7 +41,7 @@ class Kind(Enum):
     END = "end"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class Token:
     """One token; `value` is the number or the text (escapes decoded) of a literal."""
 
@@ -83,13 +83,14 @@ _TOKEN = re.compile(
     | (?P<name>          [A-Za-z_]\w*+ )
     | (?P<string>        "(?: [^"\\\n]++ | \\[^\n] )*+" )
     | (?P<open_string>   "[^\n]*+ )
-    | (?P<quoted>        '[^'\n]*+'?+ | [“”„«][^“”»"\n]*+[“”»"] )
+    | (?P<quoted>        '[^'\n]*+'?+ | [“”„«][^“”»"\n]{0,1000}+[“”»"] )
     | (?P<symbol>        ===|!==|&&|\|\||==|!=|<=|>=|\+\+|--|[-+*/%&|^]=|->|=>|::|<<|>>
                          |[-+*/%=!<>&|^~?:;,.(){}\[\]] )
     | (?P<illegal>       (?: [^\x00-\x7f] | [\#@`$\\\x00-\x08\x0b\x0e-\x1f\x7f] )++ )
     """,
     re.VERBOSE | re.ASCII,
 )
+_SKIPPED = frozenset({"space", "comment"})
 _NOT_TEXT = re.compile("[\0\ud800-\udfff]")
 _ESCAPE = re.compile(r"\\(u\{[0-9a-fA-F]{1,6}\}|u\{?|.)", re.DOTALL)
 _SIMPLE_ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", '"': '"', "\\": "\\"}
@@ -119,32 +120,30 @@ class _Scanner:
             self.result.cut = True
         else:
             for match in _TOKEN.finditer(text):
-                self.token(match)
+                group = str(match.lastgroup)
+                if group not in _SKIPPED:
+                    self.token(group, match.group(), self.span(*match.span()))
         self.result.tokens.append(Token(Kind.END, "", end))
 
-    def token(self, match: re.Match[str]) -> None:
+    def token(self, group: str, text: str, span: Span) -> None:
         """Append the token of one match, or report it."""
-        group, text, span = match.lastgroup, match.group(), self.span(match.start(), match.end())
         match group:
-            case "space" | "comment":
-                return
-            case "name":
-                self.append(Kind.KEYWORD if text in KEYWORDS else Kind.NAME, span)
             case "symbol":
-                self.append(Kind.SYMBOL, span)
+                self.append(Kind.SYMBOL, text, span)
+            case "name":
+                self.append(Kind.KEYWORD if text in KEYWORDS else Kind.NAME, text, span)
             case "int":
                 # Twenty digits are out of range already; more would only cost time.
-                self.append(Kind.INT, span, int((text.lstrip("0") or "0")[:20]))
+                self.append(Kind.INT, text, span, int((text.lstrip("0") or "0")[:20]))
             case "real":
-                self.append(Kind.REAL, span, float(text))
+                self.append(Kind.REAL, text, span, float(text))
             case "string":
-                self.append(Kind.STRING, span, self.decoded(span))
+                self.append(Kind.STRING, text, span, self.decoded(text, span))
             case _:
-                self.mistake(str(group), span)
+                self.mistake(group, text, span)
 
-    def mistake(self, group: str, span: Span) -> None:
+    def mistake(self, group: str, text: str, span: Span) -> None:
         """Report what is no token, and put in its place the token that was probably meant."""
-        text = span.text
         match group:
             case "open_comment":
                 opening = self.span(span.start, span.start + 2)
@@ -153,19 +152,19 @@ class _Scanner:
                 self.result.cut = True
             case "bad_number":
                 self.error(messages.BAD_NUMBER, span, text=text[:40])
-                self.append(Kind.INT, span, 0)
+                self.append(Kind.INT, text, span, 0)
             case "open_string":
                 self.error(messages.UNCLOSED_STRING, span)
-                self.append(Kind.STRING, span, "")
+                self.append(Kind.STRING, text, span, "")
             case "quoted":
                 self.error(messages.SINGLE_QUOTES, span, text=text.strip("'“”„«»\""))
-                self.append(Kind.STRING, span, "")
+                self.append(Kind.STRING, text, span, "")
             case _:
                 self.error(
                     messages.ILLEGAL_CHARACTER, span, hint=_character_hint(text), character=_shown(text[0])
                 )
 
-    def decoded(self, span: Span) -> str:
+    def decoded(self, text: str, span: Span) -> str:
         """The text of a string literal with its escapes replaced."""
 
         def replace(match: re.Match[str]) -> str:
@@ -180,10 +179,10 @@ class _Scanner:
             self.error(messages.BAD_ESCAPE, where, escape=match.group())
             return ""
 
-        return _ESCAPE.sub(replace, span.text[1:-1])
+        return _ESCAPE.sub(replace, text[1:-1])
 
-    def append(self, kind: Kind, span: Span, value: int | float | str | None = None) -> None:
-        self.result.tokens.append(Token(kind, span.text, span, value))
+    def append(self, kind: Kind, text: str, span: Span, value: int | float | str | None = None) -> None:
+        self.result.tokens.append(Token(kind, text, span, value))
 
     def error(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
         self.found.add(message.at(span, hint=hint, **values))

@@ -7,9 +7,8 @@ The parser builds it, the checker turns it into tree.py. Where a piece of text m
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
 
-from lfield.lang.tree import UnitKind, Usage
+from lfield.lang.tree import MethodKind, UnitKind, Usage
 from lfield.text.source import Source, Span
 
 #: The name of a type that could not be read; nobody can write it.
@@ -271,7 +270,7 @@ class Field:
 class Method:
     """A method, constructor, init or portal. `result` is None where none is written; `span` is its name."""
 
-    kind: Literal["method", "constructor", "init", "portal"]
+    kind: MethodKind
     name: str
     parameters: list[Parameter]
     result: TypeName | None

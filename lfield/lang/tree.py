@@ -8,10 +8,11 @@ Nodes are compared by identity.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from lfield.lang.types import ArrayType, Type
+from lfield.lang.types import Type
 from lfield.manifest import DeviceManifest, Instruction
 from lfield.text.source import Source, Span
 
@@ -78,6 +79,26 @@ class Unit:
     fields: list[Field] = field(default_factory=list)
     methods: list[Method] = field(default_factory=list)
     capability: bool = False
+    _fields: dict[str, Field] = field(default_factory=dict)
+    _methods: dict[tuple[str, MethodKind], list[Method]] = field(default_factory=dict)
+
+    def add_field(self, made: Field) -> None:
+        """Add a field whose name no other one has."""
+        self.fields.append(made)
+        self._fields[made.name] = made
+
+    def add_method(self, made: Method) -> None:
+        """Add a method."""
+        self.methods.append(made)
+        self._methods.setdefault((made.name, made.kind), []).append(made)
+
+    def field(self, name: str) -> Field | None:
+        """The field of that name."""
+        return self._fields.get(name)
+
+    def overloads(self, name: str, kind: MethodKind) -> Sequence[Method]:
+        """The methods of that name and kind, in source order."""
+        return self._methods.get((name, kind), ())
 
 
 @dataclass(slots=True, eq=False)
@@ -86,7 +107,6 @@ class CheckedProgram:
 
     units: list[Unit]
     sources: list[Source]
-    devices: dict[str, DeviceManifest]
 
 
 # --- expressions --------------------------------------------------------------------------------------
@@ -204,12 +224,6 @@ class NewArray(Expr):
 
     lengths: list[Expr]
 
-    @property
-    def array(self) -> ArrayType:
-        """The type as an array type."""
-        assert isinstance(self.type, ArrayType)
-        return self.type
-
 
 @dataclass(slots=True, eq=False)
 class Call(Expr):
@@ -263,6 +277,32 @@ class DeviceCall(Expr):
     manifest: DeviceManifest
     instruction: Instruction
     arguments: list[Expr]
+
+
+def parts(expr: Expr) -> list[Expr]:
+    """The expressions directly inside one."""
+    match expr:
+        case Assign():
+            return [expr.target, expr.value]
+        case Binary() | Logical():
+            return [expr.left, expr.right]
+        case Not() | Negate() | ToReal():
+            return [expr.operand]
+        case FieldGet():
+            return [expr.object]
+        case Element():
+            return [expr.array, expr.index]
+        case Call():
+            return [expr.object, *expr.arguments]
+        case PortalCall():
+            return [expr.proxy, *expr.arguments]
+        case New() | Library() | DeviceCall():
+            return expr.arguments
+        case NewArray():
+            return expr.lengths
+        case Find(id=Expr() as argument) | Query(constraint=Expr() as argument):
+            return [argument]
+    return []
 
 
 # --- statements ---------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from lfield.driver.binding import SIMULATED, DeviceBinding, OptionValue
-from lfield.driver.manifest_file import Manifest, Option
+from lfield.driver.contract import Manifest, Option
 from lfield.driver.plugins import Plugins
 from lfield.guard.core import SILENCE
 from lfield.text.source import Diagnostics

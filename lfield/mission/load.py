@@ -9,11 +9,11 @@ from pathlib import Path
 from lfield.bytecode.encoding import MAX_SIZE, decode
 from lfield.bytecode.program import Program, UnitKind
 from lfield.capability.model import Registry
-from lfield.capability.reading.shipped import is_shipped
+from lfield.capability.reading.reader import is_shipped
 from lfield.capability.types.language import RegistryTypes
 from lfield.capability.types.live_units import settle_live
 from lfield.driver.plugins import Plugins, discover
-from lfield.errors import InputFileError, ProgramError, ProgramFileError
+from lfield.errors import Finding, InputFileError, ProgramError, ProgramFileError
 from lfield.lang.deployment import Deployment, read_deployment
 from lfield.mission.bindings import Bindings, read_bindings
 from lfield.mission.team import Team, make_team, parse_maps
@@ -163,16 +163,16 @@ def compile_file(
     return compile_program(checked.program), checked.diagnostics
 
 
-def check_file(path: Path) -> list[Diagnostic]:
+def check_file(path: Path) -> Sequence[Finding]:
     """The findings of a program, or of a deployment (against the program beside it, if there is one)."""
     if path.suffix != ".dL":
         try:
             return compile_file(path)[1]
         except ProgramError as error:
-            return list(error.diagnostics)
+            return error.diagnostics
     beside = path.with_suffix(".L")
     units: Mapping[str, UnitKind] | None = None
-    found: list[Diagnostic] = []
+    found: list[Finding] = []
     if beside.exists():
         try:
             units = compile_file(beside)[0].units

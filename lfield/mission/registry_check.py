@@ -6,17 +6,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import check_files
-from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.reader import check_files, shipped
 from lfield.capability.reading.signatures import Signature, signatures_of
 from lfield.capability.types.live_units import settle_live
 from lfield.capability.types.program_check import check_against, check_classes
 from lfield.driver.plugins import discover
 from lfield.lang.includes import FileSet
-from lfield.lang.reading import MAX_BYTES
 from lfield.lang.syntax import File
 from lfield.mission.load import CAPABILITIES, agents_of
-from lfield.text.files import read_bytes
+from lfield.text.files import MAX_TEXT, read_bytes
 from lfield.text.source import Diagnostic, Diagnostics
 
 
@@ -52,7 +50,7 @@ def _once(mistakes: Sequence[Diagnostic]) -> list[Diagnostic]:
 def program_files(path: Path, found: Diagnostics) -> list[File]:
     """A program and all it includes, parsed. Raises InputFileError."""
     files = FileSet(found, discover().find_source)
-    files.read(read_bytes(path, MAX_BYTES), path)
+    files.read(read_bytes(path, MAX_TEXT), path)
     return files.files
 
 

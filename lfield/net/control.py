@@ -11,7 +11,7 @@ from typing import Any
 from lfield.errors import AddressError
 
 #: Seconds a fake has for its answer, and the most it may say, in bytes.
-BOUND, MAX_ANSWER = 2.0, 1 << 20
+BOUND, MAX_ANSWER = 10.0, 1 << 20
 
 
 def ask_fake(door: Path, settings: Sequence[str]) -> dict[str, Any]:
@@ -32,6 +32,19 @@ def ask_fake(door: Path, settings: Sequence[str]) -> dict[str, Any]:
     if not isinstance(answer, dict):
         raise AddressError(str(door), "this is no fake: its answer makes no sense")
     return answer
+
+
+def is_abandoned(door: Path) -> bool:
+    """Whether nobody will ever answer at a socket: whoever listened there was killed."""
+    try:
+        with socket.socket(socket.AF_UNIX) as link:
+            link.settimeout(BOUND)
+            link.connect(str(door))
+    except ConnectionRefusedError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def _line(link: socket.socket) -> bytes:

@@ -15,7 +15,7 @@ from lfield.capability.matching.expression import Mistake, Scope, check, parse
 from lfield.capability.model import Expression, Primitive, Registry
 from lfield.capability.reading import messages
 from lfield.errors import ProgramError, UsageError
-from lfield.operator.registry.show import primitives_below, term_of
+from lfield.operator.registry.taxonomy import primitives_below, term_of
 from lfield.text.source import Diagnostic, Source, Span
 from lfield.text.suggest import did_you_mean
 

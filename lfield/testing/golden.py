@@ -23,8 +23,8 @@ from lfield.capability.reading.reader import read_registry
 from lfield.capability.types.language import RegistryTypes
 from lfield.clock import ManualClock
 from lfield.compiler.build import compile_program
-from lfield.errors import DeviceError, ProgramError
-from lfield.host.answers import Answers
+from lfield.errors import DeviceError
+from lfield.host.offers import Answers
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceValue
 from lfield.testing.offers import still_answers
@@ -48,10 +48,7 @@ _REGISTRY = re.compile(r"//\s*registry:\s*(\S+)\s*$", re.MULTILINE)
 def compile_text(text: str, name: str = "golden.L", registry: Registry | None = None) -> Program:
     """A program from L text; raises ProgramError."""
     types = None if registry is None else RegistryTypes(lambda: registry)
-    checked = check_text(text, name, capabilities=types)
-    if checked.program is None:
-        raise ProgramError([d for d in checked.diagnostics if d.severity == "error"])
-    return compile_program(checked.program)
+    return compile_program(check_text(text, name, capabilities=types).or_raise())
 
 
 @dataclass

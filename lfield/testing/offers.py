@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lfield.bytecode.program import Program
 from lfield.capability.model import Registry, Value
 from lfield.capability.offer import Candidate, Fact
-from lfield.host.answers import Answers
+from lfield.host.offers import Answers
 from lfield.vm.agent import Member
 from lfield.vm.offers import ways
 

@@ -8,16 +8,24 @@ from lfield.manifest import DeviceValue
 
 
 class KeptReports:
-    """A `lfield.driver.Reports` that remembers: the newest values, all notes, all crashes."""
+    """A `lfield.driver.Reports` that remembers what it was told by some devices."""
 
-    def __init__(self) -> None:
-        self.values: dict[str, DeviceValue] = {}
+    def __init__(self, *devices: str) -> None:
+        #: The newest value of every quantity, by the names of the devices.
+        self.reported: dict[str, dict[str, DeviceValue]] = {device: {} for device in devices}
+        #: One sentence each, for the log of the host.
         self.notes: list[str] = []
+        #: What broke where nobody waits for it.
         self.crashes: list[str] = []
+
+    @property
+    def values(self) -> dict[str, DeviceValue]:
+        """What the first device has reported."""
+        return next(iter(self.reported.values()), {})
 
     def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
         """New values of telemetry quantities."""
-        self.values.update(values)
+        self.reported.setdefault(device, {}).update(values)
 
     def heard(self, device: str) -> None:
         """A sign of life; nobody has asked for it."""
@@ -27,5 +35,5 @@ class KeptReports:
         self.notes.append(text)
 
     def crashed(self, reason: str) -> None:
-        """Something in the driver has broken."""
+        """Something has broken."""
         self.crashes.append(reason)

@@ -7,6 +7,10 @@ import os
 from pathlib import Path
 
 from lfield.errors import InputFileError
+from lfield.text.source import Source, Span
+
+#: The largest file of a program, or deployment, in bytes.
+MAX_TEXT = 16 << 20
 
 
 def read_bytes(path: Path, most: int) -> bytes:
@@ -36,3 +40,10 @@ def reason(error: OSError | ValueError) -> str:
     if isinstance(error, OSError) and error.strerror:
         return error.strerror.lower()
     return "not a file name"
+
+
+def bad_byte(name: str, error: UnicodeDecodeError) -> tuple[Span, str]:
+    """Where a file stops being UTF-8, in a source that ends there, and the byte that is wrong."""
+    readable = error.object[: error.start].decode("utf-8")
+    source = Source(name, readable + "\N{REPLACEMENT CHARACTER}")
+    return Span(source, len(readable), len(readable) + 1), f"0x{error.object[error.start]:02X}"

@@ -30,9 +30,15 @@ class Source:
 
     def line_text(self, line: int) -> str:
         """The text of a line (counted from 1) without its newline."""
+        return self.text[slice(*self.line_ends(line))]
+
+    def line_ends(self, line: int) -> tuple[int, int]:
+        """Where a line (counted from 1) begins and ends, its newline left out."""
         start = self._starts[line - 1]
         end = self._starts[line] - 1 if line < len(self._starts) else len(self.text)
-        return self.text[start:end].rstrip("\r")
+        while end > start and self.text[end - 1] == "\r":
+            end -= 1
+        return start, end
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +82,7 @@ class Diagnostic:
     def render(self) -> str:
         """`file:line:col: error[LNNN]: sentence`, the source line, a caret, and the hint."""
         line, column = self.span.source.line_column(self.span.start)
-        text, before = _window(self.span.source.line_text(line), column - 1)
+        text, before = _window(self.span.source, line, column - 1)
         # A file may hold anything: what a terminal would obey is shown as a dot, one for one.
         shown = "".join(ch if ch.isprintable() or ch == "\t" else "·" for ch in text)
         # Tabs are kept in the margin so that the caret stands under the character it means.
@@ -92,12 +98,11 @@ class Diagnostic:
         return "\n".join(lines)
 
 
-def _window(text: str, place: int) -> tuple[str, int]:
+def _window(source: Source, line: int, place: int) -> tuple[str, int]:
     """What is shown of a line, and where in it `place` is: its surroundings, if it is long."""
-    if len(text) <= MAX_SHOWN:
-        return text, place
-    start = max(0, min(place - MAX_SHOWN // 2, len(text) - MAX_SHOWN))
-    return text[start : start + MAX_SHOWN], place - start
+    start, end = source.line_ends(line)
+    skipped = max(0, min(place - MAX_SHOWN // 2, end - start - MAX_SHOWN))
+    return source.text[start + skipped : min(end, start + skipped + MAX_SHOWN)], place - skipped
 
 
 @dataclass(slots=True)

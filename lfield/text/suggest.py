@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from functools import lru_cache
 
 #: Type names of other languages and the L type that is meant.
 FOREIGN_TYPES = {
@@ -100,8 +101,14 @@ FOREIGN_UNITS = {
 
 def closest(name: str, known: Iterable[str]) -> str | None:
     """The known name most like this one, or None when none is like it; case does not count."""
-    by_lower = {k.lower(): k for k in sorted(known)}
-    found = get_close_matches(name.lower(), list(by_lower), n=1, cutoff=0.65)
+    return _closest(name.lower(), tuple(sorted(known)))
+
+
+@lru_cache(maxsize=64)
+def _closest(name: str, known: tuple[str, ...]) -> str | None:
+    """Kept for a while: who forgets one declaration is told of every place that needs it."""
+    by_lower = {k.lower(): k for k in known}
+    found = get_close_matches(name, list(by_lower), n=1, cutoff=0.65)
     return by_lower[found[0]] if found else None
 
 

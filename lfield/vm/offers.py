@@ -2,35 +2,29 @@
 
 For a capability the compiler makes a class: its first field holds what an offer says about itself (FACTS),
 each other one stands for a way in which the capability can be served. Of an offer only the fields of its
-own way are filled: a proxy, or the offers that stand in for it. There may be a thousand of them, so all are
-written at once, and what is equal (a host's name, the ages of what never changes) is written once.
+own way are filled: a proxy, or the offers that stand in for it.
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from typing import NamedTuple
+from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
-from lfield.bytecode.program import ARRAY, FACT_FIELDS, FACTS, OBJECT, PROXY, Program, TypeRecord
+from lfield.bytecode.program import ARRAY, FACTS, OBJECT, PROXY, Program, TypeRecord
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import header
 
-#: Words of what an offer says of itself: header, agent, host, kind, score, names, numbers, texts, ages.
-_FACTS_WORDS = 1 + len(FACT_FIELDS)
-#: The first two words of a string, and all of a proxy.
-_TWO = struct.Struct("<2q")
 
-
-class Found(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Found:
     """Somebody who can do it now.
 
     `way` is the field of the capability's class that stands for how. Directly, that is a proxy for the agent
     with the number `member`; otherwise `parts` are the offers in the fields they belong to. `kind` says the
     same in words. For each attribute there is a name, a number (NaN when it is none), a text (None: show the
-    number) and an age in seconds; the four are equally long. A tuple, because there may be a thousand.
+    number) and an age in seconds; the four are equally long.
     """
 
     way: str
@@ -39,7 +33,7 @@ class Found(NamedTuple):
     kind: str
     score: float
     member: int = -1
-    parts: Mapping[str, Found] = {}
+    parts: Mapping[str, Found] = field(default_factory=dict)
     names: tuple[str, ...] = ()
     numbers: tuple[float, ...] = ()
     texts: tuple[str | None, ...] = ()
@@ -51,59 +45,49 @@ class UnknownWay(Exception):
 
 
 class Shape:
-    """The class of a capability: words and header of its objects, and by name the fields that may be filled.
+    """The class of a capability: its index, and the fields of its objects behind the first, in order.
 
-    Of each its number among the ways, the kind of its type, and the class of what it holds. The object that
-    puts several parts together is none of them: L makes it at the first call.
+    The object that puts several parts together is filled by no offer: L makes it at the first call.
     """
 
     def __init__(self, program: Program, index: int) -> None:
-        classes = program.core.classes
-        record = classes[index]
-        fields = [program.core.types[f.type] for f in record.fields[1:]]
-        self.name = record.name
-        self.words = 1 + len(record.fields)
-        self.head = header(layout.OBJECT, index, self.words)
-        self.ways_count = len(fields)
-        self.ways = {
-            f.name: (number, kind.kind, kind.of)
-            for number, (f, kind) in enumerate(zip(record.fields[1:], fields, strict=True))
-            if kind.kind == PROXY or (kind.kind == OBJECT and classes[kind.of].capability)
-        }
-        self._direct: dict[tuple[str, int], tuple[struct.Struct, int]] = {}
+        core = program.core
+        record = core.classes[index]
+        self.name, self.index = record.name, index
+        self.fields = [f.name for f in record.fields[1:]]
+        kinds = [core.types[f.type] for f in record.fields[1:]]
+        self._ways = {name: (kind.kind, kind.of) for name, kind in zip(self.fields, kinds, strict=True)}
+        self._parts = {kind.of for kind in kinds if kind.kind == OBJECT and core.classes[kind.of].capability}
 
-    def direct(self, way: str, numbers: int) -> tuple[struct.Struct, int]:
-        """An offer of which just that way is filled, what it says of itself, so many numbers, and a proxy.
+    def proxy(self, way: str) -> int:
+        """The resource type of a field that holds a proxy; raises UnknownWay."""
+        kind, of = self._ways.get(way, (OBJECT, -1))
+        if kind != PROXY:
+            raise self._unknown(way)
+        return of
 
-        With it comes the header of the proxy.
-        """
-        found = self._direct.get((way, numbers))
-        if found is None:
-            number, of = self.way(way, PROXY)
-            before, after = 8 * number, 8 * (self.ways_count - number - 1)
-            run = struct.Struct(f"<2q{before}xq{after}x4qd4qq{numbers}d2q")
-            found = self._direct[way, numbers] = (run, header(layout.PROXY, of, 2))
-        return found
+    def part(self, way: str) -> int:
+        """The capability of a field that holds another offer; raises UnknownWay."""
+        kind, of = self._ways.get(way, (PROXY, -1))
+        if kind != OBJECT or of not in self._parts:
+            raise self._unknown(way)
+        return of
 
-    def way(self, name: str, kind: int) -> tuple[int, int]:
-        """Which way it is, and the class of what its field holds. Raises UnknownWay."""
-        number, held, of = self.ways.get(name, (0, 0, 0))
-        if held != kind:
-            raise UnknownWay(
-                f"the program knows no way '{name}' of {self.name}: "
-                "build it again with the registry that the hosts have"
-            )
-        return number, of
+    def _unknown(self, way: str) -> UnknownWay:
+        return UnknownWay(
+            f"the program knows no way '{way}' of {self.name}: "
+            "build it again with the registry that the hosts have"
+        )
 
 
 class Shapes:
-    """The classes of a program's capabilities, by class index."""
+    """The classes of a program's capabilities by class index, and the types that every offer is made of."""
 
     def __init__(self, program: Program) -> None:
         core = program.core
         kinds = {record: i for i, record in enumerate(core.types)}
         self.of: dict[int, Shape] = {}
-        #: The header of an array of offers without elements, where the program has such an array.
+        #: The type of an array of offers, where the program has such an array.
         self.arrays: dict[int, int] = {}
         for index, record in enumerate(core.classes):
             if not record.capability:
@@ -111,12 +95,10 @@ class Shapes:
             self.of[index] = Shape(program, index)
             array = kinds.get(TypeRecord(ARRAY, kinds.get(TypeRecord(OBJECT, index), -1)))
             if array is not None:
-                self.arrays[index] = header(layout.ARRAY, array, 0)
-            #: The headers of what offers say of themselves, and of its two kinds of arrays without elements.
-            facts = core.types[record.fields[0].type].of
-            self.facts = header(layout.OBJECT, facts, _FACTS_WORDS)
-            strings, reals = (core.classes[facts].fields[i].type for i in (4, 5))
-            self.strings, self.reals = header(layout.ARRAY, strings, 0), header(layout.ARRAY, reals, 0)
+                self.arrays[index] = array
+            #: The class of what offers say of themselves, and its two types of arrays.
+            self.facts = core.types[record.fields[0].type].of
+            self.strings, self.reals = (core.classes[self.facts].fields[i].type for i in (4, 5))
 
 
 def ways(program: Program) -> dict[str, frozenset[str]]:
@@ -129,139 +111,73 @@ def ways(program: Program) -> dict[str, frozenset[str]]:
 
 
 def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[Found]) -> int:
-    """An array of offers on the heap; raises Full, and UnknownWay when the program has no such way."""
-    shape = shapes.of[capability]
-    # What each needs in any case: itself, what it says, its numbers, its place in the array.
-    least = 1 + len(found) * (shape.words + _FACTS_WORDS + 2) + sum([len(one.numbers) for one in found])
-    if block.top + least > block.end:
-        # To write a thousand offers only to find that out would cost more than to count.
-        raise Full(least)
+    """An array of offers on the heap; raises Full before it writes anything, and UnknownWay."""
     writer = _Writer(shapes, block.top)
-    array = writer.array(shapes.arrays[capability], writer.offers(shape, found))
-    data = b"".join(writer.chunks)
-    end = block.top + (len(data) >> 3)
+    offers = [writer.offer(shapes.of[capability], one) for one in found]
+    place = writer.put(layout.ARRAY, shapes.arrays[capability], offers)
+    end = block.top + len(writer.words)
     if end > block.end:
-        raise Full(end - block.top)
-    block.data[8 * block.top : 8 * end] = data
+        raise Full(len(writer.words))
+    block.w[block.top : end] = memoryview(writer.words)
     block.top = end
-    return array
+    return place
 
 
 class _Writer:
-    """The bytes of things to be, each at the place it will have."""
+    """The words of things to be, which shall stand from the word `base` on; what is equal is written once."""
 
-    def __init__(self, shapes: Shapes, top: int) -> None:
-        self.chunks: list[bytes] = []
-        self._shapes, self._top = shapes, top
-        self._texts: dict[str | None, int] = {None: 0}
-        self._lists: dict[tuple[str | None, ...], int] = {}
-        self._ages: dict[tuple[float, ...], int] = {}
+    def __init__(self, shapes: Shapes, base: int) -> None:
+        self.words = array("q")
+        self._shapes, self._base = shapes, base
+        self._made: dict[tuple[int, object], int] = {}
 
-    def offers(self, shape: Shape, found: Sequence[Found]) -> list[int]:
-        """The places of some offers; what each says of itself, its numbers and its proxy follow it."""
-        shapes, chunks = self._shapes, self.chunks
-        known_text, known_list, known_ages = self._texts.get, self._lists.get, self._ages.get
-        places = []
-        # Written out, because a thousand offers go through here: a call or two for each would be half of it.
-        for one in found:
-            way, agent, host, kind, score, member, parts, names, numbers, texts, ages = one
-            if parts:
-                places.append(self._of_parts(shape, one))
-                continue
-            agent_at = known_text(agent) or self._text(agent)
-            host_at = known_text(host) or self._text(host)
-            kind_at = known_text(kind) or self._text(kind)
-            names_at = known_list(names) or self._strings(names)
-            texts_at = known_list(texts) or self._strings(texts)
-            ages_at = known_ages(ages) or self._reals(ages)
-            count = len(numbers)
-            run, proxy = shape.direct(way, count)
-            place = self._top
-            facts = place + shape.words
-            array = facts + _FACTS_WORDS
-            behind = array + 1 + count
-            data = run.pack(
-                shape.head,
-                facts,
-                behind,
-                shapes.facts,
-                agent_at,
-                host_at,
-                kind_at,
-                score,
-                names_at,
-                array,
-                texts_at,
-                ages_at,
-                shapes.reals | 1 + count << 32,
-                *numbers,
-                proxy,
-                member,
-            )
-            chunks.append(data)
-            self._top = behind + 2
-            places.append(place)
-        return places
+    def offer(self, shape: Shape, found: Found) -> int:
+        """An offer with all it consists of; where it begins."""
+        if found.parts:
+            of = self._shapes.of
+            filled = {way: self.offer(of[shape.part(way)], part) for way, part in found.parts.items()}
+        else:
+            filled = {found.way: self.put(layout.PROXY, shape.proxy(found.way), [found.member])}
+        own = [self._facts(found), *(filled.get(way, 0) for way in shape.fields)]
+        return self.put(layout.OBJECT, shape.index, own)
 
-    def _of_parts(self, shape: Shape, found: Found) -> int:
-        """An offer that others stand in for."""
-        ways = [0] * shape.ways_count
-        for name, part in found.parts.items():
-            number, of = shape.way(name, OBJECT)
-            (ways[number],) = self.offers(self._shapes.of[of], [part])
-        text, count = self._text, len(found.numbers)
-        said = (text(found.agent), text(found.host), text(found.kind), found.score)
-        names, texts, ages = self._strings(found.names), self._strings(found.texts), self._reals(found.ages)
-        facts = self._top + shape.words
-        first = (
-            shape.head,
-            facts,
-            *ways,
-            self._shapes.facts,
-            *said,
-            names,
-            facts + _FACTS_WORDS,
-            texts,
-            ages,
-        )
-        head = self._shapes.reals | 1 + count << 32
-        return self._put(struct.pack(f"<{2 + len(ways)}q4qd4qq{count}d", *first, head, *found.numbers))
+    def put(self, kind: int, index: int, body: Iterable[int]) -> int:
+        """A thing with its header; where it begins."""
+        words = array("q", body)
+        place = self._base + len(self.words)
+        self.words.append(header(kind, index, 1 + len(words)))
+        self.words.extend(words)
+        return place
 
-    def array(self, head: int, places: Sequence[int]) -> int:
-        """An array of references; `head` is its header without elements."""
-        count = 1 + len(places)
-        return self._put(struct.pack(f"<{count}q", head | count << 32, *places))
+    def _facts(self, found: Found) -> int:
+        """What an offer says of itself, in the order of the fields of `Offer`."""
+        strings, reals = self._shapes.strings, self._shapes.reals
+        said = [self._text(found.agent), self._text(found.host), self._text(found.kind)]
+        said += _bits([found.score])
+        said.append(self._once(strings, found.names, lambda: map(self._text, found.names)))
+        said.append(self.put(layout.ARRAY, reals, _bits(found.numbers)))
+        said.append(self._once(strings, found.texts, lambda: map(self._text, found.texts)))
+        said.append(self._once(reals, found.ages, lambda: _bits(found.ages)))
+        return self.put(layout.OBJECT, self._shapes.facts, said)
 
-    def _put(self, data: bytes) -> int:
-        place = self._top
-        self._top += len(data) >> 3
-        self.chunks.append(data)
+    def _once(self, type: int, value: tuple[object, ...], body: Callable[[], Iterable[int]]) -> int:
+        """The array of some values, the same for all offers that have these."""
+        place = self._made.get((type, value))
+        if place is None:
+            place = self._made[type, value] = self.put(layout.ARRAY, type, body())
         return place
 
     def _text(self, text: str | None) -> int:
-        place = self._texts.get(text)
+        if text is None:
+            return 0
+        place = self._made.get((layout.STRING, text))
         if place is None:
-            place = self._texts[text] = self._put(_string(text or ""))
-        return place
-
-    def _strings(self, texts: tuple[str | None, ...]) -> int:
-        place = self._lists.get(texts)
-        if place is None:
-            places = [self._text(text) for text in texts]
-            place = self._lists[texts] = self.array(self._shapes.strings, places)
-        return place
-
-    def _reals(self, numbers: tuple[float, ...]) -> int:
-        place = self._ages.get(numbers)
-        if place is None:
-            head = self._shapes.reals | 1 + len(numbers) << 32
-            place = self._ages[numbers] = self._put(struct.pack(f"<q{len(numbers)}d", head, *numbers))
+            raw = text.encode("utf-8", "replace")
+            whole = array("q", raw.ljust(len(raw) + 7 & ~7, b"\0"))
+            place = self._made[layout.STRING, text] = self.put(layout.STRING, 0, [len(raw), *whole])
         return place
 
 
-@lru_cache(maxsize=4096)
-def _string(text: str) -> bytes:
-    """A string as it stands on the heap."""
-    raw = text.encode("utf-8", "replace")
-    words = len(raw) + 7 >> 3
-    return _TWO.pack(header(layout.STRING, 0, 2 + words), len(raw)) + raw.ljust(8 * words, b"\0")
+def _bits(numbers: Iterable[float]) -> array[int]:
+    """Reals as the words that they are in a block."""
+    return array("q", array("d", numbers).tobytes())

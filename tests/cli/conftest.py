@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import signal
@@ -12,10 +13,13 @@ import tempfile
 import threading
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+
+from lfield.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 #: Seconds for anything that is only a matter of time on a busy machine.
@@ -115,26 +119,49 @@ def processes_of(mark: str) -> list[int]:
     ]
 
 
-def free_ports(count: int) -> list[int]:
-    """Ports nobody has, below the range from which the system picks."""
-    found: list[int] = []
-    port = 20000 + os.getpid() * 7 % 8000
-    while len(found) < count:
-        port += 1
-        with socket.socket() as probe:
+class Ports:
+    """TCP ports that no other test process takes, below the range from which the system picks.
+
+    They come in blocks; who has bound the UDP port with the number of a block's first has the block.
+    """
+
+    SIZE = 50
+
+    def __init__(self) -> None:
+        for first in range(20000, 32000, self.SIZE):
+            self._claim = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             try:
-                probe.bind(("127.0.0.1", port))
+                self._claim.bind(("127.0.0.1", first))
             except OSError:
+                self._claim.close()
                 continue
-            found.append(port)
-    return found
+            self._next = itertools.cycle(range(first, first + self.SIZE))
+            return
+        raise RuntimeError("all ports for tests are taken")
+
+    def take(self, count: int) -> list[int]:
+        """Ports on which nobody listens, each time the next ones of the block."""
+        found: list[int] = []
+        while len(found) < count:
+            port = next(self._next)
+            with socket.socket() as probe:
+                try:
+                    probe.bind(("127.0.0.1", port))
+                except OSError:
+                    continue
+                found.append(port)
+        return found
+
+    def close(self) -> None:
+        self._claim.close()
 
 
 class Lfield:
     """Starts commands in a folder, and ends what a test left running."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, ports: Ports) -> None:
         self.folder = folder
+        self.ports = ports
         self.mark = uuid.uuid4().hex
         self.started: list[Process] = []
 
@@ -181,7 +208,7 @@ class Lfield:
 
     def maps(self, names: list[str]) -> list[str]:
         """`--map` options that put the hosts on free ports of this machine."""
-        pairs = zip(names, free_ports(len(names)), strict=True)
+        pairs = zip(names, self.ports.take(len(names)), strict=True)
         return [word for name, port in pairs for word in ("--map", f"{name}=127.0.0.1:{port}")]
 
     def left(self) -> list[int]:
@@ -208,17 +235,49 @@ class Lfield:
                 reader.join(PATIENCE)
 
 
+@dataclass(frozen=True)
+class Said:
+    """What a command came to that ran in this process."""
+
+    status: int
+    out: list[str]
+    err: list[str]
+
+
+@pytest.fixture(scope="session")
+def ports() -> Iterator[Ports]:
+    made = Ports()
+    yield made
+    made.close()
+
+
 @pytest.fixture
-def lfield(tmp_path: Path) -> Iterator[Lfield]:
-    made = Lfield(tmp_path)
+def lfield(tmp_path: Path, ports: Ports) -> Iterator[Lfield]:
+    made = Lfield(tmp_path, ports)
     yield made
     made.end()
 
 
+@pytest.fixture
+def here(
+    lfield: Lfield, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., Said]:
+    """`here(*words)`: a command in this process, in the folder of `lfield`: one more would add nothing."""
+    monkeypatch.chdir(lfield.folder)
+
+    def run(*words: object) -> Said:
+        status = main([str(word) for word in words])
+        said = capfd.readouterr()
+        assert "a bug in lfield" not in said.err
+        return Said(status, said.out.splitlines(), said.err.splitlines())
+
+    return run
+
+
 @pytest.fixture(scope="module")
-def shared_lfield(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lfield]:
+def shared_lfield(tmp_path_factory: pytest.TempPathFactory, ports: Ports) -> Iterator[Lfield]:
     """One for all tests of a file, for teams that several look at."""
-    made = Lfield(tmp_path_factory.mktemp("shared"))
+    made = Lfield(tmp_path_factory.mktemp("shared"), ports)
     yield made
     made.end()
 

@@ -13,6 +13,7 @@ DEMO = Path(__file__).parents[2] / "examples" / "02-equivalent-lift" / "demo.py"
 
 
 @pytest.mark.process
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield, alone):
     done = subprocess.run(

@@ -32,22 +32,22 @@ def bus(lfield):
         (["mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "wings=2"], 65, "wings"),
     ],
 )
-def test_what_is_wrong_is_a_sentence(lfield, words, status, sentence):
-    kit = lfield("kit", *words, "--silence", "2")
-    assert lfield.status(kit) == status, kit.said
+def test_what_is_wrong_is_a_sentence(here, words, status, sentence):
+    kit = here("kit", *words, "--silence", "2")
+    assert kit.status == status, kit
     assert sentence in "\n".join(kit.err)
     assert kit.out == []
 
 
-def test_nothing_there_is_one_sentence(lfield):
+def test_nothing_there_is_one_sentence(here):
     axis = ("--set", "protocol=cia402", "--set", "node=5", "--set", "counts=100")
     for words in (
         ("mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "connect=0.3"),
         ("can", "--type", "CanAxis", "--endpoint", "socketcand:127.0.0.1:1/can0", *axis),
         ("dynamixel", "--type", "Dynamixel", "--endpoint", "serial:/dev/there-is-none:57600"),
     ):
-        kit = lfield("kit", *words, "--silence", "2")
-        assert lfield.status(kit) == 69, kit.said
+        kit = here("kit", *words, "--silence", "2")
+        assert kit.status == 69, kit
         assert kit.out == []
         assert kit.err[0].startswith("kit.device: ")
         assert kit.err[1:] == ["lfield: 1 problem(s) with the devices"]

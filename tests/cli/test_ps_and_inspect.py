@@ -98,19 +98,27 @@ coordinator Careless {
 """
 
 
-def test_a_dead_agent_is_dumped_and_explained(lfield):
-    deployment = lfield.mission(FAULTY, "//Careless:tom@alpha?post\n//Post:post@bravo\n")
-    done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
-    assert lfield.status(done) == 1
-    assert "bravo | dumped tom: lfield inspect dumps/tom.block" in done.err
-    shown = lfield("inspect", "dumps/tom.block")
+@pytest.fixture(scope="module")
+def died(shared_lfield):
+    """A mission that ended with the death of its coordinator; `dump` is what is left of that."""
+    hosts = "//Careless:tom@alpha?post\n//Post:post@bravo\n"
+    deployment = shared_lfield.mission(FAULTY, hosts, name="faulty")
+    team = shared_lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
+    team.dump = shared_lfield.folder / "dumps" / "tom.block"
+    return team
+
+
+def test_a_dead_agent_is_dumped_and_explained(lfield, died):
+    assert lfield.status(died) == 1
+    assert "bravo | dumped tom: lfield inspect dumps/tom.block" in died.err
+    shown = lfield("inspect", died.dump)
     assert lfield.status(shown) == 0, shown.said
     text = "\n".join(shown.out)
     assert "agent     tom (coordinator Careless)" in text
     assert "on        bravo, after 1 hop(s): alpha → bravo" in text
     assert "why       IndexException" in text
     stack = [line.split(")")[0] for line in shown.out if line.startswith("  at ")]
-    assert stack == ["  at Careless.spend (mission.L:21", "  at Careless.init (mission.L:17"]
+    assert stack == ["  at Careless.spend (faulty.L:21", "  at Careless.init (faulty.L:17"]
     assert "purse[n + 4] = 1;" in text
     assert "spend(counted, new int[5]);" in text
     assert re.search(r"^ +n = 3$", text, re.M)
@@ -122,14 +130,11 @@ def test_a_dead_agent_is_dumped_and_explained(lfield):
 
 
 @pytest.mark.parametrize("damage", [b"", b"\xff"])
-def test_a_damaged_dump(lfield, damage):
-    deployment = lfield.mission(FAULTY, "//Careless:tom@alpha?post\n//Post:post@alpha\n")
-    lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
-    path = lfield.folder / "dumps" / "tom.block"
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2] + damage * (len(data) // 2))
-    shown = lfield("inspect", path)
-    assert lfield.status(shown) == 65, shown.said
+def test_a_damaged_dump(lfield, here, died, damage):
+    data = died.dump.read_bytes()
+    path = lfield.write("tom.block", data[: len(data) // 2] + damage * (len(data) // 2))
+    shown = here("inspect", path)
+    assert shown.status == 65, shown
     assert shown.out == []
     assert "tom.block" in shown.err[0]
 

@@ -157,6 +157,16 @@ def test_json(ask):
     }
 
 
+def test_more_offers_than_are_shown(ask, folder):
+    many = "".join(f"//Hoist:more{i}@alpha\n" for i in range(38))
+    (folder / "mission.dL").write_text(DEPLOYMENT + many)
+    _, out, _ = ask("Lift where payload >= 20.0")
+    assert out[-2].split()[:3] == ["32", "more30", "alpha"]
+    assert out[-1] == "the best 32 of 39 offers are given"
+    (lift,) = json.loads("\n".join(ask("Lift where payload >= 20.0", "--json")[1]))["capabilities"]
+    assert (lift["count"], len(lift["offers"])) == (39, 32)
+
+
 def test_refusals_as_json(ask):
     status, out, _ = ask("Grip where payload >= 2.0", "--json")
     assert status == 1

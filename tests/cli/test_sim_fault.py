@@ -13,8 +13,8 @@ pytestmark = pytest.mark.process
 class Fakes:
     """Starts fakes and sets their faults."""
 
-    def __init__(self, lfield, environment):
-        self._lfield, self._environment = lfield, environment
+    def __init__(self, lfield, here, environment):
+        self._lfield, self._here, self._environment = lfield, here, environment
         self.doors = Path(environment["XDG_RUNTIME_DIR"]) / "lfield-sims"
 
     def start(self, *vehicles):
@@ -25,40 +25,42 @@ class Fakes:
         return fake
 
     def fault(self, *words):
-        return self._lfield("sim", "fault", *words, env=self._environment)
+        return self._here("sim", "fault", *words)
 
 
 @pytest.fixture
-def fakes(alone, lfield):
-    yield Fakes(lfield, alone)
+def fakes(alone, lfield, here, monkeypatch):
+    for name, value in alone.items():
+        monkeypatch.setenv(name, value)
+    yield Fakes(lfield, here, alone)
     lfield.end()
 
 
-def test_without_a_fake_there_is_nothing_to_show_or_set(fakes, lfield):
+def test_without_a_fake_there_is_nothing_to_show_or_set(fakes):
     shown = fakes.fault()
-    assert (lfield.status(shown), shown.out) == (0, ["no fake runs"])
+    assert (shown.status, shown.out) == (0, ["no fake runs"])
     refused = fakes.fault("alpha.fc", "loss=0.1")
-    assert lfield.status(refused) == 64
+    assert refused.status == 64
     assert refused.err == ["lfield: no running fake is 'alpha.fc'; running: none"]
 
 
-def test_faults_are_shown_and_set_for_a_fake_and_for_a_device(fakes, lfield):
+def test_faults_are_shown_and_set_for_a_fake_and_for_a_device(fakes):
     fake = fakes.start("1:copter:ardupilot:alpha.fc", "2:rover")
     shown = fakes.fault()
-    assert lfield.status(shown) == 0
+    assert shown.status == 0
     assert shown.out[0] == f"mavlink at {fake.endpoint}: 1 (alpha.fc), 2"
     assert any(line.startswith("  loss = 0.0  (") for line in shown.out)
 
     assert any(line.startswith("  loss = 0.25  (") for line in fakes.fault("mavlink", "loss=0.25").out)
     named = fakes.fault("alpha.fc", "silence=true", "delay=0.5")
-    assert lfield.status(named) == 0, named.said
+    assert named.status == 0, named
     assert any(line.startswith("  silence = false @1=true  (") for line in named.out)
     assert any(line.startswith("  delay = 0.0 @1=0.5  (") for line in named.out)
     other = fakes.fault(fake.endpoint, "silence@2=true", "silence@alpha.fc=false")
     assert any(line.startswith("  silence = false @1=false @2=true  (") for line in other.out)
 
 
-def test_what_cannot_be_set_is_a_sentence_and_changes_nothing(fakes, lfield):
+def test_what_cannot_be_set_is_a_sentence_and_changes_nothing(fakes):
     fakes.start("1:copter:ardupilot:alpha.fc")
     for words, sentence in (
         (("alpha.fc", "gravity=0"), "there is no fault 'gravity'; there are: "),
@@ -69,16 +71,16 @@ def test_what_cannot_be_set_is_a_sentence_and_changes_nothing(fakes, lfield):
         (("bravo.fc", "loss=0.1"), "no running fake is 'bravo.fc'; running: udp:127.0.0.1:"),
     ):
         refused = fakes.fault(*words)
-        assert lfield.status(refused) == 64, refused.said
+        assert refused.status == 64, refused
         (line,) = refused.err
         assert sentence in line
     assert any(line.startswith("  delay = 0.0  (") for line in fakes.fault().out)
 
 
-def test_a_name_that_fits_two_fakes_is_refused(fakes, lfield):
+def test_a_name_that_fits_two_fakes_is_refused(fakes):
     first, second = fakes.start("1"), fakes.start("1")
     refused = fakes.fault("mavlink", "loss=0.1")
-    assert lfield.status(refused) == 64
+    assert refused.status == 64
     assert "2 fakes are 'mavlink'" in refused.err[0]
     assert first.endpoint in refused.err[0]
     assert second.endpoint in refused.err[0]
@@ -114,5 +116,5 @@ def test_the_devices_of_a_simulated_mission_go_by_the_names_of_their_bindings(al
     up = lfield.start("up", "--deploy", deployment, "--all", "--sim", env=alone)
     up.wait_for(r"\bup$")
     set_ = fakes.fault("lead.fc", "refuse_arming=the compass dreams")
-    assert lfield.status(set_) == 0, set_.said
+    assert set_.status == 0, set_
     up.wait_for("refused: .*the compass dreams")

@@ -39,7 +39,7 @@ def test_a_manifest_is_what_the_file_says():
     assert device.telemetry[0].max_age == 0.5
     assert (manifest.options[0].name, manifest.options[0].default) == ("id", 1)
     assert manifest.limits[0].unit == "rad/s"
-    assert device.bindings == {"id": "its number"}
+    assert manifest.options[0].meaning == "its number"
 
 
 WINCH = b"""\

@@ -3,57 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-import subprocess
-import sys
+from contextlib import ExitStack
 
 import pytest
 
 from lfield.devices.try_out import checks_of, try_devices
 from lfield.driver.kit import Check
 from lfield.driver.plugins import discover
-from lfield.driver.sims import control_folder
 from lfield.mission.one_device import devices_in_file
-from lfield.net.control import ask_fake
+from lfield.testing.driver_bench import running_fake
 
 #: Seconds that the host of a test may be silent: the machine may be busy.
 SILENCE = 0.5
 
 
-class RunningFake:
-    """One `lfield sim`, ended with the test."""
-
-    def __init__(self, kind, *options):
-        self._kind = kind
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "lfield", "sim", kind, *options, "--until-stdin-closes"],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        line = self._process.stdout.readline().split()
-        assert line[:1] == ["ready"], line
-        self.endpoint = line[1]
-
-    def fault(self, *settings):
-        answer = ask_fake(control_folder() / f"{self._kind}-{self._process.pid}.sock", settings)
-        assert "faults" in answer, answer
-
-    def end(self):
-        self._process.stdin.close()
-        self._process.stdout.close()
-        assert self._process.wait(20) == 0
-
-
 @pytest.fixture
 def fake():
-    """Start a fake: `fake("can", "--device", "cia402:5")`."""
-    running = []
-
-    def start(kind, *options):
-        running.append(RunningFake(kind, *options))
-        return running[-1]
-
-    yield start
-    for each in running:
-        each.end()
+    """Start a fake, which ends with the test: `fake("can", "--device", "cia402:5")`."""
+    with ExitStack() as running:
+        yield lambda kind, *options: running.enter_context(running_fake(kind, *options))
 
 
 @pytest.fixture

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from lfield.driver import DeviceBinding
-from lfield.errors import DeviceError
-from lfield.simulate.time import LoopClock, run_jumping
+from lfield.driver import DeviceError
+from lfield.simulate.time import run_jumping
+from lfield.testing.driver_bench import DriverBench, bind
 from lfield_mavlink import PLUGIN
 from lfield_mavlink.driver import MavlinkDriver
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
 from lfield_sim.mavlink.link.wire import make_faults
 from lfield_sim.mavlink.protocol import STEP, MavlinkFake
-
-MANIFEST = PLUGIN.read_manifests()["Mavlink"]
 
 
 class MemoryLink:
@@ -50,18 +48,8 @@ class MemoryLink:
         pass
 
 
-class BenchDriver(MavlinkDriver):
-    bench: Bench
-
-    def _make_link(self, endpoint, on_data):
-        link = MemoryLink(self.bench, len(self.bench.links), on_data)
-        link.refused = link.number in self.bench.refused
-        self.bench.links.append(link)
-        return link
-
-
-class Bench:
-    """Fakes and a driver for them; what the driver reports is kept."""
+class Bench(DriverBench):
+    """Fakes and a driver for them."""
 
     def __init__(
         self,
@@ -85,26 +73,33 @@ class Bench:
             for system in systems
         }
         self.autopilot = self.fakes[systems[0]].autopilot
-        given = {"system": 1, "kind": kind, "connect": 5.0, "tolerance": 0.5, **(options or {})}
-        every = {o.name: o.default for o in MANIFEST.options}
-        self.bindings = [
-            DeviceBinding(
-                agent=f"a{system}", field="fc", type="Mavlink", driver="mavlink", safe_state=safe_state,
-                endpoint=", ".join(f"udp:127.0.0.1:{port}" for port in range(1, links + 1)), ttl=ttl,
-                limits=limits or {}, options={**every, **given, "system": system}, waivers=list(waivers),
-            )
-            for system in systems
-        ]  # fmt: skip
         self.sent: list[bytes] = []
         self.links: list[MemoryLink] = []
         self.refused: set[int] = set()
-        self.driver: Any = None
-        self.reported: dict[str, dict[str, Any]] = {b.name: {} for b in self.bindings}
-        self.values = self.reported[self.bindings[0].name]
-        self.notes: list[str] = []
-        self.crashes: list[str] = []
         #: What a packet of a fake goes through: may be replaced by a test.
         self.filter: Callable[[MemoryLink, bytes], None] = lambda link, packet: link.on_data(packet)
+        given = {"system": 1, "kind": kind, "connect": 5.0, "tolerance": 0.5, **(options or {})}
+        bindings = [
+            bind(
+                PLUGIN, agent=f"a{system}", field="fc", safe_state=safe_state,
+                endpoint=", ".join(f"udp:127.0.0.1:{port}" for port in range(1, links + 1)), ttl=ttl,
+                limits=limits or {}, options={**given, "system": system}, waivers=list(waivers),
+            )
+            for system in systems
+        ]  # fmt: skip
+        super().__init__(PLUGIN, *bindings, make=self._make_driver, fakes=[self._fly])
+
+    def _make_driver(self, *given: Any) -> MavlinkDriver:
+        bench = self
+
+        class OnFakes(MavlinkDriver):
+            def _make_link(self, endpoint, on_data):
+                link = MemoryLink(bench, len(bench.links), on_data)
+                link.refused = link.number in bench.refused
+                bench.links.append(link)
+                return link
+
+        return OnFakes(*given)
 
     @property
     def cut(self) -> bool:
@@ -114,40 +109,6 @@ class Bench:
     def cut(self, cut: bool) -> None:
         for link in self.links:
             link.cut = cut
-
-    # the driver's reports
-    def publish(self, device, values):
-        self.reported[device].update(values)
-
-    def heard(self, device):
-        pass
-
-    def note(self, device, text):
-        self.notes.append(text)
-
-    def crashed(self, reason):
-        self.crashes.append(reason)
-
-    def run(self, mission: Callable[..., Awaitable[Any]], *, opened: bool = True) -> Any:
-        """Run a mission with the devices, opened unless told otherwise."""
-
-        async def main() -> Any:
-            kind = type("Driver", (BenchDriver,), {"bench": self})
-            self.driver = kind(self.bindings, {"Mavlink": MANIFEST}, LoopClock(), self)
-            flying = asyncio.get_running_loop().create_task(self._fly())
-            try:
-                await self.driver.open()
-                devices = list(self.driver.devices.values())
-                if opened:
-                    await asyncio.gather(*(device.open() for device in devices))
-                return await mission(*devices)
-            finally:
-                flying.cancel()
-                await self.driver.close()
-
-        result = run_jumping(main())
-        assert self.crashes == []
-        return result
 
     async def _fly(self) -> None:
         while True:

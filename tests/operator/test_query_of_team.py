@@ -9,8 +9,7 @@ import pytest
 from lfield.capability.matching.expression import compile_constraint
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.offer import Fact
-from lfield.capability.reading.reader import check_files
-from lfield.capability.reading.shipped import shipped
+from lfield.capability.reading.reader import check_files, shipped
 from lfield.errors import AddressError, WireError
 from lfield.operator.query import from_files, from_hosts, views_of
 

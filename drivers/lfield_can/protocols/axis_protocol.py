@@ -6,12 +6,10 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from lfield.clock import Clock
-from lfield.driver import DeviceBinding
-from lfield.errors import DeviceError
-from lfield_can.bus import Bus
-from lfield_can.frames import Frame
-from lfield_can.waiting import News
+from lfield.driver import Clock, DeviceBinding, DeviceError
+from lfield_can.bus.bus import Bus
+from lfield_can.bus.frames import Frame
+from lfield_can.timing import News
 
 
 @dataclass(slots=True)

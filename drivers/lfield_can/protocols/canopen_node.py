@@ -15,8 +15,8 @@ import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
 from canopen.sdo.exceptions import SdoAbortedError
 
-from lfield.errors import DeviceError
-from lfield_can.frames import Frame
+from lfield.driver import DeviceError
+from lfield_can.bus.frames import Frame
 from lfield_can.protocols.cia402_tables import OBJECTS, SDO_ANSWER, SDO_REQUEST
 
 T = TypeVar("T")

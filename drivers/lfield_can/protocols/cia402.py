@@ -5,9 +5,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-from lfield_can.frames import Frame
+from lfield_can.bus.frames import Frame
 from lfield_can.protocols import cia402_tables as t
+from lfield_can.protocols.axis_protocol import Wiring
 from lfield_can.protocols.cia402_node import STEP, Cia402Node
+from lfield_can.timing import Repeating
 
 #: Seconds for a new setpoint to be taken, and for a homing.
 TAKEN, HOMED = 0.5, 120.0
@@ -18,12 +20,36 @@ STALE_BITS = 0.2
 class Cia402(Cia402Node):
     """One drive."""
 
+    def __init__(self, wiring: Wiring) -> None:
+        super().__init__(wiring)
+        self._stream = Repeating(wiring.clock)
+        # The mode of operation that is in effect, 0 when it is not known, and where a stream has led.
+        self._mode = 0
+        self._commanded: float | None = None
+
+    def forget(self, state: str) -> None:
+        """What was known is not true any more."""
+        self._stream.stop()
+        self._mode, self._commanded = 0, None
+        super().forget(state)
+
+    def quiet(self, on: bool) -> None:
+        """A stream feeds its watchdog too."""
+        if on:
+            self._stream.stop()
+        super().quiet(on)
+
+    def close(self) -> None:
+        """No stream either."""
+        self._stream.stop()
+        super().close()
+
     # -- instructions -----------------------------------------------------------------------------------
 
     async def enable(self) -> None:
         """Step by step up the state machine, without a target that is left from before."""
-        if t.VELOCITY in self._mapped:
-            await self._objects.write(0x60FF, 0, 0)
+        if t.VELOCITY in self.mapped:
+            await self.objects.write(0x60FF, 0, 0)
         await self._set_mode(t.PROFILE_POSITION)
         for _ in range(len(t.STATES)):
             state = self.state.state
@@ -59,10 +85,10 @@ class Cia402(Cia402Node):
                 "home needs 'homing_method' in its binding: the number of the method in the drive's manual"
             )
         self._stream.stop()
-        await self._objects.write(0x6098, 0, method)
+        await self.objects.write(0x6098, 0, method)
         if speed := self.binding.option("homing_speed"):
             for subindex in (1, 2):
-                await self._objects.write(0x6099, subindex, abs(self._units.to_velocity(speed)))
+                await self.objects.write(0x6099, subindex, abs(self.units.to_velocity(speed)))
         await self._set_mode(t.HOMING)
         try:
             await self._control(t.ENABLE | t.START_HOMING)
@@ -73,15 +99,15 @@ class Cia402(Cia402Node):
 
     async def _homed(self) -> None:
         """Wait for the end. The bits of an earlier homing may stand for a moment."""
-        await self.wiring.news.seen(lambda: not self._statusword & t.ACKNOWLEDGED, STALE_BITS)
+        await self.wiring.news.seen(lambda: not self.statusword & t.ACKNOWLEDGED, STALE_BITS)
         done = t.ACKNOWLEDGED | t.TARGET_REACHED
 
         def over() -> bool:
-            bits = self._statusword
+            bits = self.statusword
             return bits & done == done or bool(bits & t.FAILED) or not self.state.enabled
 
         await self.expect(over, HOMED, "homing did not end")
-        if not self.state.enabled or self._statusword & t.FAILED:
+        if not self.state.enabled or self.statusword & t.FAILED:
             raise self.wiring.error(f"homing failed ({self.state.fault or self.state.state})")
 
     async def begin_move(self, position: float, speed: float) -> None:
@@ -100,7 +126,7 @@ class Cia402(Cia402Node):
         at = self._commanded if self._mode == t.CYCLIC_POSITION else self.state.position
         if at is None:
             raise self.wiring.error("its position is not known")
-        await self._set_mode(t.CYCLIC_POSITION, (0x607A, self._units.to_counts(at)))
+        await self._set_mode(t.CYCLIC_POSITION, (0x607A, self.units.to_counts(at)))
         self._commanded = at
         step = speed * self.binding.option("period")
         await self._begin_stream(lambda: self._approach(position, step))
@@ -109,13 +135,13 @@ class Cia402(Cia402Node):
         """The next frame on the way to a goal."""
         assert self._commanded is not None
         self._commanded += max(-step, min(step, goal - self._commanded))
-        return self._frame(t.POSITION, self._units.to_counts(self._commanded))
+        return self._frame(t.POSITION, self.units.to_counts(self._commanded))
 
     async def set_velocity(self, velocity: float) -> None:
         """One target velocity, or with `cyclic` a stream of it."""
         await self._set_target(
             velocity,
-            self._units.to_velocity(velocity),
+            self.units.to_velocity(velocity),
             0x60FF,
             t.VELOCITY,
             t.PROFILE_VELOCITY,
@@ -124,12 +150,12 @@ class Cia402(Cia402Node):
 
     async def set_torque(self, torque: float) -> None:
         """One target torque, or with `cyclic` a stream of it."""
-        if not self._units.rated_torque:
+        if not self.units.rated_torque:
             raise self.wiring.error(
                 "setTorque needs 'rated_torque' in its binding: the drive does not tell it"
             )
         await self._set_target(
-            torque, self._units.to_torque(torque), 0x6071, t.TORQUE, t.PROFILE_TORQUE, t.CYCLIC_TORQUE
+            torque, self.units.to_torque(torque), 0x6071, t.TORQUE, t.PROFILE_TORQUE, t.CYCLIC_TORQUE
         )
 
     async def _set_target(
@@ -158,10 +184,10 @@ class Cia402(Cia402Node):
         self._stream.stop()
         word = t.DISABLE_VOLTAGE if state == "torque_off" else t.QUICK_STOP
         await self._control(word)
-        if not self._configured:
-            await self._objects.write_raw(0x6040, 0, struct.pack("<H", word))
-            self._on_status(await self._objects.read(0x6041))
-            self.state.velocity = self._units.velocity(await self._objects.read(0x606C))
+        if not self.configured:
+            await self.objects.write_raw(0x6040, 0, struct.pack("<H", word))
+            self.on_status(await self.objects.read(0x6041))
+            self.state.velocity = self.units.velocity(await self.objects.read(0x606C))
 
     def is_safe(self, state: str, still: bool) -> bool:
         """By the status word; a drive that is off cannot hold, and need not."""
@@ -176,7 +202,7 @@ class Cia402(Cia402Node):
 
     def _frame(self, code: int, *values: int) -> Frame:
         """Process data to the drive. Raises DeviceError when a value does not fit, or has nowhere to go."""
-        if code in t.OPTIONAL and code not in self._mapped:
+        if code in t.OPTIONAL and code not in self.mapped:
             raise self.wiring.error(f"the drive does not {t.OPTIONAL[code]}")
         try:
             return Frame(code + self.node, t.LAYOUTS[code].pack(*values))
@@ -189,14 +215,14 @@ class Cia402(Cia402Node):
         """A mode of operation, seen to be in effect. `target` is written first: an old one must not act."""
         if self._mode == mode:
             return
-        if self._modes and not self._modes & 1 << (mode - 1):
+        if self.modes and not self.modes & 1 << (mode - 1):
             raise self.wiring.error(f"the drive has no mode {t.MODES[mode]}")
         self._mode = 0
         if target is not None:
-            await self._objects.write(target[0], 0, target[1])
-        await self._objects.write_raw(0x6060, 0, bytes([mode]))
+            await self.objects.write(target[0], 0, target[1])
+        await self.objects.write_raw(0x6060, 0, bytes([mode]))
         end = self.wiring.clock.monotonic() + STEP
-        while await self._objects.read(0x6061) != mode:
+        while await self.objects.read(0x6061) != mode:
             if self.wiring.clock.monotonic() > end:
                 raise self.wiring.error(f"it did not go to the mode {t.MODES[mode]}")
         self._mode = mode
@@ -206,14 +232,14 @@ class Cia402(Cia402Node):
 
         The goal goes by SDO: as process data it could be overtaken by the control word, whose id comes first.
         """
-        await self._objects.write(0x6081, 0, abs(self._units.to_velocity(speed)))
-        await self._objects.write(0x607A, 0, self._units.to_counts(position))
+        await self.objects.write(0x6081, 0, abs(self.units.to_velocity(speed)))
+        await self.objects.write(0x607A, 0, self.units.to_counts(position))
         await self._control(t.ENABLE)
         await self.expect(
-            lambda: not self._statusword & t.ACKNOWLEDGED, TAKEN, "it holds an old position goal"
+            lambda: not self.statusword & t.ACKNOWLEDGED, TAKEN, "it holds an old position goal"
         )
         await self._control(t.ENABLE | t.NEW_SETPOINT | t.AT_ONCE)
         await self.expect(
-            lambda: bool(self._statusword & t.ACKNOWLEDGED), TAKEN, "it did not take the position"
+            lambda: bool(self.statusword & t.ACKNOWLEDGED), TAKEN, "it did not take the position"
         )
         await self._control(t.ENABLE)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping
 
-from lfield_can.frames import Frame
+from lfield_can.bus.frames import Frame
 from lfield_can.protocols import cia402_setup as setting
 from lfield_can.protocols import cia402_tables as t
 from lfield_can.protocols.axis_protocol import AxisProtocol, Wiring
 from lfield_can.protocols.canopen_node import CanopenNode
-from lfield_can.protocols.cia402_units import Units
-from lfield_can.protocols.repeating import Repeating
+from lfield_can.protocols.cia402_tables import Units
+from lfield_can.timing import Repeating
 
 #: Seconds for one step of a state machine.
 STEP = 1.0
@@ -31,31 +31,30 @@ class Cia402Node(AxisProtocol):
             raise wiring.error(
                 "cia402 needs 'counts' in its binding: position counts in one turn of the motor"
             )
-        self._units = Units(
+        self.units = Units(
             self.turns,
             option("counts"),
             option("velocity_unit"),
             option("rated_torque"),
             option("rated_current"),
         )
-        self._objects = CanopenNode(self.binding.field, self.node, self.bus.post)
+        self.objects = CanopenNode(self.binding.field, self.node, self.bus.post)
         self._beats = Repeating(wiring.clock)
-        self._stream = Repeating(wiring.clock)
         self._handlers: Mapping[int, Callable[..., Mapping[str, object] | None]] = {
             t.HEARTBEAT: self._on_heartbeat,
-            t.STATUS: self._on_status,
+            t.STATUS: self.on_status,
             t.MOTION: self._on_motion,
             t.FORCE: self._on_force,
             t.EMERGENCY: self._on_emergency,
         }
         self._longest = 0.0
         self._nmt: int | None = None
-        self._statusword = self._error_code = self._register = 0
-        self._mapped: frozenset[int] = frozenset()
+        self.statusword = self._error_code = self._register = 0
+        self.mapped: frozenset[int] = frozenset()
         self._motion_at = -OLD
-        self._mode = self._modes = 0
-        self._configured = False
-        self._commanded: float | None = None
+        #: Bits of the modes that it has, 0 when it does not tell.
+        self.modes = 0
+        self.configured = False
         self._has_voltage = True
 
     # -- what the drive says ----------------------------------------------------------------------------
@@ -69,9 +68,9 @@ class Cia402Node(AxisProtocol):
         """One frame of the node."""
         code = frame.id - self.node
         if code == t.SDO_ANSWER:
-            self._objects.on_answer(frame.data)
+            self.objects.on_answer(frame.data)
             return {}
-        if code in t.TRANSMITTED and code not in self._mapped:
+        if code in t.TRANSMITTED and code not in self.mapped:
             return {}  # it is not ours yet: laid out as somebody else has set it up
         try:
             values = t.LAYOUTS[code].unpack(frame.data)
@@ -83,18 +82,18 @@ class Cia402Node(AxisProtocol):
         self._nmt = value & 0x7F
         if self._nmt == t.BOOTED:
             self.state.referenced = False
-        if self._configured and self._nmt != t.OPERATIONAL:
-            self._configured, self.needs_setup = False, True
-            self._forget("not operational")
+        if self.configured and self._nmt != t.OPERATIONAL:
+            self.configured, self.needs_setup = False, True
+            self.forget("not operational")
         if self.wiring.clock.monotonic() - self._motion_at > OLD:
             self.state.position = self.state.velocity = None
         return {}
 
-    def _on_status(self, statusword: int) -> dict[str, object] | None:
+    def on_status(self, statusword: int) -> dict[str, object] | None:
         state = t.state_of(statusword)
         if not state:
             return None
-        self._statusword, self.state.state = statusword, state
+        self.statusword, self.state.state = statusword, state
         self.state.enabled = state == "operation enabled"
         if not state.startswith("fault"):
             self._error_code = self._register = 0
@@ -105,17 +104,17 @@ class Cia402Node(AxisProtocol):
     def _on_motion(self, position: int, velocity: int) -> dict[str, object]:
         self._motion_at = self.wiring.clock.monotonic()
         self.state.position, self.state.velocity = (
-            self._units.position(position),
-            self._units.velocity(velocity),
+            self.units.position(position),
+            self.units.velocity(velocity),
         )
         return {"position": self.state.position, "velocity": self.state.velocity}
 
     def _on_force(self, torque: int, current: int) -> dict[str, object]:
         values: dict[str, object] = {}
-        if self._units.rated_torque:
-            values["torque"] = self._units.torque(torque)
-        if self._units.rated_current:
-            values["current"] = current / 1000.0 * self._units.rated_current
+        if self.units.rated_torque:
+            values["torque"] = self.units.torque(torque)
+        if self.units.rated_current:
+            values["current"] = current / 1000.0 * self.units.rated_current
         return values
 
     def _on_emergency(self, code: int, register: int) -> dict[str, object]:
@@ -133,43 +132,41 @@ class Cia402Node(AxisProtocol):
             "referenced": state.referenced,
         }
 
-    def _forget(self, state: str) -> None:
+    def forget(self, state: str) -> None:
         """What was known is not true any more."""
-        self._stream.stop()
-        self._mode, self._commanded = 0, None
         self.state.state, self.state.enabled = state, False
         self.state.position = self.state.velocity = None
 
     def silent(self) -> None:
         """Not heard for too long."""
-        self._forget("silent")
+        self.forget("silent")
 
     # -- setting up -------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
         """Read the EDS file."""
         if path := self.binding.option("eds"):
-            self._objects.load(path)
+            self.objects.load(path)
 
     def call(self) -> None:
         """Ask for the device type: a node need not have heartbeats before it is set up."""
-        self._objects.ping()
+        self.objects.ping()
 
     async def setup(self) -> str:
         """Identify it, set everything up, and start its process data."""
-        node, note, error = self._objects, self.wiring.note, self.wiring.error
-        self._configured = False
+        node, note, error = self.objects, self.wiring.note, self.wiring.error
+        self.configured = False
         identity = await setting.identify(node, error)
         await setting.set_heartbeat(node)
-        self._mapped = await setting.map_process_data(node, self.node, note)
-        await setting.read_ratings(node, self._units)
-        await setting.set_limits(node, self.binding, self._units, note)
+        self.mapped = await setting.map_process_data(node, self.node, note)
+        await setting.read_ratings(node, self.units)
+        await setting.set_limits(node, self.binding, self.units, note)
         await setting.set_quick_stop(node, self.binding.safe_state, error)
-        self._modes = await setting.optional(node, 0x6502) or 0
+        self.modes = await setting.optional(node, 0x6502) or 0
         if self._longest:
             await self.set_watchdog(self._longest)
         await self._start()
-        self._configured, self.needs_setup = True, False
+        self.configured, self.needs_setup = True, False
         return f"CiA 402 drive, node {self.node}, {identity}"
 
     async def _start(self) -> None:
@@ -191,7 +188,7 @@ class Cia402Node(AxisProtocol):
         beat = Frame(t.HEARTBEAT + master, bytes([t.OPERATIONAL]))
         self._beats.start(longest / 4.0, lambda: self.bus.post(beat))
         note, safe_state = self.wiring.note, self.binding.safe_state
-        seconds = await setting.set_watchdog(self._objects, master, longest, safe_state, note)
+        seconds = await setting.set_watchdog(self.objects, master, longest, safe_state, note)
         # The drive begins to watch with the first heartbeat that it hears from now on (CiA 301, 7.2.8.2.2).
         await self.bus.send(beat)
         return seconds
@@ -200,11 +197,11 @@ class Cia402Node(AxisProtocol):
         """The supply voltage, and the cause of a fault that was not told."""
         values: dict[str, object] = {}
         if self.state.fault and not self._error_code:
-            self._error_code = await setting.optional(self._objects, 0x603F) or 0
-            self._register = await setting.optional(self._objects, 0x1001) or 0
-            values.update(self._on_status(self._statusword) or {})
+            self._error_code = await setting.optional(self.objects, 0x603F) or 0
+            self._register = await setting.optional(self.objects, 0x1001) or 0
+            values.update(self.on_status(self.statusword) or {})
         if self._has_voltage:
-            millivolts = await setting.optional(self._objects, 0x6079)
+            millivolts = await setting.optional(self.objects, 0x6079)
             self._has_voltage = millivolts is not None
             if millivolts is not None:
                 values["voltage"] = millivolts / 1000.0
@@ -213,13 +210,11 @@ class Cia402Node(AxisProtocol):
     def quiet(self, on: bool) -> None:
         """Our heartbeats feed its watchdog."""
         if on:
-            self._stream.stop()
             self._beats.stop()
         elif self._longest:
             self._beats.again()
 
     def close(self) -> None:
         """No heartbeats, no worker."""
-        self._stream.stop()
         self._beats.stop()
-        self._objects.close()
+        self.objects.close()

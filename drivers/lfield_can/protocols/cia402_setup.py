@@ -5,11 +5,10 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping
 
-from lfield.driver import DeviceBinding
-from lfield.errors import DeviceError
+from lfield.driver import DeviceBinding, DeviceError
 from lfield_can.protocols import cia402_tables as t
 from lfield_can.protocols.canopen_node import CanopenNode, SdoRefused
-from lfield_can.protocols.cia402_units import Units
+from lfield_can.protocols.cia402_tables import Units
 
 #: Milliseconds between two heartbeats of the drive.
 HEARTBEAT_EVERY = 100

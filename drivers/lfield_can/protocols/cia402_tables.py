@@ -1,4 +1,4 @@
-"""CiA 301 and CiA 402 as data: objects, states, process data, errors in words.
+"""CiA 301 and CiA 402 as data: objects, states, process data, units, errors in words.
 
 CiA 301 4.2 (communication profile) and CiA 402-2 4.1 / IEC 61800-7-201 (drive profile); the manual of every
 such drive has the numbers.
@@ -6,8 +6,10 @@ such drive has the numbers.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from canopen.objectdictionary import datatypes as t
 
@@ -255,3 +257,56 @@ def error_words(code: int, register: int = 0) -> str:
         groups = (ERRORS.get(code & mask) for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000))
         return f"{next((g for g in groups if g), 'unknown error')} (0x{code:04X})"
     return ", ".join(text for bit, text in REGISTER.items() if register & bit)
+
+
+# -- units -----------------------------------------------------------------------------------------------
+
+#: How many of each velocity unit are one turn of the motor per second; counts depend on the encoder.
+_PER_TURN = {"rpm": 60.0, "milli_rpm": 60_000.0}
+
+
+@dataclass(slots=True)
+class Units:
+    """Scales of one drive. `turns` of the motor are one radian of the axis, with its sign.
+
+    `rated_torque` in N m and `rated_current` in A are of the motor; 0 while unknown.
+    """
+
+    turns: float
+    counts: int
+    velocity_unit: str
+    rated_torque: float = 0.0
+    rated_current: float = 0.0
+
+    def to_counts(self, position: float) -> int:
+        """rad of the axis to counts."""
+        return round(position * self.turns * self.counts)
+
+    def position(self, counts: int) -> float:
+        """Counts to rad of the axis."""
+        return counts / self.counts / self.turns
+
+    def to_velocity(self, velocity: float) -> int:
+        """rad/s of the axis (or rad/s²) to the drive's unit."""
+        return round(velocity * self.turns * self._per_turn)
+
+    def velocity(self, value: int) -> float:
+        """The drive's unit to rad/s of the axis."""
+        return value / self._per_turn / self.turns
+
+    def to_torque(self, torque: float) -> int:
+        """N m of the axis to thousandths of the rated torque, which must be known."""
+        return round(1000.0 * torque / self._axis_torque)
+
+    def torque(self, value: int) -> float:
+        """Thousandths of the rated torque to N m of the axis."""
+        return value / 1000.0 * self._axis_torque
+
+    @property
+    def _per_turn(self) -> float:
+        return _PER_TURN.get(self.velocity_unit, float(self.counts))
+
+    @property
+    def _axis_torque(self) -> float:
+        """The rated torque behind the gear, with the sign of the axis; the gear loses nothing."""
+        return self.rated_torque * self.turns * math.tau

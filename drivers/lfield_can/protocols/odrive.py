@@ -6,7 +6,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping
 
-from lfield_can.frames import Frame
+from lfield_can.bus.frames import Frame
 from lfield_can.protocols import odrive_tables as t
 from lfield_can.protocols.axis_protocol import AxisProtocol, Wiring
 

@@ -8,8 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from typing import Any
 
-from lfield.clock import Clock
-from lfield.driver import Device, DeviceBinding, Manifest, Reports
+from lfield.driver import Clock, Device, DeviceBinding, Manifest, Reports
 from lfield_mavlink.contact.exchange import Exchange, is_for_us
 from lfield_mavlink.contact.state import Texts, VehicleState
 from lfield_mavlink.geo import Place

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from lfield.clock import Clock
+from lfield.driver import Clock
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.link.ports import LinkCounts

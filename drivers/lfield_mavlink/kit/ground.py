@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
+from lfield.driver import DeviceError
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, refused
-from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import dialect, result_words
 
 GROUND = Kit()

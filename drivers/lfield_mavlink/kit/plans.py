@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from lfield.driver import DeviceError
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried
-from lfield.errors import DeviceError
 from lfield_mavlink.geo import Place
 
 PLANS = Kit()

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from lfield.errors import DeviceError
+from lfield.driver import DeviceError
 from lfield_mavlink.link.serial_link import SerialLink
 
 #: Seconds between attempts to open a link again.

@@ -10,7 +10,7 @@ from contextlib import suppress
 
 import serial
 
-from lfield.errors import DeviceError
+from lfield.driver import DeviceError
 
 #: Seconds between attempts to open the port again.
 AGAIN = 1.0

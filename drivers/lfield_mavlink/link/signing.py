@@ -14,9 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from lfield.clock import Clock
-from lfield.driver import DeviceBinding
-from lfield.errors import DeviceError
+from lfield.driver import Clock, DeviceBinding, DeviceError
 from lfield_mavlink.link.stamps import PER_SECOND, Stamps, load_key
 
 #: The end of a signed packet: link id, 48 bits of timestamp, 48 bits of signature.

@@ -16,9 +16,7 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from lfield.clock import Clock
-from lfield.errors import DeviceError
-from lfield.text.files import read_within
+from lfield.driver import Clock, DeviceError, read_within
 
 #: Timestamps count units of 10 us since the first of January 2015.
 PER_SECOND, EPOCH = 100_000, 1_420_070_400

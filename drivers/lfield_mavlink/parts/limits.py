@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from lfield.driver import DeviceBinding
-from lfield.errors import DeviceError
+from lfield.driver import DeviceBinding, DeviceError
 from lfield_mavlink.geo import Vector
 
 

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from lfield.clock import Clock
-from lfield.errors import DeviceError
+from lfield.driver import Clock, DeviceError
 from lfield_mavlink.contact.contact import SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect

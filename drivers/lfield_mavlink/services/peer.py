@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol
 
-from lfield.errors import DeviceError
+from lfield.driver import DeviceError
 
 #: Messages that wait to be read; more than a burst of file data on a fast link.
 KEPT = 4096

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from lfield.bytecode.program import Program
 from lfield.bytecode.verify.code import check_code
-from lfield.bytecode.verify.debug import check_debug
-from lfield.bytecode.verify.methods import check_methods
+from lfield.bytecode.verify.methods import check_debug, check_methods
 from lfield.bytecode.verify.records import check_classes, check_constants, check_device_calls, check_types
 
 

@@ -1,4 +1,4 @@
-"""Verifying method records: shapes, places in the code, and what may cross a portal."""
+"""Verifying method records: shapes, places in the code, what may cross a portal, and where they come from."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from lfield.bytecode.program import (
     STRING,
     VOID,
     Core,
+    MethodDebug,
     MethodRecord,
+    Program,
     TypeRecord,
 )
 from lfield.bytecode.verify.types import TypeTable
@@ -118,6 +120,27 @@ def _parts(core: Core, record: TypeRecord) -> list[int]:
     if record.kind == OBJECT:
         return [field.type for field in core.classes[record.of].fields]
     return []
+
+
+def check_debug(program: Program) -> None:
+    """Debug information may be absent; what is there has one sound entry per method."""
+    debug, methods = program.debug, program.core.methods
+    if debug.methods and len(debug.methods) != len(methods):
+        raise ProgramFileError("its debug information is not that of its methods")
+    for info, method in zip(debug.methods, methods, strict=False):
+        if not 0 <= info.source < len(debug.sources):
+            raise _refused(method, "a method comes from no source")
+        _check_entry(info, method)
+
+
+def _check_entry(info: MethodDebug, method: MethodRecord) -> None:
+    before = method.entry - 1
+    for pc, line in info.lines:
+        if not before < pc < method.end or line < 1:
+            raise _refused(method, "its lines are out of order")
+        before = pc
+    if not all(0 <= slot < len(method.slots) for slot, _ in info.names):
+        raise _refused(method, "it names a slot that it has not")
 
 
 def _refused(method: MethodRecord, reason: str) -> ProgramFileError:

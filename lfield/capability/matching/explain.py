@@ -39,6 +39,11 @@ def _lines(refusals: Iterable[Refusal], indent: str) -> Iterator[str]:
         yield from _lines(refusal.inner, f"{indent}  ")
 
 
+def cut_short(count: int, most: int) -> str:
+    """That there are more offers than are given, '' when there are not."""
+    return f"the best {most} of {count} offers are given" if count > most else ""
+
+
 @dataclass(frozen=True, slots=True)
 class _Place:
     """Where an explanation is: at the end of a chain to a primitive, which is wanted on conditions.

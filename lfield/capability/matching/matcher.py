@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from itertools import islice
 
 from lfield.capability.matching.explain import Explanation
 from lfield.capability.matching.rules import Rules
@@ -26,16 +27,22 @@ class Matcher:
         limits: Limits | None = None,
     ) -> None:
         self._limits = limits or Limits()
+        #: So many offers are given.
+        self.most = self._limits.offers
         self._team = team
         self._rules = Rules(registry, ways, self._limits.depth)
 
     def offers(self, primitive: str, constraint: Expression | None = None) -> list[Offer]:
-        """Everyone who serves the primitive and fulfils the constraint, the cheapest first.
+        """The best who serve the primitive and fulfil the constraint, the cheapest first, at most `most`.
 
         Ties go to the way with fewer rules, then by the names of rules, then by the order of the deployment.
         Of each composition there are the best `limits.per_rule`.
         """
-        return [plan.offer for plan in self._search(primitive, constraint).offers()]
+        return [plan.offer for plan in islice(self._search(primitive, constraint).plans(), self.most)]
+
+    def count(self, primitive: str, constraint: Expression | None = None) -> int:
+        """How many there are of whom `offers` gives the best."""
+        return sum(1 for _ in self._search(primitive, constraint).plans())
 
     def explain(self, primitive: str, constraint: Expression | None = None) -> list[Refusal]:
         """Everyone who could serve the primitive and is not offered: each agent of each way, each rule."""

@@ -14,14 +14,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain as joined
-from itertools import islice
 from operator import attrgetter
 
 from lfield.capability.matching.assembly import Assembly
-from lfield.capability.matching.bounds import least_costs
 from lfield.capability.matching.evaluate import Judge, conjuncts, evaluator, names
 from lfield.capability.matching.plan import Plan, fulfilling, standing_in
-from lfield.capability.matching.rules import Chain, Rules
+from lfield.capability.matching.rules import Chain, Rules, least_costs
 from lfield.capability.model import Expression, Need
 from lfield.capability.offer import Candidate, Team
 
@@ -34,14 +32,14 @@ class Limits:
     per_rule        offers of each composition
     combinations    combinations of parts that are tried for one composition
     tried           combinations that are tried in all
-    offers          offers in all
+    offers          offers that are given, the best of all
     """
 
     depth: int = 4
     per_rule: int = 16
     combinations: int = 1_000
     tried: int = 2_000
-    offers: int = 10_000
+    offers: int = 32
 
 
 class Stream:
@@ -113,13 +111,10 @@ class Search:
             self._agents[primitive] = sorted(joined(*found), key=attrgetter("cost"))
         return self._agents[primitive]
 
-    def offers(self) -> Iterator[Plan]:
-        """All plans that fulfil the constraint, the cheapest first, within the limits."""
-        return islice(self._offers(judges(self.constraint)), self.limits.offers)
-
-    def _offers(self, wished: Sequence[Judge]) -> Iterator[Plan]:
+    def plans(self) -> Iterator[Plan]:
+        """All plans that fulfil the constraint, the cheapest first; of each composition the best."""
         given: Counter[str] = Counter()
-        found = []
+        found, wished = [], judges(self.constraint)
         for way in self._ways(self.primitive, self.limits.depth, frozenset()):
             plans = self._plans(way, self.primitive, self.limits.depth, frozenset(), wished)
             if way.assembly is not None:

@@ -1,18 +1,21 @@
-"""The section `attributes`: what offers differ in.
+"""The sections `attributes` and `ranking`: what offers differ in, and what makes a good one.
 
 ```yaml
 attributes:
   payload: {type: real, unit: kg, better: more, typical: 2.0, meaning: what it can carry or lift}
   environment: {type: set, values: [aerial, aquatic, terrestrial], meaning: where it can work}
   battery: {type: real, better: more, live: true, max_age: 10.0, meaning: charge from 0 to 1}
+ranking: {weights: {loss: 2.0, hop: 0.1}, attributes: {payload: 2.0}}
 ```
 """
 
 from __future__ import annotations
 
+from dataclasses import fields as fields_of
+from dataclasses import replace
 from typing import cast, get_args
 
-from lfield.capability.model import Attribute, AttributeType, Better
+from lfield.capability.model import Attribute, AttributeType, Better, Weights
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import NAME, Draft
 from lfield.capability.reading.values import check_unit
@@ -21,6 +24,10 @@ from lfield.text.yaml_source import Entry
 
 #: What conditions call something of their own.
 RESERVED_ATTRIBUTES = frozenset({"agent", "robot", "host", "distance", "min", "max", "abs"})
+
+#: The terms of the cost that have a weight; the weights of single attributes stand beside them.
+_TERMS = tuple(f.name for f in fields_of(Weights) if f.name != "attributes")
+_HEAVIEST = 1e6
 
 
 def read_attributes(draft: Draft) -> None:
@@ -54,3 +61,25 @@ def _attribute(draft: Draft, entry: Entry, fields: Fields) -> Attribute:
     if attribute.values and kind not in ("set", "text"):
         draft.tell(messages.VALUES_OF_NUMBER, fields.value_span("values"), name=name, type=kind)
     return attribute
+
+
+def read_ranking(draft: Draft) -> None:
+    """The weights: a later file counts before an earlier one, a mission's before all."""
+    for file in draft.files:
+        section = file.top.section("ranking")
+        stated = section.section("weights")
+        weights = {
+            term: stated.number(term, minimum=0.0, maximum=_HEAVIEST) for term in _TERMS if term in stated
+        }
+        stated.done()
+        attributes = {**draft.weights.attributes, **_attribute_weights(draft, section.section("attributes"))}
+        draft.weights = replace(draft.weights, attributes=attributes, **weights)
+        section.done()
+
+
+def _attribute_weights(draft: Draft, section: Fields) -> dict[str, float]:
+    weights = {}
+    for entry in section.named():
+        if draft.attribute(entry.key, entry.key_span) is not None:
+            weights[entry.key] = section.number(entry.key, minimum=0.0, maximum=_HEAVIEST)
+    return weights

@@ -72,8 +72,6 @@ class Draft:
     agents: dict[str, dict[str, Value]] = field(default_factory=dict)
     weights: Weights = field(default_factory=Weights)
     version: int = 0
-    # Comparing names takes long: a file of nothing but mistakes gets no more hints after so many of them.
-    _comparisons: int = 20_000
 
     def tell(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
         """Add a finding."""
@@ -130,8 +128,7 @@ class Draft:
 
     def like(self, name: str, known: Collection[str]) -> str | None:
         """`did you mean 'x'?`, or None when nothing is like it."""
-        self._comparisons -= len(known)
-        return did_you_mean(name[:MAX_NAME], known) if self._comparisons >= 0 else None
+        return did_you_mean(name[:MAX_NAME], known)
 
     def term(self, id: str, span: Span) -> str:
         """The id that counts for a term that is mentioned, '' when there is none."""

@@ -1,4 +1,4 @@
-"""The section `providers`: resource types with the primitives they serve.
+"""The sections `providers` and `agents`: what resource types serve and state, and single agents besides.
 
 ```yaml
 providers:
@@ -11,6 +11,7 @@ providers:
         when: "tools == winch"             # not every one of the type can
         attributes: {accuracy: 0.01}       # count before those of the type
         portals: {lift: {portal: lift, arguments: [height]}}
+agents: {arm2: {payload: 1.2}}           # those of the mission
 ```
 A mission may add to a provider of ours: what it says of an attribute or of a primitive replaces what we say.
 """
@@ -18,16 +19,17 @@ A mission may add to a provider of ours: what it says of an attribute or of a pr
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import replace
 
 from lfield.capability.matching.expression import Scope
 from lfield.capability.model import Live, Provider, Served
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import TYPE_NAME, Draft
-from lfield.capability.reading.expressions import read_expression
 from lfield.capability.reading.portals import read_portals
-from lfield.capability.reading.values import read_conversion, read_values
+from lfield.capability.reading.values import read_conversion, read_expression, read_values
 from lfield.text.source import Span
+from lfield.text.suggest import listed
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Mapping
 
@@ -94,6 +96,16 @@ def _serves(draft: Draft, section: Fields, scope: Scope) -> dict[str, Served]:
         )
         fields.done()
     return serves
+
+
+def read_agents(draft: Draft, deployed: Collection[str] | None) -> None:
+    """The values of single agents; when the `deployed` ones are given, any other name is a mistake."""
+    for _, entry, fields in draft.entries("agents"):
+        if deployed is not None and entry.key not in deployed:
+            hint = draft.like(entry.key, deployed)
+            known = listed(sorted(deployed))
+            draft.tell(messages.UNKNOWN_AGENT, entry.key_span, hint=hint, name=entry.key, agents=known)
+        draft.agents.setdefault(entry.key, {}).update(read_values(draft, fields))
 
 
 # --- live attributes ----------------------------------------------------------------------------------

@@ -4,11 +4,10 @@ A file of a registry is YAML with any of these sections, each described where it
 
     registry: 1         the version of the format; every file has it
     taxonomy            taxonomy.py             terms as a tree, and its version
-    attributes          attributes.py           what offers differ in
+    attributes, ranking attributes.py           what offers differ in, and how much each counts
     primitives          primitives.py           what can be called
-    providers           providers.py            resource types and what they serve
+    providers, agents   providers.py            resource types and what they serve; values of single agents
     equivalences        rules.py                who stands in for whom
-    agents, ranking     mission.py              values of single agents, weights
 
 Sections refer to those above them, in whatever file. Files are equals, and nothing is defined twice; only a
 mission's own file, `NAME.capabilities.yaml` beside `NAME.dL`, may override what the others say.
@@ -16,23 +15,22 @@ mission's own file, `NAME.capabilities.yaml` beside `NAME.dL`, may override what
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import replace
+import hashlib
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from lfield.capability.model import Registry
+import lfield
+from lfield.capability.model import Composition, Expression, Registry, Term
 from lfield.capability.reading import messages
-from lfield.capability.reading.attributes import read_attributes
-from lfield.capability.reading.digest import digest
+from lfield.capability.reading.attributes import read_attributes, read_ranking
 from lfield.capability.reading.draft import Draft, RegistryFile
-from lfield.capability.reading.mission import read_agents, read_ranking
 from lfield.capability.reading.primitives import read_primitives
-from lfield.capability.reading.providers import read_providers
-from lfield.capability.reading.rule_cycles import check_cycles
-from lfield.capability.reading.rule_ways import check_ways
-from lfield.capability.reading.rules import read_rules
-from lfield.capability.reading.shipped import shipped
-from lfield.capability.reading.subsumption import subsumptions
+from lfield.capability.reading.providers import read_agents, read_providers
+from lfield.capability.reading.rule_checks import check_cycles, check_ways
+from lfield.capability.reading.rules import read_rules, subsumptions
 from lfield.capability.reading.taxonomy import read_taxonomy
 from lfield.errors import ProgramError
 from lfield.text.source import Diagnostic, Diagnostics
@@ -41,6 +39,11 @@ from lfield.text.yaml_source import Scalar, read
 
 #: The version of the format.
 VERSION = 1
+
+#: What makes no difference to any answer.
+_IGNORED = frozenset({"span", "meaning", "digest"})
+#: Of a term the name is for people; where the source of a class lies differs between hosts.
+_IGNORED_OF = {Term: _IGNORED | {"name"}, Composition: _IGNORED | {"source"}}
 
 
 def read_registry(
@@ -118,3 +121,56 @@ def _registry(draft: Draft) -> Registry:
         version=draft.version,
     )
     return replace(registry, digest=digest(registry))
+
+
+# --- the registry that comes with lfield ---------------------------------------------------------------
+
+
+def shipped_folder() -> Path:
+    """Where the files of the registry are; their classes in L are in the folder `L` there."""
+    package = Path(lfield.__file__).resolve().parent
+    installed = package / "registry"
+    return installed if installed.is_dir() else package.parent / "capabilities"
+
+
+def is_shipped(finding: Diagnostic) -> bool:
+    """Whether a finding is about a file that comes with lfield."""
+    return Path(finding.span.source.name).parent == shipped_folder()
+
+
+def shipped() -> list[Path]:
+    """The files of the registry that comes with lfield, by name."""
+    return sorted(shipped_folder().glob("*.yaml"))
+
+
+# --- the digest ----------------------------------------------------------------------------------------
+
+
+def digest(registry: Registry) -> bytes:
+    """SHA-256 over what was read: the same on every host whose registry gives the same answers.
+
+    Comments, meanings, places, paths and the order of files do not count.
+    """
+    text = json.dumps(_canonical(registry), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).digest()
+
+
+def _canonical(value: object) -> object:
+    """A value as JSON has it. Mappings are sorted later; of needs the order counts, as in arguments."""
+    if isinstance(value, Expression):
+        return value.text
+    if isinstance(value, Composition):
+        return [list(value.needs), _record(value)]
+    if is_dataclass(value):
+        return _record(value)
+    if isinstance(value, Mapping):
+        return {key: _canonical(item) for key, item in value.items()}
+    if isinstance(value, frozenset):
+        return sorted(value)
+    return [_canonical(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _record(value: Any) -> dict[str, object]:
+    ignored = _IGNORED_OF.get(type(value), _IGNORED)
+    names = (field.name for field in fields(value) if field.name not in ignored)
+    return {name: _canonical(getattr(value, name)) for name in names}

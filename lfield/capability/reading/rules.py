@@ -17,21 +17,24 @@ equivalences:
     attributes: {payload: "min(grip.payload, climb.payload)"}
     loss: 0.5
 ```
-A mission may replace a rule of ours by one of the same name.
+A mission may replace a rule of ours by one of the same name. The specific serves the general by rules that
+follow from the tree of terms by themselves.
 """
 
 from __future__ import annotations
 
 import os.path
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from lfield.capability.matching.expression import Scope
 from lfield.capability.model import Composition, Equivalence, Expression, Need, Primitive
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import NAME, RULE, TYPE_NAME, Draft
-from lfield.capability.reading.expressions import read_attribute_expression, read_expression
-from lfield.capability.reading.portals import read_portals
-from lfield.capability.reading.rule_calls import check_calls
+from lfield.capability.reading.portals import read_portals, same_name
+from lfield.capability.reading.rule_checks import check_calls
+from lfield.capability.reading.signatures import same_call
+from lfield.capability.reading.values import read_attribute_expression, read_expression
 from lfield.text.source import Span
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry
@@ -157,3 +160,51 @@ def _worth(draft: Draft, section: Fields, scope: Scope) -> dict[str, Expression]
         if expression is not None:
             worth[entry.key] = expression
     return worth
+
+
+# --- rules that follow from the tree -------------------------------------------------------------------
+
+
+def subsumptions(primitives: Mapping[str, Primitive]) -> dict[str, Equivalence]:
+    """All rules that follow from the places of some primitives in the tree, by name.
+
+    Where the term of P lies below that of Q and P has all portals of Q, with the same signatures, every offer
+    of P is one of Q, without any loss: the rule `P-is-Q`. A P that lacks one of them is just below Q.
+    """
+    by_term: dict[str, list[Primitive]] = {}
+    for primitive in primitives.values():
+        by_term.setdefault(primitive.id, []).append(primitive)
+    rules = {}
+    for specific in primitives.values():
+        for ancestor in _ancestors(specific.id):
+            for general in by_term.get(ancestor, ()):
+                if not _lacking(specific, general):
+                    rule = _subsumption(specific, general)
+                    rules[rule.name] = rule
+    return rules
+
+
+def _lacking(specific: Primitive, general: Primitive) -> tuple[str, ...]:
+    """The portals of the general primitive that the specific one has not, or has with another signature."""
+    return tuple(
+        name
+        for name, portal in general.portals.items()
+        if name not in specific.portals or not same_call(portal, specific.portals[name])
+    )
+
+
+def _ancestors(id: str) -> Iterable[str]:
+    while "." in id:
+        id = id.rpartition(".")[0]
+        yield id
+
+
+def _subsumption(specific: Primitive, general: Primitive) -> Equivalence:
+    return Equivalence(
+        name=f"{specific.name}-is-{general.name}",
+        serves=general.name,
+        by=specific.name,
+        portals={name: same_name(portal, specific.span) for name, portal in general.portals.items()},
+        span=specific.span,
+        meaning=f"{general.id} is the more general of the two",
+    )

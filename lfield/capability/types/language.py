@@ -9,7 +9,7 @@ from functools import cached_property
 from lfield.capability.matching import expression
 from lfield.capability.matching.expression import Mistake, Scope
 from lfield.capability.model import Provider, Registry
-from lfield.capability.reading.shipped import is_shipped
+from lfield.capability.reading.reader import is_shipped
 from lfield.capability.reading.signatures import signatures_of
 from lfield.capability.types.generate import Served, class_text, prelude
 from lfield.capability.types.program_check import check_against, check_classes

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from lfield.capability.model import Composition, Portal, PortalMap, Primitive, Provider, Registry
 from lfield.capability.reading import messages
-from lfield.capability.reading.rule_calls import result_type, wrong_result
+from lfield.capability.reading.rule_checks import result_type, wrong_result
 from lfield.capability.reading.signatures import (
     Overload,
     Signature,
@@ -22,8 +22,7 @@ from lfield.capability.reading.signatures import (
 )
 from lfield.errors import InputFileError
 from lfield.lang.parser import parse
-from lfield.lang.reading import MAX_BYTES
-from lfield.text.files import read_bytes
+from lfield.text.files import MAX_TEXT, read_bytes
 from lfield.text.source import Diagnostics, Source, Span
 from lfield.text.suggest import did_you_mean, listed
 
@@ -107,7 +106,7 @@ def check_classes(registry: Registry, found: Diagnostics) -> None:
 def _units(rule: Composition) -> dict[str, Signature] | None:
     """The units in the source of a rule; None when it cannot be read as L."""
     try:
-        text = read_bytes(rule.source, MAX_BYTES).decode("utf-8")
+        text = read_bytes(rule.source, MAX_TEXT).decode("utf-8")
     except (InputFileError, UnicodeDecodeError):
         return None
     file = parse(Source(str(rule.source), text), Diagnostics())

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.errors import OutputFileError, UsageError
+from lfield.errors import UsageError
 
 if TYPE_CHECKING:
     from lfield.capability.model import Registry
-    from lfield.operator.registry.show import Sheet
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,10 +28,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check.add_argument("files", metavar="FILE", nargs="*", type=Path, help="files of a registry or a mission")
     check.add_argument("--alone", action="store_true", help="without the registry that comes with lfield")
     check.add_argument("--program", metavar="FILE.L", type=Path, help="also against this program's resources")
-    imported = actions.add_parser("import", help="ROS capabilities and VDA 5050 factsheets as a registry")
-    imported.add_argument("files", metavar="FILE", nargs="+", type=Path, help="YAML specs, JSON factsheets")
-    imported.add_argument("-o", "--output", metavar="OUT.yaml", type=Path, help="where to (stdout)")
-    imported.add_argument("--force", action="store_true", help="write over a file that exists")
 
 
 def _add_mission(parser: argparse.ArgumentParser) -> None:
@@ -47,10 +41,8 @@ def run(args: argparse.Namespace) -> int:
             return _tree(args)
         case "show":
             return _show_class(args) if args.as_class else _show(args)
-        case "check":
-            return _check(args)
         case _:
-            return _import(args)
+            return _check(args)
 
 
 # --- tree and show ------------------------------------------------------------------------------------
@@ -59,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 def _tree(args: argparse.Namespace) -> int:
     from lfield.capability.reading.reader import read_registry
     from lfield.cli.views.trees import print_tree
-    from lfield.operator.registry.show import term_of, tree
+    from lfield.operator.registry.taxonomy import term_of, tree
 
     registry = read_registry(mission=args.capabilities)
     term = term_of(registry, args.id) if args.id else None
@@ -73,7 +65,7 @@ def _tree(args: argparse.Namespace) -> int:
 
 def _show(args: argparse.Namespace) -> int:
     from lfield.capability.reading.reader import read_registry
-    from lfield.operator.registry.show import describe
+    from lfield.operator.registry.sheets import describe, in_terminal
 
     if args.program is not None:
         raise UsageError("--program is for the class of a capability: give --L too")
@@ -81,16 +73,8 @@ def _show(args: argparse.Namespace) -> int:
     sheets = describe(registry, args.name)
     if not sheets:
         raise _unknown(registry, args.name)
-    print("\n\n".join("\n".join(_lines(sheet)) for sheet in sheets))
+    print("\n\n".join("\n".join(in_terminal(sheet)) for sheet in sheets))
     return 0
-
-
-def _lines(sheet: Sheet) -> Iterator[str]:
-    width = max((len(label) for label, _ in sheet.rows), default=0)
-    yield sheet.title
-    for label, lines in sheet.rows:
-        for number, line in enumerate(lines):
-            yield f"  {label if number == 0 else '':{width}}  {line}"
 
 
 def _show_class(args: argparse.Namespace) -> int:
@@ -120,7 +104,7 @@ def _show_class(args: argparse.Namespace) -> int:
 
 
 def _unknown(registry: Registry, name: str) -> UsageError:
-    from lfield.operator.registry.show import unknown_name
+    from lfield.operator.registry.taxonomy import unknown_name
 
     return UsageError(f"the registry has no '{name}': {unknown_name(registry, name)}")
 
@@ -142,25 +126,4 @@ def _check(args: argparse.Namespace) -> int:
         print(f"lfield: {counted}", file=sys.stderr)
         return 65
     print(f"no mistakes{f', {len(found)} warning(s)' if found else ''}")
-    return 0
-
-
-# --- import -------------------------------------------------------------------------------------------
-
-
-def _import(args: argparse.Namespace) -> int:
-    """Write what carries over; what does not is told on stderr and in the file."""
-    from lfield.capability.importers import import_files
-    from lfield.capability.reading.reader import read_registry
-    from lfield.cli.files import write_bytes
-
-    if args.output is not None and args.output.exists() and not args.force:
-        raise OutputFileError(str(args.output), "it exists already; --force writes over it")
-    imported = import_files(args.files, read_registry())
-    for note in imported.notes:
-        print(note, file=sys.stderr)
-    if args.output is None:
-        print(imported.text, end="")
-    else:
-        write_bytes(args.output, imported.text.encode("utf-8"))
     return 0

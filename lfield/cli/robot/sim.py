@@ -63,14 +63,16 @@ def _fault(target: str, settings: list[str]) -> int:
 def _running() -> dict[Path, dict[str, Any]]:
     """Every fake of this user that answers, by its door. Doors of fakes that were killed are cleared away."""
     from lfield.driver.sims import control_folder
-    from lfield.net.control import ask_fake
+    from lfield.net.control import ask_fake, is_abandoned
 
     running = {}
     for door in sorted(control_folder().glob("*.sock")):
         try:
             running[door] = ask_fake(door, [])
         except AddressError:
-            door.unlink(missing_ok=True)
+            # One that is only slow keeps its door.
+            if is_abandoned(door):
+                door.unlink(missing_ok=True)
     return running
 
 

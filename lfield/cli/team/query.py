@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
         query_view.Answer(
             primitive,
             matcher.offers(primitive.name, question.constraint),
+            matcher.count(primitive.name, question.constraint),
             matcher.explain(primitive.name, question.constraint),
         )
         for primitive in question.primitives

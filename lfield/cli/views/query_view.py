@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from lfield.capability.matching.explain import render
+from lfield.capability.matching.explain import cut_short, render
 from lfield.capability.matching.search import named
 from lfield.capability.model import Primitive, Registry
 from lfield.capability.offer import Fact, Offer, Refusal, Team
 from lfield.cli.views.trees import plain_console, print_tree
 from lfield.operator.question import Question
-from lfield.operator.registry.show import Branch
-from lfield.operator.registry.words import printable, worth
+from lfield.operator.registry.sheets import printable, worth
+from lfield.operator.registry.taxonomy import Branch
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -47,10 +47,11 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Who serves a primitive, best first, and who does not."""
+    """Who serves a primitive: the best of them, best first, and how many there are; and who does not."""
 
     primitive: Primitive
     offers: Sequence[Offer]
+    count: int
     refusals: Sequence[Refusal]
 
 
@@ -66,6 +67,8 @@ def show(
         print(f"\n{answer.primitive.name} ({answer.primitive.id})")
         if answer.offers:
             _show_offers(answer.offers, _Attributes(registry, question))
+            if cut := cut_short(answer.count, len(answer.offers)):
+                print(cut)
         else:
             print("nobody can" if explain else "nobody can; --explain says why")
         if explain and answer.refusals:
@@ -162,6 +165,7 @@ def as_json(question: Question, known: Known, answers: Sequence[Answer], registr
             {
                 "primitive": answer.primitive.name,
                 "id": answer.primitive.id,
+                "count": answer.count,
                 "offers": [_offer(offer, registry) for offer in answer.offers],
                 "refusals": [_refusal(refusal) for refusal in answer.refusals],
             }

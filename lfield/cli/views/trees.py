@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from lfield.operator.registry.show import Branch
+from lfield.operator.registry.taxonomy import Branch
 
 if TYPE_CHECKING:
     from rich.console import Console

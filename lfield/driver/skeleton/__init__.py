@@ -15,6 +15,7 @@ PLACES = {
     "driver.py": "lfield_$name/driver.py",
     "fake.py": "lfield_$name/fake.py",
     "kit.py": "lfield_$name/kit.py",
+    "test.py": "tests/test_$name.py",
     "mover.L": "lfield_$name/L/mover.L",
 }
 

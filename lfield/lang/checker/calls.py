@@ -6,10 +6,9 @@ from collections.abc import Sequence
 
 from lfield.lang import messages, syntax, tree
 from lfield.lang.capabilities import asked_of
-from lfield.lang.checker.conversion import shown, unknown
+from lfield.lang.checker.finds import ask, find_resource, names_of_finds
+from lfield.lang.checker.fitting import Candidate, choose, of_methods, shown, unknown
 from lfield.lang.checker.names import method_names
-from lfield.lang.checker.overloads import Candidate, choose, of_methods
-from lfield.lang.checker.queries import query
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
 from lfield.lang.checker.visibility import visible_type
@@ -31,15 +30,15 @@ from lfield.text.suggest import FOREIGN_FUNCTIONS, closest, did_you_mean, listed
 
 def bare(body: Body, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]) -> tree.Expr:
     """`name(arguments)`: an own method, a find or explain method, or a library function."""
-    if body.methods(name.name):
-        return _method(body, raw, name.span, body.this(name.span), body.methods(name.name), given)
+    if own := body.methods(name.name):
+        return _method(body, raw, name.span, body.this(name.span), own, given)
     resource = body.symbols.resource(name.name.removeprefix("find"))
     if resource is not None and name.name.startswith("find"):
-        return _find(body, raw, name.span, resource, given)
+        return find_resource(body, raw, name.span, resource, given)
     asked = asked_of(name.name)
     capability = body.symbols.capability(asked[1]) if asked is not None else None
     if asked is not None and capability is not None:
-        return query(body, raw, name.span, asked[0], capability, given)
+        return ask(body, raw, name.span, asked[0], capability, given)
     if name.name in LIBRARY_NAMES:
         return _library(body, raw, name, given)
     _unknown_function(body, name)
@@ -57,8 +56,7 @@ def member(
     if isinstance(kind, DeviceType):
         return _device(body, raw, function, owner, given)
     if unit is not None:
-        wanted = "portal" if isinstance(kind, ResourceType) else "method"
-        methods = [m for m in unit.methods if m.name == name and m.kind == wanted]
+        methods = unit.overloads(name, "portal" if isinstance(kind, ResourceType) else "method")
         if methods:
             return _method(body, raw, place, owner, methods, given)
     else:
@@ -92,8 +90,7 @@ def new(body: Body, raw: syntax.New, given: list[tree.Expr]) -> tree.Expr:
         if kind is not UNKNOWN:
             body.report(messages.NEW_TYPE, place, given=name)
         return unknown(raw.span)
-    constructors = [m for m in unit.methods if m.kind == "constructor"]
-    constructor = _chosen(body, place, constructors, given)
+    constructor = _chosen(body, place, unit.overloads(name, "constructor"), given)
     return unknown(raw.span) if constructor is None else tree.New(raw.span, kind, *constructor)
 
 
@@ -125,26 +122,6 @@ def _method(
     if method.kind == "portal":
         return tree.PortalCall(raw.span, method.result, owner, method, arguments)
     return tree.Call(raw.span, method.result, owner, method, arguments)
-
-
-def _find(
-    body: Body, raw: syntax.Call, place: Span, resource: tree.Unit, given: list[tree.Expr]
-) -> tree.Expr:
-    """`findR(id)` or `findR()`; only where resources are visible."""
-    if body.unit.usage != "coordinator":
-        body.report(messages.FIND_PLACE, place, viewer=describe(body.unit), what="resources")
-        return unknown(raw.span)
-    proxy = ResourceType(resource.name)
-    name = f"find{resource.name}"
-    candidates: list[Candidate[Type]] = [
-        Candidate(name, (STRING,), proxy),
-        Candidate(name, (), array_of(proxy)),
-    ]
-    chosen = choose(body.symbols, place, candidates, given)
-    if chosen is None:
-        return unknown(raw.span)
-    kind, arguments = chosen
-    return tree.Find(raw.span, kind, resource, arguments[0] if arguments else None)
 
 
 def _library(body: Body, raw: syntax.Call, name: syntax.Name, given: list[tree.Expr]) -> tree.Expr:
@@ -217,7 +194,7 @@ def _unknown_function(body: Body, name: syntax.Name) -> None:
     """Report a bare call of something that is no own method and no function."""
     called = name.name
     unit = body.symbols.units.get(called)
-    if any(m.kind == "portal" and m.name == called for m in body.unit.methods):
+    if body.unit.overloads(called, "portal"):
         body.report(messages.PORTAL_INSIDE, name.span, name=called)
     elif unit is not None or called in EXCEPTION_NAMES:
         may_be_made = unit is None or unit.kind == "class"
@@ -233,32 +210,26 @@ def _function_hint(body: Body, called: str) -> str | None:
     if called in FOREIGN_FUNCTIONS:
         return f"in L it is {FOREIGN_FUNCTIONS[called]}(...)"
     own = [m.name for m in body.unit.methods if m.kind == "method"]
-    finds = _finds(body) if body.unit.usage == "coordinator" else []
+    finds = names_of_finds(body) if body.unit.usage == "coordinator" else []
     keyword = closest(called, ("if", "while", "for", "return", "catch"))
     return did_you_mean(called, [*own, *finds, *LIBRARY_NAMES]) or (
         f"did you mean {keyword} ?" if keyword else None
     )
 
 
-def _finds(body: Body) -> list[str]:
-    capabilities = body.symbols.capability_names()
-    found = [f"find{name}" for name in (*body.symbols.resource_names(), *capabilities)]
-    return [*found, *(f"explain{name}" for name in capabilities)]
-
-
 def _unknown_member(body: Body, function: syntax.Member, kind: Type, unit: tree.Unit | None) -> None:
     """Report a call of something the receiver does not have."""
     name, place = function.name, function.place
     if unit is not None and isinstance(kind, ResourceType):
-        if any(m.name == name and m.kind == "method" for m in unit.methods):
+        if unit.overloads(name, "method"):
             body.report(messages.ONLY_PORTALS, place, name=name, resource=unit.name)
             return
-    elif unit is not None and any(m.name == name and m.kind == "portal" for m in unit.methods):
+    elif unit is not None and unit.overloads(name, "portal"):
         body.report(messages.PORTAL_INSIDE, place, name=name)
         return
     if unit is not None and unit.name in body.symbols.broken_units:
         return
-    if unit is not None and not isinstance(kind, ResourceType) and any(f.name == name for f in unit.fields):
+    if unit is not None and not isinstance(kind, ResourceType) and unit.field(name) is not None:
         body.report(messages.NOT_A_METHOD, place, name=name)
         return
     known = method_names(body, kind, unit)

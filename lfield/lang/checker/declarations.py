@@ -64,13 +64,13 @@ def _fields(symbols: Symbols, raw: syntax.Unit, declared: Declared) -> None:
     unit = declared.unit
     for written in raw.fields:
         kind = visible_type(symbols, unit, written.type, "field")
-        earlier = next((f for f in unit.fields if f.name == written.name), None)
+        earlier = unit.field(written.name)
         if earlier is not None:
             line = earlier.span.line
             symbols.report(messages.FIELD_TWICE, written.span, name=written.name, line=line)
             continue
         made = Field(written.name, kind, len(unit.fields), written.public, written.span)
-        unit.fields.append(made)
+        unit.add_field(made)
         if written.value is None:
             continue
         if isinstance(kind, DeviceType):
@@ -165,13 +165,12 @@ class _Methods:
             line = earlier.span.line
             self.symbols.report(messages.SAME_SIGNATURE, method.span, signature=signature, line=line)
             return
-        self.unit.methods.append(method)
+        self.unit.add_method(method)
         self.declared.bodies.append((method, written))
 
     def is_first_init(self, method: Method) -> bool:
         """Whether this init is the first; its shape is checked."""
-        earlier = next((m for m in self.unit.methods if m.kind == "init"), None)
-        if earlier is not None:
+        for earlier in self.unit.overloads(method.name, "init"):
             self.symbols.report(messages.INIT_TWICE, method.span, line=earlier.span.line)
             return False
         types = [p.type for p in method.parameters]

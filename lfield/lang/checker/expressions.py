@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 from lfield.lang import messages, syntax, tree
 from lfield.lang.checker import calls, names, operators
-from lfield.lang.checker.conversion import expect, shown, unknown
 from lfield.lang.checker.declarations import first_instruction
+from lfield.lang.checker.fitting import expect, shown, unknown
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.types import (
@@ -23,6 +20,8 @@ from lfield.lang.types import (
     DeviceType,
     Type,
 )
+
+_LITERALS: dict[type, Type] = {bool: BOOLEAN, int: INT, float: REAL, str: STRING}
 
 
 def value(body: Body, raw: syntax.Expr) -> tree.Expr:
@@ -42,7 +41,30 @@ def value(body: Body, raw: syntax.Expr) -> tree.Expr:
 
 def evaluated(body: Body, raw: syntax.Expr) -> tree.Expr:
     """Any expression: a call without a value, a device, and the `this` of a resource are allowed too."""
-    return _CHECKS[type(raw)](body, raw)
+    match raw:
+        case syntax.Name():
+            return names.variable(body, raw)
+        case syntax.Literal_():
+            return tree.Literal_(raw.span, _LITERALS.get(type(raw.value), NULL), raw.value)
+        case syntax.Binary():
+            return operators.binary(body, raw, value(body, raw.left), value(body, raw.right))
+        case syntax.Unary():
+            return operators.unary(body, raw, value(body, raw.operand))
+        case syntax.Call():
+            return _call(body, raw)
+        case syntax.Member():
+            return names.member(body, raw, evaluated(body, raw.object))
+        case syntax.Index():
+            return _index(body, raw)
+        case syntax.This():
+            return body.this(raw.span)
+        case syntax.New():
+            return calls.new(body, raw, [value(body, argument) for argument in raw.arguments])
+        case syntax.NewArray():
+            return _new_array(body, raw)
+        case syntax.Assign():
+            body.report(messages.ASSIGNMENT_HERE, raw.sign)
+    return unknown(raw.span)
 
 
 def condition(body: Body, raw: syntax.Expr) -> tree.Expr:
@@ -82,40 +104,6 @@ def _called(raw: syntax.Expr) -> str:
     return f"{function.name}()" if function is not None else "this"
 
 
-def _bad(body: Body, raw: syntax.Bad) -> tree.Expr:
-    return unknown(raw.span)
-
-
-def _literal(body: Body, raw: syntax.Literal_) -> tree.Expr:
-    kinds: dict[type, Type] = {bool: BOOLEAN, int: INT, float: REAL, str: STRING}
-    return tree.Literal_(raw.span, kinds.get(type(raw.value), NULL), raw.value)
-
-
-def _name(body: Body, raw: syntax.Name) -> tree.Expr:
-    return names.variable(body, raw)
-
-
-def _this(body: Body, raw: syntax.This) -> tree.Expr:
-    return body.this(raw.span)
-
-
-def _unary(body: Body, raw: syntax.Unary) -> tree.Expr:
-    return operators.unary(body, raw, value(body, raw.operand))
-
-
-def _binary(body: Body, raw: syntax.Binary) -> tree.Expr:
-    return operators.binary(body, raw, value(body, raw.left), value(body, raw.right))
-
-
-def _assign(body: Body, raw: syntax.Assign) -> tree.Expr:
-    body.report(messages.ASSIGNMENT_HERE, raw.sign)
-    return unknown(raw.span)
-
-
-def _member(body: Body, raw: syntax.Member) -> tree.Expr:
-    return names.member(body, raw, evaluated(body, raw.object))
-
-
 def _call(body: Body, raw: syntax.Call) -> tree.Expr:
     given = [value(body, argument) for argument in raw.arguments]
     if isinstance(raw.function, syntax.Name):
@@ -134,28 +122,7 @@ def _index(body: Body, raw: syntax.Index) -> tree.Expr:
     return unknown(raw.span)
 
 
-def _new(body: Body, raw: syntax.New) -> tree.Expr:
-    given = [value(body, argument) for argument in raw.arguments]
-    return calls.new(body, raw, given)
-
-
 def _new_array(body: Body, raw: syntax.NewArray) -> tree.Expr:
     lengths = [expect(body.symbols, value(body, length), INT) for length in raw.lengths]
     kind = visible_type(body.symbols, body.unit, raw.type)
     return tree.NewArray(raw.span, kind, lengths)
-
-
-_CHECKS: dict[type[syntax.Expr], Callable[[Body, Any], tree.Expr]] = {
-    syntax.Bad: _bad,
-    syntax.Literal_: _literal,
-    syntax.Name: _name,
-    syntax.This: _this,
-    syntax.Unary: _unary,
-    syntax.Binary: _binary,
-    syntax.Assign: _assign,
-    syntax.Member: _member,
-    syntax.Call: _call,
-    syntax.Index: _index,
-    syntax.New: _new,
-    syntax.NewArray: _new_array,
-}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lfield.lang import messages, syntax, tree
-from lfield.lang.checker.conversion import shown, unknown
+from lfield.lang.checker.fitting import shown, unknown
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import LIBRARY_NAMES
 from lfield.lang.library import EXCEPTION_METHODS, STRING_METHODS
@@ -60,7 +60,7 @@ def member(body: Body, raw: syntax.Member, owner: tree.Expr) -> tree.Expr:
     if isinstance(owner.type, ResourceType):
         body.report(messages.PROXY_FIELD, raw.place, name=raw.name, resource=owner.type.name)
         return unknown(raw.span)
-    field = next((f for f in unit.fields if f.name == raw.name), None) if unit is not None else None
+    field = unit.field(raw.name) if unit is not None else None
     if unit is None or field is None:
         _unknown_field(body, raw, owner.type, unit)
         return unknown(raw.span)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, cast
 
 from lfield.lang import messages, syntax, tree
-from lfield.lang.checker.conversion import converted, cost, unknown
+from lfield.lang.checker.fitting import converted, cost, unknown
 from lfield.lang.checker.scope import Body
 from lfield.lang.types import (
     BOOLEAN,

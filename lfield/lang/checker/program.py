@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from lfield.lang import syntax
+from lfield.lang import syntax, tree
 from lfield.lang.capabilities import Capabilities
 from lfield.lang.checker.declarations import Declared, declare
-from lfield.lang.checker.statements import check_body
+from lfield.lang.checker.expressions import assigned
+from lfield.lang.checker.flow import check_flow
+from lfield.lang.checker.scope import Body, Scope
+from lfield.lang.checker.statements import statements
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.tree import CheckedProgram
 from lfield.manifest import DeviceManifest
@@ -25,19 +28,43 @@ def check(
 ) -> CheckedProgram:
     """The checked program of some parsed files; it is meant for the compiler only when nothing was found.
 
-    `complete` is False when a file is missing. Its `devices` are those the program names, so that installing
-    another driver does not change the program. `generated` are the classes made from `capabilities`.
+    `complete` is False when a file is missing. `generated` are the classes made from `capabilities`.
     """
     incomplete = not complete or any(file.broken for file in files)
     symbols = Symbols(devices, found, incomplete=incomplete, capabilities=capabilities, generated=generated)
     units = declare(symbols, [unit for file in files for unit in file.units])
     for declared in units:
-        _bodies(symbols, declared)
+        _check_bodies(symbols, declared)
     sources = [file.source for file in files]
-    return CheckedProgram([declared.unit for declared in units], sources, symbols.used_devices)
+    return CheckedProgram([declared.unit for declared in units], sources)
 
 
-def _bodies(symbols: Symbols, declared: Declared) -> None:
+def _check_bodies(symbols: Symbols, declared: Declared) -> None:
     for method, written in declared.bodies:
         first = method.kind in ("init", "constructor")
-        check_body(symbols, method, written, declared.initialisers if first else [])
+        _check_body(symbols, method, written, declared.initialisers if first else [])
+
+
+def _check_body(
+    symbols: Symbols,
+    method: tree.Method,
+    written: syntax.Method | None,
+    initialisers: list[tuple[tree.Field, syntax.Expr]],
+) -> None:
+    """Fill the body of a method: the field initialisers (for init and constructors), then what is written."""
+    before = len(symbols.found.found)
+    body = Body(symbols, method.unit, method, Scope())
+    method.body.extend(_initialise(body, field, raw) for field, raw in initialisers)
+    if written is None:
+        return
+    body.scope = Scope(None, {p.name: p for p in method.parameters})
+    method.body.extend(statements(body, written.body))
+    if len(symbols.found.found) == before and not written.broken:
+        check_flow(symbols, method)
+
+
+def _initialise(body: Body, field: tree.Field, raw: syntax.Expr) -> tree.Stmt:
+    """`field = value;`: the values of fields are set before anything else happens."""
+    given = assigned(body, raw, field.type)
+    target = tree.FieldGet(field.span, field.type, body.this(field.span), field)
+    return tree.Evaluate(raw.span, tree.Assign(raw.span, field.type, target, given))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from lfield.lang import messages
@@ -66,11 +66,11 @@ class Body:
 
     def field(self, name: str) -> Field | None:
         """The unit's own field of that name."""
-        return next((f for f in self.unit.fields if f.name == name), None)
+        return self.unit.field(name)
 
-    def methods(self, name: str) -> list[Method]:
+    def methods(self, name: str) -> Sequence[Method]:
         """The unit's own methods of that name; portals, constructors and init are none."""
-        return [m for m in self.unit.methods if m.name == name and m.kind == "method"]
+        return self.unit.overloads(name, "method")
 
     def is_broken(self) -> bool:
         """Whether the unit misses members that could not be read."""

@@ -53,7 +53,6 @@ class Symbols:
     devices: Mapping[str, DeviceManifest]
     found: Diagnostics
     units: dict[str, tree.Unit] = field(default_factory=dict)
-    used_devices: dict[str, DeviceManifest] = field(default_factory=dict)
     broken_units: set[str] = field(default_factory=set)
     incomplete: bool = False
     capabilities: Capabilities | None = None

@@ -82,7 +82,6 @@ def _device_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: 
     if viewer.kind != "resource" or place != "field" or written.dimensions:
         symbols.report(messages.DEVICE_PLACE, written.span, name=written.name)
         return UNKNOWN
-    symbols.used_devices[written.name] = symbols.devices[written.name]
     return DeviceType(written.name)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from lfield.lang import messages
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.statements import block
@@ -11,7 +9,7 @@ from lfield.lang.parser.stream import UNIT_KEYWORDS, TokenStream, UnclosedBrace
 from lfield.lang.parser.types import misplaced_brackets, result_type, type_name
 from lfield.lang.scanner import Token
 from lfield.lang.syntax import BAD_TYPE, Field, Method, Parameter, TypeName, Unit
-from lfield.lang.tree import UnitKind, Usage
+from lfield.lang.tree import MethodKind, UnitKind, Usage
 from lfield.text.source import Span
 from lfield.text.suggest import FOREIGN_MODIFIERS, closest
 
@@ -213,11 +211,8 @@ def _unwanted(s: TokenStream, token: Token, what: str, reason: str) -> None:
     s.report(messages.UNWANTED_MODIFIER, token.span, what=what, word=token.text, reason=reason)
 
 
-_Kind = Literal["method", "constructor", "init", "portal"]
-
-
 def _method(
-    s: TokenStream, kind: _Kind, name: Token, modifiers: _Modifiers, result: TypeName | None
+    s: TokenStream, kind: MethodKind, name: Token, modifiers: _Modifiers, result: TypeName | None
 ) -> Method:
     """A method without its body; the stream is at the parameters."""
     given = _parameters(s)

@@ -44,6 +44,8 @@ class TokenStream:
     def __init__(self, scanned: Scan, found: Diagnostics) -> None:
         self._tokens, self._bad_lines, self._found = scanned.tokens, scanned.bad_lines, found
         self._at = 0
+        #: The token that is next.
+        self.current = self._tokens[0]
         self.depth = 0
         self.broken = False
         #: The first brace of this member whose closing brace stands at another indentation.
@@ -53,11 +55,6 @@ class TokenStream:
         self.called: set[str] = set()
 
     # --- looking and moving ---------------------------------------------------------------------------
-
-    @property
-    def current(self) -> Token:
-        """The token that is next."""
-        return self._tokens[self._at]
 
     @property
     def previous(self) -> Token:
@@ -89,6 +86,7 @@ class TokenStream:
         token = self.current
         if token.kind is not Kind.END:
             self._at += 1
+            self.current = self._tokens[self._at]
         return token
 
     def accept(self, text: str) -> bool:

@@ -11,11 +11,11 @@ from harness.checkout import Checkout
 from harness.figure import Figure
 from harness.processes import Processes
 from harness.samples import Contender
+from lfield_dynamixel.chain import Chain, Node
+from lfield_dynamixel.port import SerialPort
 
 from lfield import loop
 from lfield_dynamixel.bus import Bus
-from lfield_dynamixel.chain import Chain, Node
-from lfield_dynamixel.port import SerialPort
 
 SERVOS = tuple(range(1, 7))
 #: The range from present current to present position of the X series.

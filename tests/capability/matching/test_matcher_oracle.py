@@ -205,7 +205,7 @@ def test_all_plans_are_found_the_cheapest_first(world: World, primitive: str, co
 def test_of_each_composition_the_cheapest_plan_is_offered(
     world: World, primitive: str, condition: Condition
 ) -> None:
-    limits = Limits(depth=DEPTH, per_rule=1)
+    limits = Limits(depth=DEPTH, per_rule=1, offers=10**6)
     offers = Matcher(world.registry, world.crew, limits=limits).offers(
         primitive, wish(text_of(condition)) if condition else None
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from small_registry import Crew, candidate, composition, equivalence, provider, registry, wish
 
-from lfield.capability.matching.explain import render
+from lfield.capability.matching.explain import cut_short, render
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.matching.search import Limits
 from lfield.capability.offer import Fact, Offer
@@ -268,6 +268,20 @@ def test_the_best_of_each_composition_are_offered_and_the_limit_is_told() -> Non
     matcher = Matcher(registry(ARM, COPTER, GRIP_AND_CLIMB), crew, limits=Limits(per_rule=2))
     assert brief(matcher.offers("Lift")) == ["of_grip_and_climb arm4+c1", "of_grip_and_climb arm3+c1"]
     assert explained(matcher, "Lift") == ["grip-and-climb: only the best 2 combinations are offered"]
+
+
+def test_the_best_32_are_offered_and_all_are_counted() -> None:
+    cranes = [candidate(f"crane{i}", "Crane", payload=1.0 + i) for i in range(40)]
+    matcher = Matcher(registry(CRANE), Crew(*cranes))
+    assert brief(matcher.offers("Lift")) == [f"byCrane crane{i}" for i in range(39, 7, -1)]
+    assert matcher.count("Lift") == 40
+    assert (
+        matcher.count("Lift", wish("payload > 39.5"))
+        == len(matcher.offers("Lift", wish("payload > 39.5")))
+        == 1
+    )
+    assert cut_short(40, matcher.most) == "the best 32 of 40 offers are given"
+    assert cut_short(32, matcher.most) == ""
 
 
 def test_a_search_that_was_given_up_says_so() -> None:

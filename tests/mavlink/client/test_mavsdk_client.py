@@ -33,7 +33,7 @@ from mavsdk.plugins.offboard import VelocityNedYaw
 from mavsdk.plugins.param import ParamError, ParamResult
 from mavsdk.plugins.telemetry import FlightMode, LandedState
 
-pytestmark = [pytest.mark.process, pytest.mark.timeout(60)]
+pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(60)]
 
 #: No state may be longer in coming, in seconds.
 LONGEST = 10.0

@@ -9,45 +9,31 @@ import pytest
 from mavsdk_stand_in import ALTITUDE, EAST, LATITUDE, LONGITUDE, NORTH, StandIn
 
 from lfield.clock import SystemClock
-from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
-from lfield.testing.reports import KeptReports
+from lfield.testing.driver_bench import DriverBench, bind
 from lfield_mavlink import PLUGIN
-from lfield_mavlink.driver import MavlinkDriver
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(60)]
 
-MANIFEST = PLUGIN.read_manifests()["Mavlink"]
 #: No story may take longer, in seconds.
 LONGEST = 30.0
 
 
 def fly(story, *, opened=True, **stand_in):
-    """Run `story(device, vehicle, owner)` with the driver at MAVSDK's vehicle."""
+    """Run `story(device, vehicle, bench)` with the driver at MAVSDK's vehicle."""
 
     async def main():
-        owner = KeptReports()
-        async with asyncio.timeout(LONGEST), StandIn(**stand_in) as vehicle:
-            binding = DeviceBinding(
-                agent="a", field="fc", type="Mavlink", driver="mavlink", endpoint=vehicle.endpoint,
-                safe_state="land", options={option.name: option.default for option in MANIFEST.options},
-            )  # fmt: skip
-            driver = MavlinkDriver([binding], {"Mavlink": MANIFEST}, SystemClock(), owner)
-            try:
-                await driver.open()
-                device = driver.devices["a.fc"]
-                if opened:
-                    await device.open()
-                await story(device, vehicle, owner)
-            finally:
-                await driver.close()
-        assert owner.crashes == []
+        async with StandIn(**stand_in) as vehicle:
+            bench = DriverBench(PLUGIN, bind(PLUGIN, agent="a", field="fc", endpoint=vehicle.endpoint))
+            await bench.play(
+                lambda device: story(device, vehicle, bench), SystemClock(), opened=opened, within=LONGEST
+            )
 
     asyncio.run(main())
 
 
 def test_it_is_identified_its_telemetry_read_and_its_failsafes_set():
-    async def story(device, vehicle, owner):
+    async def story(device, vehicle, bench):
         assert await device.open() == "PX4 copter, system 1"
         expected = {
             "position": [NORTH, EAST, 0.0], "velocity": [0.5, 0.25, 0.0], "altitude": 0.0,
@@ -56,7 +42,7 @@ def test_it_is_identified_its_telemetry_read_and_its_failsafes_set():
             "batteryVoltage": 12.5, "landed": True, "armed": False, "mode": "AUTO.LOITER",
         }  # fmt: skip
         for name, value in expected.items():
-            assert owner.values[name] == pytest.approx(value, abs=1e-5), name
+            assert bench.values[name] == pytest.approx(value, abs=1e-5), name
         assert await vehicle.parameters.retrieve_param_int("NAV_DLL_ACT") == 3
         assert await vehicle.parameters.retrieve_param_int("COM_DL_LOSS_T") == 5
         assert await vehicle.parameters.retrieve_param_float("COM_OF_LOSS_T") == 1.0
@@ -65,12 +51,12 @@ def test_it_is_identified_its_telemetry_read_and_its_failsafes_set():
 
 
 def test_it_flies_goes_safe_and_what_it_refuses_is_told():
-    async def story(device, vehicle, owner):
+    async def story(device, vehicle, bench):
         await device.execute("arm", [])
         assert device.state.armed
         await device.execute("takeoff", [7.0])
         assert vehicle.height == 7.0
-        assert owner.values["altitude"] == pytest.approx(7.0, abs=0.5)
+        assert bench.values["altitude"] == pytest.approx(7.0, abs=0.5)
         with pytest.raises(DeviceError, match=r"mode AUTO\.LOITER refused: TEMPORARILY_REJECTED \(1\)"):
             await device.execute("hold", [])
         await device.execute("setMode", ["AUTO.RTL"])

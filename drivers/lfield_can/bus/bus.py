@@ -1,0 +1,101 @@
+"""The bus of a driver: frames in and out on the loop, opened again by itself after it was lost."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from lfield.driver import DeviceError
+from lfield_can.bus.connection import open_connection
+from lfield_can.bus.endpoint import parse_endpoint
+from lfield_can.bus.frames import BUS_OFF, Frame, Interface, Listener, error_words
+from lfield_can.bus.socketcand import open_socketcand
+
+#: Seconds to the first try to open a lost bus again, and the longest between two tries.
+FIRST_RETRY, LAST_RETRY = 0.2, 2.0
+#: Seconds between two notes about error frames.
+QUIET_TIME = 10.0
+
+
+class Bus:
+    """One CAN bus. `on_frame` gets every data frame, `note` a sentence for the log."""
+
+    def __init__(self, endpoint: str, on_frame: Callable[[Frame], None], note: Callable[[str], None]) -> None:
+        self.errors = 0
+        self._place = parse_endpoint(endpoint)
+        self._listener = Listener(on_frame, self._on_error, self._lost)
+        self._note = note
+        self._interface: Interface | None = None
+        self._reopening: asyncio.Task[None] | None = None
+        self._told = -QUIET_TIME
+        self._errors_told = 0
+
+    async def open(self) -> None:
+        """Open the bus, now. Raises DeviceError when that is impossible here."""
+        self._loop = asyncio.get_running_loop()
+        opened = open_socketcand if self._place.server is not None else open_connection
+        self._interface = await opened(self._place, self._listener)
+
+    async def close(self) -> None:
+        """Give the bus back."""
+        if self._reopening is not None:
+            self._reopening.cancel()
+        interface, self._interface = self._interface, None
+        if interface is not None:
+            await interface.close()
+
+    async def send(self, frame: Frame) -> None:
+        """Send a frame, and know that the interface has taken it. Raises DeviceError."""
+        if self._interface is None:
+            raise self._error("the bus is lost", timeout=True)
+        reason = await self._interface.send(frame)
+        if reason:
+            raise self._error(f"a frame could not be sent: {reason}")
+
+    def post(self, frame: Frame) -> None:
+        """Send a frame, or not: for what is repeated anyway, or answered. From any thread; never waits."""
+        interface = self._interface
+        if interface is not None:
+            interface.post(frame)
+
+    @property
+    def malformed(self) -> int:
+        """How much of what came in was no frame at all, since the bus was last opened."""
+        return self._interface.malformed if self._interface is not None else 0
+
+    def _error(self, reason: str, *, timeout: bool = False) -> DeviceError:
+        kind = "DeviceTimeoutException" if timeout else "DeviceException"
+        return DeviceError("bus", f"{self._place.text}: {reason}", kind=kind)
+
+    def _on_error(self, identifier: int, data: bytes) -> None:
+        """An error frame."""
+        self.errors += 1
+        words = error_words(identifier, data)
+        if identifier & BUS_OFF or (self._interface is not None and self._interface.off):
+            self._lost(words)
+        elif self._loop.time() - self._told >= QUIET_TIME:
+            count = self.errors - self._errors_told
+            self._told, self._errors_told = self._loop.time(), self.errors
+            self._note(f"{count} error frame{'s' if count > 1 else ''} on {self._place.text}: {words}")
+
+    # -- lost and found ---------------------------------------------------------------------------------
+
+    def _lost(self, reason: str) -> None:
+        interface, self._interface = self._interface, None
+        if interface is None:
+            return
+        self._note(f"{self._place.text} is lost: {reason}")
+        self._reopening = self._loop.create_task(self._reopen(interface))
+
+    async def _reopen(self, broken: Interface) -> None:
+        """Close what is broken, then try until it works."""
+        await broken.close()
+        pause = FIRST_RETRY
+        while self._interface is None:
+            await asyncio.sleep(pause)
+            pause = min(2.0 * pause, LAST_RETRY)
+            try:
+                await self.open()
+            except DeviceError:
+                continue
+        self._note(f"{self._place.text} is open again")

@@ -1,0 +1,111 @@
+"""Endpoints of CAN buses: `INTERFACE:CHANNEL[?key=value&...]` for every interface of python-can.
+
+socketcan:can0                               an interface of the kernel
+slcan:/dev/ttyACM0@115200?bitrate=500000     a serial adapter; the number after @ is the baud rate of the tty
+socketcand:127.0.0.1:29536/can0              a socketcand server
+virtual:name                                 buses inside one process, for tests
+pcan:PCAN_USBBUS1?bitrate=500000             any other: the keys are the parameters of its class in python-can
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from urllib.parse import parse_qsl
+
+import can
+
+from lfield.driver import DeviceError
+
+SYNTAX = (
+    "INTERFACE:CHANNEL[?key=value&...], as in socketcan:can0, slcan:/dev/ttyACM0@115200?bitrate=500000 "
+    "or socketcand:127.0.0.1:29536/can0"
+)
+
+Value = bool | int | float | str
+
+_SOCKETCAND = re.compile(
+    r"(?P<host>[^/:]+|\[[0-9a-fA-F:]+\]):(?P<port>[0-9]{1,5})/(?P<channel>[A-Za-z0-9_.-]+)"
+)
+_SLCAN = re.compile(r"(?P<tty>/[^@?]+)(@(?P<baud>[0-9]{2,8}))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A parsed endpoint.
+
+    `arguments` are the keyword arguments of `can.Bus`; `tty` is the serial port that must have one owner, and
+    `server` the host and port of a socketcand server, which needs no python-can.
+    """
+
+    text: str
+    arguments: Mapping[str, Value]
+    tty: str = ""
+    server: tuple[str, int] | None = field(default=None)
+
+
+def parse_endpoint(text: str) -> Place:
+    """The place of an endpoint. Raises DeviceError with a sentence on how to write one."""
+    interface, colon, rest = text.partition(":")
+    channel, _, query = rest.partition("?")
+    if not colon or not channel:
+        raise _wrong(text, f"write {SYNTAX}")
+    if interface not in can.VALID_INTERFACES:
+        raise _wrong(
+            text,
+            f"python-can has no interface '{interface}'; it has {', '.join(sorted(can.VALID_INTERFACES))}",
+        )
+    try:
+        pairs = parse_qsl(query, strict_parsing=bool(query), keep_blank_values=True)
+    except ValueError:
+        raise _wrong(text, f"write {SYNTAX}") from None
+    options = {key: _value(value) for key, value in pairs}
+    return _READERS.get(interface, _any)(text, interface, channel, options)
+
+
+def _any(text: str, interface: str, channel: str, options: dict[str, Value]) -> Place:
+    return Place(text, {"interface": interface, "channel": channel, **options})
+
+
+def _slcan(text: str, interface: str, channel: str, options: dict[str, Value]) -> Place:
+    match = _SLCAN.fullmatch(channel)
+    if match is None:
+        raise _wrong(text, "write slcan:/dev/ttyACM0@115200?bitrate=500000")
+    # By default the interface sleeps for two seconds, for the sake of boards that restart when opened.
+    arguments: dict[str, Value] = {"interface": interface, "channel": match["tty"], "sleep_after_open": 0.0}
+    if match["baud"]:
+        arguments["tty_baudrate"] = int(match["baud"])
+    return Place(text, {**arguments, **options}, tty=match["tty"])
+
+
+def _socketcand(text: str, interface: str, channel: str, options: dict[str, Value]) -> Place:
+    match = _SOCKETCAND.fullmatch(channel)
+    if match is None or not 0 < int(match["port"]) < 65536:
+        raise _wrong(text, "write socketcand:HOST:PORT/CHANNEL, as in socketcand:127.0.0.1:29536/can0")
+    if options:
+        raise _wrong(text, "socketcand takes no parameters; its server sets the bit rate")
+    server = (match["host"].strip("[]"), int(match["port"]))
+    return Place(text, {"interface": interface, "channel": match["channel"]}, server=server)
+
+
+_READERS: Mapping[str, Callable[[str, str, str, dict[str, Value]], Place]] = {
+    "slcan": _slcan,
+    "socketcand": _socketcand,
+}
+
+
+def _value(text: str) -> Value:
+    """`500000` is a number, `true` a boolean, everything else text."""
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _wrong(text: str, reason: str) -> DeviceError:
+    return DeviceError("endpoint", f"'{text}' is not a CAN bus: {reason}")

@@ -1,0 +1,180 @@
+"""Reading and writing control tables on a bus: with retries, and never believing a late answer.
+
+Answers carry no number that ties them to a question. So a servo whose answer did not come in time is
+*doubted*: before its next answer is believed it must answer a ping, whose data has a length that no read here
+asks for. A servo answers in order; once the ping's answer is here, older ones cannot follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from dynamixel_sdk.robotis_def import (
+    BROADCAST_ID,
+    INST_FAST_SYNC_READ,
+    INST_PING,
+    INST_READ,
+    INST_REBOOT,
+    INST_SYNC_READ,
+    INST_SYNC_WRITE,
+    INST_WRITE,
+)
+
+from lfield.driver import DeviceError
+from lfield_dynamixel.bus.bus import COMMAND, Bus
+from lfield_dynamixel.bus.packets import PROTOCOLS, AnyProtocol, Status, split_fast
+from lfield_dynamixel.bus.words import refusal
+
+#: How often a question is asked before a servo counts as silent.
+TRIES = 5
+#: So many fast reads in a row that fail while plain ones work: some servo here does not know them.
+FAST_FAILURES = 3
+
+_PING_BYTES = {1: 0, 2: 3}
+
+
+class NoAnswer(DeviceError):
+    """A servo that does not answer; `number` is its id."""
+
+    def __init__(self, number: int, why: str = "") -> None:
+        self.number = number
+        reason = f"servo {number} does not answer" + (f": {why}" if why else "")
+        super().__init__(f"servo {number}", reason, kind="DeviceTimeoutException")
+
+
+class Refusal(DeviceError):
+    """A servo that answered that it did not do it; `code` is its error byte."""
+
+    def __init__(self, number: int, code: int, words: str) -> None:
+        self.number, self.code = number, code
+        super().__init__(f"servo {number}", f"servo {number} refused: {words}")
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """One servo on the bus, and the protocol it speaks (1 or 2)."""
+
+    number: int
+    protocol: int = 2
+
+    @property
+    def codec(self) -> AnyProtocol:
+        """Its packets."""
+        return PROTOCOLS[self.protocol]
+
+    def place(self, *values: int) -> bytes:
+        """Addresses and lengths as parameters: two bytes each in protocol 2.0, one in 1.0."""
+        width = 2 if self.protocol == 2 else 1
+        return b"".join(value.to_bytes(width, "little") for value in values)
+
+
+class Chain:
+    """The servos on one bus."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._doubted: set[int] = set()
+        self._fast_failures = 0
+
+    async def ping(self, node: Node, *, urgency: int = COMMAND) -> bytes | None:
+        """Ask a servo whether it is there: the data of its answer (2.0: model and firmware), or None."""
+        size = _PING_BYTES[node.protocol]
+        answers = await self._ask(node, INST_PING, b"", size, urgency)
+        if not answers or len(answers[0].data) != size:
+            self._doubted.add(node.number)
+            return None
+        self._doubted.discard(node.number)
+        return answers[0].data
+
+    async def read(self, node: Node, start: int, size: int, *, urgency: int = COMMAND) -> Status:
+        """`size` bytes of a control table from the address `start`. Raises NoAnswer, Refusal."""
+        parameters = node.place(start, size)
+        return await self._insist(node, INST_READ, parameters, size, urgency)
+
+    async def write(self, node: Node, start: int, data: bytes, *, urgency: int = COMMAND) -> Status:
+        """Write bytes to a control table; the servo has confirmed it. Raises NoAnswer, Refusal.
+
+        What is written here can be written twice, so a lost answer is asked for by writing again.
+        """
+        return await self._insist(node, INST_WRITE, node.place(start) + data, 0, urgency)
+
+    async def tell(self, node: Node, start: int, data: bytes) -> None:
+        """Write without waiting for an answer: for a servo that is set to give none."""
+        packet = node.codec.encode(node.number, INST_WRITE, node.place(start) + data)
+        await self._bus.exchange(node.codec, packet, (), 0)
+
+    async def reboot(self, node: Node) -> None:
+        """Restart a servo. It may answer before it does; whether it came back is to be seen."""
+        await self._ask(node, INST_REBOOT, b"", 0, COMMAND)
+        self._doubted.add(node.number)
+
+    async def sync_write(
+        self, start: int, data: Mapping[int, bytes], *, protocol: int = 2, urgency: int = COMMAND
+    ) -> None:
+        """One packet that writes as many bytes to each of several servos. Nobody answers it."""
+        node = Node(BROADCAST_ID, protocol)
+        size = len(next(iter(data.values())))
+        body = b"".join(bytes((number,)) + part for number, part in data.items())
+        packet = node.codec.encode(BROADCAST_ID, INST_SYNC_WRITE, node.place(start, size) + body)
+        await self._bus.exchange(node.codec, packet, (), 0, urgency=urgency)
+
+    async def sync_read(
+        self, nodes: Sequence[Node], start: int, size: int, *, urgency: int = COMMAND, alone: bool = True
+    ) -> dict[int, Status]:
+        """The same range of several servos, by id. Who is not in it did not answer, neither in the group nor
+        (unless `alone` is False: that takes its time) when it was asked alone. Raises nothing.
+        """
+        sure = [node for node in nodes if node.protocol == 2 and node.number not in self._doubted]
+        found = await self._read_group(sure, start, size, urgency) if len(sure) > 1 else {}
+        for node in nodes:
+            if node.number in found or not (alone or len(nodes) == 1):
+                continue
+            try:
+                found[node.number] = await self.read(node, start, size, urgency=urgency)
+            except (NoAnswer, Refusal):
+                continue
+        return found
+
+    async def _read_group(
+        self, nodes: Sequence[Node], start: int, size: int, urgency: int
+    ) -> dict[int, Status]:
+        """Those that answered a fast sync read, or a plain one where fast ones do not work."""
+        numbers = tuple(node.number for node in nodes)
+        fast = self._fast_failures < FAST_FAILURES
+        instruction = INST_FAST_SYNC_READ if fast else INST_SYNC_READ
+        codec = nodes[0].codec
+        packet = codec.encode(BROADCAST_ID, instruction, nodes[0].place(start, size) + bytes(numbers))
+        asked, length = ((BROADCAST_ID,), (size + 4) * len(numbers) - 3) if fast else (numbers, size)
+        answers = await self._bus.exchange(codec, packet, asked, length, urgency=urgency)
+        if fast:
+            whole = split_fast(answers[0], numbers, size) if answers else None
+            self._fast_failures = 0 if whole else self._fast_failures + 1
+            # It was answered under another id, so it casts no doubt on answers to come.
+            return whole or {}
+        found = {answer.number: answer for answer in answers if len(answer.data) == size}
+        self._doubted.update(set(numbers) - found.keys())
+        return found
+
+    async def _insist(
+        self, node: Node, instruction: int, parameters: bytes, size: int, urgency: int
+    ) -> Status:
+        """Ask until the servo has answered with as many bytes as were asked for."""
+        for _ in range(TRIES):
+            if node.number in self._doubted and await self.ping(node, urgency=urgency) is None:
+                continue
+            answers = await self._ask(node, instruction, parameters, size, urgency)
+            if answers:
+                words = refusal(node.protocol, answers[0])
+                if words:
+                    raise Refusal(node.number, answers[0].error, words)
+                if len(answers[0].data) == size:
+                    return answers[0]
+            self._doubted.add(node.number)
+        raise NoAnswer(node.number, self._bus.gone)
+
+    async def _ask(
+        self, node: Node, instruction: int, parameters: bytes, size: int, urgency: int
+    ) -> list[Status]:
+        packet = node.codec.encode(node.number, instruction, parameters)
+        return await self._bus.exchange(node.codec, packet, (node.number,), size, urgency=urgency)

@@ -1,0 +1,162 @@
+"""Whether rules fit: the calls of one-to-one rules, the names of all, and circles through needs."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+
+from lfield.capability import ways
+from lfield.capability.model import Argument, Equivalence, Portal, PortalMap, Primitive
+from lfield.capability.reading import messages
+from lfield.capability.reading.draft import Draft
+from lfield.capability.reading.signatures import argument_type, constant_type, fits
+from lfield.text.source import Diagnostic, Span
+from lfield.text.suggest import listed
+
+# --- calls ---------------------------------------------------------------------------------------------
+
+
+def check_calls(draft: Draft, rule: Equivalence, serves: Primitive, by: Primitive) -> None:
+    """Report portals that `by` does not have, and arguments and results of other types.
+
+    Both sides of a one-to-one rule are primitives, so all types are known.
+    """
+    missing = []
+    for name, portal in serves.portals.items():
+        served = rule.portals[name]
+        target = by.portals.get(served.target)
+        if target is not None:
+            _check_arguments(draft, served, portal, target, f"{by.name}.{target.name}")
+            _check_result(draft, served, serves.name, portal, target.result)
+        elif served.span is rule.span:
+            missing.append(name)
+        else:
+            draft.no_portal(by, served.target, served.span)
+    if missing:
+        draft.tell(
+            messages.MISSING_PORTAL, rule.span, portals=listed(missing), serves=serves.name, by=by.name
+        )
+
+
+def _check_result(draft: Draft, served: PortalMap, primitive: str, portal: Portal, emitted: str) -> None:
+    """Report a portal that would not give the caller what the canonical one emits."""
+    given = result_type(served.result, portal, emitted)
+    if portal.result != "void" and not fits(given, portal.result):
+        draft.found.add(wrong_result(served.span, primitive, portal, given))
+
+
+def wrong_result(span: Span, primitive: str, portal: Portal, given: str) -> Diagnostic:
+    """The finding that a portal gives something else than the canonical one emits."""
+    return messages.WRONG_RESULT.at(
+        span,
+        primitive=primitive,
+        portal=portal.name,
+        wanted=portal.result,
+        given="nothing" if given == "void" else given,
+    )
+
+
+def result_type(result: Argument | None, portal: Portal, emitted: str) -> str:
+    """The L type of what the caller gets, when the target emits `emitted`; '?' when that is not known."""
+    if result is None:
+        return emitted
+    if result.parameter:
+        return argument_type(result, portal)
+    if result.constant is not None:
+        return constant_type(result.constant)
+    return "real" if emitted == "int" else emitted
+
+
+def _check_arguments(draft: Draft, served: PortalMap, portal: Portal, target: Portal, shown: str) -> None:
+    wanted = [p.type for p in target.parameters]
+    if len(served.arguments) != len(wanted):
+        draft.tell(
+            messages.WRONG_COUNT,
+            served.span,
+            target=shown,
+            wanted=len(wanted),
+            given=len(served.arguments),
+            parameters=listed((f"{p.type} {p.name}" for p in target.parameters), "nothing"),
+        )
+        return
+    for number, (argument, type) in enumerate(zip(served.arguments, wanted, strict=True), 1):
+        _check_argument(draft, served.span, argument_type(argument, portal), type, number, shown)
+
+
+def _check_argument(draft: Draft, span: Span, given: str, wanted: str, number: int, target: str) -> None:
+    if not fits(given, wanted):
+        draft.tell(messages.WRONG_ARGUMENT, span, number=number, target=target, wanted=wanted, given=given)
+
+
+# --- names ---------------------------------------------------------------------------------------------
+
+
+def check_ways(draft: Draft) -> None:
+    """Report rules and needs whose names differ in the registry and not in L: one field for two."""
+    taken: dict[tuple[str, str], str] = {}
+    for primitive, way, name, span in _ways(draft):
+        other = taken.setdefault((primitive, way), name)
+        if other != name:
+            draft.tell(messages.SAME_WAY, span, name=name, other=other, way=way, primitive=primitive)
+
+
+def _ways(draft: Draft) -> Iterator[tuple[str, str, str, Span]]:
+    """Primitive, field, the name it is made of, and where that stands."""
+    for equivalence in draft.equivalences.values():
+        yield equivalence.serves, ways.equivalent(equivalence.name), equivalence.name, equivalence.span
+    for rule in draft.compositions.values():
+        yield rule.serves, ways.composed(rule.name), rule.name, rule.span
+        for need in rule.needs.values():
+            name = f"{rule.name}.{need.name}"
+            yield rule.serves, ways.part(rule.name, need.name), name, need.span
+
+
+# --- circles -------------------------------------------------------------------------------------------
+
+#: What serves each primitive, and by which rule.
+Graph = Mapping[str, Sequence[tuple[str, str]]]
+
+
+def check_cycles(draft: Draft) -> None:
+    """Report every need that can only be met with what it is a part of, with the way that leads back.
+
+    Rules are edges from what is served to what serves it. One-to-one rules may run in circles, since nobody
+    is asked twice; a circle through a need would make plans without end.
+    """
+    graph = _graph(draft)
+    for rule in draft.compositions.values():
+        for need in rule.needs.values():
+            back = _path(graph, need.primitive, rule.serves)
+            if back is not None:
+                path = " -> ".join([rule.serves, f"{need.primitive} ({rule.name})", *back])
+                draft.tell(messages.CYCLE, need.span, path=path)
+
+
+def _graph(draft: Draft) -> Graph:
+    graph: dict[str, list[tuple[str, str]]] = {name: [] for name in draft.primitives}
+    for equivalence in draft.equivalences.values():
+        graph[equivalence.serves].append((equivalence.by, equivalence.name))
+    for composition in draft.compositions.values():
+        needs = composition.needs.values()
+        graph[composition.serves].extend((need.primitive, composition.name) for need in needs)
+    return graph
+
+
+def _path(graph: Graph, start: str, goal: str) -> list[str] | None:
+    """A shortest way from one primitive to another, each step with its rule; None when there is none."""
+    came_from: dict[str, tuple[str, str]] = {start: ("", "")}
+    waiting = deque([start])
+    while waiting and goal not in came_from:
+        node = waiting.popleft()
+        for to, rule in graph[node]:
+            if to not in came_from:
+                came_from[to] = (node, rule)
+                waiting.append(to)
+    if goal not in came_from:
+        return None
+    steps: list[str] = []
+    while goal != start:
+        before, rule = came_from[goal]
+        steps.append(f"{goal} ({rule})")
+        goal = before
+    return steps[::-1]

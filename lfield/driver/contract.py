@@ -1,0 +1,62 @@
+"""The contract of a driver as data: what L may call and bindings may say. `manifest_file` reads it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from lfield.driver.binding import OptionValue
+from lfield.manifest import DeviceManifest, Instruction
+
+#: What every device can do; the guard and the host answer them.
+RELEASE = Instruction(
+    "release",
+    effect="idempotent",
+    blocking=True,
+    meaning="takes the device out of its latched safe state, once that state is confirmed",
+    channel="release",
+)
+AGE = Instruction(
+    "age", result="real", unit="s", effect="query", meaning="seconds since the device was last heard"
+)
+STANDARD = (RELEASE, AGE)
+
+#: The waiver that every device knows: it has no watchdog of its own, or a slower one than is wanted.
+WATCHDOG = "device_watchdog"
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """A key of a binding that only this driver knows; `default` None means that it must be given."""
+
+    name: str
+    type: str
+    default: OptionValue | None = None
+    choices: tuple[str, ...] = ()
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """A limit that a binding may set; the driver refuses what would exceed it."""
+
+    name: str
+    unit: str = ""
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """A manifest file: the device type for L, and what its bindings may say."""
+
+    device: DeviceManifest
+    options: tuple[Option, ...] = ()
+    limits: tuple[Limit, ...] = ()
+    waivers: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def default_safe_state(self) -> str:
+        """The first that the manifest lists."""
+        return self.device.safe_states[0]

@@ -1,0 +1,307 @@
+"""What a registry says of one name, on a sheet: for a terminal, or in Markdown (reference.py).
+
+Code stands between backticks; a terminal shows it without them. A line that begins with four spaces belongs
+to the one above it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+from lfield.capability.model import (
+    Argument,
+    Attribute,
+    Composition,
+    Equivalence,
+    Expression,
+    Live,
+    Portal,
+    PortalMap,
+    Primitive,
+    Provider,
+    Registry,
+    Served,
+    Term,
+    Value,
+)
+from lfield.capability.reading.signatures import written
+from lfield.operator.registry.taxonomy import called_as, term_of, terms_below
+from lfield.text.suggest import listed
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """What there is to say about one name: rows of a label and its lines, none of them empty."""
+
+    kind: str
+    name: str
+    rows: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def describe(registry: Registry, word: str) -> list[Sheet]:
+    """Everything that has this name or id, or this word of the thesis; [] when nothing does."""
+    named = word.casefold()
+    terms = [t.id for t in registry.terms.values() if named in (t.name.casefold(), t.id)]
+    if (meant := term_of(registry, word)) is not None:
+        terms.append(meant.id)
+    if word in registry.primitives:
+        terms.append(registry.primitives[word].id)
+    sheets = []
+    for id in dict.fromkeys(terms):
+        sheets.append(term_sheet(registry, registry.terms[id]))
+        called = called_as(registry, id)
+        sheets += [primitive_sheet(registry, registry.primitives[name]) for name in called]
+    if word in registry.attributes:
+        sheets.append(attribute_sheet(registry, registry.attributes[word]))
+    if word in registry.providers:
+        sheets.append(provider_sheet(registry, registry.providers[word]))
+    if word in registry.equivalences:
+        sheets.append(equivalence_sheet(registry.equivalences[word]))
+    if word in registry.compositions:
+        sheets.append(composition_sheet(registry.compositions[word]))
+    return sheets
+
+
+def in_terminal(sheet: Sheet) -> Iterator[str]:
+    """The lines of a sheet, labels on the left."""
+    width = max((len(label) for label, _ in sheet.rows), default=0)
+    yield f"{sheet.kind} {sheet.name}"
+    for label, lines in sheet.rows:
+        for number, line in enumerate(lines):
+            yield f"  {label if number == 0 else '':{width}}  {line.replace('`', '')}"
+
+
+def _sheet(kind: str, name: str, rows: Mapping[str, Iterable[str] | str]) -> Sheet:
+    """A sheet without what has nothing to say."""
+    said = (
+        (label, tuple(line for line in ([lines] if isinstance(lines, str) else lines) if line))
+        for label, lines in rows.items()
+    )
+    return Sheet(kind, name, tuple((label, lines) for label, lines in said if lines))
+
+
+# --- terms and attributes -----------------------------------------------------------------------------
+
+
+def term_sheet(registry: Registry, term: Term) -> Sheet:
+    """A node of the taxonomy."""
+    rows = {
+        "name": term.name,
+        "meaning": term.meaning,
+        "also": map(code, term.aliases),
+        "instead": code(term.deprecated),
+        "below": [code(child.id) for child in terms_below(registry, term.id)],
+    }
+    return _sheet("term", term.id, rows)
+
+
+def attribute_sheet(registry: Registry, attribute: Attribute) -> Sheet:
+    """What offers differ in, and who states it."""
+    rated = attribute.better != "none"
+    rows = {
+        "meaning": attribute.meaning,
+        "type": with_unit(attribute.type, f"in {attribute.unit}" if attribute.unit else ""),
+        "values": ", ".join(map(code, attribute.values)),
+        "better": attribute.better if rated else "",
+        "typical": worth(attribute.typical, attribute.unit) if rated else "",
+        "live": f"counts for {attribute.max_age:g} s" if attribute.live else "",
+        "stated by": _stated_by(registry, attribute),
+    }
+    return _sheet("attribute", attribute.name, rows)
+
+
+def _stated_by(registry: Registry, attribute: Attribute) -> Iterator[str]:
+    name, unit = attribute.name, attribute.unit
+    for type, provider in sorted(registry.providers.items()):
+        if name in provider.attributes:
+            yield f"{type}: {worth(provider.attributes[name], unit)}"
+        if name in provider.live:
+            yield f"{type}: live, {code(f'{provider.live[name].device}.{provider.live[name].quantity}')}"
+        for served in provider.serves.values():
+            if name in served.attributes:
+                yield f"{type}, for {served.primitive}: {worth(served.attributes[name], unit)}"
+    for agent, values in registry.agents.items():
+        if name in values:
+            yield f"agent {agent}: {worth(values[name], unit)}"
+
+
+# --- primitives ---------------------------------------------------------------------------------------
+
+
+def primitive_sheet(registry: Registry, primitive: Primitive) -> Sheet:
+    """What can be called, who serves it, and what it serves itself."""
+    nobody = ["Nothing that we ship serves it: a mission's own resource types may."]
+    rows = {
+        "id": code(primitive.id),
+        "meaning": primitive.meaning,
+        "portals": [line for portal in primitive.portals.values() for line in _portal(portal)],
+        "served by": list(_served_by(registry, primitive.name)) or nobody,
+        "serves": _serves_too(registry, primitive.name),
+        "attributes": _attributes_of(registry, primitive.name),
+    }
+    return _sheet("primitive", primitive.name, rows)
+
+
+def _portal(portal: Portal) -> Iterator[str]:
+    """The signature, then what the parameters and the result mean, and what can go wrong."""
+    yield code(written(portal.name, [f"{p.type} {p.name}" for p in portal.parameters], portal.result))
+    if portal.meaning:
+        yield f"    {portal.meaning}"
+    for parameter in portal.parameters:
+        said = ", ".join(filter(None, (parameter.unit, parameter.meaning)))
+        if said:
+            yield f"    {parameter.name}: {said}"
+    if portal.unit:
+        yield f"    emits {portal.unit}"
+    yield f"    {portal.effect}" + (f", raises {listed(portal.raises)}" if portal.raises else "")
+
+
+def _served_by(registry: Registry, primitive: str) -> Iterator[str]:
+    for type, provider in sorted(registry.providers.items()):
+        if primitive in provider.serves:
+            yield f"{type}{_when(provider.serves[primitive].when)}"
+    for name, rule in sorted(registry.equivalences.items()):
+        if rule.serves == primitive:
+            yield f"{code(name)}: whoever serves {rule.by}{_when(rule.when)}, loss {rule.loss:g}"
+    for name, whole in sorted(registry.compositions.items()):
+        if whole.serves == primitive:
+            needs = listed(f"{need.primitive} ({need.name})" for need in whole.needs.values())
+            yield f"{code(name)}: {needs} together, loss {whole.loss:g}"
+
+
+def _serves_too(registry: Registry, primitive: str) -> Iterator[str]:
+    """What else the primitive is good for."""
+    for name, rule in sorted(registry.equivalences.items()):
+        if rule.by == primitive:
+            yield f"{rule.serves}, by {code(name)}"
+    for name, whole in sorted(registry.compositions.items()):
+        if any(need.primitive == primitive for need in whole.needs.values()):
+            yield f"{whole.serves}, as a part of {code(name)}"
+
+
+def _attributes_of(registry: Registry, primitive: str) -> str:
+    """The attributes that anybody who serves it states or tells."""
+    found: set[str] = set()
+    for provider in registry.providers.values():
+        if primitive in provider.serves:
+            found.update(provider.attributes, provider.live, provider.serves[primitive].attributes)
+    units = {name: registry.attributes[name].unit for name in sorted(found)}
+    return ", ".join(f"{name} ({unit})" if unit else name for name, unit in units.items())
+
+
+# --- providers ----------------------------------------------------------------------------------------
+
+
+def provider_sheet(registry: Registry, provider: Provider) -> Sheet:
+    """A resource type, what it states and tells, and what it serves."""
+    rows = {
+        "meaning": provider.meaning,
+        "source": code(f"include <{provider.include}>;") if provider.include else "the mission's own",
+        "states": _values(registry, provider.attributes),
+        "tells": [f"{name}: {_source(live)}" for name, live in provider.live.items()],
+        "serves": [line for s in provider.serves.values() for line in _served(registry, provider, s)],
+    }
+    return _sheet("provider", provider.type, rows)
+
+
+def _source(live: Live) -> str:
+    index = "" if live.index is None else f"[{live.index}]"
+    return code(f"{live.device}.{live.quantity}{index}")
+
+
+def _served(registry: Registry, provider: Provider, served: Served) -> Iterator[str]:
+    yield f"{served.primitive}{_when(served.when)}"
+    for mapped in served.portals.values():
+        yield f"    {mapped.portal}: {_call(provider.type, mapped)}"
+    for line in _values(registry, served.attributes):
+        yield f"    {line}"
+
+
+def _values(registry: Registry, values: Mapping[str, Value]) -> Iterator[str]:
+    for name, value in values.items():
+        yield f"{name}: {worth(value, registry.attributes[name].unit)}"
+
+
+# --- rules --------------------------------------------------------------------------------------------
+
+
+def equivalence_sheet(rule: Equivalence) -> Sheet:
+    """A one-to-one rule."""
+    rows = {
+        "meaning": rule.meaning,
+        "serves": rule.serves,
+        "by": rule.by,
+        "when": code(rule.when.text) if rule.when is not None else "",
+        "portals": [f"{m.portal}: {_call(rule.by, m)}" for m in rule.portals.values()],
+        "loss": f"{rule.loss:g}",
+    }
+    return _sheet("one-to-one rule", rule.name, rows)
+
+
+def composition_sheet(rule: Composition) -> Sheet:
+    """A one-to-many rule."""
+    rows = {
+        "meaning": rule.meaning,
+        "serves": rule.serves,
+        "needs": [f"{need.name}: {need.primitive}{_when(need.when)}" for need in rule.needs.values()],
+        "where": [code(condition.text) for condition in rule.where],
+        "states": [f"{name}: {code(e.text)}" for name, e in rule.attributes.items()],
+        "through": f"class {code(rule.through)} in {rule.source.name}",
+        "loss": f"{rule.loss:g}",
+    }
+    return _sheet("one-to-many rule", rule.name, rows)
+
+
+def _when(condition: Expression | None) -> str:
+    return f" when {code(condition.text)}" if condition is not None else ""
+
+
+def _call(target: str, mapped: PortalMap) -> str:
+    """A mapped call with what the caller gets instead of what that emits: `Winch.lift(height) -> height`."""
+    text = f"{target}.{mapped.target}({', '.join(map(_argument, mapped.arguments))})"
+    return code(text if mapped.result is None else f"{text} -> {_argument(mapped.result)}")
+
+
+def _argument(argument: Argument) -> str:
+    if argument.parameter:
+        text = argument.parameter
+    elif argument.constant is None:
+        text = "emitted"
+    else:
+        constant = worth(argument.constant)
+        text = f'"{constant}"' if isinstance(argument.constant, str) and argument.constant else constant
+    if argument.factor != 1:
+        text += f" * {argument.factor:g}"
+    return text + (f" + {argument.offset:g}" if argument.offset else "")
+
+
+# --- words --------------------------------------------------------------------------------------------
+
+
+def code(text: str) -> str:
+    """A text as code; '' stays empty."""
+    return f"`{text}`" if text else ""
+
+
+def printable(text: str) -> str:
+    """A text on one line; what a terminal would obey is shown as a dot."""
+    return "".join(ch if ch.isprintable() else "·" for ch in text)
+
+
+def worth(value: Value, unit: str = "") -> str:
+    """A value with its unit: `2.5 kg`, `aerial and terrestrial`, `true`."""
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return printable(value) or '""'
+        case frozenset():
+            return printable(listed(sorted(value), "nothing"))
+        case _:
+            return with_unit(f"{value:g}", unit)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """A text with a unit behind it, if there is one."""
+    return f"{text} {unit}" if unit else text

@@ -1,0 +1,68 @@
+"""The taxonomy for people: which term an id means, what can be called there, and the tree of all terms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lfield.capability.model import Primitive, Registry, Term
+from lfield.text.suggest import did_you_mean
+
+
+@dataclass(frozen=True, slots=True)
+class Branch:
+    """A line of a tree with what hangs below it. `mark` is the L type of what can be called."""
+
+    text: str
+    children: tuple[Branch, ...] = ()
+    mark: str = ""
+
+
+def term_of(registry: Registry, id: str) -> Term | None:
+    """The term of an id. Aliases and ids out of use lead to the one that counts."""
+    term = registry.terms.get(id)
+    if term is None:
+        term = next((t for t in registry.terms.values() if id in t.aliases), None)
+    return registry.terms[term.deprecated] if term is not None and term.deprecated else term
+
+
+def called_as(registry: Registry, term: str) -> list[str]:
+    """The primitives that can be called at a term."""
+    return sorted(p.name for p in registry.primitives.values() if p.id == term)
+
+
+def primitives_below(registry: Registry, id: str) -> list[Primitive]:
+    """The primitives that can be called at a term or below it, in the order of their ids and names."""
+    found = [p for p in registry.primitives.values() if f"{p.id}.".startswith(f"{id}.")]
+    return sorted(found, key=lambda p: (p.id, p.name))
+
+
+def terms_below(registry: Registry, id: str) -> list[Term]:
+    """The terms whose parent is a term; with '' those that have none."""
+    return [term for term in registry.terms.values() if term.id.rpartition(".")[0] == id]
+
+
+def unknown_name(registry: Registry, word: str) -> str:
+    """A hint about a name that nothing in the registry has."""
+    known = (
+        registry.terms,
+        registry.primitives,
+        registry.attributes,
+        registry.providers,
+        registry.equivalences,
+        registry.compositions,
+    )
+    hint = did_you_mean(word[:80], [name for names in known for name in names])
+    return hint or "'lfield capabilities tree' shows what there is"
+
+
+def tree(registry: Registry, id: str = "") -> list[Branch]:
+    """The taxonomy, or what hangs at one of its terms; deprecated terms say what to write instead."""
+    roots = [registry.terms[id]] if id else terms_below(registry, "")
+    return [_branch(registry, term, term.id) for term in roots]
+
+
+def _branch(registry: Registry, term: Term, name: str) -> Branch:
+    said = f"out of use, write {term.deprecated}" if term.deprecated else term.meaning
+    below = terms_below(registry, term.id)
+    children = tuple(_branch(registry, child, child.id.rpartition(".")[2]) for child in below)
+    return Branch(f"{name}: {said}" if said else name, children, ", ".join(called_as(registry, term.id)))

@@ -1,0 +1,472 @@
+"""The bus: interfaces of python-can with real threads, that lose, fill up, lie and come back."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pty
+import socket
+import statistics
+import threading
+import time
+import tty
+from contextlib import suppress
+
+import can
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield.errors import DeviceError
+from lfield_can.bus import connection, socketcand
+from lfield_can.bus.bus import Bus
+from lfield_can.bus.frames import Frame, Listener
+from lfield_can.bus.socketcand import Socketcand
+
+# python-can leaves the socket of an opening that failed to the garbage collector.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Exception ignored in. <socket.socket:pytest.PytestUnraisableExceptionWarning"
+)
+
+
+class Told:
+    """What a bus reports."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.frames: list[Frame] = []
+        self.notes: list[str] = []
+        self.bus = Bus(endpoint, self.frames.append, self.notes.append)
+
+    async def until(self, condition, bound=5.0):
+        end = time.monotonic() + bound
+        while not condition():
+            assert time.monotonic() < end, f"it did not happen; notes: {self.notes}"
+            await asyncio.sleep(0.01)
+
+    def noted(self, words: str) -> bool:
+        return any(words in note for note in self.notes)
+
+
+def run(endpoint, story):
+    async def main():
+        told = Told(endpoint)
+        await told.bus.open()
+        try:
+            return await story(told)
+        finally:
+            await told.bus.close()
+
+    return asyncio.run(main())
+
+
+class Server:
+    """A socketcand server of a few lines. It says `words` one after the other; an empty one hangs up."""
+
+    def __init__(self, port: int = 0, *, words=(b"< hi >", b"< ok >", b"< ok >"), after: bytes = b"") -> None:
+        self.listener = socket.create_server(("127.0.0.1", port))
+        self.port, self.words, self.after = self.listener.getsockname()[1], words, after
+        self.endpoint = f"socketcand:127.0.0.1:{self.port}/can0"
+        self.peers: list[socket.socket] = []
+        threading.Thread(target=self.serve, daemon=True).start()
+
+    def serve(self) -> None:
+        while True:
+            try:
+                peer, _ = self.listener.accept()
+            except OSError:
+                return
+            self.peers.append(peer)
+            threading.Thread(target=self.greet, args=(peer,), daemon=True).start()
+
+    def greet(self, peer: socket.socket) -> None:
+        for number, word in enumerate(self.words):
+            if number:
+                peer.recv(256)
+            if not word:
+                peer.shutdown(socket.SHUT_RDWR)
+                return
+            peer.sendall(word + (self.after if number == 2 else b""))
+
+    def stop(self) -> None:
+        with suppress(OSError):  # a mere close would let it listen on while somebody accepts
+            self.listener.shutdown(socket.SHUT_RDWR)
+        self.listener.close()
+        for peer in self.peers:
+            peer.close()
+
+
+@pytest.fixture
+def server():
+    server = Server()
+    yield server
+    server.stop()
+
+
+class Stub(can.BusABC):
+    """An interface that does as it is told."""
+
+    def __init__(self, send) -> None:
+        super().__init__(channel="stub")
+        self.pending: list[can.Message] = []
+        self.sent: list[can.Message] = []
+        self.on_send = send
+        self.gone = False
+
+    def _recv_internal(self, timeout):
+        if self.gone:
+            raise can.CanOperationError("pulled out")
+        if self.pending:
+            return self.pending.pop(0), True
+        time.sleep(0.01)
+        return None, True
+
+    def send(self, msg, timeout=None):
+        self.on_send(self, msg)
+        self.sent.append(msg)
+
+
+@pytest.fixture
+def stub(monkeypatch):
+    """Have the next buses be stubs; the list of those that were opened."""
+    made: list[Stub] = []
+
+    def install(send=lambda bus, message: None):
+        def make(**_):
+            made.append(Stub(send))
+            return made[-1]
+
+        monkeypatch.setattr(connection.can, "Bus", make)
+        return made
+
+    return install
+
+
+def test_frames_come_and_go():
+    async def story(told):
+        with can.Bus(interface="virtual", channel="frames") as other:
+            await told.bus.send(Frame(0x123, b"\1\2"))
+            await told.bus.send(Frame(0x123, b"", extended=True))
+            first, second = other.recv(1.0), other.recv(1.0)
+            assert (first.arbitration_id, bytes(first.data), first.is_extended_id) == (0x123, b"\1\2", False)
+            assert second.is_extended_id
+            other.send(can.Message(arbitration_id=0x321, is_remote_frame=True, is_extended_id=False))
+            other.send(can.Message(arbitration_id=0x321, data=b"\7", is_extended_id=False))
+            await told.until(lambda: told.frames)
+        assert told.frames == [Frame(0x321, b"\7")]
+
+    run("virtual:frames", story)
+
+
+def test_a_frame_leaves_within_milliseconds():
+    async def story(told):
+        with can.Bus(interface="virtual", channel="quick"):
+            times = []
+            for _ in range(200):
+                start = time.perf_counter()
+                await told.bus.send(Frame(1, b"\0"))
+                times.append(time.perf_counter() - start)
+        return statistics.median(times)
+
+    assert run("virtual:quick", story) < 0.005
+
+
+def test_error_frames_are_counted_and_told_now_and_then(stub):
+    made = stub()
+
+    async def story(told):
+        made[0].pending += [
+            can.Message(arbitration_id=0x08, is_error_frame=True, data=b"\0") for _ in range(50)
+        ]
+        await told.until(lambda: told.bus.errors == 50)
+        assert told.notes == ["1 error frame on virtual:x: protocol violation"]
+
+    run("virtual:x", story)
+
+
+def test_bus_off_opens_the_bus_again(stub):
+    made = stub()
+
+    async def story(told):
+        made[0].pending.append(can.Message(arbitration_id=0x40, is_error_frame=True, data=b"\0"))
+        await told.until(lambda: told.noted("open again"))
+        assert told.notes == ["virtual:x is lost: bus off", "virtual:x is open again"]
+        await told.bus.send(Frame(1))
+        assert [m.arbitration_id for m in made[1].sent] == [1]
+
+    run("virtual:x", story)
+
+
+def test_a_full_buffer_is_waited_for_and_then_an_exception(stub):
+    tries = []
+
+    def full_at_first(bus, message):
+        tries.append(message.arbitration_id)
+        if message.arbitration_id == 2 or len(tries) < 5:
+            raise can.CanOperationError("Transmit buffer full")
+
+    stub(full_at_first)
+
+    async def story(told):
+        await told.bus.send(Frame(1))
+        assert tries == [1] * 5
+        start = time.monotonic()
+        with pytest.raises(DeviceError, match="could not be sent: Transmit buffer full"):
+            await told.bus.send(Frame(2))
+        assert time.monotonic() - start < 1.0
+        await told.bus.send(Frame(3))
+
+    run("virtual:x", story)
+
+
+def test_what_waited_too_long_is_never_sent_and_the_loop_does_not_wait(stub):
+    made = stub(lambda bus, message: time.sleep(0.5) if message.arbitration_id == 1 else None)
+
+    async def story(told):
+        latest = 0.0
+        blocked = asyncio.create_task(told.bus.send(Frame(1)))
+        await asyncio.sleep(0.05)
+        late = asyncio.create_task(told.bus.send(Frame(2)))
+        while not late.done():
+            start = time.monotonic()
+            await asyncio.sleep(0.01)
+            latest = max(latest, time.monotonic() - start)
+        with pytest.raises(DeviceError, match="could not be sent: it waited for too long"):
+            await late
+        await blocked
+        assert latest < 0.25
+        assert [m.arbitration_id for m in made[0].sent] == [1]
+
+    run("virtual:x", story)
+
+
+def test_too_many_frames_are_refused(stub):
+    gate = threading.Event()
+    stub(lambda bus, message: gate.wait(10.0))
+
+    async def story(told):
+        for _ in range(connection.BACKLOG + 2):
+            told.bus.post(Frame(1))
+        with pytest.raises(DeviceError, match="too many frames wait to be sent"):
+            await told.bus.send(Frame(2))
+        gate.set()
+
+    run("virtual:x", story)
+
+
+def test_an_interface_that_breaks_is_opened_again(stub):
+    made = stub()
+
+    async def story(told):
+        made[0].gone = True
+        await told.until(lambda: told.noted("lost"))
+        with pytest.raises(DeviceError, match="the bus is lost") as error:
+            await told.bus.send(Frame(1))
+        assert error.value.kind == "DeviceTimeoutException"
+        await told.until(lambda: told.noted("open again"))
+        made[1].pending.append(can.Message(arbitration_id=7, is_extended_id=False))
+        await told.until(lambda: told.frames)
+
+    run("virtual:x", story)
+
+
+def test_a_server_that_dies_is_noticed_at_once_and_costs_nothing(server):
+    async def story(told):
+        server.stop()
+        await told.until(lambda: told.noted("is lost: the other end has hung up"), 2.0)
+        used = time.process_time()
+        await asyncio.sleep(1.0)
+        assert time.process_time() - used < 0.5  # python-can's own loop would use all of it
+        again = Server(server.port)
+        try:
+            await told.until(lambda: told.noted("open again"))
+            again.peers[-1].sendall(b"< frame 123 0.0 0102 >")
+            await told.until(lambda: told.frames)
+            assert told.frames == [Frame(0x123, b"\1\2")]
+        finally:
+            again.stop()
+
+    run(server.endpoint, story)
+
+
+def test_what_makes_no_sense_is_counted_and_the_rest_is_read(server):
+    nonsense = [
+        b"< frame xyz 0.0 >", b"< frame 800 0.0 00 >", b"< frame 1 0.0 000102030405060708 >", b"< error >",
+        b"< frame 001 0.0 F >", b"x >", b"<" * 1000,
+    ]  # fmt: skip
+
+    async def story(told):
+        peer = server.peers[-1]
+        for text in nonsense[:-1]:
+            peer.sendall(text)
+        peer.sendall(b"< frame 001 0.0 FF >< frame 00000002 0.0 >< error 008 0.0 ><frame 0")
+        await told.until(lambda: len(told.frames) == 2)
+        peer.sendall(b"03 0.0 0102>")
+        await told.until(lambda: len(told.frames) == 3)
+        assert told.frames == [Frame(1, b"\xff"), Frame(2, b"", extended=True), Frame(3, b"\1\2")]
+        assert told.bus.errors == 1
+        peer.sendall(nonsense[-1])
+        await told.until(lambda: told.bus.malformed == len(nonsense))
+        peer.sendall(b"< frame 004 0.0 >")
+        await told.until(lambda: len(told.frames) == 4)
+        assert not told.noted("is lost")
+
+    run(server.endpoint, story)
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.one_of(st.binary(max_size=300), st.text("<> framerot0123456789ABF.", max_size=60).map(str.encode))
+    )
+)
+def test_no_bytes_break_the_client(pieces):
+    async def story():
+        frames = []
+        client = Socketcand(Listener(frames.append, lambda identifier, data: None, pytest.fail))
+        client._answers = None
+        for piece in pieces:
+            client.data_received(piece)
+            assert len(client._unread) <= socketcand.LONGEST
+        client.data_received(b"><frame 123 0.0 01>")
+        assert frames[-1] == Frame(0x123, b"\1")
+        assert all(frame.id < 1 << 29 and len(frame.data) <= 8 for frame in frames)
+
+    asyncio.run(story())
+
+
+def test_frames_are_sent_in_the_words_of_the_protocol(server):
+    async def story(told):
+        peer = server.peers[-1]
+        await told.bus.send(Frame(0x12, bytes([1, 0xAB])))
+        await asyncio.to_thread(told.bus.post, Frame(0x34, b"", extended=True))
+        with pytest.raises(DeviceError, match="no frames of CAN FD"):
+            await told.bus.send(Frame(1, bytes(16), fd=True))
+        wanted, got = b"< send 012 2 01 ab >< send 00000034 0  >", b""
+        while len(got) < len(wanted):
+            got += await asyncio.to_thread(peer.recv, 256)
+        assert got == wanted
+
+    run(server.endpoint, story)
+
+
+def test_a_server_that_does_not_read_is_told_of(server):
+    async def story(told):
+        for _ in range(1_000_000):
+            await told.bus.send(Frame(1, bytes(8)))
+
+    with pytest.raises(DeviceError, match="too many frames wait to be sent"):
+        run(server.endpoint, story)
+
+
+def test_an_answer_may_come_together_with_a_frame():
+    server = Server(after=b"< frame 005 1.2 00 >")
+
+    async def story(told):
+        await told.until(lambda: told.frames)
+        assert told.frames == [Frame(5, b"\0")]
+        assert told.bus.malformed == 0
+
+    try:
+        run(server.endpoint, story)
+    finally:
+        server.stop()
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [((b"< no >",), "the server says 'no'"), ((b"< hi >", b""), "the server says 'nothing'")],
+)
+def test_a_server_that_refuses_is_an_error(words, reason):
+    server = Server(words=words)
+
+    async def story(told):
+        raise AssertionError("it must not be opened")
+
+    try:
+        with pytest.raises(DeviceError, match=rf"cannot open socketcand:.*{reason}"):
+            run(server.endpoint, story)
+    finally:
+        server.stop()
+
+
+def test_a_server_that_says_nothing_is_an_error_within_its_bound(monkeypatch):
+    monkeypatch.setattr(socketcand, "ANSWER", 0.3)
+    mute = Server(words=())
+
+    async def story(told):
+        raise AssertionError("it must not be opened")
+
+    start = time.monotonic()
+    try:
+        with pytest.raises(DeviceError, match=r"cannot open socketcand:.*timed out"):
+            run(mute.endpoint, story)
+    finally:
+        mute.stop()
+    assert time.monotonic() - start < 3.0
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["socketcand:127.0.0.1:1/can0", "slcan:/dev/nothing-here", "socketcan:nothing0"]
+)
+def test_nothing_there_is_an_error_at_once(endpoint):
+    async def story(told):
+        raise AssertionError("it must not be opened")
+
+    start = time.monotonic()
+    with pytest.raises(DeviceError, match="cannot open"):
+        run(endpoint, story)
+    assert time.monotonic() - start < 3.0
+
+
+@pytest.fixture
+def adapter():
+    """An slcan adapter's end of a pty, and the other's path."""
+    master, slave = pty.openpty()
+    tty.setraw(master)
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    yield master, os.ttyname(slave), slave
+    for fd in (master, slave):
+        with suppress(OSError):  # the test may have pulled it out
+            os.close(fd)
+
+
+def test_a_serial_port_has_one_owner(adapter):
+    _, path, _ = adapter
+
+    async def story(told):
+        with pytest.raises(DeviceError, match="is in use by another program; a serial port has one owner"):
+            await Told(f"slcan:{path}").bus.open()
+
+    run(f"slcan:{path}", story)
+    run(f"slcan:{path}", lambda told: asyncio.sleep(0))
+
+
+def test_an_adapter_that_never_ends_a_line_is_given_up(adapter, monkeypatch):
+    monkeypatch.setattr(connection, "LONGEST_LINE", 64)
+    master, path, _ = adapter
+
+    async def story(told):
+        os.write(master, b"t" * 100)
+        await told.until(lambda: told.noted("is lost: what comes in are no frames"))
+
+    run(f"slcan:{path}", story)
+
+
+def test_an_adapter_speaks_and_is_pulled_out(adapter):
+    master, path, slave = adapter
+
+    async def story(told):
+        os.write(master, b"\rz\rt1232AABB\rnonsense\rtXYZ\rT000001231FF\r")
+        await told.until(lambda: len(told.frames) == 2)
+        assert told.frames == [Frame(0x123, b"\xaa\xbb"), Frame(0x123, b"\xff", extended=True)]
+        assert told.bus.malformed >= 1
+        await told.bus.send(Frame(0x321, b"\1"))
+        written = b""
+        while b"t321101\r" not in written:
+            written += os.read(master, 4096)  # BlockingIOError when nothing more has come
+        os.close(slave)
+        os.close(master)
+        await told.until(lambda: told.noted("is lost"))
+
+    run(f"slcan:{path}", story)

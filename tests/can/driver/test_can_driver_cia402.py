@@ -1,0 +1,370 @@
+"""CiA 402 with canopen's LocalNode as the drive. In real time: canopen's SDO client needs a thread."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+from can_local_drive import LocalDrive
+
+from lfield.errors import DeviceError
+
+OPTIONS = {"protocol": "cia402", "node": 5, "counts": 10_000, "connect": 3.0}
+LIMITS = {"speed": 20.0}
+
+
+@pytest.fixture
+def rig(bench, binding, bus):
+    """A bench whose drive is there before the driver looks for it."""
+
+    def make(drive=None, *, others=(), **given):
+        given = {
+            "limits": LIMITS,
+            "waivers": ["no_homing"],
+            **given,
+            "options": {**OPTIONS, **given.get("options", {})},
+        }
+        drive = drive or LocalDrive()
+        drive.bus = bus
+        b = bench(binding("CanAxis", **given), *others, bus=bus, fakes=[drive.live])
+        b.drive = drive
+        return b
+
+    return make
+
+
+def test_a_drive_is_identified_set_up_and_moves(rig):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("moveTo", [2.0, 10.0])
+        assert b.values["position"] == pytest.approx(2.0, abs=0.01)
+        assert b.drive.position == pytest.approx(2.0 / math.tau * 10_000, abs=20)
+        await axis.execute("disable", [])
+
+    b.run_real(mission)
+    assert b.drive.get(0x1017) == 100
+    assert b.drive.get(0x607F) == round(20.0 / math.tau * 10_000)
+    assert b.values["enabled"] is False
+    assert b.values["voltage"] == 24.5
+    assert "current" not in b.values  # it has no object for it
+    assert any("does not tell torque and current" in note for note in b.notes)
+
+
+def test_who_it_is(rig):
+    b = rig()
+
+    async def mission(axis):
+        return await axis.open()
+
+    assert b.run_real(mission, opened=False) == "CiA 402 drive, node 5, vendor 0xABC, product 0x7"
+
+
+def test_its_watchdog_is_set_read_back_and_fed_until_the_bus_is_quiet(rig):
+    b = rig(ttl=0.1)
+
+    async def mission(axis):
+        assert b.drive.get(0x1016, 1) == 127 << 16 | 200
+        assert b.drive.get(0x6007) == 3
+        await asyncio.sleep(0.5)
+        gaps = [later - sooner for sooner, later in zip(b.drive.beats, b.drive.beats[1:], strict=False)]
+        assert max(gaps) < 0.2
+        b.driver.quiet()
+        sent = len(b.drive.beats)
+        await asyncio.sleep(0.3)
+        assert len(b.drive.beats) <= sent + 1
+        b.driver.resume()
+        await b.until(lambda: len(b.drive.beats) > sent + 2)
+
+    b.run_real(mission)
+
+
+@pytest.mark.parametrize("absent", [0x6007, 0x1016])
+def test_a_drive_without_a_watchdog_needs_a_waiver(rig, absent):
+    async def mission(axis):
+        with pytest.raises(DeviceError, match=r"waivers: \[device_watchdog\]"):
+            await axis.open()
+
+    rig(LocalDrive(without={absent})).run_real(mission, opened=False)
+
+
+def test_setpoints_are_sent_once(rig):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("setVelocity", [3.0])
+        await b.until(lambda: b.values["velocity"] == pytest.approx(3.0, abs=0.01))
+        sent = [frame for frame in b.bus.sent if frame.id == 0x405]
+        await asyncio.sleep(0.3)
+        assert [frame for frame in b.bus.sent if frame.id == 0x405] == sent
+        assert len(sent) == 1
+        await axis.execute("setPosition", [axis.protocol.state.position])
+        await axis.execute("setTorque", [0.1])
+        assert b.drive.get(0x6061) == 4
+        assert b.drive.get(0x6071) == 200  # thousandths of 0.5 N m
+
+    b.run_real(mission)
+
+
+def test_a_drive_that_only_positions(rig):
+    b = rig(LocalDrive(without={0x1402, 0x1602, 0x60FF}))
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("moveTo", [1.0, 10.0])
+        with pytest.raises(DeviceError, match="the drive does not take velocities"):
+            await axis.execute("setVelocity", [1.0])
+
+    b.run_real(mission)
+    assert any("it does not take velocities" in note for note in b.notes)
+
+
+def test_the_drive_hears_a_heartbeat_as_soon_as_it_watches_for_it(rig):
+    """It begins to watch with the first one: a guard that dies before it would never be missed."""
+    b = rig(ttl=5.0)
+
+    async def mission(axis):
+        await b.until(lambda: b.drive.beats, 0.5)
+        watched = [
+            frame.data
+            for frame in b.bus.sent
+            if frame.id == 0x605 and frame.data[:4] == bytes.fromhex("23161001")
+        ]
+        assert watched[-1][4:] == (127 << 16 | 10_000).to_bytes(4, "little")
+        last_write = max(n for n, frame in enumerate(b.bus.sent) if frame.data == watched[-1])
+        assert any(frame.id == 0x77F for frame in b.bus.sent[last_write:])
+
+    b.run_real(mission)
+
+
+def test_a_cyclic_setpoint_is_streamed_until_its_time_is_over(rig):
+    b = rig(ttl=0.2, options={"cyclic": True})
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        start = b.driver.clock.monotonic()
+        await axis.execute("setVelocity", [3.0])
+        await asyncio.sleep(0.1)
+        assert len([f for f in b.bus.sent if f.id == 0x405]) > 3
+        await asyncio.sleep(0.2)
+        sent = len([f for f in b.bus.sent if f.id == 0x405])
+        await asyncio.sleep(0.1)
+        assert len([f for f in b.bus.sent if f.id == 0x405]) == sent
+        assert b.driver.clock.monotonic() - start > 0.3
+        await axis.make_safe()
+        await axis.execute("enable", [])
+        before = b.drive.position
+        await axis.execute("setPosition", [axis.protocol.state.position + 50.0])
+        await asyncio.sleep(0.1)
+        # Within the speed limit, not with a leap.
+        assert 0 < b.drive.position - before < 20.0 / math.tau * 10_000 * 0.2
+
+    b.run_real(mission)
+
+
+@pytest.mark.parametrize(
+    ("state", "control", "status"),
+    [("brake", 0x02, 0x0217), ("torque_hold", 0x02, 0x0217), ("torque_off", 0x00, 0x0240)],
+)
+def test_safe_states_are_seen(rig, state, control, status):
+    b = rig(safe_state=state)
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("setVelocity", [5.0])
+        await b.until(lambda: b.values["velocity"] > 4.0)
+        await axis.make_safe()
+        assert b.drive.state == status
+        assert b.drive.controls[-1] == control
+        with pytest.raises(DeviceError, match=r"not enabled .* call enable\(\) first"):
+            await axis.execute("setVelocity", [1.0])
+
+    b.run_real(mission)
+    assert (b.drive.get(0x605A) == 6) is (state == "torque_hold")
+
+
+def test_a_safe_state_that_does_not_come_is_told(rig, monkeypatch):
+    monkeypatch.setattr("lfield_can.axis.SAFE_BY", 0.5)
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        b.drive.on_control = lambda word: None
+        with pytest.raises(DeviceError, match=r"does not show the safe state brake \(operation enabled"):
+            async with asyncio.timeout(8.0):
+                await axis.make_safe()
+
+    b.run_real(mission)
+
+
+def test_a_fault_is_told_in_words_and_reset(rig):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("setVelocity", [5.0])
+        b.drive.fail(0x7121)
+        await b.until(lambda: b.values["fault"] != "")
+        assert b.values["fault"] == "motor blocked (0x7121)"
+        for call in (("setVelocity", [1.0]), ("enable", [])):
+            with pytest.raises(DeviceError, match=r"motor blocked \(0x7121\); resetFault\(\) clears it"):
+                await axis.execute(*call)
+        await axis.make_safe()
+        await axis.execute("resetFault", [])
+        await b.until(lambda: b.values["fault"] == "")
+        await axis.execute("enable", [])
+
+    b.run_real(mission)
+
+
+def test_a_travel_that_is_stuck_ends(rig, monkeypatch):
+    monkeypatch.setattr("lfield_can.axis.STUCK", 0.4)
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        b.drive.stuck = True
+        with pytest.raises(
+            DeviceError, match=r"moveTo gave up: no progress for 0.4 s, 3.000 rad from its goal"
+        ):
+            await axis.execute("moveTo", [3.0, 5.0])
+
+    b.run_real(mission)
+
+
+def test_homing_gives_the_positions_a_meaning(rig):
+    b = rig(waivers=[], options={"homing_method": 37, "homing_speed": 1.0})
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        with pytest.raises(DeviceError, match=r"has not been homed; call home\(\) first"):
+            await axis.execute("moveTo", [1.0, 5.0])
+        await axis.execute("home", [])
+        await b.until(lambda: b.values["referenced"])
+        await axis.execute("moveTo", [1.0, 5.0])
+
+    b.run_real(mission)
+    assert b.drive.get(0x6098) == 37
+    assert b.drive.get(0x6099, 1) == round(1.0 / math.tau * 10_000)
+
+
+def test_a_drive_that_restarts_is_set_up_again_and_stays_off(rig):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        b.drive.restart()
+        await b.until(lambda: any("set up again" in note for note in b.notes), 5.0)
+        assert b.drive.get(0x1016, 1) == 127 << 16 | 1000
+        assert b.values["enabled"] is False
+        await axis.execute("enable", [])
+
+    b.run_real(mission)
+
+
+def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(rig):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        start = b.driver.clock.monotonic()
+        travel = asyncio.create_task(axis.execute("moveTo", [1000.0, 5.0]))
+        await asyncio.sleep(0.2)
+        b.drive.silent = True
+        with pytest.raises(DeviceError, match="not heard for") as error:
+            await travel
+        assert error.value.kind == "DeviceTimeoutException"
+        assert b.driver.clock.monotonic() - start < 3.0
+        await b.until(lambda: b.values["online"] is False)
+        b.drive.silent = False
+        await b.until(lambda: b.values["online"] and b.drive.state != 0x0237)
+        await axis.make_safe()
+
+    b.run_real(mission)
+    assert [note for note in b.notes if "heard" in note] == ["it is not heard any more", "heard again"]
+
+
+def test_two_devices_with_one_id_are_seen(rig):
+    b = rig()
+
+    async def mission(axis):
+        said = b.drive.say
+
+        def twice(can_id, data):
+            said(can_id, data)
+            if can_id == 0x585:
+                said(can_id, data)
+
+        b.drive.network.say = twice
+        with pytest.raises(DeviceError, match="two devices answer to this node id"):
+            await axis.open()
+
+    b.run_real(mission, opened=False)
+
+
+def test_two_bindings_of_one_node_are_refused(rig, binding):
+    b = rig(others=[binding("CanAxis", field="other", options=OPTIONS)])
+
+    async def mission(*axes):
+        raise AssertionError("it must not be opened")
+
+    with pytest.raises(
+        DeviceError, match=r"winch.other and winch.axis have the same frames \(id 0x\w+\); give every device"
+    ):
+        b.run_real(mission)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"counts": 0}, "needs 'counts'"),
+        ({"node": 0}, "node id is 1 to 127"),
+        ({"eds": "/nonexistent.eds"}, "is not an EDS file that can be read"),
+    ],
+)
+def test_options_that_make_no_sense(rig, options, words):
+    async def mission(axis):
+        raise AssertionError("it must not be opened")
+
+    with pytest.raises(DeviceError, match=words):
+        rig(options=options).run_real(mission)
+
+
+def test_something_else_that_answers_is_no_drive(rig):
+    b = rig()
+
+    async def mission(axis):
+        b.drive.node.data_store[0x1000] = {0: (0x191).to_bytes(4, "little")}
+        with pytest.raises(DeviceError, match="is no CiA 402 drive: its device type 0x1000 is 0x00000191"):
+            await axis.open()
+
+    b.run_real(mission, opened=False)
+
+
+def test_nobody_there_is_an_error_within_its_bound(rig):
+    b = rig(options={"connect": 0.5})
+    b.drive.silent = True
+
+    async def mission(axis):
+        start = b.driver.clock.monotonic()
+        with pytest.raises(DeviceError, match=r"nothing heard from node 5 .* within 0.5 s") as error:
+            await axis.open()
+        assert error.value.kind == "DeviceTimeoutException"
+        assert b.driver.clock.monotonic() - start < 1.5
+
+    b.run_real(mission, opened=False)
+
+
+def test_answers_that_are_nonsense_are_errors_not_crashes(rig):
+    b = rig()
+
+    async def mission(axis):
+        said = b.drive.say
+        b.drive.network.say = lambda can_id, data: said(can_id, bytes(8) if can_id == 0x585 else data)
+        with pytest.raises(DeviceError, match="device type 0x1000:0"):
+            await axis.open()
+
+    b.run_real(mission, opened=False)

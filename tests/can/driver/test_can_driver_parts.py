@@ -1,0 +1,236 @@
+"""The small parts of the CAN driver, one by one: endpoints, words, units, repeating, stock resources."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import struct
+from pathlib import Path
+
+import pytest
+from can_local_drive import dictionary
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.errors import DeviceError
+from lfield.lang.frontend import check_text
+from lfield.simulate.time import LoopClock, run_jumping
+from lfield_can import PLUGIN
+from lfield_can.bus.endpoint import parse_endpoint
+from lfield_can.bus.frames import EXTENDED, Frame
+from lfield_can.bus.frames import error_words as bus_error_words
+from lfield_can.protocols import PROTOCOLS
+from lfield_can.protocols.canopen_node import read_eds, standard_dictionary
+from lfield_can.protocols.cia402_tables import OBJECTS, STATES, Units, error_words, state_of
+from lfield_can.protocols.odrive_tables import error_words as odrive_error_words
+from lfield_can.timing import Repeating
+
+MANIFESTS = PLUGIN.read_manifests()
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "arguments"),
+    [
+        ("socketcan:can0", {"interface": "socketcan", "channel": "can0"}),
+        ("socketcan:can0?fd=true", {"interface": "socketcan", "channel": "can0", "fd": True}),
+        ("virtual:a", {"interface": "virtual", "channel": "a"}),
+        (
+            "slcan:/dev/ttyACM0@115200?bitrate=500000",
+            {"interface": "slcan", "channel": "/dev/ttyACM0", "tty_baudrate": 115200, "bitrate": 500000}
+            | {"sleep_after_open": 0.0},
+        ),
+        (
+            "socketcand:[::1]:29536/can0",
+            {"interface": "socketcand", "channel": "can0"},
+        ),
+        ("pcan:PCAN_1?bitrate=500000", {"interface": "pcan", "channel": "PCAN_1", "bitrate": 500000}),
+    ],
+)  # fmt: skip
+def test_endpoints(endpoint, arguments):
+    assert parse_endpoint(endpoint).arguments == arguments
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "words"),
+    [
+        ("can0", "write INTERFACE:CHANNEL"),
+        ("", "write INTERFACE:CHANNEL"),
+        ("socketcan:", "write INTERFACE:CHANNEL"),
+        ("socketcan:can0?fd", "write INTERFACE:CHANNEL"),
+        ("socketcant:can0", "python-can has no interface 'socketcant'"),
+        ("slcan:ttyACM0", "write slcan:/dev/ttyACM0@115200"),
+        ("slcan:/dev/ttyACM0@fast", "write slcan:/dev/ttyACM0@115200"),
+        ("socketcand:127.0.0.1/can0", "write socketcand:HOST:PORT/CHANNEL"),
+        ("socketcand:127.0.0.1:99999/can0", "write socketcand:HOST:PORT/CHANNEL"),
+        ("socketcand:127.0.0.1:29536/can0?bitrate=1", "socketcand takes no parameters"),
+    ],
+)
+def test_wrong_endpoints_get_a_sentence(endpoint, words):
+    with pytest.raises(DeviceError, match=words):
+        parse_endpoint(endpoint)
+
+
+@given(st.text())
+def test_any_text_is_an_endpoint_or_a_sentence(text):
+    try:
+        parse_endpoint(text)
+    except DeviceError:
+        return
+
+
+def test_ids_of_two_lengths_are_two_ids():
+    assert Frame(0x123).key == 0x123
+    assert Frame(0x123, extended=True).key == 0x123 | EXTENDED
+
+
+@pytest.mark.parametrize(
+    ("identifier", "data", "words"),
+    [
+        (0x040, b"\0", "bus off"),
+        (0x004, b"\0\x22", "controller trouble (send buffer full, sends passively)"),
+        (0x028, b"", "protocol violation, nobody acknowledged a frame"),
+        (0, b"", "an error of no class"),
+    ],
+)
+def test_error_frames_in_words(identifier, data, words):
+    assert bus_error_words(identifier, data) == words
+
+
+@pytest.mark.parametrize(
+    ("code", "register", "words"),
+    [
+        (0x7121, 0, "motor blocked (0x7121)"),
+        (0x8130, 0x10, "our heartbeat was missed (0x8130)"),
+        (0x3219, 0, "supply over-voltage (0x3219)"),
+        (0x4F00, 0, "temperature (0x4F00)"),
+        (0xA000, 0, "unknown error (0xA000)"),
+        (0, 0x0A, "current, temperature"),
+        (0, 0, ""),
+    ],
+)
+def test_errors_of_drives_in_words(code, register, words):
+    assert error_words(code, register) == words
+
+
+def test_errors_of_an_odrive_in_words():
+    assert odrive_error_words(0) == ""
+    assert odrive_error_words(1 << 25 | 1 << 8) == "supply over-voltage, emergency stop"
+    assert odrive_error_words(1 << 31) == "unknown error 0x80000000"
+
+
+@given(st.integers(0, 0xFFFF))
+def test_a_status_word_shows_one_state_at_most(statusword):
+    fitting = [name for mask, value, name in STATES if statusword & mask == value]
+    assert len(fitting) <= 1
+    assert state_of(statusword) == "".join(fitting)
+
+
+@given(st.floats(-100.0, 100.0), st.floats(0.1, 100.0), st.booleans())
+def test_units_there_and_back(value, gear, is_reversed):
+    turns = (-gear if is_reversed else gear) / math.tau
+    for unit in ("counts", "rpm", "milli_rpm"):
+        units = Units(turns, 100_000, unit, 0.5, 2.0)
+        assert units.position(units.to_counts(value)) == pytest.approx(value, abs=1e-3)
+        assert units.velocity(units.to_velocity(value)) == pytest.approx(value, abs=2.0)
+        assert units.torque(units.to_torque(value)) == pytest.approx(value, abs=gear / 1000.0)
+        if not is_reversed:
+            assert units.to_velocity(value) * value >= 0.0
+
+
+def test_units_of_a_drive_that_counts_in_rpm():
+    units = Units(10.0 / math.tau, 4096, "rpm", 0.5)
+    assert units.to_velocity(math.tau) == 600  # one turn of the axis per second, behind 10:1
+    assert units.to_counts(math.tau) == 40960
+    assert units.to_torque(5.0) == 1000
+
+
+def test_repeating_ends_by_itself_and_when_told():
+    async def story():
+        loop, done = asyncio.get_running_loop(), []
+        repeating = Repeating(LoopClock())
+        start = loop.time()
+        repeating.start(0.1, lambda: done.append(round(loop.time() - start, 3)), lasts=0.35)
+        await asyncio.sleep(1.0)
+        assert done == [0.1, 0.2, 0.3]
+        repeating.again()
+        await asyncio.sleep(0.25)
+        repeating.stop()
+        await asyncio.sleep(1.0)
+        assert len(done) == 5
+
+    run_jumping(story())
+
+
+def test_every_protocol_of_the_manifest_is_there():
+    option = next(option for option in MANIFESTS["CanAxis"].options if option.name == "protocol")
+    assert set(option.choices) == set(PROTOCOLS)
+
+
+def test_the_standard_objects_are_those_of_the_table():
+    dictionary = standard_dictionary()
+    for (index, subindex), (name, data_type) in OBJECTS.items():
+        variable = dictionary.get_variable(index, subindex)
+        assert (variable.name, variable.data_type) == (name, data_type)
+
+
+def test_an_eds_file_is_read_or_refused_in_a_sentence(tmp_path):
+    import canopen
+
+    good, bad = tmp_path / "drive.eds", tmp_path / "bad.eds"
+    od = dictionary(set())
+    od.node_id = 5
+    with good.open("w") as file:
+        canopen.export_od(od, file, "eds")
+    assert read_eds("axis", str(good), 5).get_variable(0x6041, 0).name == "6041-0"
+    bad.write_text("[nothing\n")
+    with pytest.raises(DeviceError, match="is not an EDS file that can be read"):
+        read_eds("axis", str(bad), 5)
+
+
+MISSION = """
+include <can/{file}.L>;
+coordinator Mission {{
+    init(string[] arg) {{
+        {body}
+    }}
+}}
+"""
+BODIES = {
+    "axis": (
+        'Axis a = findAxis("a"); a.home(); a.moveTo(1.0, 0.5); '
+        "a.turnTo(a.velocity() + a.torque()); a.stop(); print(a.fault());"
+    ),
+    "winch": 'Winch w = findWinch("w"); w.home(); w.lower(w.lift(0.5)); w.reach(w.length()); w.hold();',
+}
+
+
+@pytest.mark.parametrize("file", sorted(BODIES))
+def test_stock_resources_compile_and_offer_their_portals(file):
+    def find(path: str) -> Path | None:
+        plugin, _, name = path.partition("/")
+        return PLUGIN.source(name) if plugin == "can" else None
+
+    devices = {name: manifest.device for name, manifest in MANIFESTS.items()}
+    text = MISSION.format(file=file, body=BODIES[file])
+    checked = check_text(text, devices=devices, find_include=find)
+    assert [diagnostic.render() for diagnostic in checked.diagnostics] == []
+
+
+frames = st.lists(
+    st.tuples(st.sampled_from([0x80, 0x180, 0x280, 0x380, 0x580, 0x700]), st.binary(max_size=8)), max_size=30
+)
+
+
+@given(frames)
+def test_any_frames_of_a_node_are_survived(bench, binding, frames):
+    b = bench(binding("CanAxis", options={"protocol": "cia402", "node": 5, "counts": 1000}))
+
+    async def mission(axis):
+        axis.protocol.mapped = frozenset({0x180, 0x280, 0x380})
+        for code, data in frames:
+            b.bus.say(code + 5, data)
+        assert axis.malformed <= len(frames)
+        short = struct.Struct("<H").size
+        assert axis.malformed >= sum(code == 0x180 and len(data) < short for code, data in frames)
+
+    b.run(mission, opened=False)

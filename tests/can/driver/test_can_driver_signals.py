@@ -1,0 +1,264 @@
+"""Devices of DBC files through the driver, in jumping time; and the file itself, which is pure."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.errors import DeviceError
+from lfield_can.bus.frames import Frame
+from lfield_can.dbc import DbcError, DbcFile
+
+DBC = Path(__file__).with_name("can_demo.dbc")
+FILE = DbcFile(str(DBC))
+OPTIONS = {
+    "dbc": str(DBC),
+    "commands": ["Command"],
+    "safe": ["Command.speed=0", "Command.valve=100", "Command.gain=1"],
+    "confirm": ["Status.speed=0 within 0.2"],
+}
+DETAIL = FILE.key("Detail") & 0x1FFFFFFF
+
+
+class Pump:
+    """Turns as it is told, and says so ten times a second."""
+
+    def __init__(self, bus) -> None:
+        self.bus, self.speed, self.silent, self.deaf = bus, 0.0, False, False
+        bus.device = self.on_frame
+
+    def on_frame(self, frame: Frame) -> None:
+        if not self.deaf:
+            self.speed = FILE.message("Command").decode(frame.data)["speed"]
+
+    async def live(self) -> None:
+        while True:
+            await asyncio.sleep(0.1)
+            if not self.silent:
+                data = FILE.message("Status").encode({"speed": self.speed, "heat": 60.0})
+                self.bus.say(512, data)
+
+
+@pytest.fixture
+def rig(bench, binding, bus):
+    def make(*, waivers=("device_watchdog",), **options):
+        pump = Pump(bus)
+        bound = binding("CanSignals", field="pump", options={**OPTIONS, **options}, waivers=list(waivers))
+        b = bench(bound, bus=bus, fakes=[pump.live])
+        b.pump = pump
+        return b
+
+    return make
+
+
+def carried(frame: Frame) -> dict:
+    return FILE.message("Command").decode(frame.data)
+
+
+def test_who_it_is(rig):
+    async def mission(pump):
+        return await pump.open()
+
+    assert rig().run(mission, opened=False) == "DBC device, heard Status"
+
+
+def test_a_signal_is_set_with_the_others_of_its_message_as_they_were(rig):
+    b = rig()
+
+    async def mission(pump):
+        await pump.execute("set", ["Command.speed", 12.5])
+        await pump.execute("set", ["Command.valve", 30.0])
+        await asyncio.sleep(2.0)
+        assert [carried(frame) for frame in b.bus.sent] == [
+            {"speed": 12.5, "valve": 100, "gain": 1.0},
+            {"speed": 12.5, "valve": 30, "gain": 1.0},
+        ]
+        assert await pump.execute("read", ["Status.speed"]) == 12.5
+        assert await pump.execute("read", ["Status.heat"]) == 60.0
+        await pump.execute("send", ["Command", [1.0, 2.0, 3.0]])
+        assert carried(b.bus.sent[-1]) == {"speed": 1.0, "valve": 2, "gain": 3.0}
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (
+            ("set", ["Command.speed", 4000.0]),
+            "speed cannot be 4000 rad/s: it is from -3276.8 to 3276.7 rad/s",
+        ),
+        (("set", ["Command.valve", 101.0]), "valve cannot be 101 %: it is from 0 to 100 %"),
+        (("set", ["Command.gain", 1e39]), "gain cannot be 1e"),
+        (("set", ["Command.speed", math.nan]), "finite"),
+        (
+            ("set", ["Status.speed", 1.0]),
+            "Status may not be sent: the binding's 'commands' allow only Command",
+        ),
+        (("set", ["Setup.page", 1.0]), "Setup may not be sent"),
+        (("set", ["Command", 1.0]), "not written as Message.Signal"),
+        (("set", ["Command.spede", 1.0]), "no signal 'spede'; it has speed, valve, gain"),
+        (("set", ["Comand.speed", 1.0]), "no message 'Comand'"),
+        (("send", ["Command", [1.0]]), r"Command has 3 signals \(speed, valve, gain\), not 1"),
+        (("read", ["Nothing.at"]), "no message 'Nothing'"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_sent(rig, call, words):
+    b = rig()
+
+    async def mission(pump):
+        with pytest.raises(DeviceError, match=words):
+            await pump.execute(*call)
+
+    b.run(mission)
+    assert b.bus.sent == []
+
+
+def test_nothing_is_a_command_unless_it_is_listed(rig):
+    b = rig(commands=[], safe=[], confirm=[])
+
+    async def mission(pump):
+        with pytest.raises(DeviceError, match="the binding's 'commands' allow nothing"):
+            await pump.execute("set", ["Command.speed", 1.0])
+        await pump.make_safe()
+
+    b.run(mission)
+    assert b.bus.sent == []
+
+
+def test_the_safe_state_is_sent_seen_and_sent_again(rig):
+    b = rig()
+
+    async def mission(pump):
+        await pump.execute("set", ["Command.speed", 12.5])
+        await asyncio.sleep(0.5)
+        b.pump.deaf = True
+        asyncio.get_running_loop().call_later(0.5, setattr, b.pump, "deaf", False)
+        await pump.make_safe()
+        assert b.pump.speed == 0.0
+        b.pump.deaf, b.pump.speed = True, 3.0
+        with pytest.raises(DeviceError, match=r"not confirmed: Status.speed is 3.0"):
+            await pump.make_safe()
+
+    b.run(mission)
+
+
+def test_after_the_safe_state_nothing_of_before_is_sent(rig):
+    b = rig()
+
+    async def mission(pump):
+        await pump.execute("set", ["Command.speed", 12.5])
+        await pump.make_safe()
+        await pump.execute("set", ["Command.valve", 50.0])
+        assert carried(b.bus.sent[-1])["speed"] == 0.0
+
+    b.run(mission)
+
+
+def test_old_values_are_not_answers(rig):
+    b = rig()
+
+    async def mission(pump):
+        b.pump.silent = True
+        await asyncio.sleep(2.0)
+        start = asyncio.get_running_loop().time()
+        with pytest.raises(DeviceError, match=r"Status.speed was not received for over 1 s") as error:
+            await pump.execute("read", ["Status.speed"])
+        assert error.value.kind == "DeviceTimeoutException"
+        assert asyncio.get_running_loop().time() - start == pytest.approx(1.0)
+        assert await pump.execute("ageOf", ["Status"]) > 2.5
+        assert b.values["online"] is False
+        asyncio.get_running_loop().call_later(0.5, setattr, b.pump, "silent", False)
+        assert await pump.execute("read", ["Status.speed"]) == 0.0
+        await asyncio.sleep(0.2)
+        assert carried(b.bus.sent[-1])["speed"] == 0.0  # it comes back into its safe state
+
+    b.run(mission)
+    assert [note for note in b.notes if "heard" in note] == ["it is not heard any more", "heard again"]
+
+
+def test_multiplexed_messages(rig):
+    b = rig()
+
+    async def mission(pump):
+        b.bus.say(DETAIL, bytes([1, 5, 0, 0, 0, 0, 0, 0]), extended=True)
+        b.bus.say(DETAIL, bytes([2, 7, 0, 0, 0, 0, 0, 0]), extended=True)
+        assert await pump.execute("read", ["Detail.pressure"]) == 50.0
+        assert await pump.execute("read", ["Detail.flow"]) == pytest.approx(0.007)
+        b.bus.say(DETAIL, bytes([9, 7, 0, 0, 0, 0, 0, 0]), extended=True)
+        b.bus.say(DETAIL, bytes(8))  # of 11 bits: another message
+        await asyncio.sleep(0.2)
+        assert b.values["malformed"] == 1
+
+    b.run(mission)
+
+
+def test_setting_a_multiplexed_signal_selects_it(rig):
+    b = rig(
+        commands=["Setup"], safe=["Setup.page=1", "Setup.slope=0"], confirm=[],
+        waivers=["device_watchdog", "no_confirmation"],
+    )  # fmt: skip
+
+    async def mission(pump):
+        await pump.execute("set", ["Setup.limit", 300.0])
+
+    b.run(mission)
+    assert b.bus.sent[-1].data == bytes([2, 44, 1, 0, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"dbc": "/nonexistent.dbc"}, "cannot be read"),
+        ({"dbc": __file__}, "cannot be read"),
+        ({"commands": ["Nothing"], "safe": []}, "'safe' says nothing about Nothing"),
+        ({"safe": []}, "'safe' says nothing about Command, which is among its 'commands'"),
+        ({"safe": ["Command.speed=0"]}, "Command cannot be sent: it needs valve, gain too"),
+        ({"safe": ["Command.speed 0"]}, "not written as Message.Signal=VALUE"),
+        ({"safe": ["Command.speed=--"]}, "'--' is not a number"),
+        ({"safe": ["Status.speed=0"]}, "sends Status, which is not among its 'commands'"),
+        ({"safe": [*OPTIONS["safe"][:2], "Command.gain=1e39"]}, "gain cannot be"),
+        ({"confirm": []}, r"nothing would show that it is safe.*waivers: \[no_confirmation\]"),
+        ({"confirm": ["Command.speed=0"]}, "'confirm' is about what the device says"),
+    ],
+)
+def test_bindings_that_make_no_sense(rig, options, words):
+    async def mission(pump):
+        raise AssertionError("it must not be opened")
+
+    with pytest.raises(DeviceError, match=words):
+        rig(**options).run(mission)
+
+
+def test_nobody_there_is_an_error_within_its_bound(rig):
+    b = rig(connect=2.0)
+    b.pump.silent = True
+
+    async def mission(pump):
+        with pytest.raises(DeviceError, match="none of the messages of its DBC file was heard"):
+            await pump.open()
+
+    b.run(mission, opened=False)
+
+
+@given(st.sampled_from([512, DETAIL, 257]), st.booleans(), st.binary(max_size=64))
+def test_any_frame_at_all_is_decoded_or_dropped(identifier, extended, data):
+    decoded = FILE.decode(Frame(identifier, data, extended))
+    assert decoded is None or all(math.isfinite(value) for value in decoded[1].values())
+
+
+@given(st.floats(), st.floats(), st.floats())
+def test_whatever_is_sent_comes_out_again_or_is_refused(speed, valve, gain):
+    try:
+        frame = FILE.encode("Command", {"speed": speed, "valve": valve, "gain": gain})
+    except DbcError:
+        return
+    back = carried(frame)
+    assert back["speed"] == pytest.approx(speed, abs=0.051)
+    assert back["valve"] == pytest.approx(valve, abs=0.51)
+    assert back["gain"] == pytest.approx(gain, rel=1e-6, abs=1e-44)

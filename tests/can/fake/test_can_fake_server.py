@@ -1,0 +1,223 @@
+"""The fake as a process: python-can at both doors, faults while it runs, its line and its end."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import can
+import pytest
+from can_places import serial, tcp
+from test_can_fake_dbc import GRIPPER
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.sims import Sim, main
+from lfield.errors import UsageError
+from lfield.testing.driver_bench import running_fake
+from lfield_sim.can import SIM, parse_listen
+
+pytestmark = pytest.mark.process
+BOTH = ("--listen", "socketcand:127.0.0.1:0", "--listen", "slcan-pty")
+
+
+def heard(bus: can.BusABC, identifier: int, seconds: float = 10.0) -> can.Message:
+    """The next frame with an identifier."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        message = bus.recv(0.1)
+        if message is not None and message.arbitration_id == identifier and not message.is_error_frame:
+            return message
+    raise AssertionError(f"no frame {identifier:#x} in {seconds} s")
+
+
+def frame(identifier: int, data: bytes = b"", **options) -> can.Message:
+    return can.Message(arbitration_id=identifier, data=data, is_extended_id=identifier > 0x7FF, **options)
+
+
+def test_python_can_at_both_doors():
+    with contextlib.ExitStack() as stack:
+        fake = stack.enter_context(running_fake("can", *BOTH))
+        places = (tcp(fake.words[0]), tcp(fake.words[0]), serial(fake.words[1]))
+        a, b, c = (stack.enter_context(can.Bus(**place)) for place in places)
+        assert c.get_version(5.0) == (10, 13)
+        a.send(frame(0x123, b"\x01\xfe"))
+        for other in (b, c):
+            message = heard(other, 0x123)
+            assert (bytes(message.data), message.is_extended_id) == (b"\x01\xfe", False)
+        c.send(frame(0x1ABCDEF0, bytes(8)))
+        for other in (a, b):
+            assert heard(other, 0x1ABCDEF0).is_extended_id
+        assert c.get_serial_number(5.0) == "F4K3"
+
+
+def test_fd_and_remote_frames_pass_the_serial_doors():
+    with contextlib.ExitStack() as stack:
+        fake = stack.enter_context(running_fake("can", "--listen", "slcan-pty", "--listen", "slcan-pty"))
+        a = stack.enter_context(can.Bus(**serial(fake.words[0]), bitrate=1_000_000))
+        b = stack.enter_context(can.Bus(**serial(fake.words[1])))
+        assert b.get_version(5.0) == (10, 13)
+        a.send(frame(0x123, bytes(range(48)), is_fd=True, bitrate_switch=True))
+        message = heard(b, 0x123)
+        assert (bytes(message.data), message.is_fd, message.bitrate_switch) == (bytes(range(48)), True, True)
+        a.send(can.Message(arbitration_id=0x55, is_remote_frame=True, dlc=4, is_extended_id=False))
+        message = heard(b, 0x55)
+        assert (message.is_remote_frame, message.dlc) == (True, 4)
+
+
+def test_a_dongle_with_the_wrong_bit_rate_hears_nothing():
+    with running_fake("can", *BOTH, "--device", "odrive:3") as fake:
+        with can.Bus(**serial(fake.words[1]), bitrate=250_000) as wrong:
+            assert wrong.recv(0.5) is None
+        with can.Bus(**serial(fake.words[1]), bitrate=1_000_000) as right:
+            heard(right, 0x61)
+
+
+def test_clients_come_and_go_and_a_mute_one_harms_nobody():
+    with running_fake("can", "--device", "odrive:3") as fake:
+        mute = socket.create_connection(("127.0.0.1", tcp(fake.words[0])["port"]))
+        mute.sendall(b"< open can0 >< rawmode >")
+        for _ in range(5):
+            with can.Bus(**tcp(fake.words[0])) as bus:
+                heard(bus, 0x61)
+        mute.close()
+
+
+def test_many_frames_at_once_are_slowed_down_but_not_lost():
+    with running_fake("can") as fake, can.Bus(**tcp(fake.words[0])) as a, can.Bus(**tcp(fake.words[0])) as b:
+        for n in range(3000):
+            a.send(frame(0x100, n.to_bytes(2, "big")))
+        got = [int.from_bytes(heard(b, 0x100).data, "big") for _ in range(3000)]
+    assert got == list(range(3000))
+
+
+def test_faults_while_it_runs():
+    with running_fake("can", "--device", "cia402:5:alpha.winch", "--fault", "lost_heartbeat@5=true") as fake:
+        assert fake.words[1:] == ["cia402:5"]
+        with can.Bus(**tcp(fake.words[0])) as bus:
+            with pytest.raises(AssertionError):
+                heard(bus, 0x705, 0.5)
+            answer = fake.fault("lost_heartbeat@alpha.winch=false")
+            assert answer["devices"] == {"5": "alpha.winch"}
+            assert answer["endpoint"] == fake.words[0]
+            heard(bus, 0x705)
+            fake.fault("corrupt=1")
+            bus.send(frame(0x100))
+            end = time.monotonic() + 10
+            while not (message := bus.recv(1.0)) or not message.is_error_frame:
+                assert time.monotonic() < end
+            with pytest.raises(AssertionError, match="corrupt"):
+                fake.fault("corrupt=2")
+
+
+def unplugged(place: dict[str, object]) -> bool:
+    """Whether a socketcand client is thrown out before it is greeted."""
+    with socket.create_connection((place["host"], place["port"]), 10) as client:
+        try:
+            return client.recv(100) == b""
+        except ConnectionResetError:
+            return True
+
+
+def test_doors_that_are_pulled_out_and_plugged_in_again(tmp_path):
+    link = tmp_path / "dongle"
+    doors = ("--listen", f"slcan-pty:{link}", "--listen", "socketcand:127.0.0.1:0")
+    with running_fake("can", *doors, "--device", "odrive:3") as fake:
+        assert fake.words[0] == f"slcan:{link}@115200"
+        bus = can.Bus(**serial(fake.words[0]))
+        heard(bus, 0x61)
+        fake.fault("unplug=true")
+        with pytest.raises(can.CanOperationError):
+            heard(bus, 0x555)
+        with contextlib.suppress(can.CanOperationError):
+            bus.shutdown()
+        bus.serialPortOrig.close()
+        assert not link.is_symlink()
+        assert unplugged(tcp(fake.words[1]))
+        fake.fault("unplug=false")
+        for place in (serial(fake.words[0]), tcp(fake.words[1])):
+            with can.Bus(**place) as again:
+                heard(again, 0x61)
+
+
+def test_a_link_never_replaces_a_file(tmp_path, capsys):
+    taken = tmp_path / "file"
+    taken.write_text("kept")
+    assert main(["lfield_sim.can:SIM", "--listen", f"slcan-pty:{taken}"]) == 69
+    assert taken.read_text() == "kept"
+    assert "exists" in capsys.readouterr().err
+
+
+def test_it_ends_with_its_stdin(capfd):
+    with running_fake("can", *BOTH) as fake:
+        out, _ = fake.process.communicate(timeout=10)
+        assert (out, capfd.readouterr().err, fake.process.returncode) == ("", "", 0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signals_end_it(number):
+    with running_fake("can", "--device", "cia402:1") as fake:
+        fake.process.send_signal(number)
+        assert fake.process.wait(10) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "words"),
+    [
+        (("--listen", "udp:127.0.0.1:0"), 64, "cannot listen"),
+        (("--device", "cia402:5", "--device", "odrive:5"), 64, "same node id"),
+        (("--fault", "loss=2"), 64, "from 0 to 1"),
+        (("--fault", "loss@9=1", "--device", "cia402:5"), 64, "no device '9'"),
+        (("--bitrate", "7"), 2, "bit rate"),
+    ],
+)
+def test_a_wrong_command_line_is_a_sentence(options, status, words):
+    command = [sys.executable, "-m", "lfield.driver.sims", "lfield_sim.can:SIM", *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20)
+    assert (done.stdout, done.returncode) == ("", status)
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_port_in_use_is_a_sentence(capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert main(["lfield_sim.can:SIM", "--listen", f"socketcand:127.0.0.1:{port}"]) == 69
+    assert "in use" in capsys.readouterr().err
+
+
+def binding(field: str, kind: str, **options) -> DeviceBinding:
+    place = {"agent": "a", "field": field, "driver": "can", "endpoint": "e", "safe_state": "brake"}
+    return DeviceBinding(type=kind, options=options, **place)
+
+
+def test_a_binding_that_cannot_be_imitated_is_refused():
+    with pytest.raises(UsageError, match=r"a\.winch: .* counts per second"):
+        SIM.arguments([binding("winch", "CanAxis", protocol="cia402", node=5, velocity_unit="rpm")])
+
+
+def test_the_bus_of_bindings():
+    assert isinstance(SIM, Sim)
+    devices = [
+        binding("winch", "CanAxis", protocol="cia402", node=5, counts=4096),
+        binding("spare", "CanAxis", protocol="cia402", node=5, counts=4096),
+        binding("wheel", "CanAxis", protocol="odrive", node=3, counts=0),
+        binding("grip", "CanSignals", dbc=str(GRIPPER), commands=["GripperCommand"]),
+    ]
+    assert SIM.arguments(devices) == [
+        *("--listen", "socketcand:127.0.0.1:0"),
+        *("--device", "cia402:5:a.winch,counts=4096"),
+        *("--device", "odrive:3:a.wheel"),
+        *("--device", f"dbc:{GRIPPER}:a.grip,commands=GripperCommand"),
+    ]
+    with running_fake("can", *SIM.arguments(devices)) as fake:
+        assert fake.words[1:] == ["cia402:5", "odrive:3", "dbc:gripper"]
+
+
+@pytest.mark.parametrize("text", ["", "slcan", "socketcand:127.0.0.1", "socketcand::1", "socketcand:a:99999"])
+def test_doors_that_are_none(text):
+    with pytest.raises(UsageError, match="cannot listen"):
+        parse_listen(text)

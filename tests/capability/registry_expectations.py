@@ -1,0 +1,86 @@
+"""Golden files: the expectation stands on the line itself, as `# error C110: part of the message`."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from lfield.capability.model import Registry
+from lfield.capability.reading.reader import check_files
+from lfield.capability.reading.signatures import signatures_of
+from lfield.capability.types.live_units import settle_live
+from lfield.capability.types.program_check import check_against, check_classes
+from lfield.lang.parser import parse
+from lfield.manifest import DeviceManifest, Quantity
+from lfield.text.source import Diagnostic, Diagnostics, Source
+
+GOLDEN = Path(__file__).parent / "reading" / "golden"
+BASE = GOLDEN / "base.yaml"
+
+_EXPECTED = re.compile(r"# (?P<severity>error|warning) (?P<code>[CY]\d{3}): (?P<part>.*)$")
+
+#: The agents of the deployment that golden files are read with.
+AGENTS = ("arm1", "crane1")
+
+#: A device type as a driver would bring it.
+ROVER = DeviceManifest(
+    type="Rover",
+    driver="rover",
+    instructions=(),
+    telemetry=(
+        Quantity("battery", "real", "%"),
+        Quantity("heat", "real", "°C"),
+        Quantity("position", "real[]", "m"),
+        Quantity("serial", "string"),
+    ),
+)
+
+
+def files_of(case: Path) -> list[Path]:
+    """The files of a case: itself, or what its folder holds."""
+    return sorted(case.glob("*.yaml")) if case.is_dir() else [case]
+
+
+def findings(case: Path) -> list[Diagnostic]:
+    """Everything that is said about a case, together with the base, by all checks that there are."""
+    files = files_of(case)
+    mission = next((path for path in files if path.name.endswith(".capabilities.yaml")), None)
+    registry, found = check_files(
+        [BASE, *(path for path in files if path != mission)], mission=mission, agents=AGENTS
+    )
+    program = case / "program.L"
+    return found + (_against(registry, program) if registry is not None else [])
+
+
+def _against(registry: Registry, program: Path) -> list[Diagnostic]:
+    found = Diagnostics()
+    check_classes(registry, found)
+    if program.exists():
+        signatures = signatures_of([parse(Source(program.name, program.read_text()), found)])
+        check_against(registry, signatures, found)
+        devices = {name: signature.devices for name, signature in signatures.items()}
+        settle_live(registry, devices, {"Rover": ROVER}, found)
+    return found.in_order()
+
+
+def expected(case: Path) -> list[tuple[str, int, str, str, str]]:
+    """File, line, severity, code and part of the message, for every expectation of a case."""
+    wanted = []
+    for path in files_of(case):
+        for number, line in enumerate(path.read_text(encoding="utf-8").split("\n"), 1):
+            match = _EXPECTED.search(line)
+            if match:
+                wanted.append((str(path), number, match["severity"], match["code"], match["part"].strip()))
+    return wanted
+
+
+def assert_exactly(case: Path) -> None:
+    """The findings are those the case expects, no more and no fewer."""
+    found = sorted(findings(case), key=lambda d: (d.span.source.name, d.span.line))
+    wanted = expected(case)
+    drawn = "\n".join(d.render() for d in found)
+    assert [(d.span.source.name, d.span.line, d.severity, d.code) for d in found] == [
+        w[:4] for w in wanted
+    ], drawn
+    for diagnostic, (*_, part) in zip(found, wanted, strict=True):
+        assert part in diagnostic.message, diagnostic.render()

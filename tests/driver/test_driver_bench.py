@@ -1,0 +1,223 @@
+"""The public bench for drivers, by the driver that `lfield driver new` writes."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import lfield
+from lfield.driver import DeviceError
+from lfield.driver.kit import CheckFailed
+from lfield.driver.skeleton import write
+from lfield.errors import DevicesError
+from lfield.testing.driver_bench import DriverBench, bind, guarded, running_fake
+from lfield_dynamixel import PLUGIN as SERVOS
+
+MINUTE = 60.0
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """The folder of a new driver."""
+    folder = tmp_path_factory.mktemp("project")
+    write("lamp", folder)
+    return folder
+
+
+@pytest.fixture
+def lamp(project, monkeypatch):
+    """The module of its tests, with its Fake."""
+    monkeypatch.syspath_prepend(str(project))
+    monkeypatch.syspath_prepend(str(project / "tests"))
+    yield import_module("test_lamp")
+    for name in [name for name in sys.modules if name.split(".")[0] in ("test_lamp", "lfield_lamp")]:
+        del sys.modules[name]
+
+
+@pytest.fixture
+def fake(lamp):
+    return lamp.Fake()
+
+
+@pytest.fixture
+def make_bench(lamp, fake):
+    def make(*fields, fakes=(fake.live,), **given):
+        bindings = [bind(lamp.PLUGIN, field=field, endpoint="tcp:memory:1", **given) for field in fields]
+        return DriverBench(
+            lamp.PLUGIN, *bindings, make=partial(lamp.LampDriver, connect=fake.connect), fakes=fakes
+        )
+
+    return make
+
+
+async def nothing(*devices):
+    pass
+
+
+def test_a_binding_has_what_its_manifest_gives(lamp):
+    plain = bind(lamp.PLUGIN)
+    assert (plain.name, plain.type, plain.driver, plain.safe_state) == (
+        "bench.device",
+        "Lamp",
+        "lamp",
+        "stop",
+    )
+    assert (plain.ttl, plain.limits, plain.options, plain.waivers) == (0.5, {}, {"connect": 2.0}, [])
+    group = bind(SERVOS, "DynamixelGroup", agent="arm", ttl=1.0, options={"ids": [1, 2]})
+    assert (group.name, group.type, group.ttl) == ("arm.device", "DynamixelGroup", 1.0)
+    assert group.option("ids") == [1, 2]
+    assert group.option("tolerance") > 0.0
+    with pytest.raises(TypeError, match="speed"):
+        bind(lamp.PLUGIN, speed=1.0)
+
+
+def test_a_story_is_told_on_time_that_jumps(make_bench):
+    bench = make_bench("one", "two")
+
+    async def story(one, two):
+        start = one.clock.monotonic()
+        await asyncio.sleep(MINUTE)
+        await two.execute("moveTo", [0.5])
+        return one.clock.monotonic() - start
+
+    assert MINUTE < bench.run(story) < MINUTE + 1.0
+    assert bench.values is bench.reported["bench.one"]
+    assert bench.reported["bench.two"]["value"] == pytest.approx(0.5)
+    assert bench.crashes == []
+
+
+def test_devices_may_be_left_closed(make_bench):
+    bench = make_bench("device")
+
+    async def story(device):
+        assert bench.values == {}
+        return await device.open()
+
+    assert bench.run(story, opened=False) == "a lamp"
+
+
+def test_what_a_driver_notes_is_kept(make_bench, fake):
+    bench = make_bench("device")
+
+    async def story(device):
+        fake.cut = True
+        await bench.until(lambda: bench.notes != [])
+
+    bench.run(story)
+    assert bench.notes == ["lost: tcp:memory:1: no answer"]
+
+
+def test_what_does_not_become_so_is_told_with_what_was_seen(make_bench):
+    bench = make_bench("device")
+
+    async def story(device):
+        await bench.until(lambda: bench.values["value"] > 1.0, 5.0)
+
+    with pytest.raises(
+        AssertionError, match=r"not so within 5 s: {'bench.device': {'value': 0.0, 'moving': "
+    ):
+        bench.run(story)
+
+
+def test_a_driver_that_breaks_where_nobody_waits_has_failed(make_bench):
+    bench = make_bench("device")
+
+    async def stumble():
+        raise ValueError("stumbled")
+
+    async def story(device):
+        bench.driver.spawn(stumble())
+        await asyncio.sleep(1.0)
+
+    with pytest.raises(AssertionError, match=r"broken meanwhile: ValueError\('stumbled'\)"):
+        bench.run(story)
+
+
+def test_a_fake_that_breaks_is_told_beside_what_comes_of_it(make_bench, fake):
+    async def broken():
+        fake.cut = True
+        raise ValueError("stumbled")
+
+    with pytest.raises(DeviceError, match="no answer") as error:
+        make_bench("device", fakes=(broken,)).run(nothing)
+    assert error.value.__notes__ == ["meanwhile: the fake: ValueError('stumbled')"]
+
+
+def test_a_story_without_an_end_is_ended(make_bench):
+    async def story(device):
+        await asyncio.sleep(MINUTE)
+
+    with pytest.raises(TimeoutError):
+        make_bench("device").run(story, within=10.0)
+
+
+def test_afterwards_nothing_runs_and_the_driver_is_closed(make_bench, fake):
+    ended = []
+
+    async def living():
+        try:
+            await fake.live()
+        finally:
+            ended.append("fake")
+
+    fake.close = lambda: ended.append("wire")
+    make_bench("device", fakes=(living,)).run(nothing)
+    assert sorted(ended) == ["fake", "wire"]
+
+
+@pytest.mark.process
+def test_a_fake_as_a_process_and_its_device_in_real_time_and_behind_a_guard():
+    with running_fake("dynamixel", "--servo", "1:XL330-M288:arm.wrist") as fake:
+        binding = bind(SERVOS, "Dynamixel", agent="arm", field="wrist", endpoint=fake.endpoint)
+        bench = DriverBench(SERVOS, binding)
+        assert "XL330-M288" in bench.run_real(lambda wrist: wrist.open(), opened=False)
+
+        async def story():
+            async with guarded(binding) as (wrist,):
+                assert await wrist.reads("torqueOn", lambda on: on is False) is False
+                assert fake.fault("hot@arm.wrist=true")["devices"] == {"1": "arm.wrist"}
+                with pytest.raises(CheckFailed, match=r"waited 0\.1 s for the note 'nobody says this'"):
+                    await wrist.told("nobody says this", 0.1)
+                assert wrist.guard_pid > 0
+
+        asyncio.run(story())
+        with pytest.raises(AssertionError, match="no device 'leg'"):
+            fake.fault("hot@leg=true")
+    assert fake.process.returncode == 0
+
+
+@pytest.mark.process
+def test_what_does_not_start_says_why(capfd):
+    words = "the fake 'dynamixel' did not start"
+    with pytest.raises(AssertionError, match=words), running_fake("dynamixel", "--servo", "1:XM999"):
+        pass
+    assert "there is no fake of the servo 'XM999'" in capfd.readouterr().err
+
+    async def story():
+        async with guarded(bind(SERVOS, "Dynamixel", endpoint="serial:/dev/nothing-there:57600")):
+            pass
+
+    with pytest.raises(DevicesError, match="cannot open /dev/nothing-there"):
+        asyncio.run(story())
+
+
+@pytest.mark.process
+def test_the_tests_of_a_new_driver_pass(project):
+    path = os.pathsep.join([str(project), os.environ.get("PYTHONPATH", "")])
+    tests = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"],
+        cwd=project, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert "3 passed" in tests.stdout, tests.stdout
+
+
+def test_the_guide_shows_the_tests_of_a_new_driver(project):
+    guide = Path(lfield.__file__).parent / "docs/drivers.md"
+    assert f"```python\n{(project / 'tests/test_lamp.py').read_text()}```" in guide.read_text()

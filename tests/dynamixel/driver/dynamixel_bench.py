@@ -1,0 +1,103 @@
+"""The bench of the Dynamixel driver: the fake chain at the other end of a port in memory."""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+from typing import Any
+
+from lfield.testing.driver_bench import DriverBench, bind
+from lfield_dynamixel import PLUGIN
+from lfield_dynamixel.driver import DynamixelDriver
+from lfield_sim.dynamixel.ax import make_servo
+from lfield_sim.dynamixel.chain import Chain
+from lfield_sim.dynamixel.model import BAUDS, model_named
+
+BAUD = 1_000_000
+#: Its code in the register of an AX.
+AX_BAUD = 1
+START = 1000.0
+
+
+class MemoryPort:
+    """A port whose other end is the fake; replies come when the wire has carried them."""
+
+    baud, latency = BAUD, 0.0
+
+    def __init__(self, chain: Chain) -> None:
+        self.chain, self.plugged = chain, True
+        self.sent: list[tuple[float, bytes]] = []
+
+    def join(self, endpoint: str, events: Any, note: Any) -> MemoryPort:
+        """The port as the driver makes it."""
+        self.events = events
+        return self
+
+    def open(self) -> None:
+        pass
+
+    def write(self, data: bytes) -> bool:
+        if not self.plugged:
+            return False
+        loop = asyncio.get_running_loop()
+        self.sent.append((loop.time(), data))
+        for reply in self.chain.receive(data, loop.time(), BAUD):
+            loop.call_at(reply.at, self._deliver, reply.data)
+        return True
+
+    def _deliver(self, data: bytes) -> None:
+        if self.plugged:
+            self.events.received(data)
+
+    def unplug(self) -> None:
+        self.plugged = False
+        self.events.lost("/dev/ttyTEST is gone (it was unplugged)")
+
+    def plug(self) -> None:
+        self.plugged = True
+        self.events.back()
+
+    def close(self) -> None:
+        pass
+
+
+class Bench(DriverBench):
+    """A chain of fakes, and a driver with one device for them, or more by `extra`."""
+
+    def __init__(
+        self, *ids: int, fake: str = "XL330-M288", limits=None, safe_state="torque_hold", ttl=0.5,
+        extra=(), waivers=(), **options: Any,
+    ) -> None:  # fmt: skip
+        numbers = ids or (1,)
+        servos = [make_servo(model_named(fake), START) for _ in numbers]
+        for number, servo in zip(numbers, servos, strict=True):
+            servo.table.put("id", number)
+            servo.table.put("baud_rate", BAUDS.index(BAUD) if servo.protocol == 2 else AX_BAUD)
+        self.servos = dict(zip(numbers, servos, strict=True))
+        self.port = MemoryPort(Chain(servos))
+        group = len(numbers) > 1
+        self.binding = bind(
+            PLUGIN, "DynamixelGroup" if group else "Dynamixel", agent="alpha", field="joint",
+            endpoint=f"serial:/dev/null:{BAUD}", safe_state=safe_state, ttl=ttl, limits=limits or {},
+            options={**({"ids": list(numbers)} if group else {"id": numbers[0]}), **options},
+            waivers=list(waivers),
+        )  # fmt: skip
+        make = partial(DynamixelDriver, make_port=self.port.join)
+        super().__init__(PLUGIN, self.binding, *extra, make=make)
+
+    @property
+    def chain(self) -> Chain:
+        return self.port.chain
+
+    @property
+    def sent(self) -> list[tuple[float, bytes]]:
+        """What the driver has sent, with the times."""
+        return self.port.sent
+
+    def fault(self, *texts: str) -> None:
+        self.chain.faults.apply(texts)
+
+
+def call(device: Any, instruction: str, *arguments: object) -> Any:
+    """An instruction as the guard carries it out."""
+    return device.execute(instruction, arguments)

@@ -1,0 +1,125 @@
+"""Control tables and units: every model's table is sound, and conversions come back to where they began."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from lfield_dynamixel.bus.chain import Chain, Node
+from lfield_dynamixel.bus.packets import Status
+from lfield_dynamixel.bus.words import alerted, faults, refusal
+from lfield_dynamixel.servo import MODES, Servo, condition, present
+from lfield_dynamixel.tables import Item, Model, models
+
+X = models()[2, 1200]
+AX = models()[1, 12]
+EVERY = pytest.mark.parametrize("model", models().values(), ids=lambda model: model.name)
+
+
+@EVERY
+def test_a_model_is_whole(model: Model):
+    assert model.manual.startswith("https://emanual.robotis.com/docs/en/dxl/")
+    places = sorted((item.address, item.address + item.size) for item in model.items.values())
+    assert all(end <= start for (_, end), (start, _) in pairwise(places))
+    needed = {"model_number", "firmware_version", "torque_enable", "goal_position", "profile_velocity"}
+    assert needed <= model.items.keys()
+    for area, names in ((model.state, ["torque_enable"]), (model.present, ["present_position", "moving"])):
+        for item in (model.items[name] for name in names):
+            assert area[0] <= item.address
+            assert item.address + item.size <= area[0] + area[1]
+    assert model.items["torque_enable"].address == model.ram
+    assert bool(model.current) == model.has("present_current") == model.has("goal_current")
+
+
+@EVERY
+def test_a_goal_with_its_profile_is_one_write(model: Model):
+    names = [n for n in ("profile_acceleration", "profile_velocity", "goal_position") if model.has(n)]
+    items = sorted((model.items[name] for name in names), key=lambda item: item.address)
+    assert all(a.address + a.size == b.address for a, b in pairwise(items))
+
+
+@EVERY
+@given(angle=st.floats(-2.6, 2.6))
+def test_angles_come_back(model: Model, angle: float):
+    assert abs(model.to_angle(model.to_counts(angle)) - angle) <= model.position / 2 + 1e-12
+
+
+@given(st.sampled_from([1, 2, 4]), st.sampled_from(["", "signed"]), st.data())
+def test_items_come_back(size, sign, data):
+    low, high = (-(1 << 8 * size - 1), (1 << 8 * size - 1) - 1) if sign else (0, (1 << 8 * size) - 1)
+    value, item = data.draw(st.integers(low, high)), Item(10, size, sign)
+    assert item.decode(b"\0\0\0" + item.encode(value), 7) == value
+    with pytest.raises(ValueError, match="does not fit"):
+        item.encode(high + 1)
+
+
+@given(st.integers(-1023, 1023))
+def test_values_with_a_direction(value):
+    raw = value if value >= 0 else -value | 1 << 10
+    assert AX.items["present_velocity"].decode(raw.to_bytes(2, "little"), 38) == value
+
+
+@EVERY
+@given(data=st.data(), error=st.integers(0, 255))
+def test_any_bytes_are_some_state(model: Model, data, error):
+    size = model.present[1]
+    seen = present(model, Status(1, error, data.draw(st.binary(min_size=size, max_size=size))))
+    assert math.isfinite(seen.position)
+    assert math.isnan(seen.current) == (model.current == 0.0)
+    size = model.state[1]
+    condition(model, Status(1, error, data.draw(st.binary(min_size=size, max_size=size))))
+
+
+@given(
+    st.floats(-2.0, 2.0), st.floats(0.0, 4.0), st.floats(0.0, 50.0), st.floats(0.0, 500.0), st.booleans(),
+    st.sampled_from([X, AX]),
+)  # fmt: skip
+@example(0.0, 0.0, 1.0, 5e-324, True, X)
+def test_any_motion_fits_into_the_table(angle, distance, speed, acceleration, time_based, model):
+    servo = Servo(Chain(None), Node(1))  # type: ignore[arg-type]  # nothing is sent here
+    servo.model, servo.time_based = model, time_based and model is X
+    start, data = servo.motion(angle, distance, speed, acceleration)
+    assert model.items["goal_position"].decode(data, start) == model.to_counts(angle)
+    profile = model.items["profile_velocity"].decode(data, start)
+    assert 1 <= profile <= model.fastest, "0 would be without any limit"
+
+
+def test_the_figures_of_the_manual():
+    # XL330-M288: 0.229 rev/min, 1 mA, 0.1 V; half a turn is 2048.
+    data = bytearray(25)
+    for name, value in (("present_velocity", -100), ("present_current", 500), ("present_position", 4096)):
+        item = X.items[name]
+        data[item.address - 122 : item.address - 122 + item.size] = item.encode(value)
+    data[22:24] = (74).to_bytes(2, "little")
+    data[24] = 41
+    seen = present(X, Status(1, 0, bytes(data)))
+    assert seen.velocity == pytest.approx(-22.9 * 2 * math.pi / 60)
+    assert seen.current == pytest.approx(0.5)
+    assert seen.position == pytest.approx(math.pi)
+    assert (seen.voltage, seen.temperature) == (pytest.approx(7.4), 41)
+    assert AX.to_angle(1023) - AX.to_angle(0) == pytest.approx(math.radians(300))
+
+
+@given(st.integers(0, 255))
+def test_every_error_byte_has_words(error):
+    status = Status(1, error, b"")
+    assert bool(refusal(2, status)) == bool(error & 0x7F)
+    assert isinstance(refusal(1, status), str)
+    assert alerted(1, status) == bool(error & 0b100101)
+    assert alerted(2, status) == (error >= 0x80)
+    assert "overload" in faults(2, error | 0x20)
+
+
+def test_the_modes_are_the_manuals():
+    assert MODES == {
+        "current": 0,
+        "velocity": 1,
+        "position": 3,
+        "extended": 4,
+        "currentPosition": 5,
+        "pwm": 16,
+    }

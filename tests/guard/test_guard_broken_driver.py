@@ -1,0 +1,117 @@
+"""A driver that is broken in ways that have no caller: its devices go safe, and somebody is told."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import sys
+
+import pytest
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.plugins import Plugins
+from lfield.errors import DevicesError
+from lfield.testing.driver_bench import guarded
+
+pytestmark = pytest.mark.process
+
+DRIVER = """
+import asyncio
+from lfield.driver import Device, Driver, Plugin
+
+PLUGIN = Plugin("clumsy", "clumsy", "clumsy:Clumsy", "x")
+
+def stumble():
+    raise RuntimeError("stumbled")
+
+class Thing(Device):
+    async def _open(self):
+        if self.binding.endpoint == "at once":
+            asyncio.get_running_loop().call_soon(stumble)
+            await asyncio.sleep(60)
+        return "a thing"
+
+    async def _make_safe(self, state):
+        pass
+
+    async def do_stumble(self):
+        asyncio.get_running_loop().call_soon(stumble)
+
+    async def do_forget(self):
+        asyncio.get_running_loop().create_future().set_exception(RuntimeError("forgotten"))
+
+class Clumsy(Driver):
+    def _device(self, binding):
+        return Thing(binding, self.manifests[binding.type], self.clock, self.reports)
+
+    async def _open(self):
+        pass
+
+    async def _close(self):
+        pass
+"""
+MANIFEST = """
+driver: clumsy
+type: Thing
+safe_states: [off]
+instructions:
+  stumble: {blocking: true, effect: idempotent}
+  forget: {blocking: true, effect: idempotent}
+"""
+
+
+@pytest.fixture
+def plugins(tmp_path, monkeypatch):
+    package = tmp_path / "clumsy"
+    package.mkdir()
+    (package / "__init__.py").write_text(DRIVER)
+    (package / "manifest.yaml").write_text(MANIFEST)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *filter(None, sys.path)]))
+    found = Plugins()
+    found.add("clumsy:PLUGIN")
+    yield found
+    sys.modules.pop("clumsy", None)
+
+
+def binding(endpoint: str) -> DeviceBinding:
+    return DeviceBinding(
+        agent="a", field="t", type="Thing", driver="clumsy", endpoint=endpoint, safe_state="off",
+        waivers=["device_watchdog"],
+    )  # fmt: skip
+
+
+def run(plugins, story):
+    async def main():
+        async with guarded(binding("here"), plugins=plugins, silence=5.0) as (bench,):
+            await story(bench)
+
+    asyncio.run(main())
+
+
+def test_a_callback_that_raises_makes_the_device_safe(plugins):
+    async def story(bench):
+        await bench.call("stumble")
+        await bench.until(lambda: bench.confirmed, 5.0, "the safe state")
+        assert bench.latched == "the driver failed: RuntimeError('stumbled')"
+
+    run(plugins, story)
+
+
+def test_a_failure_that_nobody_waits_for_is_told_and_stops_nothing(plugins):
+    async def story(bench):
+        await bench.call("forget")
+        told = "the driver: nobody was told of RuntimeError('forgotten')"
+        await bench.until(lambda: told in bench.notes, 5.0, "a note")
+        assert bench.latched == ""
+
+    run(plugins, story)
+
+
+def test_a_callback_that_raises_while_the_device_is_opened(plugins):
+    async def opening():
+        async with guarded(binding("at once"), plugins=plugins):
+            raise AssertionError("it was opened")
+
+    with pytest.raises(DevicesError, match=r"the driver failed: RuntimeError\('stumbled'\)"):
+        asyncio.run(opening())

@@ -1,0 +1,233 @@
+"""The guard as a process, with the MAVLink driver and its fake: flight, death on either side, silence."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from contextlib import asynccontextmanager
+
+import msgspec
+import pytest
+
+from lfield.devices.fakes import start_fake
+from lfield.driver.plugins import Plugins
+from lfield.driver.sims import Sims
+from lfield.errors import BindingError, DeviceError
+from lfield.mission.bindings import SIMULATED, read_bindings
+from lfield.testing.driver_bench import RunningFake, guarded, running_fake
+
+pytestmark = pytest.mark.process
+
+#: A fake that flies fast, so that a flight takes seconds.
+BRISK = ["--climb", "8", "--cruise", "15", "--descend", "8", "--land", "6", "--acceleration", "15"]
+
+
+def plugins() -> Plugins:
+    found = Plugins()
+    found.add("lfield_mavlink:PLUGIN")
+    return found
+
+
+def binding(endpoint=SIMULATED, **changes):
+    bound = read_bindings(None, {"alpha": {"fc": "Mavlink"}}, plugins(), simulate=True).devices["alpha"]["fc"]
+    options = bound.options | changes.pop("options", {})
+    return msgspec.structs.replace(bound, endpoint=endpoint, options=options, **changes)
+
+
+@asynccontextmanager
+async def fake():
+    with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", *BRISK) as running:
+        yield running
+
+
+@asynccontextmanager
+async def flying(running: RunningFake, **changes):
+    async with guarded(binding(running.endpoint, **changes)) as (flight,):
+        yield flight
+
+
+def test_a_flight_through_guard_and_fake():
+    async def mission():
+        async with fake() as f, flying(f) as flight:
+            assert await flight.call("armed") is False
+            with pytest.raises(DeviceError, match="takeoff refused: the motors are off"):
+                await flight.call("takeoff", 4.0)
+            await flight.call("arm")
+            await flight.call("takeoff", 4.0)
+            await flight.call("goTo", 6.0, -3.0, -4.0)
+            north, east, _ = await flight.call("position")
+            assert abs(north - 6.0) < 0.6
+            assert abs(east + 3.0) < 0.6
+            await flight.call("land")
+            await flight.reads("landed", bool)
+            assert await flight.call("age") < 2.0
+            assert 0.5 < await flight.call("battery") <= 1.0
+
+    asyncio.run(mission())
+
+
+def test_a_setpoint_that_is_over_latches_the_safe_state():
+    async def mission():
+        async with fake() as f, flying(f, ttl=1.0, safe_state="hold") as flight:
+            await flight.call("arm")
+            await flight.call("takeoff", 3.0)
+            await flight.call("setVelocity", 2.0, 0.0, 0.0)
+            await flight.told("is in its safe state 'hold': the setpoint's time-to-live of 1 s is over")
+            with pytest.raises(DeviceError, match=r"call release\(\) first"):
+                await flight.call("goTo", 0.0, 0.0, -3.0)
+            assert flight.latched
+            await flight.call("release")
+            await flight.call("goTo", 0.0, 0.0, -3.0)
+
+    asyncio.run(mission())
+
+
+def test_closing_lands_what_flies():
+    async def mission():
+        async with fake() as f:
+            async with flying(f) as flight:
+                await flight.call("arm")
+                await flight.call("takeoff", 3.0)
+            assert "alpha.fc: is in its safe state 'land': the host is stopping" in flight.notes
+            async with flying(f) as again:
+                await again.reads("armed", lambda now: now is False)
+
+    asyncio.run(mission())
+
+
+def test_a_guard_that_dies_is_started_again_and_comes_back_safe():
+    async def mission():
+        async with fake() as f, flying(f, safe_state="hold") as flight:
+            await flight.call("arm")
+            await flight.call("takeoff", 3.0)
+            lost = asyncio.create_task(flight.call("goTo", 500.0, 0.0, -3.0))
+            await asyncio.sleep(0)
+            os.kill(flight.guard_pid, signal.SIGKILL)
+            with pytest.raises(DeviceError, match=r"goTo\(\) is lost: the guard ended with status -9"):
+                await lost
+            await flight.told("is in its safe state 'hold': its guard died and was started again")
+            await flight.call("release")
+            await flight.call("land")
+
+    asyncio.run(mission())
+
+
+def test_a_guard_that_hangs_is_noticed_and_replaced():
+    async def mission():
+        async with fake() as f, flying(f) as flight:
+            os.kill(flight.guard_pid, signal.SIGSTOP)
+            await flight.told("the guard of alpha.fc hangs")
+            await flight.told("is in its safe state 'land': its guard died and was started again")
+
+    asyncio.run(mission())
+
+
+def test_a_stopped_host_is_silence(tmp_path):
+    """SIGSTOP of the host: the guard lands the vehicle although its pipe is still open."""
+
+    async def mission():
+        async with fake() as f:
+            host = start_host(f.endpoint)
+            try:
+                await asyncio.to_thread(host.stdout.readline)
+                host.send_signal(signal.SIGSTOP)
+                async with flying(f) as watcher:
+                    await watcher.reads("mode", lambda now: now == "LAND")
+            finally:
+                host.kill()
+                host.communicate()
+
+    asyncio.run(mission())
+
+
+def test_a_killed_host_leaves_the_vehicle_landed():
+    async def mission():
+        async with fake() as f:
+            host = start_host(f.endpoint)
+            await asyncio.to_thread(host.stdout.readline)
+            host.kill()
+            await asyncio.to_thread(host.communicate)
+            async with flying(f) as watcher:
+                await watcher.reads("mode", lambda now: now == "LAND")
+                await watcher.reads("armed", lambda now: now is False)
+
+    asyncio.run(mission())
+
+
+def start_host(endpoint: str) -> subprocess.Popen[bytes]:
+    """A host of its own that takes off, says so, and then only lives."""
+    code = f"""
+        import asyncio, sys
+        sys.path.insert(0, {os.path.dirname(__file__)!r})
+        from test_guard_process import binding, guarded
+
+        async def main():
+            async with guarded(binding({endpoint!r})) as (flight,):
+                await flight.call("arm")
+                await flight.call("takeoff", 5.0)
+                print("up", flush=True)
+                await asyncio.sleep(3600)
+
+        asyncio.run(main())
+    """
+    return subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
+    )
+
+
+def opening(*devices) -> str:
+    async def attempt():
+        async with guarded(*devices):
+            raise AssertionError("they were opened")
+
+    with pytest.raises(BindingError) as error:
+        asyncio.run(attempt())
+    return "\n".join(error.value.problems)
+
+
+def test_all_that_cannot_be_opened_is_told_at_once():
+    absent = binding("udp:127.0.0.1:9", options={"connect": 0.3})
+    other = msgspec.structs.replace(binding("upd:127.0.0.1:1"), agent="beta")
+    told = opening(absent, other)
+    assert "alpha.fc: no heartbeat from system 1 at udp:127.0.0.1:9 within 0.3 s" in told
+    assert "beta.fc: 'upd:127.0.0.1:1' is not an endpoint; write udp:HOST:PORT, udpin:HOST:PORT" in told
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "words"),
+    [
+        ("tcp:127.0.0.1:9", "cannot open tcp:127.0.0.1:9"),
+        ("serial:/dev/does-not-exist:57600", "cannot open serial:/dev/does-not-exist:57600: No such file"),
+        ("serial:/dev/null:12345", "cannot open serial:/dev/null:12345: it is no serial port"),
+        ("udp:127.0.0.1:99999", "has no port from 1 to 65535"),
+        ("nonsense", "is not an endpoint"),
+    ],
+)
+def test_endpoints_that_cannot_be_opened_are_a_sentence(endpoint, words):
+    assert words in opening(binding(endpoint))
+
+
+def test_two_vehicles_on_one_link_with_one_id():
+    both = [binding("udp:127.0.0.1:9"), msgspec.structs.replace(binding("udp:127.0.0.1:9"), agent="beta")]
+    assert "two devices are system 1 on udp:127.0.0.1:9" in opening(*both)
+
+
+def test_a_missing_vendor_library_names_the_extra_on_the_host(tmp_path, monkeypatch):
+    """pymavlink hidden from the guard's process."""
+    (tmp_path / "pymavlink.py").write_text("raise ImportError('hidden')")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.pathsep.join(p for p in sys.path if p)}")
+    assert "needs pymavlink: pip install 'lfield[mavlink]'" in opening(binding("udp:127.0.0.1:9"))
+
+
+def test_no_fake_for_a_driver():
+    async def attempt():
+        await start_fake(Sims(), [binding()])
+
+    with pytest.raises(
+        Exception, match=r"alpha.fc: there is no fake for driver 'mavlink' \(fakes installed: none\)"
+    ):
+        asyncio.run(attempt())

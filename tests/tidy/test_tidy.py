@@ -1,0 +1,112 @@
+"""The house stays tidy: what STYLE.md says of files, folders, functions and names, held against the code."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PRODUCT = ("lfield", "drivers", "sim-adapters")
+EVERYTHING = (*PRODUCT, "tests", "examples")
+
+MOST_FILES, MOST_LINES, LEAST_LINES, LONGEST_FUNCTION = 14, 400, 60, 60
+
+#: Longer than others for a reason: tables, which are read by looking things up.
+TABLES: dict[str, str] = {}
+#: Shorter than others for a reason.
+SMALL: dict[str, str] = {}
+
+
+#: Names that begin with an underscore and are documented for others: named tuples', python-can's.
+DOCUMENTED = {"_replace", "_asdict", "_recv_internal"}
+
+
+def files(*folders: str) -> list[Path]:
+    """All Python files of some folders of the project."""
+    return sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def length(path: Path) -> int:
+    return len(path.read_text(encoding="utf-8").splitlines())
+
+
+def test_no_folder_has_more_than_14_files() -> None:
+    counts = {}
+    for path in files(*EVERYTHING):
+        counts[name_of(path.parent)] = counts.get(name_of(path.parent), 0) + 1
+    assert {folder: count for folder, count in counts.items() if count > MOST_FILES} == {}
+
+
+def test_a_file_is_one_idea_of_60_to_400_lines() -> None:
+    """Faces of packages and commands aside: those are as short as they can be."""
+    lengths = {name_of(path): length(path) for path in files(*PRODUCT)}
+    long = {name: lines for name, lines in lengths.items() if lines > MOST_LINES and name not in TABLES}
+    assert long == {}
+    short = {name: lines for name, lines in lengths.items() if lines < LEAST_LINES and not may_be_short(name)}
+    assert short == {}
+
+
+def may_be_short(name: str) -> bool:
+    """A package's face, what Python runs, or a command; or it is in the table."""
+    return (
+        Path(name).name in ("__init__.py", "__main__.py") or name.startswith("lfield/cli/") or name in SMALL
+    )
+
+
+def test_the_tables_of_exceptions_name_no_file_that_needs_none() -> None:
+    assert [name for name in TABLES if length(ROOT / name) <= MOST_LINES] == []
+    assert [name for name in SMALL if length(ROOT / name) >= LEAST_LINES] == []
+
+
+def test_a_function_fits_a_screen() -> None:
+    long = {}
+    for path in files(*PRODUCT):
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                assert node.end_lineno is not None
+                lines = node.end_lineno - node.lineno + 1
+                if lines > LONGEST_FUNCTION:
+                    long[f"{name_of(path)}:{node.name}"] = lines
+    assert long == {}
+
+
+def private_uses(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Lines that use a private name of something that is defined in another file."""
+    own = {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute) and of_self(node)}
+    own |= DOCUMENTED | {
+        n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and private(node.attr) and node.attr not in own:
+            yield node.lineno, node.attr
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lfield"):
+            for alias in node.names:
+                if private(alias.name):
+                    yield node.lineno, alias.name
+
+
+def of_self(node: ast.Attribute) -> bool:
+    return isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
+
+
+def private(name: str) -> bool:
+    return name.startswith("_") and not name.endswith("__")
+
+
+@pytest.mark.parametrize("path", files(*PRODUCT), ids=name_of)
+def test_nobody_uses_the_private_names_of_another_file(path: Path) -> None:
+    uses = [f"{name_of(path)}:{line}: {name}" for line, name in private_uses(tree_of(path))]
+    assert uses == []
