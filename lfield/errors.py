@@ -7,6 +7,7 @@
     │   └── DevicesError          devices that cannot be opened: no library, port or answer   69
     ├── ConstraintError           a condition over attributes that cannot be judged           65
     ├── ProgramFileError          not a program file, or one the verifier refused             65
+    ├── BundleError               not a bundle, or one of another version                     65
     ├── BlockError                bytes that are not a sound block of this program            65
     ├── InputFileError            a file cannot be read                                       66
     ├── OutputFileError           a file cannot be written (full disk, no permission)         73
@@ -98,6 +99,22 @@ class ProgramFileError(LfieldError):
         self.reason, self.method, self.pc = reason, method, pc
         where = f" (in {method}, instruction {pc})" if method and pc is not None else ""
         super().__init__(f"not a sound L program: {reason}{where}; build it again with 'lfield build'")
+
+
+class BundleError(LfieldError):
+    """A mission in one file that is damaged, of another version, or makes no sense."""
+
+    exit_status = 65
+
+    def __init__(
+        self, reason: str, advice: str = "build it again with 'lfield build'", *, file: str = ""
+    ) -> None:
+        self.reason, self.advice = reason, advice
+        super().__init__(f"{file or 'this'} is not a sound bundle: {reason}; {advice}")
+
+    def of(self, file: object) -> BundleError:
+        """The same, of a file."""
+        return BundleError(self.reason, self.advice, file=str(file))
 
 
 class BlockError(LfieldError):

@@ -6,7 +6,8 @@ its own promises. Nobody needs the vendor library for that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 Effect = Literal["query", "idempotent", "actuate"]
@@ -74,7 +75,7 @@ class Quantity:
     rate: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DeviceManifest:
     """A device type as L sees it: `Mavlink fc;` with its instructions, telemetry and safe states.
 
@@ -88,10 +89,10 @@ class DeviceManifest:
     safe_states: tuple[str, ...] = ()
     meaning: str = ""
     capabilities: tuple[str, ...] = ()
-    _by_name: dict[str, Instruction] = field(init=False, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_by_name", {i.name: i for i in self.instructions})
+    @cached_property
+    def _by_name(self) -> dict[str, Instruction]:
+        return {i.name: i for i in self.instructions}
 
     def instruction(self, name: str) -> Instruction | None:
         """The instruction of that name, or None. A device type never overloads a name."""

@@ -12,6 +12,10 @@ from hypothesis import HealthCheck, settings
 settings.register_profile("any computer", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any computer")
 
+#: What tests build is kept for this run only, and found in no other.
+_CACHE = tempfile.TemporaryDirectory(prefix="lfield-tests-", ignore_cleanup_errors=True)
+os.environ["XDG_CACHE_HOME"] = _CACHE.name
+
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Two workers for each core, since many tests wait for processes; none for a few files or one test."""

@@ -37,9 +37,14 @@ def assemble(core: Core, debug: Debug) -> Program:
 
 def encode(program: Program) -> bytes:
     """The bytes of a program file."""
-    core, debug = _encoder.encode(program.core), _encoder.encode(program.debug)
+    core, debug = encode_core(program), _encoder.encode(program.debug)
     body = core + debug
     return _HEADER.pack(MAGIC, VERSION, 0, hashlib.sha256(body).digest(), len(core)) + body
+
+
+def encode_core(program: Program) -> bytes:
+    """The core of a program alone; its SHA-256 is the program's identity."""
+    return _encoder.encode(program.core)
 
 
 def decode(data: bytes) -> Program:
@@ -56,6 +61,15 @@ def decode(data: bytes) -> Program:
         raise ProgramFileError("it is damaged (the checksum does not fit)")
     try:
         core, debug = _core.decode(body[:length]), _debug.decode(body[length:])
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ProgramFileError(f"its records are malformed ({error})") from None
+    return assemble(core, debug)
+
+
+def decode_core(data: bytes | memoryview, debug: Debug) -> Program:
+    """A verified program from its core and its debug information; raises ProgramFileError."""
+    try:
+        core = _core.decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ProgramFileError(f"its records are malformed ({error})") from None
     return assemble(core, debug)

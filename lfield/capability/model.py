@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from lfield.lang import syntax
+from lfield.capability import condition
 from lfield.manifest import Effect, Parameter
-from lfield.text.source import Span
+from lfield.text.source import Source, Span
 
 AttributeType = Literal["real", "int", "boolean", "text", "set"]
 Better = Literal["more", "less", "none"]
@@ -28,12 +28,29 @@ Better = Literal["more", "less", "none"]
 Value = float | int | bool | str | frozenset[str]
 
 
-@dataclass(frozen=True, slots=True)
-class Expression:
-    """A condition or value over attributes, parsed and checked (matching/expression.py)."""
+#: The place of what was not read from a file here: a bundle has no places.
+NOWHERE = Span(Source("", ""), 0, 0)
 
-    text: str
-    tree: syntax.Expr
+
+class Expression:
+    """A condition or value over attributes, parsed and checked (matching/expression.py).
+
+    No dataclass: in a bundle it is its text, and is parsed and checked again where it is read.
+    """
+
+    __slots__ = ("text", "tree")
+
+    def __init__(self, text: str, tree: condition.Expr) -> None:
+        self.text, self.tree = text, tree
+
+    def __repr__(self) -> str:
+        return f"Expression({self.text!r})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Expression) and (self.text, self.tree) == (other.text, other.tree)
+
+    def __hash__(self) -> int:
+        return hash((self.text, self.tree))
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +64,7 @@ class Term:
     id: str
     name: str
     meaning: str
-    span: Span
+    span: Span = NOWHERE
     aliases: tuple[str, ...] = ()
     deprecated: str = ""
 
@@ -63,7 +80,7 @@ class Attribute:
 
     name: str
     type: AttributeType
-    span: Span
+    span: Span = NOWHERE
     unit: str = ""
     better: Better = "none"
     typical: float = 1.0
@@ -93,7 +110,7 @@ class Primitive:
     name: str
     id: str
     portals: Mapping[str, Portal]
-    span: Span
+    span: Span = NOWHERE
     meaning: str = ""
 
 
@@ -122,7 +139,7 @@ class PortalMap:
     portal: str
     target: str
     arguments: tuple[Argument, ...]
-    span: Span
+    span: Span = NOWHERE
     result: Argument | None = None
 
 
@@ -137,7 +154,7 @@ class Live:
     attribute: str
     device: str
     quantity: str
-    span: Span
+    span: Span = NOWHERE
     factor: float = 1.0
     offset: float = 0.0
     index: int | None = None
@@ -154,7 +171,7 @@ class Served:
 
     primitive: str
     portals: Mapping[str, PortalMap]
-    span: Span
+    span: Span = NOWHERE
     attributes: Mapping[str, Value] = field(default_factory=dict)
     when: Expression | None = None
 
@@ -165,7 +182,7 @@ class Provider:
 
     type: str
     serves: Mapping[str, Served]
-    span: Span
+    span: Span = NOWHERE
     include: str = ""
     meaning: str = ""
     attributes: Mapping[str, Value] = field(default_factory=dict)
@@ -184,7 +201,7 @@ class Equivalence:
     serves: str
     by: str
     portals: Mapping[str, PortalMap]
-    span: Span
+    span: Span = NOWHERE
     when: Expression | None = None
     loss: float = 0.0
     meaning: str = ""
@@ -196,7 +213,7 @@ class Need:
 
     name: str
     primitive: str
-    span: Span
+    span: Span = NOWHERE
     when: Expression | None = None
 
 
@@ -215,7 +232,7 @@ class Composition:
     needs: Mapping[str, Need]
     through: str
     source: Path
-    span: Span
+    span: Span = NOWHERE
     where: tuple[Expression, ...] = ()
     attributes: Mapping[str, Expression] = field(default_factory=dict)
     loss: float = 0.0

@@ -14,8 +14,8 @@ from lfield.clock import Clock
 from lfield.devices.fakes import Fake, start_fake
 from lfield.devices.keeper import Answered, Guard, OpenFailed
 from lfield.driver.binding import SIMULATED, DeviceBinding
-from lfield.driver.plugins import Plugins
-from lfield.driver.sims import discover_sims
+from lfield.driver.known import Drivers
+from lfield.driver.sims import sims_of
 from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.guard.core import SILENCE
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction
@@ -27,7 +27,7 @@ STOPS_WITHIN = 5.0
 
 
 class Guards:
-    """The devices of some agents. `note` takes a line for the log.
+    """The devices of some agents, by `drivers` that are known. `note` takes a line for the log.
 
     `silence` is how long this host may be silent, in seconds, before its devices go safe. Before each sign of
     life `turned` lets the host turn, and says whether it could: a host that cannot gives none.
@@ -35,14 +35,14 @@ class Guards:
 
     def __init__(
         self,
-        plugins: Plugins,
+        drivers: Drivers,
         clock: Clock,
         note: Callable[[str], None],
         *,
         silence: float = SILENCE,
         turned: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._plugins, self._clock, self._note, self._silence = plugins, clock, note, silence
+        self._drivers, self._clock, self._note, self._silence = drivers, clock, note, silence
         self._turned = turned
         self._guards: list[Guard] = []
         self._fakes: list[Fake] = []
@@ -66,11 +66,11 @@ class Guards:
         if problems:
             return
         for bus in _by_bus(placed).values():
-            installed = self._plugins.by_driver[bus[0].driver]
-            guard = Guard(installed, bus, self._clock, self._note, self._silence, self._turned)
+            driver = self._drivers.by_driver[bus[0].driver]
+            guard = Guard(driver, bus, self._clock, self._note, self._silence, self._turned)
             self._guards.append(guard)
             self._by_device.update(
-                {device.name: (guard, installed.manifests[device.type].device) for device in bus}
+                {device.name: (guard, driver.manifests[device.type].device) for device in bus}
             )
         for answer in await asyncio.gather(*(g.open() for g in self._guards), return_exceptions=True):
             if isinstance(answer, OpenFailed):
@@ -83,7 +83,7 @@ class Guards:
         simulated = _by_bus([device for device in devices if device.endpoint.startswith(SIMULATED)])
         if not simulated:
             return list(devices)
-        sims = discover_sims()
+        sims = sims_of({driver for driver, _ in simulated})
         fakes = (start_fake(sims, bus) for bus in simulated.values())
         started = await asyncio.gather(*fakes, return_exceptions=True)
         self._fakes += [fake for fake in started if isinstance(fake, Fake)]

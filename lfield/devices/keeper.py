@@ -14,7 +14,7 @@ from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
 from lfield.devices.snapshots import Snapshots
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.plugins import Installed
+from lfield.driver.known import KnownDriver
 from lfield.driver.values import conform
 from lfield.errors import DeviceError, WireError
 from lfield.guard.messages import (
@@ -62,17 +62,18 @@ class Guard(asyncio.SubprocessProtocol):
 
     def __init__(
         self,
-        installed: Installed,
+        driver: KnownDriver,
         devices: Sequence[DeviceBinding],
         clock: Clock,
         note: Callable[[str], None],
         silence: float,
         turned: Callable[[], bool],
     ) -> None:
-        self._installed, self._clock, self._note, self._silence = installed, clock, note, silence
+        self._driver = driver.only({device.type for device in devices})
+        self._clock, self._note, self._silence = clock, note, silence
         self._turned = turned
         self._devices = {device.name: device for device in devices}
-        self.snapshots = Snapshots(installed, devices, clock)
+        self.snapshots = Snapshots(driver, devices, clock)
         self._reader = MessageReader()
         self._transport: asyncio.SubprocessTransport | None = None
         self._pipe: asyncio.WriteTransport | None = None
@@ -100,10 +101,10 @@ class Guard(asyncio.SubprocessProtocol):
         """Start the process and open the devices. Raises OpenFailed with all that is wrong."""
         loop = asyncio.get_running_loop()
         self._opening, self._exited, self._reader = loop.create_future(), asyncio.Event(), MessageReader()
-        command = (sys.executable, "-m", "lfield.guard.process", self._installed.reference)
+        command = (sys.executable, "-m", "lfield.guard.process", self._driver.reference)
         # A session of its own: a Ctrl-C is for the host, which then stops its guards in order.
         await loop.subprocess_exec(lambda: self, *command, stderr=None, start_new_session=True)
-        self._send(Open(list(self._devices.values()), latched, self._silence))
+        self._send(Open(list(self._devices.values()), latched, self._silence, self._driver))
         self._beat()
         try:
             async with asyncio.timeout(OPEN_BOUND):

@@ -8,7 +8,7 @@ from typing import cast
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import AGE
-from lfield.driver.plugins import Installed
+from lfield.driver.known import KnownDriver
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
 from lfield.guard.messages import Snapshot
@@ -23,16 +23,16 @@ LOST_AFTER = 3.0
 class Snapshots:
     """Values with the time when they were true; what is too old is refused, never given."""
 
-    def __init__(self, installed: Installed, devices: Iterable[DeviceBinding], clock: Clock) -> None:
+    def __init__(self, driver: KnownDriver, devices: Iterable[DeviceBinding], clock: Clock) -> None:
         self._clock = clock
         self._devices = {device.name: device for device in devices}
         self._quantities = {
             (device.name, quantity.name): quantity
             for device in self._devices.values()
-            for quantity in installed.manifests[device.type].device.telemetry
+            for quantity in driver.manifests[device.type].device.telemetry
         }
         self._patience = {
-            device.name: _patience(installed.manifests[device.type].device.telemetry)
+            device.name: _patience(driver.manifests[device.type].device.telemetry)
             for device in self._devices.values()
         }
         self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}

@@ -1,17 +1,22 @@
-"""What a plugin's package offers under its entry point: names only, so that looking costs nothing."""
+"""What a plugin's package offers under its entry point: names only, so that looking costs nothing.
+
+Nothing here reads YAML but `read_manifests`, which is for the desk: a guard gets its manifests from its host,
+and only sees to it that they are those of the driver it runs.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lfield.driver.contract import Manifest
 from lfield.errors import PluginError
 
 if TYPE_CHECKING:
+    from lfield.driver.contract import Manifest
     from lfield.driver.device import Driver
 
 
@@ -33,23 +38,33 @@ class Plugin:
     manifests: tuple[str, ...] = ("manifest.yaml",)
     kit: str = ""
 
-    def read_manifests(self) -> dict[str, Manifest]:
-        """The manifests by device type, read now. Raises PluginError."""
-        read = [self._manifest(file) for file in self.manifests]
-        types = {manifest.device.type: manifest for manifest in read}
-        if len(types) < len(read):
-            raise PluginError(f"driver '{self.name}' has two manifests of one device type")
-        return types
-
-    def _manifest(self, file: str) -> Manifest:
-        # Only here: a driver that imports its Plugin need not wait for a reader of YAML.
-        from lfield.driver.manifest_file import load_manifest
-
+    def manifest_bytes(self, file: str) -> bytes:
+        """One of its manifest files as it is installed. Raises PluginError."""
         try:
-            data = (files(self.package) / file).read_bytes()
+            return (files(self.package) / file).read_bytes()
         except (OSError, ImportError) as error:
             raise PluginError(f"driver '{self.name}' has no readable {file}: {error}") from None
-        manifest = load_manifest(f"{self.package}/{file}", data)
+
+    def manifest_digest(self, file: str) -> bytes:
+        """SHA-256 of a manifest file: by it the driver here is held against the one of the desk."""
+        return hashlib.sha256(self.manifest_bytes(file)).digest()
+
+    def read_manifests(self) -> dict[str, Manifest]:
+        """The manifests by device type, read now. Raises PluginError."""
+        return {manifest.device.type: manifest for manifest in self.manifest_files().values()}
+
+    def manifest_files(self) -> dict[str, Manifest]:
+        """The same by the files that hold them. Raises PluginError."""
+        read = {file: self._manifest(file) for file in self.manifests}
+        if len({manifest.device.type for manifest in read.values()}) < len(read):
+            raise PluginError(f"driver '{self.name}' has two manifests of one device type")
+        return read
+
+    def _manifest(self, file: str) -> Manifest:
+        # Here, since only the desk reads manifests; every process that runs a driver has this module.
+        from lfield.driver.manifest_file import load_manifest
+
+        manifest = load_manifest(f"{self.package}/{file}", self.manifest_bytes(file))
         if manifest.device.driver != self.name:
             raise PluginError(f"driver '{self.name}' has the manifest of '{manifest.device.driver}'")
         return manifest

@@ -1,4 +1,7 @@
-"""Finds the installed driver plugins by their entry points (`lfield.drivers.v1`)."""
+"""Finds the installed driver plugins by their entry points (`lfield.drivers.v1`) and reads their manifests.
+
+For the desk: a robot gets what it must know of its drivers with the mission (lfield.driver.known).
+"""
 
 from __future__ import annotations
 
@@ -7,21 +10,30 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path, PurePosixPath
 
-from lfield.driver.contract import Manifest
+from lfield.driver.known import GROUP, KnownDriver, ManifestFile
 from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import PluginError
 from lfield.manifest import DeviceManifest
 
-GROUP = "lfield.drivers.v1"
-
 
 @dataclass(frozen=True, slots=True)
-class Installed:
-    """One usable plugin, its manifests by device type; `reference` is how another process imports it."""
+class Installed(KnownDriver):
+    """One usable plugin with what is known of it."""
 
     plugin: Plugin
-    manifests: dict[str, Manifest]
-    reference: str
+
+
+def _installed(reference: str, distribution: str) -> Installed:
+    plugin = load_plugin(reference)
+    read = plugin.manifest_files()
+    return Installed(
+        name=plugin.name,
+        reference=reference,
+        manifests={manifest.device.type: manifest for manifest in read.values()},
+        files={m.device.type: ManifestFile(file, plugin.manifest_digest(file)) for file, m in read.items()},
+        distribution=distribution,
+        plugin=plugin,
+    )
 
 
 @dataclass(slots=True)
@@ -53,23 +65,23 @@ class Plugins:
             return None
         return found.plugin.source(file)
 
-    def add(self, reference: str) -> None:
+    def add(self, reference: str, distribution: str = "") -> None:
         """Take a plugin in, or note why it cannot be. Raises PluginError on a duplicate name.
 
-        A duplicate stops everything, since the same program would then mean two things.
+        A duplicate stops everything, since the same program would then mean two things. `distribution` is
+        what was installed to have it.
         """
         try:
-            plugin = load_plugin(reference)
-            installed = Installed(plugin, plugin.read_manifests(), reference)
+            installed = _installed(reference, distribution)
         except PluginError as error:
             self.problems.append(str(error))
             return
-        if (rival := self.by_driver.get(plugin.name)) is not None:
-            raise _both(rival.reference, reference, f"the driver '{plugin.name}'")
+        if (rival := self.by_driver.get(installed.name)) is not None:
+            raise _both(rival.reference, reference, f"the driver '{installed.name}'")
         for device_type in installed.manifests:
             if (rival := self.for_type(device_type)) is not None:
                 raise _both(rival.reference, reference, f"the device type '{device_type}'")
-        self.by_driver[plugin.name] = installed
+        self.by_driver[installed.name] = installed
 
 
 def _both(first: str, second: str, what: str) -> PluginError:
@@ -83,6 +95,6 @@ def discover(entries: Iterable[EntryPoint] | None = None) -> Plugins:
     plugins = Plugins()
     found = entry_points(group=GROUP) if entries is None else entries
     # One distribution may be seen twice (an editable install beside a wheel): the same value is one plugin.
-    for reference in sorted({entry.value for entry in found}):
-        plugins.add(reference)
+    for reference, entry in sorted({entry.value: entry for entry in found}.items()):
+        plugins.add(reference, f"{entry.dist.name} {entry.dist.version}" if entry.dist else "")
     return plugins

@@ -10,7 +10,7 @@ import importlib
 import os
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -77,6 +77,16 @@ def discover_sims(entries: Iterable[EntryPoint] | None = None) -> Sims:
     for reference in sorted({entry.value for entry in found}):
         sims.add(reference)
     return sims
+
+
+def sims_of(drivers: Collection[str]) -> Sims:
+    """The fakes of some drivers, the others not even imported. Raises PluginError on duplicate names.
+
+    Fakes are announced under the names of their drivers; where one is not, all are looked at.
+    """
+    entries = list(entry_points(group=GROUP))
+    sims = discover_sims(entry for entry in entries if entry.name in drivers)
+    return sims if sims.keys() >= set(drivers) else discover_sims(entries)
 
 
 def control_folder() -> Path:

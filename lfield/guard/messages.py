@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import msgspec
 
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.known import KnownDriver
 from lfield.errors import WireError
 from lfield.wire.framing import FrameDecoder, frame
 
@@ -26,12 +27,14 @@ class Message(msgspec.Struct, frozen=True, array_like=True):
 class Open(Message, frozen=True):
     """Host: open these devices, all on one bus. `latched` tells why they must come back safe, or ''.
 
-    `silence` is how long the host may be silent, in seconds, before every device goes safe.
+    `silence` is how long the host may be silent, in seconds, before every device goes safe. `driver` has the
+    manifests of the devices: the guard reads none, and refuses when the driver that it runs has others.
     """
 
     devices: list[DeviceBinding]
     latched: str
     silence: float
+    driver: KnownDriver
 
 
 class Call(Message, frozen=True):

@@ -17,6 +17,7 @@ from typing import Any
 from lfield import loop
 from lfield.clock import Clock, SystemClock
 from lfield.driver.device import Device, Driver, check_methods
+from lfield.driver.known import KnownDriver
 from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import DeviceError, LfieldError, PluginError, WireError
 from lfield.guard.core import Cancel, Effect, Execute, Exit, GuardCore, MakeSafe, Quiet, Tell
@@ -186,7 +187,8 @@ class Shell(asyncio.Protocol):
         self._run(self._core.opened(message.latched))
 
     def _make_driver(self, message: Open) -> Driver:
-        driver = self._plugin.load()(message.devices, self._plugin.read_manifests(), self._clock, self)
+        check_same(message.driver, self._plugin)
+        driver = self._plugin.load()(message.devices, message.driver.manifests, self._clock, self)
         for device in driver.devices.values():
             check_methods(type(device), device.manifest, device.parts)
         return driver
@@ -284,6 +286,17 @@ class Shell(asyncio.Protocol):
             task.cancel()
         if self._driver is not None:
             await self._driver.close()
+
+
+def check_same(known: KnownDriver, plugin: Plugin) -> None:
+    """Raise PluginError unless the installed driver promises what the mission was built with."""
+    for file in known.files.values():
+        if plugin.manifest_digest(file.name) != file.digest:
+            raise PluginError(
+                f"the driver '{known.name}' that is installed here is not the one the mission was built with "
+                f"({file.name} differs): install {known.to_install} here, or build the mission again with "
+                "the driver that its robots have"
+            )
 
 
 async def _open_all(devices: Sequence[Device]) -> tuple[dict[str, str], list[tuple[str, str, str]]]:

@@ -17,7 +17,7 @@ from lfield.clock import Clock
 from lfield.errors import WireError
 from lfield.host.reports import Reports
 from lfield.host.sampling import Devices, Sampler
-from lfield.mission.load import Mission, needed_devices
+from lfield.mission.mission import Mission
 from lfield.mobility.effects import Send
 from lfield.vm.agent import Agent
 from lfield.wire.messages import Hello, Report
@@ -50,12 +50,11 @@ class TeamDirectory:
         clock: Clock,
     ) -> None:
         self.registry = registry = mission.registry or NO_REGISTRY
-        agents = mission.deployment.agents
+        agents = mission.team.deployed
         self._clock = clock
         self.directory = Directory(registry, agents, name, nearby, clock, life)
         self._reports = Reports(registry, agents)
-        devices = needed_devices(mission.program, mission.deployment)
-        self._sampler = Sampler(registry.attributes, running, devices, nearby, clock)
+        self._sampler = Sampler(registry.attributes, running, mission.needed, nearby, clock)
         self._linked: dict[str, None] = {}
         #: When `tick` has something to do next, None for never.
         self.due: float | None = None
@@ -86,9 +85,7 @@ class TeamDirectory:
         return ""
 
     def tick(self, now: float) -> list[Send]:
-        """Look at this host's agents if it is time to, and tell the others what has changed."""
-        if self.due is None or now < self.due:
-            return []
+        """It is time to look at this host's agents, and to tell the others what has changed."""
         self.due = now + LOOK_EVERY
         self.look()
         news = self.directory.news()

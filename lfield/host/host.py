@@ -30,7 +30,7 @@ from lfield.host.logbook import Logbook
 from lfield.host.status import coordinators_of, status_of
 from lfield.loop import spawn
 from lfield.manifest import DeviceValue
-from lfield.mission.load import Mission
+from lfield.mission.mission import Mission
 from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.net.peers import Peers
@@ -80,7 +80,7 @@ class Host:
         here = self.team.number(name)
         self.peers = Peers(self, transport, self.clock, self.team.hosts, self.team.addresses, here)
         self.guards = Guards(
-            mission.plugins, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
+            mission.drivers, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
         )
         self.core = HostCore(
             mission,

@@ -15,7 +15,7 @@ from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import Expression, Registry, Value
 from lfield.capability.offer import Offer, Team
 from lfield.host.directory import TeamDirectory
-from lfield.mission.load import Mission
+from lfield.mission.mission import Mission
 from lfield.vm.offers import Found, ways
 
 #: How many conditions are kept compiled.

@@ -13,7 +13,7 @@ from lfield.errors import UsageError
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
 from lfield.host.until_done import until_done
-from lfield.mission.load import Mission
+from lfield.mission.mission import Mission
 from lfield.net.local import is_loopback
 from lfield.net.tcp import TcpTransport
 

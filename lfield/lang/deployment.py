@@ -7,14 +7,15 @@ may be left out. A `#` at the start of a line or after a space begins a comment.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-from lfield.errors import ProgramError, UsageError
+import msgspec
+
+from lfield.errors import ProgramError
 from lfield.lang import messages
 from lfield.lang.deployment_line import Entry, read_line
 from lfield.lang.tree import UnitKind
@@ -53,12 +54,12 @@ class Deployment:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 in hex of types, ids, hosts and arguments in file order.
+        """SHA-256 in hex of types, ids, hosts and arguments in file order, as a bundle has them.
 
         Ports, comments and spacing do not count: hosts with different ports still run the same deployment.
         """
-        content = [[a.type, a.id, a.host, list(a.arguments)] for a in self.agents]
-        return hashlib.sha256(json.dumps(content, separators=(",", ":")).encode("ascii")).hexdigest()
+        content = [(a.type, a.id, a.host, a.arguments) for a in self.agents]
+        return hashlib.sha256(msgspec.msgpack.encode(content)).hexdigest()
 
     @cached_property
     def _indexes(self) -> dict[str, int]:
@@ -118,15 +119,6 @@ def read_deployment(path: Path, units: Mapping[str, UnitKind] | None) -> Deploym
     if deployment is None:
         raise ProgramError(found)
     return deployment
-
-
-def lookup_host(deployment: Deployment, name: str) -> str:
-    """The host of that name. Raises UsageError with the hosts there are, and the one probably meant."""
-    if name in deployment.hosts:
-        return name
-    hint = did_you_mean(name, deployment.hosts)
-    advice = f"; {hint}" if hint else ""
-    raise UsageError(f"{deployment.name} has no host '{name}': it has {listed(deployment.hosts)}{advice}")
 
 
 def _kind(units: Mapping[str, UnitKind], name: str) -> AgentKind:

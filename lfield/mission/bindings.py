@@ -1,93 +1,116 @@
-"""The device bindings of a mission, checked as a whole (the file is described in `bindings_file`).
+"""What agents may use and what their devices are bound to: plain data.
 
-Nothing is commanded from a default: a needed device that is not bound is an error, unless the mission is
-simulated; then it gets a fake.
+A devices file is read by `bindings_file`. Nothing is commanded from a default: a needed device that is not
+bound is an error, unless the mission is simulated; then it gets a fake.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import msgspec
 
 from lfield.driver.binding import SIMULATED, DeviceBinding
-from lfield.driver.plugins import Installed, Plugins
-from lfield.errors import BindingError
-from lfield.mission.bindings_file import Bindings, BindingsReader, Needed
-from lfield.text.source import Diagnostics
-from lfield.text.yaml_source import read
+from lfield.driver.known import Drivers, KnownDriver
+from lfield.guard.core import SILENCE
+from lfield.vm.contract import Limits
 
-__all__ = ["Bindings", "Needed", "read_bindings"]
+#: A heap is addressed by 32-bit offsets; below a page not even an empty agent fits.
+MIN_HEAP, MAX_HEAP = 1 << 12, 1 << 31
 
-
-def read_bindings(path: Path | None, needed: Needed, plugins: Plugins, *, simulate: bool = False) -> Bindings:
-    """The bindings in a file (None: there is no file), checked against what the mission needs.
-
-    With `simulate`, needed devices that are not bound get defaults, and every endpoint is SIMULATED.
-    Raises BindingError with all problems, InputFileError when the file cannot be read.
-    """
-    found = Diagnostics()
-    node = read(str(path), found) if path is not None else None
-    bindings = Bindings()
-    if path is not None and node is not None:
-        bindings = BindingsReader(needed, plugins, found, path.parent, simulate=simulate).bindings(node)
-    problems = [diagnostic.render() for diagnostic in found.errors]
-    problems += _without_driver(needed, plugins)
-    # What is written wrong is not missing: the file's own errors are told first, and alone.
-    if not simulate and not found.errors:
-        problems += _unbound(bindings, needed, plugins, path)
-    if problems:
-        raise BindingError(problems)
-    return _simulated(bindings, needed, plugins) if simulate else bindings
+#: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
+Needed = Mapping[str, Mapping[str, str]]
 
 
-def _devices(needed: Needed) -> Iterator[tuple[str, str, str]]:
+@dataclass(frozen=True, slots=True)
+class Bindings:
+    """Limits of agents, and devices by agent and field; times are in seconds."""
+
+    agents: Mapping[str, Limits] = field(default_factory=dict)
+    devices: Mapping[str, Mapping[str, DeviceBinding]] = field(default_factory=dict)
+    defaults: Limits = field(default_factory=Limits)
+    unreachable_after: float = 10.0
+    silence: float = SILENCE
+
+    def limits(self, agent: str) -> Limits:
+        """The limits of an agent: its own, then the defaults of the file, then the machine's."""
+        return self.agents.get(agent, self.defaults)
+
+    def of(self, agents: Collection[str]) -> list[DeviceBinding]:
+        """Every device of these agents, as the guards of their host need them."""
+        return [device for agent in agents for device in self.devices.get(agent, {}).values()]
+
+    @property
+    def all(self) -> list[DeviceBinding]:
+        """Every device of the mission."""
+        return self.of(list(self.devices))
+
+
+def each_needed(needed: Needed) -> Iterator[tuple[str, str, str]]:
     """Agent, field and device type of every needed device."""
     for agent, fields in needed.items():
         for name, device_type in fields.items():
             yield agent, name, device_type
 
 
-def _without_driver(needed: Needed, plugins: Plugins) -> list[str]:
-    installed = ", ".join(sorted(plugins.device_types)) or "none"
-    return [
-        f"{agent}.{name}: no installed driver makes a {device_type} (device types installed: {installed})"
-        for agent, name, device_type in _devices(needed)
-        if plugins.for_type(device_type) is None
-    ]
+def maker_of(drivers: Drivers, device_type: str) -> KnownDriver | None:
+    """The driver that makes a device type."""
+    return next((driver for driver in drivers.by_driver.values() if device_type in driver.manifests), None)
 
 
-def _unbound(bindings: Bindings, needed: Needed, plugins: Plugins, path: Path | None) -> list[str]:
-    where = f"in {path}" if path else "and there is no devices file"
-    return [
-        f"{agent}.{name} ({device_type}) is not bound {where}: add 'devices: {{{name}: {{driver: "
-        f"{installed.plugin.name}, endpoint: ...}}}}' under the agent '{agent}', or use --sim"
-        for agent, name, device_type in _devices(needed)
-        if name not in bindings.devices.get(agent, {}) and (installed := plugins.for_type(device_type))
-    ]
+def on_fakes(bindings: Bindings, needed: Needed, drivers: Drivers) -> Bindings:
+    """Every needed device on a fake, with the limits and options of the file where it has them.
 
-
-def _simulated(bindings: Bindings, needed: Needed, plugins: Plugins) -> Bindings:
-    """Every needed device on a fake, with the limits and options of the file where it has them."""
-    devices: dict[str, dict[str, DeviceBinding]] = {agent: {} for agent in needed}
-    for agent, name, device_type in _devices(needed):
-        installed = plugins.for_type(device_type)
-        assert installed is not None, "_without_driver has told"
+    Every needed device type has a driver.
+    """
+    simulated: dict[str, dict[str, DeviceBinding]] = {agent: {} for agent in needed}
+    for agent, name, device_type in each_needed(needed):
         bound = bindings.devices.get(agent, {}).get(name)
-        devices[agent][name] = bound or _fake_binding(agent, name, device_type, installed)
-    return replace(bindings, devices=devices)
+        simulated[agent][name] = _faked(bound) if bound else _fake(agent, name, device_type, drivers)
+    return replace(bindings, devices=simulated)
 
 
-def _fake_binding(agent: str, name: str, device_type: str, installed: Installed) -> DeviceBinding:
+def _faked(device: DeviceBinding) -> DeviceBinding:
+    """A bound device on its fake; devices of one endpoint share one."""
+    if device.endpoint.startswith(SIMULATED):
+        return device
+    return msgspec.structs.replace(device, endpoint=f"{SIMULATED}{device.endpoint or device.name}")
+
+
+def _fake(agent: str, name: str, device_type: str, drivers: Drivers) -> DeviceBinding:
     """A device that nobody has bound, on a fake of its own: there is nothing that could be hurt."""
-    manifest = installed.manifests[device_type]
+    driver = maker_of(drivers, device_type)
+    assert driver is not None, "a type without a driver has been told before"
+    manifest = driver.manifests[device_type]
     return DeviceBinding(
         agent=agent,
         field=name,
         type=device_type,
-        driver=installed.plugin.name,
+        driver=driver.name,
         endpoint=f"{SIMULATED}{agent}.{name}",
         safe_state=manifest.default_safe_state,
         options={o.name: o.default for o in manifest.options if o.default is not None},
         waivers=[waiver for waiver, _ in manifest.waivers],
+    )
+
+
+def with_files(bindings: Bindings, drivers: Drivers, place: Callable[[str], str]) -> Bindings:
+    """The same with every file that an option names at another place."""
+
+    def moved(device: DeviceBinding) -> DeviceBinding:
+        options = drivers.by_driver[device.driver].manifests[device.type].options
+        files = {
+            o.name: place(str(device.options[o.name]))
+            for o in options
+            if o.type == "path" and device.options.get(o.name)
+        }
+        return msgspec.structs.replace(device, options={**device.options, **files}) if files else device
+
+    return replace(
+        bindings,
+        devices={
+            agent: {name: moved(device) for name, device in fields.items()}
+            for agent, fields in bindings.devices.items()
+        },
     )

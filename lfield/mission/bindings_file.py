@@ -27,55 +27,71 @@ driver or type is an error, all of them at once, each drawn at its place.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 
-from lfield.driver.binding import SIMULATED, DeviceBinding, OptionValue
+from lfield.driver.binding import DeviceBinding, OptionValue
 from lfield.driver.contract import Manifest, Option
-from lfield.driver.plugins import Plugins
+from lfield.driver.known import Drivers
+from lfield.errors import BindingError
 from lfield.guard.core import SILENCE
+from lfield.mission.bindings import MAX_HEAP, MIN_HEAP, Bindings, Needed, each_needed, maker_of, on_fakes
 from lfield.text.source import Diagnostics
 from lfield.text.yaml_fields import Fields
-from lfield.text.yaml_source import Entry, Node, Scalar, describe
+from lfield.text.yaml_source import Entry, Node, Scalar, describe, read
 from lfield.vm.contract import Limits
-
-#: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
-Needed = Mapping[str, Mapping[str, str]]
-
-#: A heap is addressed by 32-bit offsets; below a page not even an empty agent fits.
-MIN_HEAP, MAX_HEAP = 1 << 12, 1 << 31
 
 _UNITS = {"B": 1, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 _SIZE = re.compile(r"([0-9]{1,12})\s*(B|KiB|MiB|GiB)")
 
 
-@dataclass(frozen=True, slots=True)
-class Bindings:
-    """What a devices file says: limits of agents, and devices by agent and field."""
+def read_bindings(path: Path | None, needed: Needed, drivers: Drivers, *, simulate: bool = False) -> Bindings:
+    """The bindings in a file (None: there is no file), checked against what the mission needs.
 
-    agents: Mapping[str, Limits] = field(default_factory=dict)
-    devices: Mapping[str, Mapping[str, DeviceBinding]] = field(default_factory=dict)
-    defaults: Limits = field(default_factory=Limits)
-    unreachable_after: float = 10.0
-    silence: float = SILENCE
+    With `simulate`, needed devices that are not bound get defaults, and every endpoint is SIMULATED.
+    Raises BindingError with all problems, InputFileError when the file cannot be read.
+    """
+    found = Diagnostics()
+    node = read(str(path), found) if path is not None else None
+    bindings = Bindings()
+    if path is not None and node is not None:
+        bindings = BindingsReader(needed, drivers, found, path.parent, simulate=simulate).bindings(node)
+    problems = [diagnostic.render() for diagnostic in found.errors]
+    problems += _without_driver(needed, drivers)
+    # What is written wrong is not missing: the file's own errors are told first, and alone.
+    if not simulate and not found.errors:
+        problems += _unbound(bindings, needed, drivers, path)
+    if problems:
+        raise BindingError(problems)
+    return on_fakes(bindings, needed, drivers) if simulate else bindings
 
-    def limits(self, agent: str) -> Limits:
-        """The limits of an agent: its own, then the defaults of the file, then the machine's."""
-        return self.agents.get(agent, self.defaults)
 
-    def of(self, agents: Collection[str]) -> list[DeviceBinding]:
-        """Every device of these agents, as the guards of their host need them."""
-        return [device for agent in agents for device in self.devices.get(agent, {}).values()]
+def _without_driver(needed: Needed, drivers: Drivers) -> list[str]:
+    known = sorted(name for driver in drivers.by_driver.values() for name in driver.manifests)
+    return [
+        f"{agent}.{name}: no installed driver makes a {device_type} "
+        f"(device types installed: {', '.join(known) or 'none'})"
+        for agent, name, device_type in each_needed(needed)
+        if maker_of(drivers, device_type) is None
+    ]
+
+
+def _unbound(bindings: Bindings, needed: Needed, drivers: Drivers, path: Path | None) -> list[str]:
+    where = f"in {path}" if path else "and there is no devices file"
+    return [
+        f"{agent}.{name} ({device_type}) is not bound {where}: add 'devices: {{{name}: {{driver: "
+        f"{driver.name}, endpoint: ...}}}}' under the agent '{agent}', or use --sim"
+        for agent, name, device_type in each_needed(needed)
+        if name not in bindings.devices.get(agent, {}) and (driver := maker_of(drivers, device_type))
+    ]
 
 
 class BindingsReader:
     """One pass over a devices file; findings go to `found`."""
 
     def __init__(
-        self, needed: Needed, plugins: Plugins, found: Diagnostics, folder: Path, *, simulate: bool
+        self, needed: Needed, drivers: Drivers, found: Diagnostics, folder: Path, *, simulate: bool
     ) -> None:
-        self._needed, self._plugins, self._found = needed, plugins, found
+        self._needed, self._drivers, self._found = needed, drivers, found
         self._folder, self._simulate = folder, simulate
 
     def bindings(self, node: Node) -> Bindings:
@@ -137,15 +153,15 @@ class BindingsReader:
             fields.report("Y113", f"{agent} has no device '{entry.key}'", entry.key_span, hint)
             return None
         name = fields.text("driver", required=True)
-        installed = self._plugins.by_driver.get(name)
-        if installed is None:
+        driver = self._drivers.by_driver.get(name)
+        if driver is None:
             if name:
-                hint = f"installed: {', '.join(sorted(self._plugins.by_driver)) or 'none'}"
+                hint = f"installed: {', '.join(sorted(self._drivers.by_driver)) or 'none'}"
                 fields.report("Y113", f"there is no driver '{name}'", fields.value_span("driver"), hint)
             return None
-        manifest = installed.manifests.get(needed[entry.key])
+        manifest = driver.manifests.get(needed[entry.key])
         if manifest is None:
-            makes = " or ".join(sorted(installed.manifests))
+            makes = " or ".join(sorted(driver.manifests))
             message = f"driver '{name}' makes a {makes}, and {entry.key} is a {needed[entry.key]}"
             fields.report("Y113", message, fields.value_span("driver"))
             return None
@@ -156,7 +172,7 @@ class BindingsReader:
             field=entry.key,
             type=manifest.device.type,
             driver=name,
-            endpoint=self._endpoint(fields, f"{agent}.{entry.key}"),
+            endpoint=fields.text("endpoint", required=not self._simulate),
             ttl=fields.number("ttl", 0.5, minimum=0.02, maximum=60.0),
             safe_state=fields.text("safe_state", manifest.default_safe_state, choices=states),
             limits=self._device_limits(fields, manifest),
@@ -166,10 +182,6 @@ class BindingsReader:
         )
         fields.done()
         return binding
-
-    def _endpoint(self, fields: Fields, name: str) -> str:
-        endpoint = fields.text("endpoint", required=not self._simulate)
-        return f"{SIMULATED}{endpoint or name}" if self._simulate else endpoint
 
     def _waivers(self, fields: Fields, manifest: Manifest) -> list[str]:
         known = [name for name, _ in manifest.waivers]

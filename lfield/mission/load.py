@@ -1,9 +1,8 @@
-"""From files to a mission: the only part of the runtime that needs the compiler (and only for L text)."""
+"""From files to a mission, on the desk: the only part of the runtime that needs the compiler."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from lfield.bytecode.encoding import MAX_SIZE, decode
@@ -14,34 +13,18 @@ from lfield.capability.types.language import RegistryTypes
 from lfield.capability.types.live_units import settle_live
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import Finding, InputFileError, ProgramError, ProgramFileError
-from lfield.lang.deployment import Deployment, read_deployment
-from lfield.mission.bindings import Bindings, read_bindings
-from lfield.mission.team import Team, make_team, parse_maps
+from lfield.lang.deployment import read_deployment
+from lfield.mission import bundle
+from lfield.mission.bindings_file import read_bindings
+from lfield.mission.mission import Mission, makers_of, needed_devices
+from lfield.mission.team import parse_maps
+from lfield.mission.team_file import make_team
 from lfield.text.files import read_head, reason
 from lfield.text.source import Diagnostic, Diagnostics
 from lfield.vm.offers import ways
 
 #: Suffixes of the files of a mission that stand beside its deployment.
 DEVICES, CAPABILITIES = ".devices.yaml", ".capabilities.yaml"
-
-
-@dataclass(frozen=True, slots=True)
-class Mission:
-    """Everything a host needs to begin. The `registry` is None when the program names no capability."""
-
-    name: str
-    program: Program
-    deployment: Deployment
-    team: Team
-    bindings: Bindings
-    plugins: Plugins
-    warnings: tuple[Diagnostic, ...] = ()
-    registry: Registry | None = None
-
-    @property
-    def max_block(self) -> int:
-        """The largest block a coordinator of the mission may have, in bytes."""
-        return max((self.bindings.limits(m.id).heap for m in self.team.coordinators), default=1 << 20)
 
 
 def load_mission(
@@ -60,16 +43,30 @@ def load_mission(
     plugins = discover()
     types = _registry_types(capabilities or beside(deploy, CAPABILITIES), deploy)
     loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types)
-    deployment = read_deployment(deploy, loaded.units)
-    team = make_team(deployment, parse_maps(maps, deployment))
-    bindings = read_bindings(
-        devices or beside(deploy, DEVICES),
-        needed=needed_devices(loaded, deployment),
-        plugins=plugins,
-        simulate=simulate,
-    )
+    team = make_team(read_deployment(deploy, loaded.units))
+    needed = needed_devices(loaded, team)
+    bindings = read_bindings(devices or beside(deploy, DEVICES), needed, plugins, simulate=simulate)
+    drivers = makers_of(plugins, {device.type for device in bindings.all})
     registry = _settled(types.registry, loaded, plugins) if ways(loaded) else None
-    return Mission(deploy.stem, loaded, deployment, team, bindings, plugins, tuple(warnings), registry)
+    shown = tuple(warning.render() for warning in warnings)
+    mission = Mission(deploy.stem, loaded, team, bindings, drivers, registry, shown)
+    return mission.at(team.at(parse_maps(maps, team))) if maps else mission
+
+
+def open_mission(path: Path, devices: Path | None = None) -> Mission:
+    """The mission in a bundle, or of a deployment with its files; `devices` has other bindings than theirs.
+
+    Raises as those do that read them.
+    """
+    if path.suffix != bundle.SUFFIX:
+        return load_mission(path, devices=devices)
+    mission = bundle.read(path)
+    return mission if devices is None else rebound(mission, devices)
+
+
+def rebound(mission: Mission, devices: Path, *, simulate: bool = False) -> Mission:
+    """A mission with the bindings of another devices file. Raises BindingError, InputFileError."""
+    return mission.with_bindings(read_bindings(devices, mission.needed, mission.drivers, simulate=simulate))
 
 
 def beside(path: Path, suffix: str) -> Path | None:
@@ -112,15 +109,6 @@ def agents_of(deploy: Path) -> list[str] | None:
         return None
 
 
-def needed_devices(program: Program, deployment: Deployment) -> dict[str, dict[str, str]]:
-    """For each agent of a resource: its device fields and their device types."""
-    classes = {record.name: record for record in program.core.classes}
-    return {
-        agent.id: {field.name: field.type for field in classes[agent.type].devices}
-        for agent in deployment.agents
-    }
-
-
 def _program(path: Path, plugins: Plugins, types: RegistryTypes) -> tuple[Program, list[Diagnostic]]:
     if path.suffix == ".L":
         return compile_file(path, plugins, types)
@@ -128,7 +116,9 @@ def _program(path: Path, plugins: Plugins, types: RegistryTypes) -> tuple[Progra
 
 
 def load_program(path: Path) -> Program:
-    """A program from L text or from a program file, whichever the path names."""
+    """A program from L text, from a bundle or from a program file, whichever the path names."""
+    if path.suffix == bundle.SUFFIX:
+        return bundle.read(path).program
     return compile_file(path)[0] if path.suffix == ".L" else _read_program(path)
 
 

@@ -11,7 +11,8 @@ import msgspec
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Installed, Plugins
 from lfield.errors import BindingError, UsageError
-from lfield.mission.bindings_file import Bindings, BindingsReader, Needed
+from lfield.mission.bindings import Bindings, Needed
+from lfield.mission.bindings_file import BindingsReader
 from lfield.text.source import Diagnostics
 from lfield.text.yaml_source import Mapping, Node, Scalar, decode, read
 

@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import hashlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import msgspec
 
 from lfield.errors import UsageError
-from lfield.lang.deployment import Deployment, lookup_host
 from lfield.net.transport import DEFAULT_PORT
+from lfield.text.suggest import did_you_mean, listed
 from lfield.vm.agent import Member
+
+#: What is said of an agent in a deployment: type, id, host, and arguments.
+Row = tuple[str, str, str, tuple[str, ...]]
+
+
+class Deployed(NamedTuple):
+    """An agent where it starts."""
+
+    id: str
+    type: str
+    host: str
 
 
 @dataclass(frozen=True, slots=True)
 class Team:
-    """`members` in the order of the deployment; `addresses[n]` is the "host:port" of `hosts[n]`."""
+    """`members` in the order of the deployment; `addresses[n]` is the "host:port" of `hosts[n]`.
+
+    `deployment` is the SHA-256 of `encode_rows`: types, ids, hosts and arguments. Addresses do not count.
+    """
 
     members: tuple[Member, ...]
     hosts: tuple[str, ...]
@@ -33,28 +51,63 @@ class Team:
         """All coordinators."""
         return [m for m in self.members if m.kind == "coordinator"]
 
+    @property
+    def deployed(self) -> list[Deployed]:
+        """All agents with the names of their hosts."""
+        return [Deployed(m.id, m.type, self.hosts[m.host]) for m in self.members]
 
-def make_team(deployment: Deployment, maps: Mapping[str, str]) -> Team:
-    """The team of a deployment; `maps` are addresses from the command line, by host name."""
-    hosts = tuple(deployment.hosts)
-    numbers = {host: i for i, host in enumerate(hosts)}
-    ports = {a.host: a.port for a in deployment.agents if a.port is not None}
+    @property
+    def rows(self) -> list[Row]:
+        """What the deployment says of its agents, in order."""
+        return [(m.type, m.id, self.hosts[m.host], m.arguments) for m in self.members]
+
+    @property
+    def reached(self) -> dict[str, str]:
+        """The address of every host by its name."""
+        return dict(zip(self.hosts, self.addresses, strict=True))
+
+    def at(self, addresses: Mapping[str, str]) -> Team:
+        """The same team, some of its hosts at other addresses."""
+        found = self.reached | {host: address for host, address in addresses.items() if host in self.hosts}
+        return replace(self, addresses=tuple(found.values()))
+
+    def lookup(self, host: str) -> str:
+        """The host of that name. Raises UsageError with those there are, and the one probably meant."""
+        if host in self.hosts:
+            return host
+        hint = did_you_mean(host, self.hosts)
+        raise UsageError(
+            f"the deployment has no host '{host}': it has {listed(self.hosts)}{f'; {hint}' if hint else ''}"
+        )
+
+
+def team_of(rows: Iterable[Row], kind_of: Callable[[str], str], ports: Mapping[str, int]) -> Team:
+    """The team of some rows. `kind_of` says of a type whether it is a resource or a coordinator.
+
+    A host without a port has the default one.
+    """
+    said = list(rows)
+    numbers = {host: i for i, host in enumerate(dict.fromkeys(host for _, _, host, _ in said))}
     members = tuple(
-        Member(i, a.id, a.type, a.kind, numbers[a.host], tuple(a.arguments))
-        for i, a in enumerate(deployment.agents)
+        Member(i, id, type, kind_of(type), numbers[host], arguments)
+        for i, (type, id, host, arguments) in enumerate(said)
     )
-    addresses = tuple(maps.get(host) or f"{host}:{ports.get(host) or DEFAULT_PORT}" for host in hosts)
-    return Team(members, hosts, addresses, bytes.fromhex(deployment.hash))
+    addresses = tuple(f"{host}:{ports.get(host, DEFAULT_PORT)}" for host in numbers)
+    return Team(members, tuple(numbers), addresses, hashlib.sha256(encode_rows(said)).digest())
 
 
-def parse_maps(words: Sequence[str], deployment: Deployment) -> dict[str, str]:
-    """`NAME=ADDR:PORT` from the command line; raises UsageError."""
+def encode_rows(rows: Iterable[Row]) -> bytes:
+    """The bytes by which deployments are compared; `lfield.lang.deployment` hashes the same."""
+    return msgspec.msgpack.encode(list(rows))
+
+
+def parse_maps(words: Sequence[str], team: Team) -> dict[str, str]:
+    """`NAME=ADDR:PORT` from the command line, by host; raises UsageError."""
     maps: dict[str, str] = {}
     for word in words:
         name, equals, address = word.partition("=")
         host, colon, port = address.rpartition(":")
         if not (equals and colon and host and port.isascii() and port.isdigit() and 0 < int(port) < 65536):
             raise UsageError(f"--map {word}: write it as NAME=ADDR:PORT, as in --map alpha=10.0.0.5:8181")
-        lookup_host(deployment, name)
-        maps[name] = address
+        maps[team.lookup(name)] = address
     return maps

@@ -61,6 +61,7 @@ class Greeting:
         if "observer" not in (self.own.role, message.role):
             self._check_name(message)
         self._check_hashes(message)
+        self._check_devices(message)
         self.peer = message
         return message
 
@@ -113,8 +114,17 @@ class Greeting:
             if ours != theirs and not anything_goes:
                 self._refuse(
                     f"{self.own.host} has {what} {ours.hex()[:12]} and {hello.host} has {what} "
-                    f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}"
+                    f"{theirs.hex()[:12] or '(none)'}; start both from {remedy}, or from one bundle"
                 )
+
+    def _check_devices(self, hello: Hello) -> None:
+        """What moves only in a simulation must not wait for robots, nor robots for it."""
+        worlds = {self.own.devices, hello.devices} - {""}
+        if len(worlds) > 1:
+            self._refuse(
+                f"the devices of {self.own.host} are {self.own.devices} and those of {hello.host} are "
+                f"{hello.devices}; start both with --sim, or none"
+            )
 
     def _refuse(self, reason: str) -> NoReturn:
         self.refusal = Refuse(reason)

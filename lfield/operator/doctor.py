@@ -20,6 +20,7 @@ from typing import Literal
 from lfield.clock import Clock
 from lfield.devices.guards import Guards
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.known import Drivers
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
 
@@ -135,12 +136,12 @@ def _promptness() -> Finding:
 
 
 async def endpoints(
-    plugins: Plugins, devices: list[DeviceBinding], clock: Clock, told: Callable[[Finding], None]
+    drivers: Drivers, devices: list[DeviceBinding], clock: Clock, told: Callable[[Finding], None]
 ) -> None:
     """What answers at every bound endpoint. Devices are opened one by one, and nothing is moved."""
     for device in devices:
         notes: list[str] = []
-        guards = Guards(plugins, clock, notes.append)
+        guards = Guards(drivers, clock, notes.append)
         try:
             await guards.open([device])
         except DevicesError as error:

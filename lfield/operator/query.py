@@ -12,9 +12,10 @@ from lfield.capability.directory.directory import Deployed, live_attributes
 from lfield.capability.model import Attribute, Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.capability.reading.reader import read_registry
-from lfield.errors import LfieldError, WireError
-from lfield.lang.deployment import Deployment
+from lfield.errors import LfieldError, UsageError, WireError
+from lfield.mission import bundle
 from lfield.mission.load import CAPABILITIES, beside
+from lfield.mission.team import Team
 
 #: What a live attribute can be worth.
 Scalar = bool | int | float | str
@@ -45,13 +46,20 @@ class Roster:
         return self._by_type.get(resource, ())
 
 
-def mission_registry(deploy: Path, deployment: Deployment, capabilities: Path | None = None) -> Registry:
-    """The registry of a mission: ours with `capabilities`, else with NAME.capabilities.yaml beside NAME.dL.
+def mission_registry(mission: Path, team: Team, capabilities: Path | None = None) -> Registry:
+    """The registry of a mission: that of its bundle, or ours with `capabilities`, else the file beside it.
 
-    Raises ProgramError, and InputFileError for a file that cannot be read.
+    Raises ProgramError, InputFileError and BundleError, and UsageError for a bundle that has none.
     """
-    mission = capabilities or beside(deploy, CAPABILITIES)
-    return read_registry(mission=mission, agents=[agent.id for agent in deployment.agents])
+    if mission.suffix == bundle.SUFFIX and capabilities is None:
+        registry = bundle.read(mission).registry
+        if registry is None:
+            raise UsageError(
+                f"the program of {mission} names no capability: ask its deployment (.dL) instead"
+            )
+        return registry
+    added = capabilities or beside(mission, CAPABILITIES)
+    return read_registry(mission=added, agents=[agent.id for agent in team.deployed])
 
 
 def from_files(registry: Registry, agents: Sequence[Deployed], at: str = "") -> Roster:

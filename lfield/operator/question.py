@@ -11,7 +11,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lfield.capability.matching.expression import Mistake, Scope, check, parse
+from lfield.capability.condition import Mistake
+from lfield.capability.matching.expression import Scope, check, parse
 from lfield.capability.model import Expression, Primitive, Registry
 from lfield.capability.reading import messages
 from lfield.errors import ProgramError, UsageError

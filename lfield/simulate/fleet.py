@@ -21,7 +21,7 @@ from lfield.errors import DeviceError
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, Effect, Say, Write
 from lfield.manifest import DeviceValue
-from lfield.mission.load import Mission
+from lfield.mission.mission import Mission
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.vm.contract import Reading
 from lfield.wire.messages import Control, Hello, Transfer

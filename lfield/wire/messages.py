@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 3
+PROTOCOL = 4
 
 #: Longest name of an agent or host, in characters.
 MAX_NAME = 128
@@ -77,8 +77,9 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The first message of both sides of a link.
 
     `incarnation` is a random 63-bit number drawn at process start: the same host after a restart has
-    another. `program`, `deployment` and `registry` are 32-byte hashes; an observer (`lfield ps`) may leave
-    them empty, and a program that names no capability has no registry.
+    another. `program`, `deployment` and `registry` are 32-byte hashes of what all hosts of a team must have
+    alike; an observer (`lfield ps`) may leave them empty, and a program that names no capability has no
+    registry. `devices` says what those of its team are, '' where it has none.
     `max_block` is the largest block this host takes, in bytes.
     """
 
@@ -90,6 +91,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     max_block: Count = 0
     coordinators: Annotated[list[Known], Meta(max_length=4096)] = []
     registry: Hash = b""
+    devices: Literal["", "fakes", "hardware"] = ""
 
 
 class ForeignHello(Struct, frozen=True):

@@ -13,7 +13,7 @@ from lfield.devices.guards import Guards
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
-from lfield.mission.bindings import read_bindings
+from lfield.mission.bindings_file import read_bindings
 
 SERVO = DeviceBinding(
     agent="arm", field="wrist", type="Dynamixel", driver="dynamixel", endpoint="serial:/dev/ttyUSB0:57600",

@@ -7,9 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import STANDARD, Manifest, Option
+from lfield.driver.known import KnownDriver, ManifestFile
 from lfield.driver.values import conform
 from lfield.errors import WireError
 from lfield.guard.messages import MESSAGES, Call, Done, MessageReader, Open, Snapshot, encode
+from lfield.manifest import DeviceManifest, Quantity
 
 BINDING = DeviceBinding(
     agent="a",
@@ -21,8 +24,13 @@ BINDING = DeviceBinding(
     limits={"speed": 1.5},
     options={"id": 3},
 )
+MANIFEST = Manifest(
+    DeviceManifest("T", "d", STANDARD, (Quantity("angle", "real", "rad"),), ("off",)),
+    (Option("id", "int", 1), Option("gear", "real", 1.0)),
+)
+DRIVER = KnownDriver("d", "lfield_d:PLUGIN", {"T": MANIFEST}, {"T": ManifestFile("t.yaml", bytes(32))}, "d 1")
 SAMPLES = [
-    Open([BINDING], "again", 0.2),
+    Open([BINDING], "again", 0.2, DRIVER),
     Call(7, "a.f", "go", [1.5, True, "text", [1, 2], [0.5], None, -3], 12.25),
     Done(7, [1.0, 2.0]),
     Snapshot("a.f", {"mode": "GUIDED", "armed": True}, {"mode": 0.1, "armed": 0.2}, 0.05),

@@ -14,10 +14,11 @@ import msgspec
 import pytest
 
 from lfield.devices.fakes import start_fake
+from lfield.driver.binding import SIMULATED
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import Sims
 from lfield.errors import BindingError, DeviceError
-from lfield.mission.bindings import SIMULATED, read_bindings
+from lfield.mission.bindings_file import read_bindings
 from lfield.testing.driver_bench import RunningFake, guarded, running_fake
 
 pytestmark = pytest.mark.process

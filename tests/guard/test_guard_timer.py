@@ -6,7 +6,9 @@ import asyncio
 from types import SimpleNamespace
 
 from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import Manifest
 from lfield.driver.device import Device, Driver
+from lfield.driver.known import KnownDriver, ManifestFile
 from lfield.guard.messages import Beat, Call, Latched, MessageReader, Open, encode
 from lfield.guard.process import Shell
 from lfield.manifest import DeviceManifest, Instruction
@@ -72,10 +74,16 @@ class Output:
 
 def guard_of_a_thing(output):
     """A guard with one device that may go; its driver has no watchdog to set."""
-    go = Instruction("go", (), effect="actuate", blocking=True)
-    manifest = SimpleNamespace(device=DeviceManifest("Thing", "thing", (go,)))
-    plugin = SimpleNamespace(load=lambda: Bus, read_manifests=lambda: {"Thing": manifest})
+    plugin = SimpleNamespace(load=lambda: Bus, manifest_digest=lambda file: bytes(32))
     return Shell(plugin, output, LoopClock())
+
+
+def driver_of_a_thing():
+    """What the host knows of that driver."""
+    go = Instruction("go", (), effect="actuate", blocking=True)
+    manifest = Manifest(DeviceManifest("Thing", "thing", (go,)))
+    files = {"Thing": ManifestFile("manifest.yaml", bytes(32))}
+    return KnownDriver("thing", "lfield_thing:PLUGIN", {"Thing": manifest}, files, "")
 
 
 def test_what_comes_when_the_timer_is_almost_due_breaks_nothing():
@@ -87,7 +95,7 @@ def test_what_comes_when_the_timer_is_almost_due_breaks_nothing():
     async def story():
         clock, output = LoopClock(), Output()
         shell = guard_of_a_thing(output)
-        shell.data_received(encode(Open([binding], "", SILENCE)))
+        shell.data_received(encode(Open([binding], "", SILENCE, driver_of_a_thing())))
         await asyncio.sleep(0.01)
         start = clock.monotonic()
         shell.data_received(encode(Call(1, "alpha.thing", "go", [], start)))

@@ -12,7 +12,8 @@ import pytest
 
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
-from lfield.mission.load import Mission, load_mission
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
 from lfield.simulate.network import MemoryNetwork
 from lfield.simulate.time import LoopClock, run_jumping
 

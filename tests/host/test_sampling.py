@@ -14,7 +14,7 @@ from lfield.devices.snapshots import LOST_AFTER, Snapshots
 from lfield.driver.plugins import Plugins
 from lfield.guard.messages import Latched, Snapshot
 from lfield.host.sampling import Sampler
-from lfield.mission.bindings import read_bindings
+from lfield.mission.bindings_file import read_bindings
 from lfield.text.source import Source, Span
 
 SPAN = Span(Source("test.yaml", ""), 0, 0)

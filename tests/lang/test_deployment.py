@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from lang_expectations import GOLDEN
 
-from lfield.errors import InputFileError, UsageError
-from lfield.lang.deployment import Deployment, lookup_host, parse_deployment, read_deployment
+from lfield.errors import InputFileError
+from lfield.lang.deployment import Deployment, parse_deployment, read_deployment
 from lfield.lang.tree import UnitKind
 
 UNITS: dict[str, UnitKind] = {"Arm": "resource", "Boss": "coordinator"}
@@ -63,13 +63,6 @@ def test_a_caret_under_the_part_that_is_wrong() -> None:
         "    //Arm:a@x:99999?1",
         "              ^~~~~",
     ]
-
-
-def test_lookup_of_a_host() -> None:
-    mission = deployment("//Arm:a@olive\n//Arm:b@ficus")
-    assert lookup_host(mission, "ficus") == "ficus"
-    with pytest.raises(UsageError, match=r"no host 'oliv': it has olive and ficus; did you mean 'olive'"):
-        lookup_host(mission, "oliv")
 
 
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:

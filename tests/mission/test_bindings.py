@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from lfield.driver.binding import SIMULATED
 from lfield.driver.plugins import Plugins
 from lfield.errors import BindingError, InputFileError
-from lfield.mission.bindings import SIMULATED, read_bindings
+from lfield.mission.bindings_file import read_bindings
 
 NEEDED = {"alpha": {"fc": "Mavlink"}, "beta": {"fc": "Mavlink"}, "tour": {}}
 

@@ -42,7 +42,8 @@ def test_the_same_life_may_have_a_second_link():
 @pytest.mark.parametrize(
     ("message", "sentence"),
     [
-        (ForeignHello(4), "a speaks protocol 3 and its peer protocol 4; install the same version"),
+        (ForeignHello(5), "a speaks protocol 4 and its peer protocol 5; install the same version"),
+        (ForeignHello(3), "a speaks protocol 4 and its peer protocol 3; install the same version"),
         (hello(program=b"q" * 32), "a has program 707070707070 and b has program 717171717171"),
         (hello(deployment=b"q" * 32), "a has deployment 646464646464 and b has deployment 7171"),
         (hello(registry=b"q" * 32), "a has registry 727272727272 and b has registry 7171"),
@@ -66,6 +67,25 @@ def test_who_does_not_fit_is_told_why(message, sentence):
         theirs.receive(machine.refusal)
     assert str(told.value).startswith("a refused this host: ")
     assert theirs.refusal is None
+
+
+@pytest.mark.parametrize(("ours", "theirs"), [("fakes", "hardware"), ("hardware", "fakes")])
+def test_fakes_do_not_join_hardware(ours, theirs):
+    machine = Greeting(hello("a", devices=ours), hosts=HOSTS)
+    sentence = f"the devices of a are {ours} and those of b are {theirs}; start both with --sim, or none"
+    with pytest.raises(GreetingError, match=sentence):
+        machine.receive(hello(devices=theirs))
+    assert machine.refusal is not None
+    assert sentence in machine.refusal.reason
+
+
+@pytest.mark.parametrize("theirs", ["", "fakes", "hardware"])
+def test_a_team_without_devices_and_an_observer_join_either(theirs):
+    Greeting(hello("a"), hosts=HOSTS).receive(hello(devices=theirs))
+    Greeting(hello("a", devices=theirs), hosts=HOSTS).receive(hello())
+    observer = hello("ps", role="observer", program=b"", deployment=b"", registry=b"")
+    Greeting(hello("a", devices=theirs), hosts=HOSTS).receive(observer)
+    Greeting(observer).receive(hello(devices=theirs))
 
 
 def test_a_second_host_of_a_name_is_refused_while_the_first_is_linked():

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from lfield.mission.load import Mission, load_mission
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
 from lfield.mobility.copies import Copy
 from lfield.mobility.departures import Departures
 from lfield.mobility.effects import Effect

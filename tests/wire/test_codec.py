@@ -109,7 +109,7 @@ def test_the_largest_transfer_header_fits():
 
 def test_the_start_of_a_greeting_never_changes():
     kind, payload = parts(encode(HELLO_MESSAGE))
-    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x03")
+    assert (kind, payload[:6]) == (HELLO, b"lfld\x00\x04")
     assert parts(encode(Refuse("no"))) == (REFUSE, b"no")
 
 
@@ -123,7 +123,7 @@ def test_a_greeting_of_the_future_shows_its_version():
         (HELLO, b"", "too short"),
         (HELLO, b"lfl", "too short"),
         (HELLO, b"http/1", "does not begin with 'lfld'"),
-        (HELLO, b"lfld\x00\x03", "cannot be read"),
+        (HELLO, b"lfld\x00\x04", "cannot be read"),
         (CONTROL, b"", "cannot be read"),
         (CONTROL, b"\xc1", "cannot be read"),
         (CONTROL, b"\x92\x63\x01", "cannot be read"),

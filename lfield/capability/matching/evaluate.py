@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any
 
+from lfield.capability import condition
 from lfield.capability.matching.expression import POSITION
 from lfield.capability.model import Expression, Value
-from lfield.lang import syntax
 
 Facts = Mapping[str, Value]
 Judge = Callable[[Facts], Value | None]
@@ -57,8 +57,8 @@ def conjuncts(expression: Expression) -> tuple[Expression, ...]:
     return tuple(Expression(tree.span.text, tree) for tree in _conjoined(expression.tree))
 
 
-def _conjoined(tree: syntax.Expr) -> Iterator[syntax.Expr]:
-    if isinstance(tree, syntax.Binary) and tree.operator == "&&":
+def _conjoined(tree: condition.Expr) -> Iterator[condition.Expr]:
+    if isinstance(tree, condition.Binary) and tree.operator == "&&":
         yield from _conjoined(tree.left)
         yield from _conjoined(tree.right)
     else:
@@ -71,35 +71,35 @@ def names(expression: Expression) -> tuple[str, ...]:
     return tuple(dict.fromkeys(named(expression.tree)))
 
 
-def named(tree: syntax.Expr) -> Iterator[str]:
+def named(tree: condition.Expr) -> Iterator[str]:
     """The facts that a part of an expression looks at."""
     match tree:
-        case syntax.Name() | syntax.Member():
+        case condition.Name() | condition.Member():
             yield key(tree)
-        case syntax.Unary(operand=operand):
+        case condition.Unary(operand=operand):
             yield from named(operand)
-        case syntax.Binary(left=left, right=right):
+        case condition.Binary(left=left, right=right):
             yield from named(left)
             yield from named(right)
-        case syntax.Call(arguments=arguments) if function(tree) == "distance":
+        case condition.Call(arguments=arguments) if function(tree) == "distance":
             yield from (f"{key(part)}.{axis}" for part in arguments for axis in POSITION)
-        case syntax.Call(arguments=arguments):
+        case condition.Call(arguments=arguments):
             for argument in arguments:
                 yield from named(argument)
 
 
-def key(tree: syntax.Expr) -> str:
+def key(tree: condition.Expr) -> str:
     """The name of the fact that a Name or a Member stands for."""
     match tree:
-        case syntax.Name(name=name):
+        case condition.Name(name=name):
             return name
-        case syntax.Member(object=syntax.Name(name=need), name=name):
+        case condition.Member(object=condition.Name(name=need), name=name):
             return f"{need}.{name}"
         case _:
             raise _unchecked(tree)
 
 
-def function(tree: syntax.Call) -> str:
+def function(tree: condition.Call) -> str:
     """The name of the function that is called."""
     return tree.function.name
 
@@ -110,36 +110,36 @@ def evaluator(expression: Expression) -> Judge:
     return value_of(expression.tree)
 
 
-def value_of(tree: syntax.Expr) -> Judge:
+def value_of(tree: condition.Expr) -> Judge:
     """The same for a part of an expression."""
     match tree:
-        case syntax.Literal_(value=value):
+        case condition.Literal_(value=value):
             return lambda facts: value
-        case syntax.Name() | syntax.Member():
+        case condition.Name() | condition.Member():
             name = key(tree)
             return lambda facts: facts.get(name)
-        case syntax.Unary(operator="!", operand=operand):
+        case condition.Unary(operator="!", operand=operand):
             return _not(value_of(operand))
-        case syntax.Unary(operand=operand):
+        case condition.Unary(operand=operand):
             return _applied(operator.neg, [value_of(operand)])
-        case syntax.Binary():
+        case condition.Binary():
             return _binary(tree)
-        case syntax.Call(arguments=arguments) if function(tree) == "distance":
+        case condition.Call(arguments=arguments) if function(tree) == "distance":
             return _distance(key(arguments[0]), key(arguments[1]))
-        case syntax.Call(arguments=arguments):
+        case condition.Call(arguments=arguments):
             return _applied(_FUNCTIONS[function(tree)], [value_of(argument) for argument in arguments])
         case _:
             raise _unchecked(tree)
 
 
-def _unchecked(tree: syntax.Expr) -> ValueError:
+def _unchecked(tree: condition.Expr) -> ValueError:
     return ValueError(f"this expression was not checked: {tree.span.text}")
 
 
 # --- logic --------------------------------------------------------------------------------------------
 
 
-def _binary(tree: syntax.Binary) -> Judge:
+def _binary(tree: condition.Binary) -> Judge:
     sign = tree.operator
     if sign in _COMPARISONS:
         return _comparison(_COMPARISONS[sign], tree.left, tree.right)
@@ -177,8 +177,8 @@ def _not(operand: Judge) -> Judge:
 # --- values -------------------------------------------------------------------------------------------
 
 
-def _comparison(compare: Callable[[Any, Any], bool], left: syntax.Expr, right: syntax.Expr) -> Judge:
-    if isinstance(left, syntax.Name | syntax.Member) and isinstance(right, syntax.Literal_):
+def _comparison(compare: Callable[[Any, Any], bool], left: condition.Expr, right: condition.Expr) -> Judge:
+    if isinstance(left, condition.Name | condition.Member) and isinstance(right, condition.Literal_):
         return _compared_with(compare, key(left), right.value)
     return _applied(compare, [value_of(left), value_of(right)])
 

@@ -12,17 +12,12 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from lfield.capability import condition
+from lfield.capability.condition import Mistake
 from lfield.capability.model import Attribute, Expression
 from lfield.errors import ConstraintError
-from lfield.lang import messages, syntax
-from lfield.lang.parser import expressions
-from lfield.lang.parser.stream import GiveUp, Recover, TokenStream
-from lfield.lang.scanner import scan
-from lfield.text.source import Diagnostic, Diagnostics, Source, Span
+from lfield.text.source import Span
 from lfield.text.suggest import did_you_mean, listed
-
-#: The longest text that is read, in characters; nesting is limited by L's own parser.
-MAX_LENGTH = 2000
 
 #: Text attributes that every offer has: who it is, and on which robot (a robot is a host).
 IDENTITY = ("agent", "robot", "host")
@@ -36,24 +31,14 @@ FUNCTIONS: Mapping[str, tuple[int, int]] = {"min": (2, 16), "max": (2, 16), "abs
 Sort = Literal["number", "boolean", "text", "set", "part", "nothing"]
 Wanted = Literal["boolean", "number", "text", "set", "any"]
 
-#: What the parser advises about these is of use in a method only.
-_ABOUT_STATEMENTS = (messages.NO_TERNARY.code, messages.TOO_DEEP.code)
-
-#: Operators of other languages that are words.
-_WORDS = {"and": "write &&", "or": "write ||", "not": "write !", "in": "write set == member"}
-
-
-@dataclass(frozen=True, slots=True)
-class Mistake:
-    """What is wrong with a text, where: characters `start` to `end` of it."""
-
-    start: int
-    end: int
-    message: str
-    hint: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.message} ({self.hint})" if self.hint else self.message
+#: What an expression for the value of an attribute has to be, by the type of the attribute.
+WANTED: Mapping[str, Wanted] = {
+    "real": "number",
+    "int": "number",
+    "boolean": "boolean",
+    "text": "text",
+    "set": "set",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,40 +105,10 @@ def compile_constraint(text: str, attributes: Mapping[str, Attribute]) -> Expres
     return expression
 
 
-# --- syntax -------------------------------------------------------------------------------------------
-
-
 def parse(text: str) -> tuple[Expression | None, list[Mistake]]:
     """The expression in a text, or None and what is wrong. What its names mean is not looked at."""
-    if len(text) > MAX_LENGTH:
-        return None, [Mistake(0, len(text), f"this is longer than {MAX_LENGTH} characters")]
-    if not text.strip():
-        return None, [Mistake(0, len(text), "nothing is written here", "such as payload >= 2.0")]
-    found = Diagnostics()
-    stream = TokenStream(scan(Source("", text), found), found)
-    tree: syntax.Expr | None = None
-    try:
-        tree = expressions.expression(stream)
-        if not stream.at_end():
-            found.add(_unexpected(stream))
-    except (Recover, GiveUp):
-        pass
-    if tree is None or found.found:
-        return None, [_mistake(diagnostic) for diagnostic in found.in_order()]
-    return Expression(text, tree), []
-
-
-def _unexpected(stream: TokenStream) -> Diagnostic:
-    token, before = stream.current, stream.previous
-    hint = _WORDS.get(token.text) or _WORDS.get(before.text, "the condition ends before it")
-    return Diagnostic("", f"{token} is not expected here", token.span, hint)
-
-
-def _mistake(found: Diagnostic) -> Mistake:
-    # The parser speaks of files and statements; here there are none.
-    message = found.message.replace("the end of the file", "the end of the text")
-    hint = "" if found.code in _ABOUT_STATEMENTS else found.hint
-    return Mistake(found.span.start, found.span.end, message, hint)
+    tree, mistakes = condition.parse(text)
+    return (None if tree is None else Expression(text, tree)), mistakes
 
 
 # --- meaning ------------------------------------------------------------------------------------------
@@ -190,23 +145,21 @@ class _Checker:
         self.found.append(Mistake(place.start, place.end, message, hint or ""))
         return _NOTHING
 
-    def kind(self, tree: syntax.Expr) -> Kind:
+    def kind(self, tree: condition.Expr) -> Kind:
         """What the tree is worth."""
         match tree:
-            case syntax.Literal_(value=value):
+            case condition.Literal_(value=value):
                 return self._literal(value, tree.span)
-            case syntax.Name(name=name):
+            case condition.Name(name=name):
                 return self._name(name, tree.span)
-            case syntax.Member():
+            case condition.Member():
                 return self._member(tree)
-            case syntax.Unary(operator=operator, operand=operand):
+            case condition.Unary(operator=operator, operand=operand):
                 return self._all([operand], _BOOLEAN if operator == "!" else _NUMBER, operator)
-            case syntax.Binary():
+            case condition.Binary():
                 return self._binary(tree)
-            case syntax.Call():
+            case condition.Call():
                 return self._call(tree)
-            case syntax.Assign(sign=sign):
-                return self.report(sign, "'=' would assign", "compare with ==")
             case _:
                 return self.report(tree.span, "this has no meaning in a condition over attributes")
 
@@ -235,11 +188,11 @@ class _Checker:
         hint = did_you_mean(name, [*scope.names, *scope.needs])
         return self.report(place, f"there is no attribute '{name}'", hint or "text stands in double quotes")
 
-    def _member(self, tree: syntax.Member) -> Kind:
+    def _member(self, tree: condition.Member) -> Kind:
         scope, owner = self._scope, tree.object
         if not scope.needs:
             return self.report(tree.span, "an attribute has no members", "write its name alone")
-        if not isinstance(owner, syntax.Name):
+        if not isinstance(owner, condition.Name):
             return self.report(tree.span, "this is no part", "write need.attribute")
         if owner.name not in scope.needs:
             hint = did_you_mean(owner.name, scope.needs) or f"the parts are {listed(scope.needs)}"
@@ -251,7 +204,7 @@ class _Checker:
 
     # --- operators and functions ----------------------------------------------------------------------
 
-    def _binary(self, tree: syntax.Binary) -> Kind:
+    def _binary(self, tree: condition.Binary) -> Kind:
         operands = [tree.left, tree.right]
         match tree.operator:
             case "&&" | "||":
@@ -266,7 +219,7 @@ class _Checker:
             case operator:
                 return self.report(tree.sign, f"'{operator}' has no meaning over attributes")
 
-    def _all(self, operands: list[syntax.Expr], wanted: Kind, what: str) -> Kind:
+    def _all(self, operands: list[condition.Expr], wanted: Kind, what: str) -> Kind:
         """The kind wanted, which all operands must have."""
         good = True
         for operand in operands:
@@ -277,7 +230,7 @@ class _Checker:
                 self.report(operand.span, f"'{what}' takes {need}; this is {_said(kind.sort)}")
         return wanted if good else _NOTHING
 
-    def _equality(self, tree: syntax.Binary) -> Kind:
+    def _equality(self, tree: condition.Binary) -> Kind:
         left = self._or_member(tree.left, tree.right, lambda text: setattr(tree, "left", text))
         right = self._or_member(tree.right, tree.left, lambda text: setattr(tree, "right", text))
         sorts = {left.sort, right.sort}
@@ -291,29 +244,29 @@ class _Checker:
         return _BOOLEAN
 
     def _or_member(
-        self, tree: syntax.Expr, other: syntax.Expr, replace: Callable[[syntax.Literal_], None]
+        self, tree: condition.Expr, other: condition.Expr, replace: Callable[[condition.Literal_], None]
     ) -> Kind:
         """The kind of one side of a comparison, which may be a member of what the `other` may have."""
         values = self._declared(other)
         match tree:
-            case syntax.Name(name=name) if name in values or (values and not self._known(name)):
+            case condition.Name(name=name) if name in values or (values and not self._known(name)):
                 pass
-            case syntax.Literal_(value=str(name)) if values:
+            case condition.Literal_(value=str(name)) if values:
                 pass
             case _:
                 return self.kind(tree)
         if name not in values:
             hint = did_you_mean(name, values) or f"it can be {listed(values)}"
             return self.report(tree.span, f"'{other.span.text}' is never '{name}'", hint)
-        replace(syntax.Literal_(tree.span, 1, name))
+        replace(condition.Literal_(tree.span, 1, name))
         return _TEXT
 
-    def _declared(self, tree: syntax.Expr) -> tuple[str, ...]:
+    def _declared(self, tree: condition.Expr) -> tuple[str, ...]:
         """All that an attribute may be; () when it may be anything, or this is none."""
         match tree:
-            case syntax.Name(name=name) if name in self._scope.names:
+            case condition.Name(name=name) if name in self._scope.names:
                 return self._scope.names[name].values
-            case syntax.Member(name=name) if name in self._scope.members:
+            case condition.Member(name=name) if name in self._scope.members:
                 return self._scope.members[name].values
             case _:
                 return ()
@@ -321,7 +274,7 @@ class _Checker:
     def _known(self, name: str) -> bool:
         return name in self._scope.names or name in self._scope.needs
 
-    def _call(self, tree: syntax.Call) -> Kind:
+    def _call(self, tree: condition.Call) -> Kind:
         name = tree.function.span.text
         if name == "distance":
             return self._distance(tree)
@@ -334,14 +287,14 @@ class _Checker:
             return self.report(tree.span, f"{name}() takes {count}, not {len(tree.arguments)}")
         return self._all(tree.arguments, _NUMBER, f"{name}()")
 
-    def _distance(self, tree: syntax.Call) -> Kind:
+    def _distance(self, tree: condition.Call) -> Kind:
         scope = self._scope
         if not scope.needs:
             hint = "only the rule of a composition has parts"
             return self.report(tree.span, "distance() is between two parts", hint)
         if lacking := [name for name in POSITION if name not in scope.members]:
             return self.report(tree.span, f"distance() needs the attributes {listed(lacking)}")
-        parts = [a for a in tree.arguments if isinstance(a, syntax.Name) and a.name in scope.needs]
+        parts = [a for a in tree.arguments if isinstance(a, condition.Name) and a.name in scope.needs]
         if len(parts) != 2 or len(tree.arguments) != 2:
             return self.report(tree.span, "distance() takes two parts", f"these are {listed(scope.needs)}")
         return _NUMBER

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 
+from lfield.capability import condition
 from lfield.capability.matching.evaluate import Facts, conjuncts, evaluator, named, value_of
 from lfield.capability.model import Expression, Value
-from lfield.lang import syntax
 from lfield.text.suggest import listed
 
 #: Says of a fact that is not there why it is not: `payload is not stated`.
@@ -32,28 +32,28 @@ class _Teller:
     def __init__(self, facts: Facts, why: Why) -> None:
         self._facts, self._why = facts, why
 
-    def reason(self, tree: syntax.Expr, wanted: bool) -> str:
+    def reason(self, tree: condition.Expr, wanted: bool) -> str:
         """Why this is not `wanted`: it is the other, or unknown."""
         return " and ".join(dict.fromkeys(self._reasons(tree, wanted)))
 
-    def _reasons(self, tree: syntax.Expr, wanted: bool) -> Iterator[str]:
+    def _reasons(self, tree: condition.Expr, wanted: bool) -> Iterator[str]:
         match tree:
-            case syntax.Unary(operand=operand):
+            case condition.Unary(operand=operand):
                 yield from self._reasons(operand, not wanted)
-            case syntax.Binary(operator="&&" | "||", left=left, right=right):
+            case condition.Binary(operator="&&" | "||", left=left, right=right):
                 for side in (left, right):
                     if value_of(side)(self._facts) is not wanted:
                         yield from self._reasons(side, wanted)
             case _ if value_of(tree)(self._facts) is None:
                 yield from self._unknown(tree)
-            case syntax.Binary(operator="==" | "!="):
+            case condition.Binary(operator="==" | "!="):
                 yield self._equality(tree)
-            case syntax.Binary():
+            case condition.Binary():
                 yield self._comparison(tree, wanted)
             case _:
                 yield f"{tree.span.text} is {_shown(not wanted)}"
 
-    def _unknown(self, tree: syntax.Expr) -> Iterator[str]:
+    def _unknown(self, tree: condition.Expr) -> Iterator[str]:
         missing = [name for name in named(tree) if name not in self._facts]
         yield from (self._why(name) for name in missing)
         if not missing:
@@ -61,32 +61,32 @@ class _Teller:
 
     # --- comparisons ----------------------------------------------------------------------------------
 
-    def _comparison(self, tree: syntax.Binary, wanted: bool) -> str:
+    def _comparison(self, tree: condition.Binary, wanted: bool) -> str:
         sign = _NEGATED[tree.operator] if wanted else tree.operator
         left, right = tree.left, tree.right
-        if isinstance(left, syntax.Literal_):
+        if isinstance(left, condition.Literal_):
             left, right, sign = right, left, _MIRRORED[sign]
         return f"{self._side(left)} {sign} {self._side(right)}"
 
-    def _side(self, tree: syntax.Expr) -> str:
+    def _side(self, tree: condition.Expr) -> str:
         """What is compared, with its value unless it says that itself."""
         text = tree.span.text
-        return text if isinstance(tree, syntax.Literal_) else f"{text} {_shown(self._value(tree))}"
+        return text if isinstance(tree, condition.Literal_) else f"{text} {_shown(self._value(tree))}"
 
-    def _equality(self, tree: syntax.Binary) -> str:
+    def _equality(self, tree: condition.Binary) -> str:
         """Why `==` is false or `!=` is: what is there, and what was wanted if that is something else."""
         left, right = tree.left, tree.right
-        if isinstance(left, syntax.Literal_):
+        if isinstance(left, condition.Literal_):
             left, right = right, left
         name, value, other = left.span.text, _shown(self._value(left)), _shown(self._value(right))
         equal = value_of(tree)(self._facts) is (tree.operator == "==")
-        if isinstance(right, syntax.Literal_):
+        if isinstance(right, condition.Literal_):
             return f"{name} is {value}" if equal else f"{name} is {value}, not {other}"
         if value == other:
             return f"{name} and {right.span.text} are both {value}"
         return f"{name} is {value}, {right.span.text} is {other}"
 
-    def _value(self, tree: syntax.Expr) -> Value:
+    def _value(self, tree: condition.Expr) -> Value:
         value = value_of(tree)(self._facts)
         assert value is not None
         return value

@@ -6,7 +6,8 @@ import math
 import re
 
 from lfield.capability import units
-from lfield.capability.matching.expression import Mistake, Scope, Wanted, check, parse
+from lfield.capability.condition import Mistake
+from lfield.capability.matching.expression import WANTED, Scope, Wanted, check, parse
 from lfield.capability.model import Attribute, Expression, Value
 from lfield.capability.reading import messages
 from lfield.capability.reading.draft import Draft
@@ -27,15 +28,6 @@ _EXPECTED = {
     "boolean": "true or false",
     "text": "text",
     "set": "a list of texts",
-}
-
-#: What an expression for an attribute's value has to be.
-WANTED: dict[str, Wanted] = {
-    "real": "number",
-    "int": "number",
-    "boolean": "boolean",
-    "text": "text",
-    "set": "set",
 }
 
 

@@ -6,8 +6,9 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import cached_property
 
+from lfield.capability.condition import Mistake
 from lfield.capability.matching import expression
-from lfield.capability.matching.expression import Mistake, Scope
+from lfield.capability.matching.expression import Scope
 from lfield.capability.model import Provider, Registry
 from lfield.capability.reading.reader import is_shipped
 from lfield.capability.reading.signatures import signatures_of

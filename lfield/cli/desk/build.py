@@ -1,20 +1,53 @@
-"""`lfield build FILE.L [-o FILE]`: compiles a program to a program file."""
+"""`lfield build`: a mission to one file that robots run (`mission.lfm`), or a program to a program file."""
 
 from __future__ import annotations
 
 import argparse
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield.errors import UsageError
+
+if TYPE_CHECKING:
+    from lfield.mission.inputs import Watch
+    from lfield.mission.mission import Mission
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("file", metavar="FILE.L", type=Path, help="the program")
-    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="default: FILE.lb beside it")
+    parser.add_argument(
+        "file",
+        metavar="FILE",
+        type=Path,
+        help="a deployment (.dL), a program (.L), or a bundle (.lfm) that gets other bindings",
+    )
+    parser.add_argument(
+        "-o", "--output", metavar="FILE", type=Path, help="default: FILE.lfm, of a program FILE.lb, beside it"
+    )
+    parser.add_argument("--program", metavar="FILE", type=Path, help="L text or program file (default: M.L)")
+    parser.add_argument(
+        "--devices", metavar="FILE", type=Path, help="device bindings (default: M.devices.yaml)"
+    )
+    parser.add_argument(
+        "--capabilities", metavar="FILE", type=Path, help="its registry (default: M.capabilities.yaml)"
+    )
+    parser.add_argument("--sim", action="store_true", help="bind every device to its fake")
+    # For `lfield up`, which keeps what it builds here: names of files stay as they are, and of what it was
+    # made is written down.
+    parser.add_argument("--inputs", metavar="FILE", type=Path, help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the program file and say where it is and what its identity is."""
+    """Write the file and say where it is and what its identity is."""
+    if args.file.suffix in (".dL", ".lfm"):
+        return _build_bundle(args)
+    if args.program or args.devices or args.capabilities or args.sim:
+        raise UsageError(f"{args.file} is a program: build the bundle of a deployment (.dL) to bind devices")
+    return _build_program(args)
+
+
+def _build_program(args: argparse.Namespace) -> int:
     from lfield.bytecode.encoding import encode
     from lfield.cli.files import write_bytes
     from lfield.mission.load import compile_file
@@ -27,3 +60,71 @@ def run(args: argparse.Namespace) -> int:
     write_bytes(output, data)
     print(f"{output}: {len(data)} bytes, program {program.digest.hex()[:16]}", file=sys.stderr)
     return 0
+
+
+def _build_bundle(args: argparse.Namespace) -> int:
+    from lfield.cli.files import write_bytes
+    from lfield.mission import bundle
+
+    watch = _watch() if args.inputs else None
+    mission = _mission(args)
+    output = args.output or args.file.with_suffix(bundle.SUFFIX)
+    if watch is not None:
+        write_bytes(output, bundle.encode(mission))
+        _write_inputs(args, watch)
+        return 0
+    from lfield.mission.portable import companions, portable
+
+    for warning in mission.warnings:
+        print(warning, file=sys.stderr)
+    mission = portable(mission, args.file.parent, (args.devices or args.file).parent)
+    data = bundle.encode(mission)
+    write_bytes(output, data)
+    _tell(output, data, mission, companions(mission))
+    return 0
+
+
+def _mission(args: argparse.Namespace) -> Mission:
+    from lfield.mission import bundle
+    from lfield.mission.load import load_mission, rebound
+
+    if args.file.suffix != bundle.SUFFIX:
+        return load_mission(
+            args.file, args.program, args.devices, simulate=args.sim, capabilities=args.capabilities
+        )
+    if args.program or args.capabilities:
+        raise UsageError(f"{args.file} is a bundle, which has its program and registry: give the .dL file")
+    if args.devices is None and args.output is None:
+        raise UsageError(f"{args.file} is a bundle: give it other bindings with --devices, or a name with -o")
+    mission = bundle.read(args.file)
+    if args.devices is not None:
+        return rebound(mission, args.devices, simulate=args.sim)
+    return mission.on_fakes() if args.sim else mission
+
+
+def _tell(output: Path, data: bytes, mission: Mission, beside: list[str]) -> None:
+    from lfield.mission import bundle
+
+    digest = bundle.contents(data).digest.hex()[:16]
+    hosts = ", ".join(mission.team.hosts)
+    print(f"{output}: {len(data)} bytes, bundle {digest}, for {hosts}", file=sys.stderr)
+    if beside:
+        print(f"copy with it, as they lie beside it: {', '.join(beside)}", file=sys.stderr)
+
+
+def _watch() -> Watch:
+    from lfield.mission.inputs import Watch
+
+    return Watch()
+
+
+def _write_inputs(args: argparse.Namespace, watch: Watch) -> None:
+    """What the bundle was made of, and what would count if it were there."""
+    import msgspec
+
+    from lfield.capability.reading.reader import shipped_folder
+    from lfield.mission.load import CAPABILITIES, DEVICES
+
+    looked_for = [args.file.with_suffix(suffix) for suffix in (CAPABILITIES, DEVICES)]
+    inputs = watch.inputs([*looked_for, shipped_folder()], args.inputs.parent)
+    args.inputs.write_bytes(msgspec.msgpack.encode(inputs))

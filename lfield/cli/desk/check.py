@@ -1,4 +1,4 @@
-"""`lfield check FILE.L`: every error and warning of a program, or of a deployment."""
+"""`lfield check FILE`: all errors and warnings of programs and deployments; whether a bundle is sound."""
 
 from __future__ import annotations
 
@@ -10,19 +10,30 @@ from pathlib import Path
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     parser.add_argument(
-        "files", metavar="FILE.L", nargs="+", type=Path, help="programs and deployments (.dL)"
+        "files", metavar="FILE.L", nargs="+", type=Path, help="programs, deployments (.dL) and bundles (.lfm)"
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """0 when there are no errors, else 65."""
-    from lfield.mission.load import check_file
-
-    found = [diagnostic for path in args.files for diagnostic in check_file(path)]
-    for diagnostic in found:
-        print(diagnostic.render(), file=sys.stderr)
-    errors = sum(d.severity == "error" for d in found)
+    found = [finding for path in args.files for finding in _findings(path)]
+    for shown, _ in found:
+        print(shown, file=sys.stderr)
+    errors = sum(is_error for _, is_error in found)
     warnings = len(found) - errors
     if found:
         print(f"lfield: {errors} error(s), {warnings} warning(s)", file=sys.stderr)
     return 65 if errors else 0
+
+
+def _findings(path: Path) -> list[tuple[str, bool]]:
+    """What is found in a file, drawn, and whether it is an error.
+
+    A bundle has the warnings with which it was built. Raises BundleError for one that is not sound.
+    """
+    from lfield.mission import bundle
+    from lfield.mission.load import check_file
+
+    if path.suffix == bundle.SUFFIX:
+        return [(warning, False) for warning in bundle.read(path).warnings]
+    return [(found.render(), found.severity == "error") for found in check_file(path)]

@@ -1,4 +1,4 @@
-"""`lfield inspect FILE`: a dumped block as agent, threads, L stack, locals and heap."""
+"""`lfield inspect FILE`: a dumped block as agent, threads, L stack, locals and heap; what is in a bundle."""
 
 from __future__ import annotations
 
@@ -12,20 +12,30 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("file", metavar="FILE", type=Path, help="a dump that 'lfield up --dump DIR' wrote")
+    parser.add_argument(
+        "file", metavar="FILE", type=Path, help="a dump that 'lfield up --dump DIR' wrote, or a bundle"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what the dump says."""
+    """Print what the file says."""
+    from lfield.mission import bundle
+
+    if args.file.suffix == bundle.SUFFIX:
+        return _show_bundle(args.file)
+    return _show_dump(args.file)
+
+
+def _show_dump(file: Path) -> int:
     from lfield.errors import BlockError
     from lfield.text.files import read_bytes
     from lfield.vm.inspect import dump
     from lfield.vm.inspect.decode import view
 
     try:
-        record, program, block = dump.decode(read_bytes(args.file, dump.MAX_SIZE))
+        record, program, block = dump.decode(read_bytes(file, dump.MAX_SIZE))
     except BlockError as error:
-        raise BlockError(f"{args.file}: {error.reason}", word=error.word) from None
+        raise BlockError(f"{file}: {error.reason}", word=error.word) from None
     shown = view(block, program, record.members)
     trail = " → ".join(record.hosts[n] if n < len(record.hosts) else str(n) for n in shown.trail)
     print(f"agent     {shown.id} ({shown.kind} {shown.type})")
@@ -56,3 +66,22 @@ def _print_state(shown: BlockView, limit: int) -> None:
     print(f"\nheap: {shown.used} of {limit} bytes")
     for name, count, size in shown.heap:
         print(f"  {size:>9} bytes  {count:>6} × {name}")
+
+
+def _show_bundle(file: Path) -> int:
+    from lfield.mission import bundle
+
+    mission = bundle.read(file)
+    found = bundle.contents(bundle.read_file(file))
+    print(f"bundle    {found.digest.hex()[:16]} of {mission.name}")
+    for part in found.table:
+        print(f"          {part.name:<9}{part.size:>9} bytes  {part.digest.hex()[:16]}")
+    for number, host in enumerate(mission.team.hosts):
+        print(f"\nhost {host} at {mission.team.addresses[number]}")
+        for member in mission.team.on(number):
+            print(f"  {member.kind} {member.id} ({member.type})")
+            for device in mission.bindings.of([member.id]):
+                print(f"    {device.field} = {device.type} by {device.driver} at {device.endpoint}")
+    for name, driver in mission.drivers.by_driver.items():
+        print(f"\ndriver {name} of {driver.to_install}")
+    return 0

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lfield.driver.plugins import Plugins
     from lfield.operator.doctor import Finding
 
 _MARKS = {"ok": "ok      ", "warning": "warning ", "problem": "PROBLEM "}
@@ -17,7 +16,7 @@ _MARKS = {"ok": "ok      ", "warning": "warning ", "problem": "PROBLEM "}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     parser.add_argument(
-        "--deploy", metavar="M.dL", type=Path, help="also try every device of this deployment"
+        "--deploy", metavar="MISSION", type=Path, help="also try every device of this deployment or bundle"
     )
     parser.add_argument(
         "--devices", metavar="FILE", type=Path, help="the bindings, if not beside the deployment"
@@ -36,28 +35,28 @@ def run(args: argparse.Namespace) -> int:
         findings.append(finding)
         _tell(finding)
     if args.deploy is not None:
-        findings += asyncio.run(_try_devices(args, plugins))
+        findings += asyncio.run(_try_devices(args))
     return 69 if any(finding.state == "problem" for finding in findings) else 0
 
 
-async def _try_devices(args: argparse.Namespace, plugins: Plugins) -> list[Finding]:
+async def _try_devices(args: argparse.Namespace) -> list[Finding]:
     from lfield.clock import SystemClock
-    from lfield.lang.deployment import lookup_host
-    from lfield.mission.load import load_mission
+    from lfield.driver.known import installed_here
+    from lfield.mission.load import open_mission
     from lfield.operator.doctor import endpoints
 
-    mission = load_mission(args.deploy, devices=args.devices)
+    mission = open_mission(args.deploy, devices=args.devices)
     team = mission.team
-    names = [lookup_host(mission.deployment, args.host)] if args.host else team.hosts
-    hosts = [team.number(name) for name in names]
-    agents = [member.id for host in hosts for member in team.on(host)]
+    hosts = [team.number(name) for name in ([team.lookup(args.host)] if args.host else team.hosts)]
+    devices = mission.bindings.of([member.id for host in hosts for member in team.on(host)])
+    drivers = installed_here(mission.drivers, {device.driver for device in devices})
     findings: list[Finding] = []
 
     def told(finding: Finding) -> None:
         findings.append(finding)
         _tell(finding)
 
-    await endpoints(plugins, mission.bindings.of(agents), SystemClock(), told)
+    await endpoints(drivers, devices, SystemClock(), told)
     return findings
 
 

@@ -1,4 +1,7 @@
-"""`lfield up`: runs one host of a deployment here, or all of them as processes of this machine."""
+"""`lfield up`: runs one host of a mission here, or all of them as processes of this machine.
+
+It always runs a bundle: the one that is named, or one that is built for it in a process of its own.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield.cli.mission_argument import add_mission, mission_path
+from lfield.errors import UsageError
+
 if TYPE_CHECKING:
-    from lfield.mission.load import Mission
+    from lfield.mission.mission import Mission
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("--deploy", metavar="M.dL", type=Path, required=True, help="the deployment")
+    add_mission(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--host", metavar="NAME", help="the host to run here (default: this machine's own)")
     where.add_argument("--all", action="store_true", help="run every host as a process of its own, here")
@@ -58,29 +64,53 @@ def _seconds(word: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Run until done or stopped: 0 if all ended normally, 1 if a coordinator died or was lost."""
-    from lfield.mission.load import load_mission
+    from lfield.mission import bundle
 
-    mission = load_mission(args.deploy, args.program, args.devices, args.map, simulate=args.sim)
-    if not args.leash:
+    path = mission_path(args)
+    if path.suffix != bundle.SUFFIX:
+        return _run_built(path, args)
+    if args.program is not None:
+        raise UsageError(f"{path} is a bundle, which has its program: --program is for a deployment")
+    return _run(path, args) if args.devices is None else _run_built(path, args)
+
+
+def _run_built(path: Path, args: argparse.Namespace) -> int:
+    """Run what is built from files, in a process of its own or before."""
+    from lfield.mission.cache import NotBuilt, Order, prepared
+
+    try:
+        with prepared(Order(path, args.program, args.devices, simulate=args.sim)) as file:
+            return _run(file, args, warn=not args.leash)
+    except NotBuilt as error:
+        return error.status
+
+
+def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
+    from lfield.mission import bundle
+    from lfield.mission.team import parse_maps
+
+    mission = bundle.read(file)
+    team = mission.team.at(parse_maps(args.map, mission.team))
+    mission = (mission.on_fakes() if args.sim else mission).at(team)
+    if warn:
         for warning in mission.warnings:
-            print(warning.render(), file=sys.stderr)
+            print(warning, file=sys.stderr)
     if args.all:
         from lfield.cli.run.up_all import run_all
 
-        return run_all(mission, args)
+        return run_all(mission, file, args)
     return _run_one(mission, args)
 
 
 def _run_one(mission: Mission, args: argparse.Namespace) -> int:
     from lfield import loop
     from lfield.host.run import run_host
-    from lfield.lang.deployment import lookup_host
     from lfield.net.local import own_host
 
-    name = lookup_host(mission.deployment, args.host) if args.host else own_host(mission.deployment.hosts)
+    name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
     return loop.run(
         run_host(
-            mission,
+            _with_own_drivers(mission, name),
             name,
             listen=f"fd:{args.listen_fd}" if args.listen_fd is not None else "",
             dump=args.dump,
@@ -90,3 +120,15 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
             leash=args.leash,
         )
     )
+
+
+def _with_own_drivers(mission: Mission, host: str) -> Mission:
+    """The mission with the drivers of this host's devices as they are installed here."""
+    from dataclasses import replace
+
+    from lfield.driver.known import installed_here
+
+    members = mission.team.on(mission.team.number(host))
+    devices = mission.bindings.of([member.id for member in members])
+    names = {device.driver for device in devices}
+    return replace(mission, drivers=installed_here(mission.drivers, names))

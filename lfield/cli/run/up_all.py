@@ -1,4 +1,6 @@
-"""`lfield up --all`: every host of a deployment as a process of its own, on free loopback ports.
+"""`lfield up --all`: every host of a mission as a process of its own, on free loopback ports.
+
+All run one bundle; none of them compiles anything.
 
 Each child inherits its listening socket, so no port is taken by somebody else in between, and holds the
 other end of a pipe to this process: when it closes, the child stops in order, its devices made safe.
@@ -19,8 +21,10 @@ from lfield.net.local import reserve
 from lfield.operator import whereabouts
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from lfield.cli.views.live import LiveView
-    from lfield.mission.load import Mission
+    from lfield.mission.mission import Mission
 
 #: A host that is gone does not come back under --all: it is given up sooner than in the field.
 LOST_AFTER = 3.0
@@ -28,23 +32,23 @@ LOST_AFTER = 3.0
 PATIENCE = 20.0
 
 
-def run_all(mission: Mission, args: argparse.Namespace) -> int:
-    """Run every host until all have ended: 0 if all did so normally."""
+def run_all(mission: Mission, file: Path, args: argparse.Namespace) -> int:
+    """Run every host of the mission in a bundle until all have ended: 0 if all did so normally."""
     reserved = {host: reserve() for host in mission.team.hosts}
     addresses = {host: address for host, (_, address) in reserved.items()}
     with whereabouts.published(mission.team.deployment, addresses):
-        return asyncio.run(_Team(mission, args, reserved, addresses).run())
+        return asyncio.run(_Team(file, args, reserved, addresses).run())
 
 
 class _Team:
     def __init__(
         self,
-        mission: Mission,
+        file: Path,
         args: argparse.Namespace,
         reserved: dict[str, tuple[socket.socket, str]],
         addresses: dict[str, str],
     ) -> None:
-        self.mission, self.args = mission, args
+        self.file, self.args = file, args
         self.reserved, self.addresses = reserved, addresses
         self.children: dict[str, Process] = {}
         self.width = max(len(host) for host in addresses)
@@ -96,21 +100,11 @@ class _Team:
 
     def command(self, host: str, descriptor: int) -> list[str]:
         args = self.args
-        words = [
-            sys.executable,
-            "-m",
-            "lfield",
-            "up",
-            "--deploy",
-            str(args.deploy),
-            "--host",
-            host,
-            "--leash",
-        ]
+        words = [sys.executable, "-m", "lfield", "up", str(self.file), "--host", host, "--leash"]
         words += ["--listen-fd", str(descriptor)]
         for name, address in self.addresses.items():
             words += ["--map", f"{name}={address}"]
-        for option in ("program", "devices", "dump", "unreachable_after"):
+        for option in ("dump", "unreachable_after"):
             if getattr(args, option) is not None:
                 words += [f"--{option.replace('_', '-')}", str(getattr(args, option))]
         if args.sim:

@@ -6,8 +6,9 @@ import argparse
 import asyncio
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from lfield.cli.mission_argument import add_mission, running_team
 
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("--deploy", metavar="M.dL", type=Path, required=True, help="the deployment")
+    add_mission(parser)
     parser.add_argument("--reason", metavar="TEXT", default="", help="a sentence for the logs of the hosts")
     parser.add_argument(
         "--lift", action="store_true", help="the emergency is over: programs may release their devices again"
@@ -27,20 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when every device of every host has confirmed, 69 when one did not or a host was not reached."""
-    from lfield.lang.deployment import read_deployment
-    from lfield.mission.team import make_team, parse_maps
     from lfield.net.tcp import TcpTransport
-    from lfield.operator import whereabouts
     from lfield.operator.ask import ask_all
     from lfield.wire.messages import EmergencyStop, clip
 
-    deployment = read_deployment(args.deploy, None)
-    maps = whereabouts.find(bytes.fromhex(deployment.hash)) | parse_maps(args.map, deployment)
-    team = make_team(deployment, maps)
-    addresses = dict(zip(team.hosts, team.addresses, strict=True))
     reason = clip(f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}")
     transport = TcpTransport(1 << 20, connect_timeout=2.0)
-    answers = asyncio.run(ask_all(transport, addresses, EmergencyStop(reason, args.lift)))
+    answers = asyncio.run(ask_all(transport, running_team(args).reached, EmergencyStop(reason, args.lift)))
     return _tell(answers, "may be released" if args.lift else "safe")
 
 

@@ -6,8 +6,9 @@ import argparse
 import asyncio
 import json
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from lfield.cli.mission_argument import add_mission, running_team
 
 if TYPE_CHECKING:
     from lfield.cli.views.picture import Answers
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("--deploy", metavar="M.dL", type=Path, required=True, help="the deployment")
+    add_mission(parser)
     parser.add_argument("--json", action="store_true", help="print what the hosts say as JSON")
     parser.add_argument(
         "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
@@ -25,17 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when every host answered, 69 when one or more did not."""
-    from lfield.lang.deployment import read_deployment
-    from lfield.mission.team import make_team, parse_maps
     from lfield.net.tcp import TcpTransport
-    from lfield.operator import whereabouts
     from lfield.operator.ask import ask_all
 
-    deployment = read_deployment(args.deploy, None)
-    maps = whereabouts.find(bytes.fromhex(deployment.hash)) | parse_maps(args.map, deployment)
-    team = make_team(deployment, maps)
     transport = TcpTransport(1 << 20, connect_timeout=2.0)
-    answers = asyncio.run(ask_all(transport, dict(zip(team.hosts, team.addresses, strict=True))))
+    answers = asyncio.run(ask_all(transport, running_team(args).reached))
     if args.json:
         print(json.dumps({host: _plain(answer) for host, answer in answers.items()}, indent=2))
     else:

@@ -8,11 +8,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield.cli.mission_argument import add_mission, mission_path, where_it_runs
+
 if TYPE_CHECKING:
     from lfield.capability.model import Registry
     from lfield.cli.views.query_view import Known
     from lfield.errors import LfieldError
-    from lfield.lang.deployment import Deployment
+    from lfield.mission.team import Team
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "query", metavar="QUERY", help='a capability, or an id of the taxonomy: "Lift where payload >= 2.0"'
     )
-    parser.add_argument("--deploy", metavar="M.dL", type=Path, required=True, help="the deployment")
+    add_mission(parser)
     parser.add_argument(
         "--capabilities", metavar="FILE", type=Path, help="the mission's registry, if not beside it"
     )
@@ -37,15 +39,16 @@ def run(args: argparse.Namespace) -> int:
     """0 when there are offers, 1 when there are none."""
     from lfield.capability.matching.matcher import Matcher
     from lfield.cli.views import query_view
-    from lfield.lang.deployment import lookup_host, read_deployment
+    from lfield.mission.team_file import open_team
     from lfield.operator.query import mission_registry
     from lfield.operator.question import read_question
 
-    deployment = read_deployment(args.deploy, None)
-    registry = mission_registry(args.deploy, deployment, args.capabilities)
+    path = mission_path(args)
+    team = open_team(path)
+    registry = mission_registry(path, team, args.capabilities)
     question = read_question(args.query, registry)
-    at = lookup_host(deployment, args.at) if args.at else ""
-    known = _known(args, deployment, registry, at)
+    at = team.lookup(args.at) if args.at else ""
+    known = _known(args, team, registry, at)
     matcher = Matcher(registry, known.team)
     answers = [
         query_view.Answer(
@@ -65,28 +68,23 @@ def run(args: argparse.Namespace) -> int:
     return 0 if any(answer.offers for answer in answers) else 1
 
 
-def _known(args: argparse.Namespace, deployment: Deployment, registry: Registry, at: str) -> Known:
+def _known(args: argparse.Namespace, team: Team, registry: Registry, at: str) -> Known:
     from lfield.cli.views.query_view import Known
     from lfield.errors import AddressError
     from lfield.operator.query import from_files, from_hosts, views_of
 
-    views, errors = views_of({} if args.files else _ask(args, deployment))
+    views, errors = views_of({} if args.files else _ask(args, team))
     # Where nobody listens at all nothing runs, which is no problem; anything else is one.
     nobody = not views and all(isinstance(error, AddressError) for error in errors.values())
     silent = () if nobody else tuple((host, str(error)) for host, error in errors.items())
     if not views:
-        return Known(from_files(registry, deployment.agents, at), silent=silent)
-    team = from_hosts(registry, deployment.agents, views, errors.keys(), at)
-    return Known(team, tuple(views), silent)
+        return Known(from_files(registry, team.deployed, at), silent=silent)
+    return Known(from_hosts(registry, team.deployed, views, errors.keys(), at), tuple(views), silent)
 
 
-def _ask(args: argparse.Namespace, deployment: Deployment) -> dict[str, dict[str, object] | LfieldError]:
-    from lfield.mission.team import make_team, parse_maps
+def _ask(args: argparse.Namespace, team: Team) -> dict[str, dict[str, object] | LfieldError]:
     from lfield.net.tcp import TcpTransport
-    from lfield.operator import whereabouts
     from lfield.operator.ask import ask_all
 
-    maps = whereabouts.find(bytes.fromhex(deployment.hash)) | parse_maps(args.map, deployment)
-    team = make_team(deployment, maps)
     transport = TcpTransport(1 << 20, connect_timeout=2.0)
-    return asyncio.run(ask_all(transport, dict(zip(team.hosts, team.addresses, strict=True))))
+    return asyncio.run(ask_all(transport, where_it_runs(team, args).reached))

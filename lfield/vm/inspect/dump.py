@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 
 import msgspec
@@ -18,7 +19,8 @@ from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import Layouts
 from lfield.vm.memory.soundness import Soundness
 
-MAGIC = b"LFDP\x01\x00\x00\x00"
+MAGIC = b"LFDP"
+VERSION = 1
 MAX_SIZE = 512 << 20
 
 
@@ -35,6 +37,7 @@ class Dump(msgspec.Struct, frozen=True, array_like=True):
     block: bytes
 
 
+_HEADER = struct.Struct("<4sHH")
 _decoder = msgspec.msgpack.Decoder(Dump)
 
 
@@ -50,16 +53,19 @@ def encode(
     """The bytes of a dump file; `limit` is the agent's heap limit in bytes."""
     members, types = tuple(m.id for m in team), tuple(m.type for m in team)
     record = Dump(host, reason, limit, members, types, hosts, encode_program(program), bytes(block.image()))
-    return MAGIC + msgspec.msgpack.encode(record)
+    return _HEADER.pack(MAGIC, VERSION, 0) + msgspec.msgpack.encode(record)
 
 
 def decode(data: bytes) -> tuple[Dump, Program, Block]:
     """A dump, its program and its block, all checked; raises BlockError and ProgramFileError."""
-    if data[: len(MAGIC)] != MAGIC:
+    if len(data) < _HEADER.size or data[:4] != MAGIC:
         raise BlockError("it does not begin as a dump file does")
+    _, version, reserved = _HEADER.unpack_from(data)
+    if version != VERSION or reserved:
+        raise BlockError(f"it has format {version}, this lfield reads format {VERSION}")
     try:
-        dump = _decoder.decode(memoryview(data)[len(MAGIC) :])
-    except (msgspec.DecodeError, RecursionError) as error:
+        dump = _decoder.decode(memoryview(data)[_HEADER.size :])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BlockError(f"its record is malformed ({error})") from None
     program = decode_program(dump.program)
     checker = Soundness(program, Layouts(program), dump.types)

@@ -26,7 +26,8 @@ from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
 from lfield.host.reports import Reports
 from lfield.loop import run
-from lfield.mission.load import Mission, load_mission
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
 from lfield.net import framed
 from lfield.net.framed import FramedLink
 from lfield.net.peers import Peers
@@ -80,7 +81,7 @@ class Other:
         transport = TcpTransport(mission.max_block)
         self.peers = Peers(self, transport, self._clock, [self._first, self._name], addresses, 1)
         assert mission.registry is not None
-        agents = mission.deployment.agents
+        agents = mission.team.deployed
         self._directory = Directory(mission.registry, agents, self._name, self.peers, self._clock)
         self._reports = Reports(mission.registry, agents)
 

@@ -26,7 +26,8 @@ from lfield.clock import SystemClock
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
 from lfield.host.until_done import until_done
-from lfield.mission.load import Mission, load_mission
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
 from lfield.simulate.network import MemoryNetwork
 
 SIZES = (2, 4, 8, 16, 32, 64)

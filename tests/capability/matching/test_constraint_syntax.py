@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_registry import ATTRIBUTES, wish
 
-from lfield.capability.matching.expression import MAX_LENGTH, Mistake, Scope, check, compile_constraint, parse
+from lfield.capability.condition import MAX_LENGTH, Mistake
+from lfield.capability.matching.expression import Scope, check, compile_constraint, parse
 from lfield.errors import ConstraintError
 
 

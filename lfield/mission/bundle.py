@@ -1,0 +1,205 @@
+"""A bundle: a mission in one file (`mission.lfm`), built on the desk, run by robots.
+
+    "LFMB"  u16 version  u16 0  u32 length of the table  32 bytes SHA-256 of the table  table  parts
+
+The table is msgpack: for each part its name, its size and the SHA-256 of its bytes, in the order in which
+they follow one another. So the digest in the header is one of all, and what a signature will sign.
+
+    program   the core of the program; its digest is the program's identity
+    team      types, ids, hosts and arguments of all agents; its digest is that of the deployment
+    registry  what the team can do (registry_part.py); empty when the program names no capability
+    bindings  limits, devices, and the addresses of hosts
+    drivers   what is known of the drivers of these devices
+    texts     name, warnings, sources and line maps: what messages are made of
+
+The same mission is always the same bytes. Reading is safe for bytes from anywhere: nothing is executed, every
+length and type is checked, and the verifier has passed the program before anybody gets it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from lfield.bytecode import encoding
+from lfield.bytecode.program import BUILTIN_CLASSES, Debug, Program
+from lfield.capability.model import Registry
+from lfield.driver.known import KnownDriver, KnownDrivers
+from lfield.errors import BundleError, InputFileError, ProgramFileError
+from lfield.mission.bindings import Bindings, with_files
+from lfield.mission.bundle_check import check_bindings, check_rows
+from lfield.mission.mission import Mission, needed_devices
+from lfield.mission.registry_part import decode_registry, encode_registry
+from lfield.mission.team import Row, Team, encode_rows, team_of
+from lfield.text.files import read_head, reason
+
+#: What the name of a bundle ends in.
+SUFFIX = ".lfm"
+MAGIC = b"LFMB"
+VERSION = 1
+#: A larger file is refused unread.
+MAX_SIZE = 64 << 20
+
+_HEADER = struct.Struct("<4sHHI32s")
+#: The parts in their order.
+PARTS = ("program", "team", "registry", "bindings", "drivers", "texts")
+
+
+class Part(NamedTuple):
+    """A row of the table."""
+
+    name: str
+    size: int
+    digest: bytes
+
+
+class Bound(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The part `bindings`: what a computer may have its own of. `addresses` are "host:port" by host."""
+
+    bindings: Bindings
+    addresses: dict[str, str]
+
+
+class Texts(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The part `texts`."""
+
+    name: str
+    warnings: tuple[str, ...]
+    debug: Debug
+
+
+class Contents(NamedTuple):
+    """The parts of a bundle, checked against their digests, and the digest of all."""
+
+    digest: bytes
+    table: tuple[Part, ...]
+    parts: Mapping[str, memoryview]
+
+
+_encoder = msgspec.msgpack.Encoder()
+_table = msgspec.msgpack.Decoder(list[Part])
+_rows = msgspec.msgpack.Decoder(list[Row])
+_bound = msgspec.msgpack.Decoder(Bound)
+_drivers = msgspec.msgpack.Decoder(dict[str, KnownDriver])
+_texts = msgspec.msgpack.Decoder(Texts)
+
+
+def encode(mission: Mission) -> bytes:
+    """The bytes of a bundle."""
+    parts = (
+        encoding.encode_core(mission.program),
+        encode_rows(mission.team.rows),
+        b"" if mission.registry is None else encode_registry(mission.registry),
+        _encoder.encode(Bound(mission.bindings, mission.team.reached)),
+        _encoder.encode({name: driver.plain for name, driver in mission.drivers.by_driver.items()}),
+        _encoder.encode(Texts(mission.name, mission.warnings, mission.program.debug)),
+    )
+    rows = [Part(name, len(p), hashlib.sha256(p).digest()) for name, p in zip(PARTS, parts, strict=True)]
+    table = _encoder.encode(rows)
+    header = _HEADER.pack(MAGIC, VERSION, 0, len(table), hashlib.sha256(table).digest())
+    return b"".join((header, table, *parts))
+
+
+def contents(data: bytes) -> Contents:
+    """The parts of a bundle. Raises BundleError for bytes that are none, or that are damaged."""
+    if len(data) < _HEADER.size or data[:4] != MAGIC:
+        raise BundleError("it does not begin as a bundle does")
+    if len(data) > MAX_SIZE:
+        raise BundleError(f"it is larger than {MAX_SIZE >> 20} MiB")
+    _, version, reserved, length, digest = _HEADER.unpack_from(data)
+    if version != VERSION:
+        raise BundleError(
+            f"it has format {version}, this lfield reads format {VERSION}",
+            "install the version of lfield that built it, or build it again with this one",
+        )
+    rest = memoryview(data)[_HEADER.size :]
+    table, parts = rest[:length], rest[length:]
+    if reserved or hashlib.sha256(table).digest() != digest:
+        raise BundleError("it is damaged or cut (the table of its parts is not the one it had)")
+    try:
+        rows = tuple(_table.decode(table))
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise BundleError(f"the table of its parts is malformed ({error})") from None
+    return Contents(digest, rows, _split(rows, parts))
+
+
+def _split(rows: tuple[Part, ...], data: memoryview) -> dict[str, memoryview]:
+    """The parts by name, each as its digest wants it."""
+    if tuple(row.name for row in rows) != PARTS:
+        raise BundleError("it has other parts than a bundle has")
+    if any(row.size < 0 for row in rows) or sum(row.size for row in rows) != len(data):
+        raise BundleError("it is cut, or something follows it")
+    found, at = {}, 0
+    for row in rows:
+        found[row.name] = part = data[at : at + row.size]
+        at += row.size
+        if hashlib.sha256(part).digest() != row.digest:
+            raise BundleError(f"it is damaged (the digest of its {row.name} does not fit)")
+    return found
+
+
+def decode(data: bytes) -> Mission:
+    """The mission in the bytes of a bundle, checked as a whole. Raises BundleError."""
+    parts = contents(data).parts
+    texts: Texts = _decoded("texts", _texts, parts)
+    try:
+        program = encoding.decode_core(parts["program"], texts.debug)
+    except ProgramFileError as error:
+        raise BundleError(f"its program is not sound: {error.reason}") from None
+    bound: Bound = _decoded("bindings", _bound, parts)
+    team = _team(_decoded("team", _rows, parts), program, bound.addresses)
+    drivers = KnownDrivers(_decoded("drivers", _drivers, parts))
+    check_bindings(bound.bindings, needed_devices(program, team), drivers)
+    return Mission(
+        texts.name, program, team, bound.bindings, drivers, _registry(parts["registry"]), texts.warnings
+    )
+
+
+def _decoded(name: str, decoder: msgspec.msgpack.Decoder[Any], parts: Mapping[str, memoryview]) -> Any:
+    try:
+        return decoder.decode(parts[name])
+    except (msgspec.DecodeError, RecursionError, ValueError) as error:
+        raise BundleError(f"its {name} cannot be read ({error})") from None
+
+
+def _team(rows: list[Row], program: Program, addresses: Mapping[str, str]) -> Team:
+    kinds = {record.name: record.kind for record in program.core.classes[len(BUILTIN_CLASSES) :]}
+    check_rows(rows, kinds)
+    return team_of(rows, kinds.__getitem__, {}).at(addresses)
+
+
+def _registry(data: memoryview) -> Registry | None:
+    if not data:
+        return None
+    try:
+        return decode_registry(data)
+    except (msgspec.DecodeError, RecursionError, ValueError) as error:
+        raise BundleError(f"its registry cannot be read ({error})") from None
+
+
+def read(path: Path) -> Mission:
+    """The mission in a file; files that options of its devices name are seen from the folder of the file.
+
+    Raises InputFileError, and BundleError that names the file.
+    """
+    data = read_file(path)
+    try:
+        mission = decode(data)
+    except BundleError as error:
+        raise error.of(path) from None
+    return mission.with_bindings(
+        with_files(mission.bindings, mission.drivers, lambda file: str(path.resolve().parent / file))
+    )
+
+
+def read_file(path: Path) -> bytes:
+    """The bytes of a file, so many that one which is too large is known as such. Raises InputFileError."""
+    try:
+        return read_head(path, MAX_SIZE + 1)
+    except (OSError, ValueError) as error:
+        raise InputFileError(str(path), reason(error)) from None

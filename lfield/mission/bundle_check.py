@@ -1,0 +1,84 @@
+"""What must hold between the parts of a bundle, so that no host stumbles over it later."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.known import KnownDrivers
+from lfield.errors import BundleError
+from lfield.mission.bindings import MAX_HEAP, MIN_HEAP, Bindings, Needed, each_needed
+from lfield.mission.team import Row
+from lfield.vm.contract import Limits
+from lfield.wire.messages import MAX_NAME
+
+#: Agents are counted in 16 bits in the reports of hosts.
+MOST_AGENTS = 1 << 16
+
+
+def check_rows(rows: Sequence[Row], kinds: Mapping[str, str]) -> None:
+    """The agents of a team are resources and coordinators of the program, each with a name of its own.
+
+    Raises BundleError.
+    """
+    if not 0 < len(rows) < MOST_AGENTS:
+        raise BundleError(f"its team has {len(rows)} agents")
+    if len({id for _, id, _, _ in rows}) < len(rows):
+        raise BundleError("two agents of its team have one name")
+    for type, id, host, _ in rows:
+        if kinds.get(type) not in ("resource", "coordinator"):
+            raise BundleError(f"'{id}' of its team is a '{type}', which its program does not have")
+        if not (0 < len(id) <= MAX_NAME and 0 < len(host) <= MAX_NAME):
+            raise BundleError("a name of its team is too long, or empty")
+
+
+def check_bindings(bindings: Bindings, needed: Needed, drivers: KnownDrivers) -> None:
+    """Every device that is needed is bound, nothing else is, and all can be made. Raises BundleError."""
+    for problem in (*_devices(bindings, needed, drivers), *_limits(bindings)):
+        raise BundleError(problem)
+
+
+def _devices(bindings: Bindings, needed: Needed, drivers: KnownDrivers) -> Iterator[str]:
+    for agent, name, device_type in each_needed(needed):
+        if name not in bindings.devices.get(agent, {}):
+            yield f"{agent}.{name} ({device_type}) is not bound"
+    for agent, fields in bindings.devices.items():
+        for name, device in fields.items():
+            wanted = needed.get(agent, {}).get(name)
+            if (device.agent, device.field, device.type) != (agent, name, wanted):
+                yield f"{agent}.{name} is bound and not needed"
+            yield from _device(device, drivers)
+
+
+def _device(device: DeviceBinding, drivers: KnownDrivers) -> Iterator[str]:
+    driver = drivers.by_driver.get(device.driver)
+    if driver is None or driver.name != device.driver:
+        yield f"{device.name} is bound to the driver '{device.driver}', which it does not know"
+        return
+    manifest = driver.manifests.get(device.type)
+    if manifest is None or manifest.device.type != device.type or device.type not in driver.files:
+        yield f"{device.name} is a {device.type}, which its driver does not make"
+        return
+    if device.safe_state not in manifest.device.safe_states:
+        yield f"{device.name} has no safe state '{device.safe_state}'"
+    if not (0.0 < device.ttl <= 60.0 and _finite(device.limits.values())):
+        yield f"the ttl or a limit of {device.name} makes no sense"
+    if missing := [option.name for option in manifest.options if option.name not in device.options]:
+        yield f"{device.name} lacks {', '.join(missing)}"
+
+
+def _limits(bindings: Bindings) -> Iterator[str]:
+    if not (_finite([bindings.unreachable_after]) and 0.0 < bindings.silence <= 10.0):
+        yield "the times of its bindings make no sense"
+    if not all(map(_sound, (bindings.defaults, *bindings.agents.values()))):
+        yield "the limits of an agent make no sense"
+
+
+def _sound(limits: Limits) -> bool:
+    counts = (limits.call_depth, limits.array_length, limits.string_length, limits.threads)
+    return MIN_HEAP <= limits.heap <= MAX_HEAP and all(0 < count <= 1 << 31 for count in counts)
+
+
+def _finite(numbers: Iterable[float]) -> bool:
+    return all(math.isfinite(number) and number >= 0.0 for number in numbers)

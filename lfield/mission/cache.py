@@ -1,0 +1,152 @@
+"""Bundles that were built on this computer before: a mission is compiled once, however often it is started.
+
+They lie in the user's cache folder, which must be the user's alone. A bundle is built in a process of its
+own, so that the one that runs it never loads the compiler. It is found by what was asked for, is believed
+while all it was made of is unchanged, and its digests are checked before it is used.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from lfield import __version__
+from lfield.errors import BundleError, InputFileError
+from lfield.mission import bundle
+from lfield.mission.inputs import Inputs
+from lfield.text.files import read_within
+
+#: So many bundles are kept, the last that were made.
+KEPT = 64
+#: A larger record is none.
+_MAX_RECORD = 4 << 20
+
+
+class NotBuilt(Exception):
+    """The process that builds has told what is wrong; `status` is what it ended with."""
+
+    def __init__(self, status: int) -> None:
+        self.status = status
+        super().__init__(f"the bundle was not built (status {status})")
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What is to be built: a deployment with its files, or a bundle with other bindings."""
+
+    mission: Path
+    program: Path | None = None
+    devices: Path | None = None
+    simulate: bool = False
+
+    @property
+    def words(self) -> list[str]:
+        """The same as words for `lfield build`."""
+        words = [str(self.mission)]
+        for option, path in (("--program", self.program), ("--devices", self.devices)):
+            if path is not None:
+                words += [option, str(path)]
+        return [*words, "--sim"] if self.simulate else words
+
+    @property
+    def key(self) -> str:
+        """What tells this order from others: also where it is given, and by whom it is carried out."""
+        said = [__version__, sys.executable, os.getcwd(), sys.path[1:], self.words]
+        return hashlib.sha256(msgspec.msgpack.encode(said)).hexdigest()[:32]
+
+
+class _Record(msgspec.Struct, frozen=True, array_like=True):
+    """The bundle that an order led to, by its digest, and what it was made of."""
+
+    digest: bytes
+    inputs: Inputs
+
+
+_record = msgspec.msgpack.Decoder(_Record)
+_inputs = msgspec.msgpack.Decoder(Inputs)
+
+
+@contextmanager
+def prepared(order: Order) -> Iterator[Path]:
+    """The bundle of an order, for the duration; built now unless it was before.
+
+    Raises NotBuilt when its files have mistakes, which have been told then.
+    """
+    folder = cache_folder()
+    found = _kept(folder, order) if folder is not None else None
+    if found is not None:
+        yield found
+        return
+    with tempfile.TemporaryDirectory(prefix="building-", dir=folder) as workshop:
+        made = _build(order, Path(workshop))
+        yield made if folder is None else _keep(folder, order, Path(workshop))
+    if folder is not None:
+        _prune(folder)
+
+
+def cache_folder() -> Path | None:
+    """Where bundles are kept; None when there is no folder that is this user's alone."""
+    base = os.environ.get("XDG_CACHE_HOME") or ""
+    folder = (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "lfield" / "bundles"
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        state = folder.lstat()
+    except (OSError, RuntimeError):
+        return None
+    private = state.st_uid == os.getuid() and not state.st_mode & 0o077
+    return folder if private and folder.is_dir() and os.access(folder, os.W_OK | os.X_OK) else None
+
+
+def _kept(folder: Path, order: Order) -> Path | None:
+    """The bundle that the order led to before, if it still would."""
+    try:
+        record = _record.decode(read_within(folder / f"{order.key}.made", _MAX_RECORD))
+        path = _place(folder, record.digest)
+        sound = record.inputs.unchanged() and bundle.contents(bundle.read_file(path)).digest == record.digest
+    except (OSError, ValueError, msgspec.DecodeError, BundleError, InputFileError):
+        return None
+    return path if sound else None
+
+
+def _build(order: Order, workshop: Path) -> Path:
+    """Build in a process of its own; the bundle, beside it `inputs`."""
+    made = workshop / f"mission{bundle.SUFFIX}"
+    options = ["-o", str(made), "--inputs", str(workshop / "inputs")]
+    command = [sys.executable, "-m", "lfield", "build", *order.words, *options]
+    status = subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode
+    if status:
+        raise NotBuilt(status if status > 0 else 70)
+    return made
+
+
+def _keep(folder: Path, order: Order, workshop: Path) -> Path:
+    """Put what was built where it is found next time. The record comes last: it is what makes it count."""
+    made = workshop / f"mission{bundle.SUFFIX}"
+    digest = bundle.contents(bundle.read_file(made)).digest
+    record = _Record(digest, _inputs.decode((workshop / "inputs").read_bytes()))
+    (workshop / "made").write_bytes(msgspec.msgpack.encode(record))
+    os.replace(made, place := _place(folder, digest))
+    os.replace(workshop / "made", folder / f"{order.key}.made")
+    return place
+
+
+def _place(folder: Path, digest: bytes) -> Path:
+    return folder / f"{digest.hex()[:32]}{bundle.SUFFIX}"
+
+
+def _prune(folder: Path) -> None:
+    """Forget what was made longest ago."""
+    for pattern in (f"*{bundle.SUFFIX}", "*.made"):
+        with suppress(OSError):
+            oldest = sorted(folder.glob(pattern), key=lambda path: path.stat().st_mtime)[:-KEPT]
+            for path in oldest:
+                path.unlink(missing_ok=True)

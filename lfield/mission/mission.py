@@ -1,0 +1,79 @@
+"""A mission as plain data: all that a host runs from, however it came about.
+
+On the desk `load` makes it of files; a robot reads it from a bundle. Nothing here knows L or YAML.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from lfield.bytecode.program import Program
+from lfield.capability.model import Registry
+from lfield.driver.binding import SIMULATED
+from lfield.driver.known import Drivers, KnownDrivers
+from lfield.mission.bindings import Bindings, Needed, on_fakes
+from lfield.mission.team import Team
+
+#: What the devices of a team are. A team that has none is neither.
+World = Literal["", "fakes", "hardware"]
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """Program, team, bindings, and the `drivers` of its devices.
+
+    The `registry` is None when the program names no capability; its live attributes are in their own units.
+    `warnings` are what the compiler had to say, drawn.
+    """
+
+    name: str
+    program: Program
+    team: Team
+    bindings: Bindings
+    drivers: Drivers
+    registry: Registry | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def max_block(self) -> int:
+        """The largest block a coordinator of the mission may have, in bytes."""
+        return max((self.bindings.limits(m.id).heap for m in self.team.coordinators), default=1 << 20)
+
+    @property
+    def needed(self) -> Needed:
+        """For each agent its device fields and their device types."""
+        return needed_devices(self.program, self.team)
+
+    @property
+    def world(self) -> World:
+        """Whether its devices are fakes."""
+        endpoints = [device.endpoint for device in self.bindings.all]
+        if not endpoints:
+            return ""
+        return "fakes" if all(endpoint.startswith(SIMULATED) for endpoint in endpoints) else "hardware"
+
+    def on_fakes(self) -> Mission:
+        """The same mission with a fake for each device."""
+        return replace(self, bindings=on_fakes(self.bindings, self.needed, self.drivers))
+
+    def at(self, team: Team) -> Mission:
+        """The same mission with its team at other addresses."""
+        return replace(self, team=team)
+
+    def with_bindings(self, bindings: Bindings) -> Mission:
+        """The same mission with other bindings."""
+        return replace(self, bindings=bindings)
+
+
+def needed_devices(program: Program, team: Team) -> dict[str, dict[str, str]]:
+    """For each agent of a team its device fields and their device types."""
+    classes = {record.name: record for record in program.core.classes}
+    return {m.id: {field.name: field.type for field in classes[m.type].devices} for m in team.members}
+
+
+def makers_of(drivers: Drivers, types: Collection[str]) -> KnownDrivers:
+    """The drivers that make some device types, with what is needed of them."""
+    limited = ((name, driver.only(types)) for name, driver in sorted(drivers.by_driver.items()))
+    return KnownDrivers({name: driver for name, driver in limited if driver.manifests})

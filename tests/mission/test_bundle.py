@@ -1,0 +1,227 @@
+"""A mission in one file: the same bytes for the same files, and a sentence for all other bytes."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from missions import PLAIN_DEPLOYMENT, write_plain, write_rich
+
+from lfield.capability.reading.reader import digest as digest_of_registry
+from lfield.errors import BundleError, InputFileError
+from lfield.lang.deployment import read_deployment
+from lfield.mission import bundle
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+
+
+@pytest.fixture(scope="module")
+def rich(tmp_path_factory: pytest.TempPathFactory) -> Mission:
+    return load_mission(write_rich(tmp_path_factory.mktemp("rich")))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Mission:
+    return load_mission(write_plain(tmp_path_factory.mktemp("plain")))
+
+
+@pytest.fixture(scope="module")
+def data(rich: Mission) -> bytes:
+    return bundle.encode(rich)
+
+
+def sealed(data: bytes, **changed: bytes) -> bytes:
+    """The bundle with some parts replaced, and all digests as they must be then."""
+    parts = {name: changed.get(name, bytes(part)) for name, part in bundle.contents(data).parts.items()}
+    rows = [bundle.Part(name, len(part), hashlib.sha256(part).digest()) for name, part in parts.items()]
+    table = msgspec.msgpack.encode(rows)
+    header = bundle._HEADER.pack(b"LFMB", bundle.VERSION, 0, len(table), hashlib.sha256(table).digest())
+    return header + table + b"".join(parts.values())
+
+
+# --- what goes in comes out -------------------------------------------------------------------------------
+
+
+def test_a_mission_comes_out_as_it_went_in(rich: Mission, data: bytes) -> None:
+    read = bundle.decode(data)
+    assert (read.name, read.warnings) == (rich.name, rich.warnings)
+    assert "this statement is never reached" in read.warnings[0]
+    assert (read.program.core, read.program.debug) == (rich.program.core, rich.program.debug)
+    assert read.program.digest == rich.program.digest
+    assert read.team == rich.team
+    assert read.bindings == rich.bindings
+    assert read.needed == rich.needed
+    assert read.drivers.by_driver == {"dynamixel": rich.drivers.by_driver["dynamixel"].plain}
+    assert read.world == "hardware"
+    assert read.on_fakes().world == "fakes"
+
+
+def test_its_registry_gives_the_same_answers(rich: Mission, data: bytes) -> None:
+    read = bundle.decode(data).registry
+    assert rich.registry is not None
+    assert read is not None
+    assert read.digest == rich.registry.digest
+    # What counts for an answer, written canonically; live attributes are settled in both.
+    assert digest_of_registry(read) == digest_of_registry(rich.registry)
+    assert read.providers["Crane"].live["boom"].factor == pytest.approx(57.29578)
+    assert list(read.compositions["grip-and-climb"].needs) == list(
+        rich.registry.compositions["grip-and-climb"].needs
+    )
+
+
+def test_the_digests_of_program_and_team_are_their_identities(rich: Mission, data: bytes) -> None:
+    table = {row.name: row.digest for row in bundle.contents(data).table}
+    assert table["program"] == rich.program.digest
+    assert table["team"] == rich.team.deployment
+
+
+def test_a_team_has_the_hash_of_its_deployment(tmp_path: Path, rich: Mission) -> None:
+    assert rich.team.deployment.hex() == read_deployment(write_rich(tmp_path), None).hash
+
+
+def test_a_mission_without_devices_and_capabilities(plain: Mission) -> None:
+    data = bundle.encode(plain)
+    read = bundle.decode(data)
+    assert read.registry is None
+    assert read.world == ""
+    assert read.drivers.by_driver == {}
+    assert len(data) < 4000
+
+
+def test_addresses_do_not_count_as_the_team(rich: Mission) -> None:
+    moved = bundle.encode(rich.at(rich.team.at({"yard": "10.0.0.7:1"})))
+    before, after = bundle.contents(bundle.encode(rich)).table, bundle.contents(moved).table
+    assert [a.name for a, b in zip(before, after, strict=True) if a != b] == ["bindings"]
+    assert bundle.decode(moved).team.addresses == ("10.0.0.7:1", "dock:9000")
+
+
+def test_the_same_files_are_the_same_bundle_in_any_folder_and_process(tmp_path: Path) -> None:
+    made = []
+    for number, folder in enumerate((tmp_path / "here", tmp_path / "there" / "deep")):
+        write_rich(folder)
+        environment = {**os.environ, "PYTHONHASHSEED": str(number)}
+        command = [sys.executable, "-m", "lfield", "build", "mission.dL"]
+        subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True, timeout=60)
+        made.append((folder / "mission.lfm").read_bytes())
+    assert made[0] == made[1]
+    assert str(tmp_path).encode() not in made[0]
+
+
+# --- bytes that are none ------------------------------------------------------------------------------------
+
+
+def reason(data: bytes) -> str:
+    with pytest.raises(BundleError) as caught:
+        bundle.decode(data)
+    assert caught.value.exit_status == 65
+    return str(caught.value)
+
+
+def test_other_files(data: bytes) -> None:
+    assert "does not begin as a bundle does" in reason(b"")
+    assert "does not begin as a bundle does" in reason(b"LFLP" + data[4:])
+    assert "is larger than 64 MiB" in reason(data.ljust(bundle.MAX_SIZE + 1, b"\0"))
+
+
+def test_a_bundle_of_another_version_is_refused_with_both(data: bytes) -> None:
+    newer = data[:4] + (bundle.VERSION + 1).to_bytes(2, "little") + data[6:]
+    told = reason(newer)
+    assert f"has format {bundle.VERSION + 1}, this lfield reads format {bundle.VERSION}" in told
+    assert "install the version of lfield that built it" in told
+
+
+@given(st.data())
+def test_any_byte_that_is_not_what_it_was_is_found(data: bytes, draw: st.DataObject) -> None:
+    at = draw.draw(st.integers(0, len(data) - 1))
+    wrong = bytes([data[at] ^ draw.draw(st.integers(1, 255))])
+    reason(data[:at] + wrong + data[at + 1 :])
+
+
+@given(st.data())
+def test_a_cut_is_found_and_so_is_what_follows(data: bytes, draw: st.DataObject) -> None:
+    reason(data[: draw.draw(st.integers(0, len(data) - 1))])
+    reason(data + draw.draw(st.binary(min_size=1, max_size=9)))
+
+
+@given(st.sampled_from(bundle.PARTS), st.data())
+def test_parts_that_make_no_sense_with_digests_that_do(data: bytes, part: str, draw: st.DataObject) -> None:
+    """Whoever can write a bundle can write its digests: what is read is checked all the same."""
+    old = bytes(bundle.contents(data).parts[part])
+    start, end = sorted((draw.draw(st.integers(0, len(old))), draw.draw(st.integers(0, len(old)))))
+    new = old[:start] + draw.draw(st.binary(max_size=6)) + old[min(end, start + 6) :]
+    with contextlib.suppress(BundleError):
+        assert isinstance(bundle.decode(sealed(data, **{part: new})), Mission)
+
+
+@pytest.mark.parametrize("part", bundle.PARTS)
+def test_nesting_without_end(data: bytes, part: str) -> None:
+    for deep in (b"\x91" * 200_000, b"\x81\xa1a" * 200_000):
+        reason(sealed(data, **{part: deep}))
+
+
+def test_a_condition_nested_without_end(data: bytes) -> None:
+    registry = bytes(bundle.contents(data).parts["registry"])
+    text = "payload > 1.0 && environment == terrestrial"
+    old = msgspec.msgpack.encode(text)
+    assert old in registry
+    for new, told in (
+        ("(" * 1500 + "ready", "nested more than 100 levels"),
+        ("heft > 1", "no attribute 'heft'"),
+    ):
+        assert told in reason(sealed(data, registry=registry.replace(old, msgspec.msgpack.encode(new))))
+
+
+def test_a_table_of_other_parts(data: bytes) -> None:
+    rows = [row for row in bundle.contents(data).table if row.name != "registry"]
+    table = msgspec.msgpack.encode(rows)
+    header = bundle._HEADER.pack(b"LFMB", bundle.VERSION, 0, len(table), hashlib.sha256(table).digest())
+    assert "other parts than a bundle has" in reason(header + table)
+
+
+def part_of(mission: Mission, name: str) -> bytes:
+    return bytes(bundle.contents(bundle.encode(mission)).parts[name])
+
+
+def test_parts_of_different_missions_do_not_fit(rich: Mission, plain: Mission, data: bytes) -> None:
+    assert "which its program does not have" in reason(sealed(data, team=part_of(plain, "team")))
+    assert "is not bound" in reason(sealed(data, bindings=part_of(plain, "bindings")))
+    assert "which it does not know" in reason(sealed(data, drivers=part_of(plain, "drivers")))
+    assert "its program is not sound" in reason(sealed(data, texts=part_of(plain, "texts")))
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ([], "has 0 agents"),
+        ([("Echo", "a", "x", ()), ("Echo", "a", "y", ())], "two agents of its team have one name"),
+        ([("Exception", "a", "x", ())], "'a' of its team is a 'Exception'"),
+        ([("Echo", "", "x", ())], "a name of its team is too long, or empty"),
+        ([("Echo", "a", "x" * 200, ())], "a name of its team is too long, or empty"),
+        ([("Echo", "a", "x")], "its team cannot be read"),
+    ],
+)
+def test_a_team_that_cannot_be(plain: Mission, rows: list[object], told: str) -> None:
+    assert told in reason(sealed(bundle.encode(plain), team=msgspec.msgpack.encode(rows)))
+
+
+def test_a_file_is_named_with_what_is_wrong(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "mission.lfm"
+    path.write_bytes(data[:-1])
+    with pytest.raises(BundleError, match=r"mission.lfm is not a sound bundle: it is cut"):
+        bundle.read(path)
+    with pytest.raises(InputFileError, match="no such file"):
+        bundle.read(tmp_path / "nobody.lfm")
+
+
+def test_the_plain_deployment_is_what_it_says(plain: Mission) -> None:
+    assert [f"//{a.type}:{a.id}@{a.host}" for a in plain.team.deployed] == [
+        line.partition("?")[0] for line in PLAIN_DEPLOYMENT.splitlines()
+    ]

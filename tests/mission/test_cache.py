@@ -1,0 +1,167 @@
+"""Bundles that were built before: when one counts, when it is built again, and who may not be believed."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+from missions import CAPABILITIES, PLAIN, write_plain, write_rich
+
+from lfield.errors import BundleError
+from lfield.mission import bundle, cache
+from lfield.mission.cache import NotBuilt, Order, cache_folder, prepared
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A cache of this test's own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    found = cache_folder()
+    assert found is not None
+    return found
+
+
+@pytest.fixture
+def built(monkeypatch: pytest.MonkeyPatch) -> list[Order]:
+    """The orders that were really built."""
+    orders: list[Order] = []
+    build = cache._build
+
+    def counted(order: Order, workshop: Path) -> Path:
+        orders.append(order)
+        return build(order, workshop)
+
+    monkeypatch.setattr(cache, "_build", counted)
+    return orders
+
+
+def bytes_of(order: Order) -> bytes:
+    with prepared(order) as path:
+        return path.read_bytes()
+
+
+def test_nothing_is_built_twice(tmp_path: Path, built: list[Order]) -> None:
+    order = Order(write_plain(tmp_path / "here"))
+    assert bytes_of(order) == bytes_of(order)
+    assert len(built) == 1
+    with prepared(order) as path:
+        assert list(bundle.read(path).team.hosts) == ["alpha", "bravo"]
+
+
+def test_another_order_is_another_bundle(tmp_path: Path, built: list[Order]) -> None:
+    deploy = write_rich(tmp_path / "here")
+    found = {bytes_of(Order(deploy, simulate=simulate)) for simulate in (False, True)}
+    assert len(found) == len(built) == 2
+
+
+def test_a_change_of_any_file_counts(tmp_path: Path, built: list[Order]) -> None:
+    deploy = write_rich(tmp_path / "here")
+    order = Order(deploy)
+    before = bytes_of(order)
+    for ending in (".L", ".dL", ".devices.yaml", ".capabilities.yaml"):
+        path = deploy.with_suffix(ending)
+        path.write_text(path.read_text() + ("\n// more" if ending == ".L" else "\n# more"))
+        bytes_of(order)
+    assert len(built) == 5
+    assert bytes_of(order) != before, "the sources are in it"
+
+
+def test_a_file_that_was_not_there_counts_when_it_comes(tmp_path: Path, built: list[Order]) -> None:
+    deploy = write_plain(tmp_path / "here")
+    order = Order(deploy)
+    bytes_of(order)
+    deploy.with_suffix(".devices.yaml").write_text("unreachable_after: 5\n")
+    with prepared(order) as path:
+        assert bundle.read(path).bindings.unreachable_after == 5.0
+    assert len(built) == 2
+
+
+def test_an_included_file_counts(tmp_path: Path, built: list[Order]) -> None:
+    deploy = write_plain(tmp_path / "here")
+    deploy.with_suffix(".L").write_text('include "more.L";\n' + PLAIN)
+    (deploy.parent / "more.L").write_text("class More { public int a; }")
+    order = Order(deploy)
+    first = bytes_of(order)
+    (deploy.parent / "more.L").write_text("class More { public int b; }")
+    assert bytes_of(order) != first
+    assert len(built) == 2
+
+
+def test_what_was_tampered_with_is_built_again(tmp_path: Path, folder: Path, built: list[Order]) -> None:
+    order = Order(write_plain(tmp_path / "here"))
+    good = bytes_of(order)
+    (path,) = folder.glob("*.lfm")
+    path.write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
+    assert bytes_of(order) == good
+    (folder / f"{order.key}.made").write_bytes(b"\xc1 nothing")
+    assert bytes_of(order) == good
+    other = bytes_of(Order(write_rich(tmp_path / "there")))
+    path.write_bytes(other)
+    assert bytes_of(order) == good
+    assert len(built) == 5
+
+
+def test_the_folder_is_the_users_alone(tmp_path: Path, folder: Path, built: list[Order]) -> None:
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    order = Order(write_plain(tmp_path / "here"))
+    folder.chmod(0o770)
+    assert cache_folder() is None
+    with prepared(order) as path:
+        assert folder not in path.parents
+        assert bundle.read(path).name == "mission"
+    assert not path.exists(), "built for this once"
+    bytes_of(order)
+    assert len(built) == 2
+    assert list(folder.iterdir()) == []
+
+
+def test_files_with_mistakes_are_told_by_the_process_that_builds(
+    tmp_path: Path, folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    deploy = write_rich(tmp_path / "here")
+    deploy.with_suffix(".capabilities.yaml").write_text(CAPABILITIES.replace("hoist", "rise"))
+    with pytest.raises(NotBuilt) as caught, prepared(Order(deploy)):
+        pytest.fail("there is nothing to run")
+    assert caught.value.status == 65
+    assert "error[C" in capfd.readouterr().err
+    assert list(folder.iterdir()) == []
+
+
+def test_the_oldest_are_forgotten(tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "KEPT", 1)
+    first, second = Order(write_plain(tmp_path / "here")), Order(write_rich(tmp_path / "there"))
+    bytes_of(first)
+    for path in folder.iterdir():
+        os.utime(path, (1.0, 1.0))
+    bytes_of(second)
+    assert len(list(folder.glob("*.lfm"))) == len(list(folder.glob("*.made"))) == 1
+    assert (folder / f"{second.key}.made").exists()
+
+
+def test_other_bindings_for_a_bundle(tmp_path: Path, built: list[Order]) -> None:
+    deploy = write_rich(tmp_path / "here")
+    file = tmp_path / "mission.lfm"
+    file.write_bytes(bytes_of(Order(deploy)))
+    devices = tmp_path / "robot.yaml"
+    text = deploy.with_suffix(".devices.yaml").read_text().replace("ttyUSB0", "ttyACM7")
+    devices.write_text(text)
+    with prepared(Order(file, devices=devices)) as path:
+        assert bundle.read(path).bindings.devices["small"]["boom"].endpoint == "serial:/dev/ttyACM7:57600"
+        parts = bundle.contents(path.read_bytes()).table
+    before = bundle.contents(file.read_bytes()).table
+    assert [a.name for a, b in zip(before, parts, strict=True) if a != b] == ["bindings"]
+    devices.write_text("agents: {small: {devices: {boom: {driver: servo}}}}")
+    with pytest.raises(NotBuilt), prepared(Order(file, devices=devices)):
+        pytest.fail("that driver is not in the bundle")
+
+
+def test_a_damaged_bundle_cannot_be_bound_anew(tmp_path: Path) -> None:
+    file = tmp_path / "mission.lfm"
+    file.write_bytes(b"LFMB")
+    with pytest.raises(BundleError):
+        bundle.read(file)
+    with pytest.raises(NotBuilt) as caught, prepared(Order(file, devices=tmp_path / "none.yaml")):
+        pytest.fail("there is nothing to run")
+    assert caught.value.status == 65

@@ -1,0 +1,112 @@
+"""Files of earlier releases are read; files of later ones are refused with both versions (formats.md)."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+from pathlib import Path
+
+import pytest
+
+from lfield.bytecode import encoding
+from lfield.capability.reading.reader import read_registry
+from lfield.driver.plugins import discover
+from lfield.errors import BlockError, GreetingError, ProgramFileError
+from lfield.host.host import Host, Options
+from lfield.host.logbook import Logbook
+from lfield.host.until_done import until_done
+from lfield.mission.bindings_file import read_bindings
+from lfield.mission.load import load_mission
+from lfield.net.greeting import Greeting
+from lfield.simulate.network import MemoryNetwork
+from lfield.simulate.time import LoopClock, run_jumping
+from lfield.vm.inspect import dump
+from lfield.wire.codec import decode as decode_message
+from lfield.wire.framing import FrameDecoder
+from lfield.wire.messages import MAX_TEXT, PROTOCOL, ForeignHello, Hello
+
+FORMATS = Path(__file__).parents[1] / "formats"
+PROGRAMS = sorted(FORMATS.glob("program-*.lb"))
+DUMPS = sorted(FORMATS.glob("dump-*.block"))
+GREETINGS = sorted(FORMATS.glob("greeting-*.bin"))
+
+
+@pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.name)
+def test_a_program_file_of_a_release_still_runs(path: Path) -> None:
+    mission = load_mission(FORMATS / "hello.dL", path)
+    out, log = io.StringIO(), io.StringIO()
+
+    async def story() -> str:
+        loop = asyncio.get_running_loop()
+        network = MemoryNetwork(LoopClock(), on_pending=lambda: loop.call_soon(network.step))
+        hosts = [
+            Host(
+                mission, name, network.transport(name), Logbook(out, log), Options(address, clock=LoopClock())
+            )
+            for name, address in mission.team.reached.items()
+        ]
+        try:
+            await asyncio.gather(*(host.start() for host in hosts))
+            (fate,) = await until_done(hosts[1], 30.0)
+        finally:
+            for host in hosts:
+                await host.stop()
+        return fate.outcome
+
+    assert run_jumping(story()) == "died"
+    assert "boss: lifting 3.0" in log.getvalue()
+    assert "LimitException: too heavy: 3.0\n    at Arm.lift (hello.L:12) in left" in log.getvalue()
+
+
+def test_a_later_program_file_is_refused_with_both_versions() -> None:
+    data = PROGRAMS[-1].read_bytes()
+    newer = data[:4] + (encoding.VERSION + 1).to_bytes(2, "little") + data[6:]
+    with pytest.raises(
+        ProgramFileError, match=f"has format {encoding.VERSION + 1}, this lfield reads format"
+    ):
+        encoding.decode(newer)
+
+
+@pytest.mark.parametrize("path", DUMPS, ids=lambda path: path.name)
+def test_a_dump_of_a_release_is_still_explained(path: Path) -> None:
+    record, program, block = dump.decode(path.read_bytes())
+    assert (record.host, record.members) == ("alpha", ("left", "boss"))
+    assert program.units["Loader"] == "coordinator"
+    assert block.trail() == [1, 0]
+
+
+def test_a_later_dump_is_refused_with_both_versions() -> None:
+    data = DUMPS[-1].read_bytes()
+    newer = data[:4] + (dump.VERSION + 1).to_bytes(2, "little") + data[6:]
+    with pytest.raises(
+        BlockError, match=f"has format {dump.VERSION + 1}, this lfield reads format {dump.VERSION}"
+    ):
+        dump.decode(newer)
+    with pytest.raises(BlockError, match="does not begin as a dump file does"):
+        dump.decode(data[1:])
+
+
+@pytest.mark.parametrize("path", GREETINGS, ids=lambda path: path.name)
+def test_a_host_of_another_release_is_told_both_versions(path: Path) -> None:
+    ((kind, payload),) = FrameDecoder(dict.fromkeys(range(256), 1 << 16)).feed(path.read_bytes())
+    message = decode_message(kind, payload)
+    assert isinstance(message, ForeignHello)
+    with pytest.raises(
+        GreetingError, match=f"bravo speaks protocol {PROTOCOL} and its peer protocol 3"
+    ) as told:
+        Greeting(Hello("host", "bravo", 1), hosts=("alpha", "bravo")).receive(message)
+    assert len(str(told.value)) < MAX_TEXT
+
+
+def test_the_files_of_a_mission_of_0_3_are_valid() -> None:
+    folder = FORMATS / "mission-0.3"
+    mission = load_mission(folder / "mission.dL", simulate=True)
+    assert mission.registry is not None
+    assert mission.world == "fakes"
+    assert read_registry(mission=folder / "mission.capabilities.yaml").providers
+
+
+def test_a_devices_file_of_0_3_is_valid() -> None:
+    needed = {"carrier": {"fc": "Mavlink"}, "hoist": {"axis": "CanAxis"}, "hand": {"motor": "Dynamixel"}}
+    bindings = read_bindings(FORMATS / "devices-0.3.yaml", needed, discover())
+    assert bindings.devices["hoist"]["axis"].option("counts") == 10000

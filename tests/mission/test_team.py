@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import pytest
+
+from lfield.errors import UsageError
+from lfield.lang.deployment import parse_deployment
+from lfield.mission.team import Team, parse_maps
+from lfield.mission.team_file import make_team
+
+
+def team(text: str) -> Team:
+    deployment, _ = parse_deployment(text, "mission.dL", None)
+    assert deployment is not None
+    return make_team(deployment)
+
+
+def test_lookup_of_a_host() -> None:
+    made = team("//Arm:a@olive\n//Arm:b@ficus")
+    assert made.lookup("ficus") == "ficus"
+    with pytest.raises(UsageError, match=r"no host 'oliv': it has olive and ficus; did you mean 'olive'"):
+        made.lookup("oliv")
+
+
+def test_addresses_of_hosts() -> None:
+    made = team("//Arm:a@olive\n//Arm:b@ficus:9000")
+    assert made.reached == {"olive": "olive:8181", "ficus": "ficus:9000"}
+    moved = made.at({"olive": "10.0.0.1:1", "nobody": "10.0.0.2:2"})
+    assert moved.addresses == ("10.0.0.1:1", "ficus:9000")
+    assert moved.deployment == made.deployment
+
+
+def test_maps() -> None:
+    made = team("//Arm:a@olive")
+    assert parse_maps(["olive=10.0.0.1:1"], made) == {"olive": "10.0.0.1:1"}
+    for word in ("olive", "olive=10.0.0.1", "olive=10.0.0.1:0", "olive=:1", "olive=x:70000"):
+        with pytest.raises(UsageError, match="write it as NAME=ADDR:PORT"):
+            parse_maps([word], made)
+    with pytest.raises(UsageError, match="has no host 'ficus'"):
+        parse_maps(["ficus=10.0.0.1:1"], made)
