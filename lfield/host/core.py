@@ -80,6 +80,9 @@ class HostCore:
         #: Where each coordinator was last sent, and the resource that it last wanted to get to.
         self._sent_to: dict[str, str] = {}
         self._wanted: dict[str, str] = {}
+        #: When mobility may have something to give up. A new deadline is later than those before, so one that
+        #: is set stays until it has come.
+        self._due: float | None = None
         self._hellos: dict[str, Hello] = {}
         #: Every other host's incarnation as last seen, and the hosts that were restarted meanwhile.
         self._seen: dict[str, int] = {}
@@ -118,17 +121,19 @@ class HostCore:
         anything.
         """
         now = self._clock.monotonic()
-        deadline = self.mobility.next_deadline()
-        if deadline is not None and now >= deadline:
+        if self._due is not None and now >= self._due:
             self._carry_out(self.mobility.tick(now))
-        self._effects += self.directory.tick(now)
+            self._due = self.mobility.next_deadline()
+        if self.directory.due is not None and now >= self.directory.due:
+            self._effects += self.directory.tick(now)
         pause = self.machine.run()
-        self._answer()
-        dues = [due for due in (self.mobility.next_deadline(), self.directory.due) if due is not None]
-        if pause == 0.0 or not dues:
-            return pause
-        left = max(0.0, min(dues) - now)
-        return left if pause is None else min(pause, left)
+        if self._answers:
+            self._answer()
+        for due in (self._due, self.directory.due):
+            if due is not None:
+                left = max(0.0, due - now)
+                pause = left if pause is None else min(pause, left)
+        return pause
 
     # --- life -----------------------------------------------------------------------------------------
 
@@ -315,6 +320,8 @@ class HostCore:
 
         target = self.team.hosts[resource.host]
         self._carry_out(self.mobility.depart(agent.id, target, seal, self._clock.monotonic()))
+        if self._due is None:
+            self._due = self.mobility.next_deadline()
 
     def device(
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]

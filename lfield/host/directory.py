@@ -85,9 +85,7 @@ class TeamDirectory:
         return ""
 
     def tick(self, now: float) -> list[Send]:
-        """Look at this host's agents if it is time to, and tell the others what has changed."""
-        if self.due is None or now < self.due:
-            return []
+        """It is time to look at this host's agents, and to tell the others what has changed."""
         self.due = now + LOOK_EVERY
         self.look()
         news = self.directory.news()

@@ -23,6 +23,7 @@ from lfield.vm.memory.collector import collect, compact
 from lfield.vm.memory.layout import BLOCKED, OBJECT, THREAD_ID
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.soundness import Soundness
+from lfield.vm.memory.threads import place_of
 from lfield.vm.memory.values import new_exception, word_for
 from lfield.vm.outside import Outsiders
 from lfield.vm.scheduler import Scheduler
@@ -182,7 +183,7 @@ class Machine:
         if agent.ended or agent.frozen:
             return
         scheduler = self._scheduler
-        place = scheduler.place(agent, thread)
+        place = place_of(agent.block, thread)
         leave = self.engine.run(agent.block, place, SLICE, agent.limits, agent.readings)
         if agent.polls and self.engine.asked:
             agent.asked.add(thread)

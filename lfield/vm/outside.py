@@ -13,7 +13,7 @@ from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Outside
 from lfield.vm.memory import layout
 from lfield.vm.memory.layout import PARKED, WAITING
-from lfield.vm.memory.threads import still_image
+from lfield.vm.memory.threads import place_of, still_image
 from lfield.vm.memory.values import plain, real_of, real_text, word_for, word_of
 from lfield.vm.offers import Shapes, UnknownWay, write_offers
 from lfield.vm.scheduler import Scheduler
@@ -66,7 +66,7 @@ class Outsiders:
     def _go_on(self, agent: Agent, thread: int, word: int = 0) -> None:
         """Complete a group that took no time: the thread keeps its turn."""
         scheduler = self._scheduler
-        scheduler.engine.complete(agent.block, scheduler.place(agent, thread), word)
+        scheduler.engine.complete(agent.block, place_of(agent.block, thread), word)
         scheduler.turns.next(agent, thread)
 
     # --- output ---------------------------------------------------------------------------------------
@@ -97,7 +97,7 @@ class Outsiders:
 
     def _yield(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         scheduler = self._scheduler
-        place = scheduler.place(agent, thread)
+        place = place_of(agent.block, thread)
         parks = scheduler.engine.group(scheduler.standing(agent, thread)).parks
         scheduler.engine.complete(agent.block, place, 0)
         scheduler.open(agent)
@@ -135,7 +135,7 @@ class Outsiders:
 
     def _sleep(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         scheduler = self._scheduler
-        scheduler.engine.complete(agent.block, scheduler.place(agent, thread), 0)
+        scheduler.engine.complete(agent.block, place_of(agent.block, thread), 0)
         scheduler.open(agent)
         seconds = real_of(words[0])
         # Not a number sleeps not at all; a wait beyond any mission is as good as for ever.

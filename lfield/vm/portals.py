@@ -71,7 +71,7 @@ def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word
             caller, waiter, lambda: deep_copy(resource.block, [word], caller.block, scheduler.layouts)[0]
         )
     else:
-        scheduler.engine.complete(caller.block, scheduler.place(caller, waiter), word)
+        scheduler.engine.complete(caller.block, place_of(caller.block, waiter), word)
         scheduler.turns.next(caller, waiter)
     # Until here whoever waits would hear of the resource's end.
     del scheduler.calls[number]

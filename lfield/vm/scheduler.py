@@ -55,10 +55,6 @@ class Scheduler:
 
     # --- where threads are ----------------------------------------------------------------------------
 
-    def place(self, agent: Agent, thread: int) -> int:
-        """Where a thread's record is in the agent's block."""
-        return place_of(agent.block, thread)
-
     def standing(self, agent: Agent, thread: int) -> int:
         """The instruction a thread stands at."""
         return agent.block.w[place_of(agent.block, thread) + THREAD_PC]

@@ -132,7 +132,7 @@ OF_THE_HOST = [
     (HostCore, "start_resources"), (HostCore, "start_coordinators"), (HostCore, "run"), (HostCore, "take"),
     (HostCore, "linked"), (HostCore, "unlinked"), (HostCore, "arrived"), (HostCore, "received"),
     (Machine, "run"), (Machine, "release"), (Turns, "wake"), (Turns, "pause"),
-    (Mobility, "linked"), (Mobility, "arrive"), (Mobility, "receive"), (Mobility, "next_deadline"),
+    (Mobility, "linked"), (Mobility, "arrive"), (Mobility, "receive"),
     (Mobility, "tick"), (Mobility, "unlinked"),
     (Peers, "send"), (Peers, "send_transfer"), (Peers, "gone"), (Host, "_carry_out"),
 ]  # fmt: skip

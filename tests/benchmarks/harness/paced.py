@@ -6,7 +6,7 @@ second, long enough to be stopped in. A line `error: ...` is the end of it.
 
 from __future__ import annotations
 
-import os
+import resource
 import time
 from collections.abc import Sequence
 
@@ -37,11 +37,15 @@ class Paced:
 
 def whole_run(child: Child, case: str) -> Round:
     """Seconds of a command from start to end, and of a processor, in which load counts for less."""
-    before = os.times()
+    before = _used_by_children()
     child.wait()
-    took, after = time.perf_counter() - child.started, os.times()
-    used = after.children_user + after.children_system - before.children_user - before.children_system
-    return {case: [took], f"{case}, processor": [used]}
+    took = time.perf_counter() - child.started
+    return {case: [took], f"{case}, processor": [_used_by_children() - before]}
+
+
+def _used_by_children() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def read_round(child: Child) -> Round:
