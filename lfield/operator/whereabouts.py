@@ -1,4 +1,4 @@
-"""Where the hosts of a deployment listen on this machine, for commands started later.
+"""The team of a mission, and where its hosts listen on this machine, for commands started later.
 
 `up --all` takes free ports; it leaves a small file that `ps` finds by the deployment's hash. The file names
 the process that wrote it, and is believed only while that process lives.
@@ -12,6 +12,21 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from lfield.lang.deployment import read_deployment
+from lfield.mission import bundle
+from lfield.mission.team import Team, team_of
+
+
+def open_team(mission: Path) -> Team:
+    """The team of a bundle, or of a deployment, whose program is not looked at: no kinds are known then.
+
+    Raises InputFileError, and BundleError or ProgramError for a file with mistakes.
+    """
+    if mission.suffix == bundle.SUFFIX:
+        return bundle.read(mission).team
+    deployment = read_deployment(mission, None)
+    return team_of(deployment.rows, deployment.kinds, deployment.ports)
 
 
 def _folder() -> Path:

@@ -49,7 +49,7 @@ def refused(here):
     [
         ([], "the following arguments are required: COMMAND"),
         (["fly"], "invalid choice: 'fly'"),
-        (["up"], "required: --deploy"),
+        (["up"], "one of the arguments --deploy MISSION is required"),
         (["up", "--deploy", "mission.dL", "--wings"], "unrecognized arguments: --wings"),
         (["up", "--deploy", "mission.dL", "--all", "--host", "alpha"], "not allowed with argument"),
         (["up", "--deploy", "mission.dL", "--lost-after", "soon"], "--lost-after"),
