@@ -20,7 +20,7 @@ from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Rea
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import collect, compact
-from lfield.vm.memory.layout import BLOCKED, OBJECT, THREAD_ID
+from lfield.vm.memory.layout import BLOCKED, OBJECT, THREAD_CALL, THREAD_ID
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
@@ -187,7 +187,8 @@ class Machine:
         leave = self.engine.run(agent.block, place, SLICE, agent.limits, agent.readings)
         if agent.polls and self.engine.asked:
             agent.asked.add(thread)
-        scheduler.unblock(agent)
+        if agent.blocked:
+            scheduler.unblock(agent)
         agent.polled = False
         self._handle(agent, thread, leave)
         if not agent.polled and (agent.seen or agent.pollers):
@@ -225,8 +226,9 @@ class Machine:
 
     def _done(self, agent: Agent, thread: int, word: int) -> None:
         scheduler = self._scheduler
-        scheduler.flush(agent, thread)
-        call = scheduler.served(agent, thread)
+        if agent.lines:
+            scheduler.flush(agent, thread)
+        call = agent.block.w[place_of(agent.block, thread) + THREAD_CALL]
         if call:
             portals.finish(scheduler, agent, thread, call, word)
         elif agent.member.kind == "coordinator":

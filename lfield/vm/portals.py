@@ -7,7 +7,7 @@ from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
 from lfield.vm.memory.copier import deep_copy
-from lfield.vm.memory.layout import CALLING, W_SELF
+from lfield.vm.memory.layout import CALLING, THREAD_PC, W_SELF
 from lfield.vm.memory.threads import count, place_of
 from lfield.vm.scheduler import Scheduler
 
@@ -42,7 +42,8 @@ def begin(
     limit = resource.limits.threads
     if count(resource.block) >= limit:
         raise Trap("LimitException", f"{resource.id} serves its limit of {limit} threads")
-    number = scheduler.next_call()
+    scheduler.last_call += 1
+    number = scheduler.last_call
     references = scheduler.reference_arguments(method)
 
     def work() -> int:
@@ -65,13 +66,14 @@ def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word
     """A portal returned: its caller goes on with a copy of the result."""
     caller, waiter = scheduler.calls[number]
     resource.served += 1
-    group = scheduler.engine.group(scheduler.standing(caller, waiter))
+    place = place_of(caller.block, waiter)
+    group = scheduler.engine.group(caller.block.w[place + THREAD_PC])
     if group.kind in REFERENCES and word:
         scheduler.complete(
             caller, waiter, lambda: deep_copy(resource.block, [word], caller.block, scheduler.layouts)[0]
         )
     else:
-        scheduler.engine.complete(caller.block, place_of(caller.block, waiter), word)
+        scheduler.engine.complete(caller.block, place, word)
         scheduler.turns.next(caller, waiter)
     # Until here whoever waits would hear of the resource's end.
     del scheduler.calls[number]

@@ -48,9 +48,10 @@ class Scheduler:
         self.agents: dict[str, Agent] = {}
         #: The portal calls under way: for each number, who waits for it.
         self.calls: dict[int, tuple[Agent, int]] = {}
+        #: The number of the last portal call that began.
+        self.last_call = 0
         self.turns = Turns(clock)
         self._failed = failed
-        self._last_call = 0
         self._reference_arguments: dict[int, tuple[int, ...]] = {}
 
     # --- where threads are ----------------------------------------------------------------------------
@@ -58,10 +59,6 @@ class Scheduler:
     def standing(self, agent: Agent, thread: int) -> int:
         """The instruction a thread stands at."""
         return agent.block.w[place_of(agent.block, thread) + THREAD_PC]
-
-    def served(self, agent: Agent, thread: int) -> int:
-        """The number of the portal call that a thread serves, 0 for none."""
-        return agent.block.w[place_of(agent.block, thread) + THREAD_CALL]
 
     def set_state(self, agent: Agent, thread: int, state: int) -> None:
         """Note in the block what the thread waits for."""
@@ -75,11 +72,6 @@ class Scheduler:
         frame = self.layouts.frame_words[method]
         entry = record.entry if record.synchronized else record.entry + 1
         return new_thread(agent.block, method, frame, entry, words, call)
-
-    def next_call(self) -> int:
-        """A number for a portal call."""
-        self._last_call += 1
-        return self._last_call
 
     def reference_arguments(self, method: int) -> tuple[int, ...]:
         """Which arguments of a portal are references (1: the first after the resource itself)."""
@@ -127,7 +119,8 @@ class Scheduler:
     def throw(self, agent: Agent, thread: int, thrown: int) -> None:
         """Throw the object at `thrown` where a thread stands."""
         if self.engine.throw(agent.block, place_of(agent.block, thread), thrown):
-            self.unblock(agent)
+            if agent.blocked:
+                self.unblock(agent)
             self.turns.next(agent, thread)
         else:
             self.uncaught(agent, thread, thrown)
@@ -146,7 +139,7 @@ class Scheduler:
 
     def unblock(self, agent: Agent) -> None:
         """Those who wait for the agent's monitor try again, if it is free."""
-        if not agent.blocked or agent.block.w[layout.W_OWNER]:
+        if agent.block.w[layout.W_OWNER]:
             return
         waiting, agent.blocked = agent.blocked, []
         for thread in waiting:
@@ -180,7 +173,7 @@ class Scheduler:
 
     def uncaught(self, agent: Agent, thread: int, thrown: int) -> None:
         """Nobody in the thread catches what was thrown: its portal fails, or else the agent dies."""
-        call = self.served(agent, thread)
+        call = agent.block.w[place_of(agent.block, thread) + THREAD_CALL]
         if call:
             self.flush(agent, thread)
             self._failed(agent, thread, call, thrown)

@@ -1,0 +1,111 @@
+"""The walks of the architecture's page lead through files that are there; its rooms are those drawn."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "lfield" / "docs" / "architecture.md"
+PICTURE = PAGE.with_name("rooms.svg")
+
+WALKS = ("Text to running", "A hop", "An instruction to wire bytes and back", "A question to an offer")
+
+_STEP = re.compile(r"(\d+)\. \[`([^`]+)`\]\(([^)]+)\) `([^`]+)`: \S")
+_ROOM = re.compile(r"\| `(\w+)` \|")
+
+
+class Step(NamedTuple):
+    """A line of a walk: a file of the project, and what in it the line is about."""
+
+    number: int
+    path: str
+    link: str
+    name: str
+
+
+def section(heading: str, level: int = 2) -> str:
+    """The text of a section with its subsections."""
+    page = PAGE.read_text(encoding="utf-8")
+    mark = "#" * level
+    found = re.search(rf"^{mark} {re.escape(heading)}\n(.*?)(?=^#{{1,{level}}} |\Z)", page, re.M | re.S)
+    assert found, f"the page has no section '{heading}'"
+    return found[1]
+
+
+def numbered(text: str) -> list[str]:
+    """The lines of lists with numbers."""
+    return [line for line in text.splitlines() if re.match(r"\s*\d+\.\s", line)]
+
+
+def steps(walk: str) -> list[Step]:
+    """The steps of a walk; each numbered line must be one."""
+    found = []
+    for line in numbered(section(walk, level=3)):
+        step = _STEP.match(line)
+        assert step, f"no `path`, link, `name` and clause: {line}"
+        found.append(Step(int(step[1]), step[2], step[3], step[4]))
+    return found
+
+
+def says(path: Path, name: str) -> bool:
+    """Whether a file defines a name (`Class.method` in that class), or at least has it as a word."""
+    text = path.read_text(encoding="utf-8")
+    if "." in name:
+        return name in set(defined(ast.parse(text).body))
+    return re.search(rf"\b{re.escape(name)}\b", text) is not None
+
+
+def defined(body: list[ast.stmt], prefix: str = "") -> Iterator[str]:
+    """The functions and classes of a module with their dotted names."""
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield prefix + node.name
+        if isinstance(node, ast.ClassDef):
+            yield from defined(node.body, f"{prefix}{node.name}.")
+
+
+@pytest.mark.parametrize("walk", WALKS)
+def test_a_walk_leads_through_files_that_are_there(walk: str) -> None:
+    path = steps(walk)
+    assert path[0].number == 1
+    # A part of a walk that begins somewhere else is counted from 1 again.
+    assert all(after.number in (before.number + 1, 1) for before, after in pairwise(path))
+    missing = [step.path for step in path if not (ROOT / step.path).is_file()]
+    assert missing == []
+    wrong = [step.link for step in path if (PAGE.parent / step.link).resolve() != ROOT / step.path]
+    assert wrong == []
+    unknown = [f"{step.path}: {step.name}" for step in path if not says(ROOT / step.path, step.name)]
+    assert unknown == []
+
+
+def test_there_are_no_other_walks() -> None:
+    headings = re.findall(r"^### (.+)$", section("Four walks"), re.MULTILINE)
+    assert headings == list(WALKS)
+
+
+def test_the_table_has_the_rooms_of_the_picture() -> None:
+    listed = _ROOM.findall(section("The rooms"))
+    drawn = re.findall(r"<text[^>]*>([^<]+)</text>", PICTURE.read_text(encoding="utf-8"))
+    assert sorted(listed) == sorted(drawn)
+
+
+def test_the_page_shows_the_picture() -> None:
+    assert f"]({PICTURE.name})" in section("The rooms")
+
+
+def test_names_are_looked_for_where_they_are_defined(tmp_path: Path) -> None:
+    code = tmp_path / "code.py"
+    code.write_text("class A:\n    def f(self):\n        g()\n\nasync def h(): ...\n", encoding="utf-8")
+    assert [name for name in ("A", "A.f", "g", "h", "A.g", "B.f", "k", "f.A") if says(code, name)] == [
+        "A",
+        "A.f",
+        "g",
+        "h",
+    ]
