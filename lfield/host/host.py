@@ -29,7 +29,7 @@ from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
 from lfield.host.logbook import Logbook
 from lfield.host.status import coordinators_of, status_of
 from lfield.loop import spawn
-from lfield.manifest import DeviceValue
+from lfield.manifest import DeviceValue, Observation
 from lfield.mission.mission import Mission
 from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
@@ -323,7 +323,7 @@ class _Nearby:
     def last_heard(self, host: str) -> float | None:
         return self._peers.last_heard(host)
 
-    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
+    def last(self, device: str, quantity: str) -> Observation | None:
         return self._guards.last(device, quantity)
 
     def trouble(self, device: str) -> Trouble | None:

@@ -46,7 +46,7 @@ class Reports:
             FactReport(
                 places[name],
                 clip(s.value, MAX_LABEL) if isinstance(s.value, str) else s.value,
-                _age(s.age if s.kept else s.age + now - s.at),
+                _age((s.at if s.kept else now) - s.when),
                 s.kept,
             )
             for name, s in change.samples.items()
@@ -71,7 +71,8 @@ class Reports:
         samples: dict[str, Sample] = {}
         for fact in told.facts:
             attribute = self._attribute(agent, fact.attribute)
-            samples[attribute.name] = Sample(_value(agent, attribute, fact.value), fact.age, now, fact.kept)
+            value = _value(agent, attribute, fact.value)
+            samples[attribute.name] = Sample(value, now - fact.age, now, fact.kept)
         unknown = {self._attribute(agent, place).name: why for place, why in told.unknown}
         return Condition(trouble, samples, unknown)
 

@@ -43,7 +43,7 @@ def status_of(
         "linked": sorted(peers.incarnations),
         "away": {name: round(now - since, 3) for name, since in peers.away.items()},
         "devices": {name: dict(values) for name, values in guards.telemetry.items()},
-        "silences": {name: round(seconds, 3) for name, seconds in guards.silences.items()},
+        "silences": {name: round(now - heard, 3) for name, heard in guards.heard.items()},
         "latched": dict(guards.latched),
         "directory": core.directory.status(),
     }

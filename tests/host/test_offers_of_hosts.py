@@ -9,6 +9,7 @@ import pytest
 from lfield.capability.directory.news import Trouble
 from lfield.errors import ConstraintError
 from lfield.host.directory import LOOK_EVERY
+from lfield.manifest import Observation
 from lfield.wire.messages import AgentReport, FactReport, Report
 
 CRANES = """
@@ -42,6 +43,7 @@ class Devices:
     def __init__(self, running):
         self.values, self.troubles = {}, {}
         self.asked = 0
+        self.clock = running.host.clock
         guards = running.host.guards
         guards.open = self.open
         guards.last = self.last
@@ -52,7 +54,10 @@ class Devices:
 
     def last(self, device, quantity):
         self.asked += 1
-        return self.values.get((device, quantity))
+        if (device, quantity) not in self.values:
+            return None
+        value, age = self.values[device, quantity]
+        return Observation(value, self.clock.monotonic() - age)
 
 
 async def two_hosts(team, program=IDLE, **options):
