@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from lfield.errors import UsageError
-
-if TYPE_CHECKING:
-    from lfield.mission.team import Team
 
 
 def add_mission(parser: argparse.ArgumentParser) -> None:
@@ -28,18 +24,3 @@ def mission_path(args: argparse.Namespace) -> Path:
     if path is None:
         raise UsageError("required: --deploy mission.dL, or a bundle (mission.lfm)")
     return path
-
-
-def running_team(args: argparse.Namespace) -> Team:
-    """The team of the mission where it runs."""
-    from lfield.mission.team_file import open_team
-
-    return where_it_runs(open_team(mission_path(args)), args)
-
-
-def where_it_runs(team: Team, args: argparse.Namespace) -> Team:
-    """The team at the addresses of `--map`, else at those published on this computer."""
-    from lfield.mission.team import parse_maps
-    from lfield.operator import whereabouts
-
-    return team.at(whereabouts.find(team.deployment) | parse_maps(args.map, team))
