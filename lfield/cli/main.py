@@ -22,7 +22,7 @@ from lfield.host.logbook import silence
 #: Subcommands, each a module of a room of this package, and what they are for.
 COMMANDS = {
     "check": "find the errors of a program or deployment",
-    "build": "compile a program to a program file",
+    "build": "make one file of a mission, for its robots, or of a program",
     "disasm": "list a program file",
     "up": "run the hosts of a deployment",
     "ps": "show what runs where",

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import importlib
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +39,8 @@ class Plugin:
 
     def manifest_bytes(self, file: str) -> bytes:
         """One of its manifest files as it is installed. Raises PluginError."""
+        from importlib.resources import files
+
         try:
             return (files(self.package) / file).read_bytes()
         except (OSError, ImportError) as error:
@@ -71,6 +72,8 @@ class Plugin:
 
     def source(self, file: str) -> Path | None:
         """The L source that a program includes as `<NAME/file>`, or None when the plugin ships none such."""
+        from importlib.resources import files
+
         path = Path(str(files(self.package))) / "L" / file
         return path if path.is_file() else None
 

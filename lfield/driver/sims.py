@@ -11,12 +11,14 @@ import os
 import sys
 import tempfile
 from collections.abc import Collection, Iterable, Sequence
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import LfieldError, PluginError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "lfield.sims.v1"
 
@@ -73,10 +75,17 @@ class Sims(dict[str, Sim]):
 def discover_sims(entries: Iterable[EntryPoint] | None = None) -> Sims:
     """Every installed fake. Raises PluginError on duplicate names."""
     sims = Sims()
-    found = entry_points(group=GROUP) if entries is None else entries
-    for reference in sorted({entry.value for entry in found}):
+    for reference in sorted({entry.value for entry in (installed() if entries is None else entries)}):
         sims.add(reference)
     return sims
+
+
+def installed() -> list[EntryPoint]:
+    """How the installed fakes announce themselves."""
+    # Here, since a host without fakes has no use for it, and it takes a while to load.
+    from importlib.metadata import entry_points
+
+    return list(entry_points(group=GROUP))
 
 
 def sims_of(drivers: Collection[str]) -> Sims:
@@ -84,7 +93,7 @@ def sims_of(drivers: Collection[str]) -> Sims:
 
     Fakes are announced under the names of their drivers; where one is not, all are looked at.
     """
-    entries = list(entry_points(group=GROUP))
+    entries = installed()
     sims = discover_sims(entry for entry in entries if entry.name in drivers)
     return sims if sims.keys() >= set(drivers) else discover_sims(entries)
 

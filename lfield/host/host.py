@@ -99,6 +99,7 @@ class Host:
         self.statuses: dict[str, Status] = {}
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
+        self._due = 0.0
         self._events: deque[Callable[[], None]] = deque()
         self._entered = self._stopped = False
 
@@ -169,14 +170,20 @@ class Host:
             self._entered = False
 
     def _come_back(self, pause: float | None) -> None:
-        """Turn again after so many seconds, or sooner."""
-        if self._timer:
+        """Turn again after so many seconds, or sooner: a timer that is early enough stays as it is."""
+        if pause is None:
+            return
+        due = self._loop.time() + pause
+        if self._timer is not None:
+            if self._due <= due:
+                return
             self._timer.cancel()
-            self._timer = None
-        if pause == 0.0:
-            self._timer = self._loop.call_soon(self.turn)
-        elif pause is not None:
-            self._timer = self._loop.call_later(pause, self.turn)
+        self._due = due
+        self._timer = self._loop.call_at(due, self._wake) if pause else self._loop.call_soon(self._wake)
+
+    def _wake(self) -> None:
+        self._timer = None
+        self.turn()
 
     def fail(self, error: BaseException) -> None:
         """A bug in the host itself: nothing more is done, no guard is fed, and whoever runs it ends it."""

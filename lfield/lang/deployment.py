@@ -58,8 +58,22 @@ class Deployment:
 
         Ports, comments and spacing do not count: hosts with different ports still run the same deployment.
         """
-        content = [(a.type, a.id, a.host, a.arguments) for a in self.agents]
-        return hashlib.sha256(msgspec.msgpack.encode(content)).hexdigest()
+        return hashlib.sha256(msgspec.msgpack.encode(self.rows)).hexdigest()
+
+    @property
+    def rows(self) -> list[tuple[str, str, str, tuple[str, ...]]]:
+        """Type, id, host and arguments of each agent: what makes the team."""
+        return [(a.type, a.id, a.host, a.arguments) for a in self.agents]
+
+    @property
+    def kinds(self) -> dict[str, AgentKind]:
+        """What each type is."""
+        return {a.type: a.kind for a in self.agents}
+
+    @property
+    def ports(self) -> dict[str, int]:
+        """The port of each host that has one written."""
+        return {a.host: a.port for a in self.agents if a.port is not None}
 
     @cached_property
     def _indexes(self) -> dict[str, int]:

@@ -34,7 +34,6 @@ from lfield.errors import BundleError, InputFileError, ProgramFileError
 from lfield.mission.bindings import Bindings, with_files
 from lfield.mission.bundle_check import check_bindings, check_rows
 from lfield.mission.mission import Mission, needed_devices
-from lfield.mission.registry_part import decode_registry, encode_registry
 from lfield.mission.team import Row, Team, encode_rows, team_of
 from lfield.text.files import read_head, reason
 
@@ -91,6 +90,8 @@ _texts = msgspec.msgpack.Decoder(Texts)
 
 def encode(mission: Mission) -> bytes:
     """The bytes of a bundle."""
+    from lfield.mission.registry_part import encode_registry
+
     parts = (
         encoding.encode_core(mission.program),
         encode_rows(mission.team.rows),
@@ -170,12 +171,15 @@ def _decoded(name: str, decoder: msgspec.msgpack.Decoder[Any], parts: Mapping[st
 def _team(rows: list[Row], program: Program, addresses: Mapping[str, str]) -> Team:
     kinds = {record.name: record.kind for record in program.core.classes[len(BUILTIN_CLASSES) :]}
     check_rows(rows, kinds)
-    return team_of(rows, kinds.__getitem__, {}).at(addresses)
+    return team_of(rows, kinds, {}).at(addresses)
 
 
 def _registry(data: memoryview) -> Registry | None:
     if not data:
         return None
+    # Only a mission that names a capability needs what reads conditions.
+    from lfield.mission.registry_part import decode_registry
+
     try:
         return decode_registry(data)
     except (msgspec.DecodeError, RecursionError, ValueError) as error:

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -29,6 +31,8 @@ from lfield.text.files import read_within
 KEPT = 64
 #: A larger record is none.
 _MAX_RECORD = 4 << 20
+#: What the folders of builds under way are called, and after how many seconds nobody is at work there.
+_WORKSHOP, _ABANDONED = "building-", 86400.0
 
 
 class NotBuilt(Exception):
@@ -86,7 +90,7 @@ def prepared(order: Order) -> Iterator[Path]:
     if found is not None:
         yield found
         return
-    with tempfile.TemporaryDirectory(prefix="building-", dir=folder) as workshop:
+    with tempfile.TemporaryDirectory(prefix=_WORKSHOP, dir=folder) as workshop:
         made = _build(order, Path(workshop))
         yield made if folder is None else _keep(folder, order, Path(workshop))
     if folder is not None:
@@ -144,7 +148,11 @@ def _place(folder: Path, digest: bytes) -> Path:
 
 
 def _prune(folder: Path) -> None:
-    """Forget what was made longest ago."""
+    """Forget what was made longest ago, and what a build that was killed has left."""
+    for workshop in folder.glob(f"{_WORKSHOP}*"):
+        with suppress(OSError):
+            if time.time() - workshop.stat().st_mtime > _ABANDONED:
+                shutil.rmtree(workshop)
     for pattern in (f"*{bundle.SUFFIX}", "*.made"):
         with suppress(OSError):
             oldest = sorted(folder.glob(pattern), key=lambda path: path.stat().st_mtime)[:-KEPT]

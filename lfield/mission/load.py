@@ -17,8 +17,7 @@ from lfield.lang.deployment import read_deployment
 from lfield.mission import bundle
 from lfield.mission.bindings_file import read_bindings
 from lfield.mission.mission import Mission, makers_of, needed_devices
-from lfield.mission.team import parse_maps
-from lfield.mission.team_file import make_team
+from lfield.mission.team import parse_maps, team_of
 from lfield.text.files import read_head, reason
 from lfield.text.source import Diagnostic, Diagnostics
 from lfield.vm.offers import ways
@@ -43,7 +42,8 @@ def load_mission(
     plugins = discover()
     types = _registry_types(capabilities or beside(deploy, CAPABILITIES), deploy)
     loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types)
-    team = make_team(read_deployment(deploy, loaded.units))
+    deployment = read_deployment(deploy, loaded.units)
+    team = team_of(deployment.rows, deployment.kinds, deployment.ports)
     needed = needed_devices(loaded, team)
     bindings = read_bindings(devices or beside(deploy, DEVICES), needed, plugins, simulate=simulate)
     drivers = makers_of(plugins, {device.type for device in bindings.all})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -81,15 +81,15 @@ class Team:
         )
 
 
-def team_of(rows: Iterable[Row], kind_of: Callable[[str], str], ports: Mapping[str, int]) -> Team:
-    """The team of some rows. `kind_of` says of a type whether it is a resource or a coordinator.
+def team_of(rows: Iterable[Row], kinds: Mapping[str, str], ports: Mapping[str, int]) -> Team:
+    """The team of some rows. `kinds` says of each type whether it is a resource or a coordinator.
 
     A host without a port has the default one.
     """
     said = list(rows)
     numbers = {host: i for i, host in enumerate(dict.fromkeys(host for _, _, host, _ in said))}
     members = tuple(
-        Member(i, id, type, kind_of(type), numbers[host], arguments)
+        Member(i, id, type, kinds[type], numbers[host], arguments)
         for i, (type, id, host, arguments) in enumerate(said)
     )
     addresses = tuple(f"{host}:{ports.get(host, DEFAULT_PORT)}" for host in numbers)

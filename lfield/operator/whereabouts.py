@@ -1,4 +1,4 @@
-"""Where the hosts of a deployment listen on this machine, for commands started later.
+"""The team of a mission, and where its hosts listen on this machine, for commands started later.
 
 `up --all` takes free ports; it leaves a small file that `ps` finds by the deployment's hash. The file names
 the process that wrote it, and is believed only while that process lives.
@@ -16,7 +16,21 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from lfield.lang.deployment import read_deployment
+from lfield.mission import bundle
+from lfield.mission.team import Team, team_of
 from lfield.wire.messages import Label, Name
+
+
+def open_team(mission: Path) -> Team:
+    """The team of a bundle, or of a deployment, whose program is not looked at: no kinds are known then.
+
+    Raises InputFileError, and BundleError or ProgramError for a file with mistakes.
+    """
+    if mission.suffix == bundle.SUFFIX:
+        return bundle.read(mission).team
+    deployment = read_deployment(mission, None)
+    return team_of(deployment.rows, deployment.kinds, deployment.ports)
 
 
 class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

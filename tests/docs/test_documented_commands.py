@@ -72,7 +72,7 @@ def test_the_readme_has_commands() -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["fly --deploy m.dL", "up --deploy m.dL --everything", "up --all", "ps m.dL"]
+    "line", ["fly --deploy m.dL", "up --deploy m.dL --everything", "up --all", "ps m.dL n.dL"]
 )
 def test_wrong_commands_are_noticed(line: str) -> None:
     with pytest.raises(ValueError, match=r"."):

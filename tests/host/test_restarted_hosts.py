@@ -73,3 +73,58 @@ def test_a_coordinator_that_died_with_a_host_that_is_back_at_once_is_lost(fleet)
         assert fate.detail.endswith("which was restarted")
 
     fleet(story)
+
+
+TWICE = """
+resource Post {
+    int calls;
+    init(string[] arg) { }
+    portal stay(string who, real seconds) {
+        calls = calls + 1;
+        write(who + " begins\\n");
+        sleep(seconds);
+        write(who + " ends\\n");
+    }
+}
+coordinator Guest {
+    init(string[] arg) {
+        Post home = findPost(arg[1]);
+        Post carol = findPost(arg[3]);
+        string who = f2s(now(), 3);
+        if (now() < 1010.0) {
+            carol.stay(who, 20.0);
+            findPost(arg[2]).stay(who, 1.0);
+        }
+        while (true) home.stay(who, 1.0);
+    }
+}
+"""
+THREE_HOSTS = "//Post:h@home\n//Post:a@away\n//Post:c@carol\n//Guest:guest@home?h&a&c\n"
+
+
+def test_a_start_that_arrives_where_a_later_one_runs_ends_it_first(fleet):
+    """Two starts of one coordinator never both run on a host."""
+
+    async def story(team):
+        mission = team.mission(TWICE, THREE_HOSTS)
+        home, away, carol = await team.up(mission)
+        await team.until(lambda: carol.output)
+        first = carol.output[0].split()[0]
+        # Nobody who can be reached knows where it is, so a second one is started.
+        team.network.partition("home", "carol")
+        await home.host.stop()
+        await asyncio.sleep(10.0)
+        again = team.make(mission, "home")
+        await again.host.start()
+        await team.until(lambda: again.output)
+        second = again.output[0].split()[0]
+        assert second != first
+        await team.until(lambda: any(line.startswith(first) for line in again.output))
+        arrived = next(n for n, line in enumerate(again.output) if line.startswith(first))
+        await asyncio.sleep(5.0)
+        # A portal that the second one had begun may end; it begins no other.
+        assert f"{second} begins" not in again.output[arrived:]
+        assert again.host.failure is None
+        assert [a.generation for a in again.host.machine.agents.values() if a.id == "guest"]
+
+    fleet(story)

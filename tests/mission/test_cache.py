@@ -135,7 +135,12 @@ def test_the_oldest_are_forgotten(tmp_path: Path, folder: Path, monkeypatch: pyt
     bytes_of(first)
     for path in folder.iterdir():
         os.utime(path, (1.0, 1.0))
+    killed, busy = folder / "building-killed", folder / "building-busy"
+    for workshop in (killed, busy):
+        workshop.mkdir()
+    os.utime(killed, (1.0, 1.0))
     bytes_of(second)
+    assert (killed.exists(), busy.exists()) == (False, True)
     assert len(list(folder.glob("*.lfm"))) == len(list(folder.glob("*.made"))) == 1
     assert (folder / f"{second.key}.made").exists()
 

@@ -4,14 +4,13 @@ import pytest
 
 from lfield.errors import UsageError
 from lfield.lang.deployment import parse_deployment
-from lfield.mission.team import Team, parse_maps
-from lfield.mission.team_file import make_team
+from lfield.mission.team import Team, parse_maps, team_of
 
 
 def team(text: str) -> Team:
     deployment, _ = parse_deployment(text, "mission.dL", None)
     assert deployment is not None
-    return make_team(deployment)
+    return team_of(deployment.rows, deployment.kinds, deployment.ports)
 
 
 def test_lookup_of_a_host() -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from lfield.capability import condition
+from lfield.capability import condition, condition_reader
 from lfield.capability.condition import Mistake
 from lfield.capability.model import Attribute, Expression
 from lfield.errors import ConstraintError
@@ -107,7 +107,7 @@ def compile_constraint(text: str, attributes: Mapping[str, Attribute]) -> Expres
 
 def parse(text: str) -> tuple[Expression | None, list[Mistake]]:
     """The expression in a text, or None and what is wrong. What its names mean is not looked at."""
-    tree, mistakes = condition.parse(text)
+    tree, mistakes = condition_reader.parse(text)
     return (None if tree is None else Expression(text, tree)), mistakes
 
 

@@ -27,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when every device of every host has confirmed, 69 when one did not or a host was not reached."""
-    from lfield.mission.team_file import open_team
     from lfield.operator.ask import ask_team, emergency_stop, silent, tell_silent
+    from lfield.operator.whereabouts import open_team
 
     reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
     request = emergency_stop(reason, lift=args.lift)

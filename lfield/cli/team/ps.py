@@ -19,8 +19,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 when every host answered, 69 when one or more did not."""
     from lfield.cli.views import picture
-    from lfield.mission.team_file import open_team
     from lfield.operator.ask import STATUS, ask_team, silent, tell_silent
+    from lfield.operator.whereabouts import open_team
 
     answers = ask_team(open_team(mission_path(args)), args.map, STATUS)
     if args.json:

@@ -36,10 +36,10 @@ def run(args: argparse.Namespace) -> int:
     """0 when there are offers, 1 when there are none."""
     from lfield.capability.matching.matcher import Matcher
     from lfield.cli.views import query_view
-    from lfield.mission.team_file import open_team
     from lfield.operator.ask import tell_silent
     from lfield.operator.query import mission_registry
     from lfield.operator.question import read_question
+    from lfield.operator.whereabouts import open_team
 
     path = mission_path(args)
     team = open_team(path)

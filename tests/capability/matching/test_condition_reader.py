@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from lfield.capability import condition
+from lfield.capability import condition, condition_reader
 from lfield.lang import syntax
 from lfield.lang.parser import expressions
 from lfield.lang.parser.stream import GiveUp, Recover, TokenStream
@@ -93,7 +93,7 @@ _TEXTS = st.lists(st.sampled_from(_ATOMS + _SIGNS), min_size=1, max_size=12).map
 @example("(((a)))")
 @example("min(1,2).x")
 def test_both_readers_agree(text: str) -> None:
-    tree, mistakes = condition.parse(text)
+    tree, mistakes = condition_reader.parse(text)
     theirs = of_the_language(text)
     if "new" in text or any(word in text for word in ("init", "void", "real", "int ", "string", "boolean")):
         # L knows more of these words than a condition could mean.
@@ -120,6 +120,6 @@ def test_both_readers_agree(text: str) -> None:
     ],
 )
 def test_what_is_no_expression(text: str, message: str, hint: str) -> None:
-    tree, (mistake,) = condition.parse(text)
+    tree, (mistake,) = condition_reader.parse(text)
     assert tree is None
     assert (mistake.message, mistake.hint) == (message, hint)

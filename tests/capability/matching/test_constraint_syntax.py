@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_registry import ATTRIBUTES, wish
 
-from lfield.capability.condition import MAX_LENGTH, Mistake
+from lfield.capability.condition import Mistake
+from lfield.capability.condition_reader import MAX_LENGTH
 from lfield.capability.matching.expression import Scope, check, compile_constraint, parse
 from lfield.errors import ConstraintError
 

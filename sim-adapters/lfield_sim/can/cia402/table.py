@@ -104,6 +104,12 @@ def _mapping(index: int, mapping: tuple[int, ...]) -> dict[Key, Entry]:
 
 
 def _profile(turn: int) -> dict[Key, Entry]:
+    """The objects of the drive profile; `turn` is one of the motor's, in increments."""
+    return _state_objects(turn) | _motion_objects(turn)
+
+
+def _state_objects(turn: int) -> dict[Key, Entry]:
+    """What the drive is told to be, and what it measures."""
     return {
         (TEMPERATURE, 0): Entry("i16", "ro", 250, mappable=True),
         (0x6007, 0): Entry("i16", "rw", 1, choices=(0, 1, 2, 3)),
@@ -131,6 +137,12 @@ def _profile(turn: int) -> dict[Key, Entry]:
         (0x6077, 0): Entry("i16", "ro", mappable=True),
         (0x6078, 0): Entry("i16", "ro", mappable=True),
         (0x6079, 0): Entry("u32", "ro", 48_000, mappable=True),
+    }
+
+
+def _motion_objects(turn: int) -> dict[Key, Entry]:
+    """Where and how fast it is to move."""
+    return {
         (0x607A, 0): Entry("i32", "rw", mappable=True),
         (0x607C, 0): Entry("i32", "rw"),
         (0x607D, 0): Entry("u8", "ro", 2),

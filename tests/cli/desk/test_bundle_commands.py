@@ -12,7 +12,7 @@ import pytest
 
 pytestmark = pytest.mark.process
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[3] / "examples"
 PROGRAM = """
 resource Echo {
     init(string[] arg) { while (true) yield(); }
@@ -190,7 +190,7 @@ def test_a_driver_that_is_not_the_one_of_the_desk_is_refused(lfield) -> None:
     ("command", "status", "words"),
     [
         (["up", "mission.lfm", "--program", "mission.L"], 64, "--program is for a deployment"),
-        (["up", "mission.lfm", "--deploy", "mission.dL"], 64, "name one"),
+        (["up", "mission.lfm", "--deploy", "mission.dL"], 64, "not allowed with argument"),
         (["build", "mission.lfm"], 64, "give it other bindings with --devices, or a name with -o"),
         (["build", "mission.lfm", "--program", "mission.L"], 64, "which has its program"),
         (["build", "mission.L", "--sim"], 64, "build the bundle of a deployment"),

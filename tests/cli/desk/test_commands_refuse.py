@@ -49,7 +49,7 @@ def refused(here):
     [
         ([], "the following arguments are required: COMMAND"),
         (["fly"], "invalid choice: 'fly'"),
-        (["up"], "required: --deploy"),
+        (["up"], "one of the arguments --deploy MISSION is required"),
         (["up", "--deploy", "mission.dL", "--wings"], "unrecognized arguments: --wings"),
         (["up", "--deploy", "mission.dL", "--all", "--host", "alpha"], "not allowed with argument"),
         (["up", "--deploy", "mission.dL", "--lost-after", "soon"], "--lost-after"),
@@ -255,7 +255,7 @@ def test_a_name_that_leads_nowhere(lfield, refused, good):
 
 def test_a_missing_vendor_library_names_the_extra_to_install(lfield):
     lfield.write("shim/pymavlink/__init__.py", "raise ImportError('No module named pymavlink')\n")
-    example = Path(__file__).parents[2] / "examples" / "01-first-flight" / "mission.dL"
+    example = Path(__file__).parents[3] / "examples" / "01-first-flight" / "mission.dL"
     done = lfield(
         "up", "--deploy", example, "--all", "--sim", "--until-done",
         env={"PYTHONPATH": str(lfield.folder / "shim")},

@@ -11,7 +11,7 @@ import pytest
 
 pytestmark = [pytest.mark.process, pytest.mark.long]
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 THESIS = ROOT.parent / "shared" / "thesis-programs"
 EXAMPLES = ROOT / "examples"
 

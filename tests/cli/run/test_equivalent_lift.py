@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-DEMO = Path(__file__).parents[2] / "examples" / "02-equivalent-lift" / "demo.py"
+DEMO = Path(__file__).parents[3] / "examples" / "02-equivalent-lift" / "demo.py"
 
 
 @pytest.mark.process

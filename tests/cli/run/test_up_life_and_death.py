@@ -12,7 +12,7 @@ import pytest
 
 pytestmark = pytest.mark.process
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[3] / "examples"
 
 POSTS = """
 resource Post {

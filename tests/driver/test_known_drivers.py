@@ -1,0 +1,57 @@
+"""A robot's drivers: found by their names, nothing imported."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import EntryPoint
+from types import SimpleNamespace
+
+import pytest
+
+from lfield.driver.known import GROUP, KnownDriver, KnownDrivers, ManifestFile, installed_here
+from lfield.driver.plugins import discover
+from lfield.errors import PluginError
+from lfield.guard.process import check_same
+
+SERVO = KnownDriver("servo", "lfield_servo:PLUGIN", {}, {}, "lfield-servo 1.2")
+KNOWN = KnownDrivers({"servo": SERVO})
+
+
+def entry(name: str, reference: str) -> EntryPoint:
+    return EntryPoint(name, reference, GROUP)
+
+
+def here(*entries: EntryPoint) -> str:
+    return installed_here(KNOWN, ["servo"], entries).by_driver["servo"].reference
+
+
+def test_a_driver_is_found_by_its_name_and_else_by_where_it_was() -> None:
+    assert here(entry("servo", "other_package:SERVO")) == "other_package:SERVO"
+    assert here(entry("x", "lfield_servo:PLUGIN")) == "lfield_servo:PLUGIN"
+    assert "other_package" not in sys.modules
+
+
+def test_a_driver_that_is_not_installed_says_what_to_install() -> None:
+    with pytest.raises(PluginError, match=r"driver 'servo' is not installed here: install lfield-servo 1\.2"):
+        here(entry("winch", "lfield_winch:PLUGIN"))
+
+
+def test_drivers_that_no_device_here_needs_are_not_looked_for() -> None:
+    assert installed_here(KNOWN, [], [entry("servo", "x:Y")]).by_driver == {}
+
+
+def test_what_is_known_of_the_installed_drivers() -> None:
+    can = discover().by_driver["can"]
+    assert can.distribution.startswith("lfield ")
+    assert can.only({"CanAxis"}).manifests.keys() == can.only({"CanAxis"}).files.keys() == {"CanAxis"}
+    assert can.files["CanAxis"].name == "axis.yaml"
+    check_same(can, can.plugin)
+
+
+def test_a_driver_with_another_manifest_is_refused() -> None:
+    known = KnownDriver("servo", "x:Y", {}, {"Servo": ManifestFile("servo.yaml", bytes(32))}, "")
+    check_same(known, SimpleNamespace(manifest_digest=lambda file: bytes(32)))
+    with pytest.raises(
+        PluginError, match=r"\(servo.yaml differs\): install the package of x:Y here, or build"
+    ):
+        check_same(known, SimpleNamespace(manifest_digest=lambda file: b"\1" * 32))
