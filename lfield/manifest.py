@@ -6,9 +6,12 @@ its own promises. Nobody needs the vendor library for that.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
+
+from msgspec import Struct
 
 Effect = Literal["query", "idempotent", "actuate"]
 
@@ -19,7 +22,18 @@ DEVICE_EXCEPTIONS = ("DeviceException", "DeviceTimeoutException")
 DEVICE_VALUE_TYPES = ("boolean", "int", "real", "string", "real[]", "int[]")
 
 #: A value of one of those types, as Python sees it.
-DeviceValue = bool | int | float | str | list[float] | list[int] | None
+DeviceValue = bool | int | float | str | Sequence[int | float] | None
+
+
+class Observation(Struct, frozen=True, array_like=True):
+    """The value of a telemetry quantity that was true at `when`, in seconds of the monotonic clock.
+
+    Driver, guard and host are on one machine and share that clock, so this is what each of them keeps and
+    hands on. How old it is is asked where it matters.
+    """
+
+    value: DeviceValue
+    when: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from lfield.mission.team import Team
 
 
 def add_mission(parser: argparse.ArgumentParser) -> None:
@@ -21,18 +17,3 @@ def mission_path(args: argparse.Namespace) -> Path:
     """The file that was named."""
     path: Path = args.mission or args.deploy
     return path
-
-
-def running_team(args: argparse.Namespace) -> Team:
-    """The team of the mission where it runs."""
-    from lfield.operator.whereabouts import open_team
-
-    return where_it_runs(open_team(mission_path(args)), args)
-
-
-def where_it_runs(team: Team, args: argparse.Namespace) -> Team:
-    """The team at the addresses of `--map`, else at those published on this computer."""
-    from lfield.mission.team import parse_maps
-    from lfield.operator import whereabouts
-
-    return team.at(whereabouts.find(team.deployment) | parse_maps(args.map, team))

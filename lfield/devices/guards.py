@@ -18,7 +18,7 @@ from lfield.driver.known import Drivers
 from lfield.driver.sims import sims_of
 from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.guard.core import SILENCE
-from lfield.manifest import DeviceManifest, DeviceValue, Instruction
+from lfield.manifest import DeviceManifest, DeviceValue, Instruction, Observation
 from lfield.vm.contract import Reading
 from lfield.vm.world import PENDING, Pending
 
@@ -131,8 +131,8 @@ class Guards:
         """The reading of a telemetry quantity, None for what is no plain quantity."""
         return self.guard_of(f"{agent}.{field}").snapshots.reading(f"{agent}.{field}", quantity)
 
-    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
-        """The last value of a telemetry quantity and its age in seconds, however old; None for none yet."""
+    def last(self, device: str, quantity: str) -> Observation | None:
+        """The last value of a telemetry quantity, however old; None for none yet."""
         found = self._by_device.get(device)
         return found[0].snapshots.last(device, quantity) if found else None
 
@@ -174,9 +174,9 @@ class Guards:
         return {name: reason for guard in self._guards for name, reason in guard.latched.items()}
 
     @property
-    def silences(self) -> Mapping[str, float]:
-        """For how many seconds each device has not been heard."""
-        return {name: seconds for guard in self._guards for name, seconds in guard.snapshots.silences.items()}
+    def heard(self) -> Mapping[str, float]:
+        """When each device was last heard, on the monotonic clock; nothing for one that never was."""
+        return {name: when for guard in self._guards for name, when in guard.snapshots.heard.items()}
 
     @property
     def telemetry(self) -> Mapping[str, Mapping[str, DeviceValue]]:

@@ -12,7 +12,7 @@ from lfield.driver.known import KnownDriver
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
 from lfield.guard.messages import Snapshot
-from lfield.manifest import DeviceValue, Quantity
+from lfield.manifest import DeviceValue, Observation, Quantity
 from lfield.vm.contract import Reading
 from lfield.vm.memory.values import word_of
 
@@ -21,7 +21,7 @@ LOST_AFTER = 3.0
 
 
 class Snapshots:
-    """Values with the time when they were true; what is too old is refused, never given."""
+    """The newest observation of each quantity; what is too old is refused, never given."""
 
     def __init__(self, driver: KnownDriver, devices: Iterable[DeviceBinding], clock: Clock) -> None:
         self._clock = clock
@@ -35,17 +35,17 @@ class Snapshots:
             device.name: _patience(driver.manifests[device.type].device.telemetry)
             for device in self._devices.values()
         }
-        self._values: dict[tuple[str, str], tuple[DeviceValue, float]] = {}
+        self._seen: dict[tuple[str, str], Observation] = {}
         self._readings: dict[tuple[str, str], Reading] = {}
-        self._heard: dict[str, float] = {}
+        #: When each device was last heard, by its name; nothing for one that never was.
+        self.heard: dict[str, float] = {}
 
     def take(self, snapshot: Snapshot) -> None:
         """Take a snapshot in, and keep the readings up to date."""
-        now = self._clock.monotonic()
-        self._heard[snapshot.device] = now - snapshot.heard
-        for name, value in snapshot.values.items():
+        self.heard[snapshot.device] = snapshot.heard
+        for name, seen in snapshot.values.items():
             key = snapshot.device, name
-            self._values[key] = conform(value, self._quantities[key].type), now - snapshot.ages[name]
+            self._seen[key] = Observation(conform(seen.value, self._quantities[key].type), seen.when)
             if key in self._readings:
                 self._update(key)
 
@@ -53,26 +53,24 @@ class Snapshots:
         """The last value of a telemetry quantity. Raises DeviceError when there is none or it is too old."""
         binding, now = self._devices[device], self._clock.monotonic()
         if quantity == AGE.name:
-            if device not in self._heard:
+            if device not in self.heard:
                 raise DeviceError(binding.field, "has not been heard yet", kind="DeviceTimeoutException")
-            return now - self._heard[device]
-        found = self._values.get((device, quantity))
-        if found is None:
+            return now - self.heard[device]
+        seen = self._seen.get((device, quantity))
+        if seen is None:
             raise DeviceError(binding.field, f"has not reported {quantity}", kind="DeviceTimeoutException")
-        value, at = found
-        age, longest = now - at, self._quantities[device, quantity].max_age
+        age, longest = now - seen.when, self._quantities[device, quantity].max_age
         if age > longest:
             reason = f"the last {quantity} is {age:.1f} s old (at most {longest:g} s)"
             raise DeviceError(binding.field, reason, kind="DeviceTimeoutException")
-        return value
+        return seen.value
 
-    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
-        """The last value of a telemetry quantity and its age in seconds, however old; None for none yet."""
-        now = self._clock.monotonic()
-        if quantity == AGE.name and device in self._heard:
-            return now - self._heard[device], 0.0
-        found = self._values.get((device, quantity))
-        return None if found is None else (found[0], now - found[1])
+    def last(self, device: str, quantity: str) -> Observation | None:
+        """The last value of a telemetry quantity, however old; None for none yet."""
+        if quantity == AGE.name and device in self.heard:
+            now = self._clock.monotonic()
+            return Observation(now - self.heard[device], now)
+        return self._seen.get((device, quantity))
 
     def lost_since(self, device: str) -> float | None:
         """Since when a device has not been heard, if that is longer than it should take; None if not.
@@ -80,7 +78,7 @@ class Snapshots:
         It should take as long as its quickest quantity may be old, and LOST_AFTER at least. A device that has
         never said anything is not lost: not every one has something to say.
         """
-        heard = self._heard.get(device)
+        heard = self.heard.get(device)
         if heard is None or self._clock.monotonic() - heard <= self._patience[device]:
             return None
         return heard
@@ -96,23 +94,18 @@ class Snapshots:
         return self._readings[device, quantity]
 
     def _update(self, key: tuple[str, str]) -> None:
-        reading, (value, at) = self._readings[key], self._values[key]
+        reading, seen = self._readings[key], self._seen[key]
+        value = seen.value
         reading.word = word_of(value) if isinstance(value, float) else int(cast("int", value))
-        reading.until = at + self._quantities[key].max_age
-
-    @property
-    def silences(self) -> dict[str, float]:
-        """For how many seconds each device has not been heard."""
-        now = self._clock.monotonic()
-        return {name: now - at for name, at in self._heard.items()}
+        reading.until = seen.when + self._quantities[key].max_age
 
     @property
     def telemetry(self) -> dict[str, dict[str, DeviceValue]]:
         """The last values known, by device and quantity in the order of the manifest, however old."""
         shown: dict[str, dict[str, DeviceValue]] = {name: {} for name in self._devices}
         for device, quantity in self._quantities:
-            if (device, quantity) in self._values:
-                shown[device][quantity] = self._values[device, quantity][0]
+            if (device, quantity) in self._seen:
+                shown[device][quantity] = self._seen[device, quantity].value
         return shown
 
 

@@ -226,7 +226,7 @@ def check_methods(device: type[Device], manifest: Manifest, parts: Iterable[obje
     """Raise PluginError unless a Device class and its parts have one coroutine for each instruction."""
     owners = (device, *map(type, parts))
     for instruction in manifest.device.instructions:
-        if instruction.effect != "query" or instruction.blocking:
+        if not instruction.is_query:
             _check_method(owners, instruction)
 
 

@@ -62,7 +62,7 @@ def _array(item: Check, type_name: str) -> Check:
     def check(value: object) -> DeviceValue:
         if isinstance(value, str) or not isinstance(value, Sequence):
             raise _unfit(value, type_name)
-        return [item(part) for part in value]  # type: ignore[return-value]  # all int, or all float
+        return [item(part) for part in value]  # type: ignore[misc]  # all int, or all float
 
     return check
 

@@ -2,22 +2,21 @@
 
 A frame per message (lfield.wire.framing); the kind is the message, the payload its fields as MessagePack.
 Both ends are on one machine and share its monotonic clock, so `sent` can be compared with the time of
-arrival: an old message that was stuck in the pipe is known as old.
+arrival: an old message that was stuck in the pipe is known as old, and so is telemetry. A value has its L
+type only after `lfield.driver.values.conform`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import msgspec
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import KnownDriver
 from lfield.errors import WireError
+from lfield.manifest import DeviceValue, Observation
 from lfield.wire.framing import FrameDecoder, frame
-
-#: A value on the wire; `lfield.driver.values.conform` makes it a value of its L type.
-WireValue = bool | int | float | str | Sequence[int | float] | None
 
 
 class Message(msgspec.Struct, frozen=True, array_like=True):
@@ -43,7 +42,7 @@ class Call(Message, frozen=True):
     token: int
     device: str
     instruction: str
-    arguments: list[WireValue]
+    arguments: list[DeviceValue]
     sent: float
 
 
@@ -86,7 +85,7 @@ class Done(Message, frozen=True):
     """Guard: a call has been carried out."""
 
     token: int
-    value: WireValue
+    value: DeviceValue
 
 
 class Refused(Message, frozen=True):
@@ -98,11 +97,10 @@ class Refused(Message, frozen=True):
 
 
 class Snapshot(Message, frozen=True):
-    """Guard: telemetry of one device, with the age of each value and of the device itself in seconds."""
+    """Guard: telemetry of one device, by quantity, and when the device itself was last heard."""
 
     device: str
-    values: Mapping[str, WireValue]
-    ages: dict[str, float]
+    values: Mapping[str, Observation]
     heard: float
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from lfield.clock import Clock
 from lfield.guard.messages import Snapshot
-from lfield.manifest import DeviceValue
+from lfield.manifest import DeviceValue, Observation
 
 #: At most so many snapshots per second and device.
 RATE = 20.0
@@ -16,9 +16,9 @@ RATE = 20.0
 
 @dataclass(slots=True)
 class _Latest:
-    """What has been published since the last snapshot, with the time of each value."""
+    """What has been published since the last snapshot."""
 
-    values: dict[str, tuple[DeviceValue, float]] = field(default_factory=dict)
+    values: dict[str, Observation] = field(default_factory=dict)
     heard: float = 0.0
     fresh: bool = False
 
@@ -35,7 +35,7 @@ class Telemetry:
         """New values, true now; a value that did not change is fresh all the same."""
         latest, now = self._fresh(device), self._clock.monotonic()
         for name, value in values.items():
-            latest.values[name] = value, now
+            latest.values[name] = Observation(value, now)
 
     def heard(self, device: str) -> None:
         """The device has shown that it is alive."""
@@ -46,15 +46,10 @@ class Telemetry:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        now = self._clock.monotonic()
         for device, latest in self._devices.items():
-            if not latest.fresh:
-                continue
-            values = {name: value for name, (value, _) in latest.values.items()}
-            ages = {name: now - at for name, (_, at) in latest.values.items()}
-            self._push(Snapshot(device, values, ages, now - latest.heard))
-            latest.values.clear()
-            latest.fresh = False
+            if latest.fresh:
+                self._push(Snapshot(device, latest.values, latest.heard))
+                latest.values, latest.fresh = {}, False
 
     def _fresh(self, device: str) -> _Latest:
         """The record of a device, now with something to push."""

@@ -8,11 +8,12 @@ capability of a registry nothing of all this happens.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
 from lfield.capability.directory.directory import Directory, Links
 from lfield.capability.directory.news import News
 from lfield.capability.model import Registry
+from lfield.capability.offer import Candidate
 from lfield.clock import Clock
 from lfield.errors import WireError
 from lfield.host.reports import Reports
@@ -20,7 +21,7 @@ from lfield.host.sampling import Devices, Sampler
 from lfield.mission.mission import Mission
 from lfield.mobility.effects import Send
 from lfield.vm.agent import Agent
-from lfield.wire.messages import Hello, Report
+from lfield.wire.messages import Hello, Report, Told, ToldFact, age, clip
 
 #: The registry of a mission that asks for no capability.
 NO_REGISTRY = Registry({}, {}, {}, {}, {}, {})
@@ -102,21 +103,16 @@ class TeamDirectory:
     def _report(self, news: News) -> Report:
         return self._reports.write(news, self._clock.monotonic())
 
-    def status(self) -> dict[str, Any]:
-        """For each agent, why it cannot be called, or '', and its live attributes.
-
-        `facts` has value and age in seconds of each that is known, `unknown` why the others are not.
-        """
+    def told(self) -> list[Told]:
+        """For whoever asks from outside: how every agent is now."""
         self.look()
-        return {
-            candidate.agent: {
-                "refusal": candidate.refusal,
-                "facts": {
-                    name: [candidate.facts[name].value, round(candidate.facts[name].age, 3)]
-                    for name in self.directory.live(candidate.agent)
-                    if name in candidate.facts
-                },
-                "unknown": dict(candidate.unknown),
-            }
-            for candidate in self.directory.everybody()
+        return [self._told(candidate) for candidate in self.directory.everybody()]
+
+    def _told(self, candidate: Candidate) -> Told:
+        facts = {
+            name: ToldFact(clip(value) if isinstance(value, str) else value, round(age(fact.age), 3))
+            for name in self.directory.live(candidate.agent)
+            if (fact := candidate.facts.get(name)) and not isinstance(value := fact.value, frozenset)
         }
+        unknown = {name: clip(why) for name, why in candidate.unknown.items()}
+        return Told(candidate.agent, clip(candidate.refusal), facts, unknown)

@@ -13,7 +13,6 @@ import secrets
 import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -27,9 +26,9 @@ from lfield.errors import DeviceError, HostFailure
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
 from lfield.host.logbook import Logbook
-from lfield.host.status import coordinators_of, status_of
+from lfield.host.status import status_of
 from lfield.loop import spawn
-from lfield.manifest import DeviceValue
+from lfield.manifest import DeviceValue, Observation
 from lfield.mission.mission import Mission
 from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
@@ -96,7 +95,8 @@ class Host:
         self.failed = asyncio.Event()
         self.failure: HostFailure | None = None
         self.address = ""
-        self._statuses: dict[str, dict[str, Any]] = {}
+        #: What other hosts have last said of themselves, for whoever asks them.
+        self.statuses: dict[str, Status] = {}
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
         self._due = 0.0
@@ -272,9 +272,9 @@ class Host:
     def received(self, host: str, message: Control, link: Link) -> None:
         """A message came; `host` is '' when an observer sent it."""
         if isinstance(message, StatusRequest):
-            link.send(Status(self.status()))
+            link.send(self.status())
         elif isinstance(message, Status):
-            self._statuses[host] = message.data
+            self.statuses[host] = message
             self.changed.set()
         elif isinstance(message, EmergencyStop) and not host:
             spawn(self._emergency_stop(message, link))
@@ -296,25 +296,10 @@ class Host:
 
     # --- what others want to know ---------------------------------------------------------------------
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Status:
         """What `lfield ps` shows of this host."""
         up = self.clock.monotonic() - self.started
         return status_of(self.core, self.peers, self.guards, self.address, up, self.clock)
-
-    async def ask_others(self, bound: float = 1.0) -> dict[str, list[dict[str, Any]]]:
-        """The coordinators that this host and every host it can reach know of, by host, asked now."""
-        self._statuses.clear()
-        asked = set(self.peers.incarnations)
-        for host in asked:
-            self.peers.send(host, StatusRequest())
-        end = self.clock.monotonic() + bound
-        while asked - self._statuses.keys() and self.clock.monotonic() < end:
-            self.changed.clear()
-            with suppress(TimeoutError):
-                async with asyncio.timeout(bound):
-                    await self.changed.wait()
-        answers = {host: data["coordinators"] for host, data in self._statuses.items()}
-        return answers | {self.name: coordinators_of(self.core)}
 
 
 class _Nearby:
@@ -330,7 +315,7 @@ class _Nearby:
     def last_heard(self, host: str) -> float | None:
         return self._peers.last_heard(host)
 
-    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
+    def last(self, device: str, quantity: str) -> Observation | None:
         return self._guards.last(device, quantity)
 
     def trouble(self, device: str) -> Trouble | None:

@@ -12,10 +12,7 @@ from lfield.capability.directory.directory import Deployed, live_attributes
 from lfield.capability.directory.news import Condition, News, Sample, Scalar, Trouble
 from lfield.capability.model import Attribute, Registry
 from lfield.errors import WireError
-from lfield.wire.messages import MAX_LABEL, AgentReport, FactReport, Report, clip
-
-#: The most an age may be, in seconds.
-_EVER = 1e9
+from lfield.wire.messages import MAX_LABEL, AgentReport, FactReport, Report, age, clip
 
 
 class Reports:
@@ -41,12 +38,12 @@ class Reports:
 
     def _write_agent(self, agent: str, change: Condition, now: float) -> AgentReport:
         places, trouble = self._places[agent], change.trouble
-        lasting = None if trouble is None or trouble.since is None else _age(now - trouble.since)
+        lasting = None if trouble is None or trouble.since is None else age(now - trouble.since)
         facts = [
             FactReport(
                 places[name],
                 clip(s.value, MAX_LABEL) if isinstance(s.value, str) else s.value,
-                _age(s.age if s.kept else s.age + now - s.at),
+                age((s.at if s.kept else now) - s.when),
                 s.kept,
             )
             for name, s in change.samples.items()
@@ -71,7 +68,8 @@ class Reports:
         samples: dict[str, Sample] = {}
         for fact in told.facts:
             attribute = self._attribute(agent, fact.attribute)
-            samples[attribute.name] = Sample(_value(agent, attribute, fact.value), fact.age, now, fact.kept)
+            value = _value(agent, attribute, fact.value)
+            samples[attribute.name] = Sample(value, now - fact.age, now, fact.kept)
         unknown = {self._attribute(agent, place).name: why for place, why in told.unknown}
         return Condition(trouble, samples, unknown)
 
@@ -80,10 +78,6 @@ class Reports:
         if place >= len(live):
             raise WireError(f"a report names live attribute {place} of {agent}, which has {len(live)}")
         return live[place]
-
-
-def _age(seconds: float) -> float:
-    return min(max(0.0, seconds), _EVER)
 
 
 def _value(agent: str, attribute: Attribute, value: Scalar) -> Scalar:

@@ -8,7 +8,7 @@ from typing import Protocol
 from lfield.capability.directory.news import Condition, Sample, Scalar, Trouble
 from lfield.capability.model import Attribute, AttributeType, Live
 from lfield.clock import Clock
-from lfield.manifest import DeviceValue
+from lfield.manifest import DeviceValue, Observation
 from lfield.vm.agent import Agent
 
 #: Numbers from here on, and NaN, are no values.
@@ -18,8 +18,8 @@ _LARGEST = 2.0**63
 class Devices(Protocol):
     """The devices of a host, by name, as the host knows them without asking."""
 
-    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
-        """The last value of a telemetry quantity and its age in seconds, however old; None for none yet."""
+    def last(self, device: str, quantity: str) -> Observation | None:
+        """The last value of a telemetry quantity, however old; None for none yet."""
 
     def trouble(self, device: str) -> Trouble | None:
         """Why a device cannot be called now; None when it can."""
@@ -57,10 +57,10 @@ class Sampler:
 
     def _sample(self, agent: str, live: Live) -> Sample | str:
         """The value of a live attribute, or why there is none."""
-        last = self._devices.last(f"{agent}.{live.device}", live.quantity)
-        if last is None:
+        seen = self._devices.last(f"{agent}.{live.device}", live.quantity)
+        if seen is None:
             return f"{live.device} has not reported {live.quantity}"
-        value, age = last
+        value = seen.value
         if live.index is not None:
             if not isinstance(value, list | tuple) or live.index >= len(value):
                 return f"{live.device} reports no element {live.index} of {live.quantity}"
@@ -68,7 +68,7 @@ class Sampler:
         fitting = _fitting(value, live, self._attributes[live.attribute].type)
         if fitting is None:
             return f"{live.device} reports {live.quantity} as {value}"
-        return Sample(fitting, age, self._clock.monotonic())
+        return Sample(fitting, seen.when, self._clock.monotonic())
 
 
 def _fitting(value: DeviceValue, live: Live, wanted: AttributeType) -> Scalar | None:

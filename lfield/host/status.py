@@ -1,12 +1,13 @@
-"""What a host tells `lfield ps`: plain data, strings and numbers only."""
+"""What a host tells `lfield ps` and `lfield query`."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 from lfield.clock import Clock
 from lfield.devices.guards import Guards
 from lfield.host.core import HostCore
+from lfield.manifest import DeviceValue
 from lfield.net.peers import Peers
 from lfield.vm.agent import Agent
 from lfield.vm.memory.layout import (
@@ -21,53 +22,60 @@ from lfield.vm.memory.layout import (
     WAITING,
 )
 from lfield.vm.memory.threads import threads
-from lfield.wire.messages import Known
+from lfield.wire.messages import (
+    MAX_LABEL,
+    MAX_NUMBERS,
+    AgentStatus,
+    DeviceStatus,
+    LinkStatus,
+    Status,
+    Telemetry,
+    age,
+    clip,
+)
 
 #: The states of threads, the liveliest first.
 _LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
 
 
-def status_of(
-    core: HostCore, peers: Peers, guards: Guards, address: str, up: float, clock: Clock
-) -> dict[str, Any]:
-    """The agents, coordinators, links and devices of a host that has been `up` for so many seconds."""
+def status_of(core: HostCore, peers: Peers, guards: Guards, address: str, up: float, clock: Clock) -> Status:
+    """The status of a host that has been `up` for so many seconds, to the millisecond."""
     now = clock.monotonic()
-    return {
-        "host": core.name,
-        "address": address,
-        "up": round(up, 3),
-        "program": core.mission.program.digest.hex()[:16],
-        "deployment": core.team.deployment.hex()[:16],
-        "agents": [_agent(agent) for agent in core.machine.agents.values()],
-        "coordinators": coordinators_of(core),
-        "linked": sorted(peers.incarnations),
-        "away": {name: round(now - since, 3) for name, since in peers.away.items()},
-        "devices": {name: dict(values) for name, values in guards.telemetry.items()},
-        "silences": {name: round(seconds, 3) for name, seconds in guards.silences.items()},
-        "latched": dict(guards.latched),
-        "directory": core.directory.status(),
-    }
+    return Status(
+        host=core.name,
+        address=address,
+        up=_since(up),
+        program=core.mission.program.digest,
+        deployment=core.team.deployment,
+        agents=[_agent(agent) for agent in core.machine.agents.values()],
+        coordinators=core.mobility.knowledge(),
+        devices=_devices(guards, now),
+        links=[
+            *(LinkStatus(host, None) for host in sorted(peers.incarnations)),
+            *(LinkStatus(host, _since(now - since)) for host, since in peers.away.items()),
+        ],
+        directory=core.directory.told(),
+    )
 
 
-def coordinators_of(core: HostCore) -> list[dict[str, Any]]:
-    """What a host knows of every coordinator it has seen."""
-    return [_coordinator(known) for known in core.mobility.knowledge()]
+def _since(seconds: float) -> float:
+    return round(age(seconds), 3)
 
 
-def _agent(agent: Agent) -> dict[str, Any]:
+def _agent(agent: Agent) -> AgentStatus:
     block = agent.block
     states = [block.w[place + THREAD_STATE] for place in threads(block)]
-    return {
-        "id": agent.id,
-        "type": agent.member.type,
-        "kind": agent.member.kind,
-        "state": agent.ended or ("leaving" if agent.frozen else _busiest(states)),
-        "hops": agent.hops,
-        "served": agent.served,
-        "heap": 8 * block.top,
-        "limit": agent.limits.heap,
-        "threads": len(states),
-    }
+    return AgentStatus(
+        id=agent.id,
+        type=clip(agent.member.type),
+        kind="coordinator" if agent.member.kind == "coordinator" else "resource",
+        state=agent.ended or ("leaving" if agent.frozen else _busiest(states)),
+        hops=agent.hops,
+        served=agent.served,
+        heap=8 * block.top,
+        limit=agent.limits.heap,
+        threads=len(states),
+    )
 
 
 def _busiest(states: list[int]) -> str:
@@ -75,14 +83,29 @@ def _busiest(states: list[int]) -> str:
     return STATE_NAMES[min(states, key=_LIVELIEST.index)] if states else "idle"
 
 
-def _coordinator(known: Known) -> dict[str, Any]:
-    return {
-        "id": known.agent,
-        "generation": known.generation,
-        "sequence": known.sequence,
-        "hops": known.hops,
-        "state": known.state,
-        "where": known.where,
-        "outcome": known.outcome,
-        "detail": known.detail,
-    }
+def _devices(guards: Guards, now: float) -> list[DeviceStatus]:
+    heard, latched = guards.heard, guards.latched
+    return [
+        DeviceStatus(
+            clip(name),
+            _telemetry(values),
+            _since(now - heard[name]) if name in heard else None,
+            clip(latched.get(name, "")),
+        )
+        for name, values in guards.telemetry.items()
+    ]
+
+
+def _telemetry(values: Mapping[str, DeviceValue]) -> dict[str, Telemetry]:
+    return {clip(name, MAX_LABEL): _shown(value) for name, value in values.items() if value is not None}
+
+
+def _shown(value: bool | int | float | str | Sequence[int | float]) -> Telemetry:
+    """A value as a message may carry it: of a long one the beginning."""
+    match value:
+        case bool() | int() | float():
+            return value
+        case str():
+            return clip(value)
+        case _:
+            return list(value[:MAX_NUMBERS])

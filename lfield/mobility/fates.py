@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+
+from lfield.wire.messages import Known
 
 _ALIVE = ("RUN", "FROZEN", "PREPARED")
 
@@ -24,20 +25,20 @@ class Fate:
     detail: str
 
 
-Records = Sequence[Mapping[str, Any]]
+Records = Sequence[Known]
 
 
 def fates(homes: Mapping[str, str], records: Mapping[str, Records], gone: Collection[str]) -> dict[str, Fate]:
     """The coordinators that have ended or are lost.
 
-    `homes` has the host where each coordinator starts, `records`, for each host that answered, its
-    coordinators as `lfield.host.status` gives them; `gone` are the hosts given up. Hosts do not answer at the
-    same moment: only a loss that two censuses in a row find is one.
+    `homes` has the host where each coordinator starts, `records`, for each host that answered, what it knows
+    of coordinators; `gone` are the hosts given up. Hosts do not answer at the same moment: only a loss that
+    two censuses in a row find is one.
     """
     found = {}
     for agent, home in homes.items():
         by_host = {
-            host: [r for r in rows if r["id"] == agent and r["outcome"] != "superseded"]
+            host: [r for r in rows if r.agent == agent and r.outcome != "superseded"]
             for host, rows in records.items()
         }
         fate = _fate(agent, home, by_host, gone)
@@ -48,18 +49,18 @@ def fates(homes: Mapping[str, str], records: Mapping[str, Records], gone: Collec
 
 def _fate(agent: str, home: str, records: Mapping[str, Records], gone: Collection[str]) -> Fate | None:
     counted = [r for rows in records.values() for r in rows]
-    ended = next((r for r in counted if r["state"] == "EXITED"), None)
+    ended = next((r for r in counted if r.state == "EXITED"), None)
     if ended:
-        return Fate(agent, ended["outcome"], ended["detail"])
+        return Fate(agent, ended.outcome, ended.detail)
     if not counted:
         return Fate(agent, "lost", f"its host {home} is gone") if home in gone else None
-    last = max(counted, key=lambda r: (r["generation"], r["sequence"], r["state"] in _ALIVE))
-    if last["state"] in _ALIVE:
+    last = max(counted, key=lambda r: (r.generation, r.sequence, r.state in _ALIVE))
+    if last.state in _ALIVE:
         return None
-    where, number = last["where"], (last["generation"], last["sequence"])
+    where, number = last.where, (last.generation, last.sequence)
     if where in gone:
-        return Fate(agent, "lost", f"it went to {where} (transfer {last['sequence']}), which is gone")
+        return Fate(agent, "lost", f"it went to {where} (transfer {last.sequence}), which is gone")
     there = records.get(where)
-    if there is None or any((r["generation"], r["sequence"]) >= number for r in there):
+    if there is None or any((r.generation, r.sequence) >= number for r in there):
         return None
-    return Fate(agent, "lost", f"it went to {where} (transfer {last['sequence']}), which was restarted")
+    return Fate(agent, "lost", f"it went to {where} (transfer {last.sequence}), which was restarted")

@@ -1,14 +1,23 @@
-"""Asks hosts for something, as somebody who is no host: their status, or an emergency stop."""
+"""Asks the hosts of a team for something, as somebody who is no host: their status, or an emergency stop.
+
+A team is asked where it runs: at the addresses of `--map`, else at those that `up --all` has published on
+this computer, else at those of its deployment.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
-from typing import Any
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from lfield.errors import AddressError, GreetingError, LfieldError, WireError
+from lfield.mission.team import Team, parse_maps
 from lfield.net.greeting import Greeting
+from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link, Transport
+from lfield.operator import whereabouts
 from lfield.wire.messages import (
     EmergencyStop,
     EmergencyStopped,
@@ -17,32 +26,99 @@ from lfield.wire.messages import (
     Status,
     StatusRequest,
     Transfer,
+    clip,
 )
 
-#: Seconds a host has for its answer; a stop takes as long as the devices take to confirm it.
-BOUND, STOP_BOUND = 2.0, 8.0
+T = TypeVar("T", bound=Status | EmergencyStopped)
 
-#: What can be asked.
-Request = StatusRequest | EmergencyStop
-STATUS = StatusRequest()
+#: For each host by its name what it answered, or the error that stood in the way.
+Answers = Mapping[str, T | LfieldError]
+
+#: An observer is sent no coordinators; this is the largest block it would read, in bytes.
+_MAX_BLOCK = 1 << 20
 
 
-class _Question:
+@dataclass(frozen=True, slots=True)
+class Request(Generic[T]):
+    """What can be asked: the message, what answers it, and the seconds that a host has for that."""
+
+    message: StatusRequest | EmergencyStop
+    answer: type[T]
+    bound: float
+
+
+STATUS = Request(StatusRequest(), Status, 2.0)
+
+
+def emergency_stop(reason: str, *, lift: bool = False) -> Request[EmergencyStopped]:
+    """An emergency stop, or its end. It takes as long as the devices take to confirm it."""
+    return Request(EmergencyStop(clip(reason), lift), EmergencyStopped, 8.0)
+
+
+def ask_team(team: Team, maps: Sequence[str], request: Request[T]) -> Answers[T]:
+    """What the hosts of a team answer, in its order. `maps` are `NAME=ADDR:PORT`; raises UsageError."""
+    found = whereabouts.find(team.deployment) | parse_maps(maps, team)
+    return asyncio.run(ask_all(observer(), team.at(found).reached, request))
+
+
+def silent(answers: Answers[T]) -> dict[str, LfieldError]:
+    """The hosts that did not answer, with the reasons."""
+    return {host: answer for host, answer in answers.items() if isinstance(answer, LfieldError)}
+
+
+def tell_silent(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
+    """A line on stderr for each host that did not answer."""
+    for host, why in hosts.items():
+        print(f"{host}: {meaning}{why}", file=sys.stderr)
+
+
+def observer(connect_timeout: float = 2.0) -> TcpTransport:
+    """What links to hosts are made with; `connect_timeout` in seconds."""
+    return TcpTransport(_MAX_BLOCK, connect_timeout=connect_timeout)
+
+
+async def ask_all(transport: Transport, addresses: Mapping[str, str], request: Request[T]) -> Answers[T]:
+    """The answer of every host by name, all asked at once."""
+
+    async def one(address: str) -> T | LfieldError:
+        try:
+            return await ask(transport, address, request)
+        except LfieldError as error:
+            return error
+
+    answers = await asyncio.gather(*(one(address) for address in addresses.values()))
+    return dict(zip(addresses, answers, strict=True))
+
+
+async def ask(transport: Transport, address: str, request: Request[T]) -> T:
+    """The answer of the host at an address. Raises AddressError, GreetingError, WireError."""
+    asking = _Asking(request)
+    link = await transport.connect(address, asking)
+    try:
+        link.send(asking.greeting.own)
+        async with asyncio.timeout(request.bound):
+            return await asking.answer
+    except TimeoutError:
+        raise AddressError(address, f"no answer within {request.bound:g} s") from None
+    finally:
+        asking.answer.cancel()
+        link.close()
+
+
+class _Asking(Generic[T]):
     """The handler of one link: greets, asks, keeps the answer."""
 
-    def __init__(self, request: Request) -> None:
+    def __init__(self, request: Request[T]) -> None:
         self._request = request
         self.greeting = Greeting(Hello("observer", "observer", 0))
-        self.answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+        self.answer: asyncio.Future[T] = asyncio.get_running_loop().create_future()
 
     def on_message(self, link: Link, message: Message) -> None:
         if self.greeting.peer is None:
             self.greeting.receive(message)
-            link.send(self._request)
-        elif isinstance(message, Status) and not self.answer.done():
-            self.answer.set_result(message.data)
-        elif isinstance(message, EmergencyStopped) and not self.answer.done():
-            self.answer.set_result(dict(message.devices))
+            link.send(self._request.message)
+        elif isinstance(message, self._request.answer) and not self.answer.done():
+            self.answer.set_result(message)
 
     def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
         raise WireError("a coordinator was sent to an observer")
@@ -55,34 +131,3 @@ class _Question:
             self.answer.set_exception(
                 error or GreetingError(f"{link.peer} closed the link without an answer")
             )
-
-
-async def ask(transport: Transport, address: str, request: Request = STATUS) -> dict[str, Any]:
-    """The answer of the host at an address. Raises AddressError, GreetingError, WireError."""
-    question = _Question(request)
-    bound = BOUND if isinstance(request, StatusRequest) else STOP_BOUND
-    link = await transport.connect(address, question)
-    try:
-        link.send(question.greeting.own)
-        async with asyncio.timeout(bound):
-            return await question.answer
-    except TimeoutError:
-        raise AddressError(address, f"no answer within {bound:g} s") from None
-    finally:
-        question.answer.cancel()
-        link.close()
-
-
-async def ask_all(
-    transport: Transport, addresses: Mapping[str, str], request: Request = STATUS
-) -> dict[str, dict[str, Any] | LfieldError]:
-    """The answer of every host by name, or the error that stood in the way."""
-
-    async def one(address: str) -> dict[str, Any] | LfieldError:
-        try:
-            return await ask(transport, address, request)
-        except LfieldError as error:
-            return error
-
-    answers = await asyncio.gather(*(one(address) for address in addresses.values()))
-    return dict(zip(addresses, answers, strict=True))

@@ -4,30 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-import msgspec
 
 from lfield.capability.directory.directory import Deployed, live_attributes
 from lfield.capability.model import Attribute, Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.capability.reading.reader import read_registry
-from lfield.errors import LfieldError, UsageError, WireError
+from lfield.errors import LfieldError, UsageError
 from lfield.mission import bundle
 from lfield.mission.load import CAPABILITIES, beside
 from lfield.mission.team import Team
-
-#: What a live attribute can be worth.
-Scalar = bool | int | float | str
-
-
-class Told(msgspec.Struct, frozen=True):
-    """What a host's directory says of one agent (`Reporting.status`): facts have a value and an age."""
-
-    refusal: str
-    facts: dict[str, tuple[Scalar, float]]
-    unknown: dict[str, str] = {}
-
+from lfield.operator.ask import Answers
+from lfield.wire.messages import Status, Told
 
 #: For each host, what its directory says of the agents.
 Views = Mapping[str, Mapping[str, Told]]
@@ -68,7 +55,7 @@ def from_files(registry: Registry, agents: Sequence[Deployed], at: str = "") -> 
     `at` is the host where the question is asked, for the count of hops; '' is none of them.
     """
     return Roster(
-        _candidate(registry, agent, at, Told("", {}), "the team is not running")
+        _candidate(registry, agent, at, Told(agent.id, "", {}, {}), "the team is not running")
         for agent in _providers(registry, agents)
     )
 
@@ -86,19 +73,13 @@ def from_hosts(
     )
 
 
-def views_of(answers: Mapping[str, dict[str, Any] | LfieldError]) -> tuple[Views, dict[str, LfieldError]]:
-    """The directories in the status of all hosts that answered, and what is the matter with the others."""
-    views: dict[str, dict[str, Told]] = {}
-    errors: dict[str, LfieldError] = {}
-    for host, answer in answers.items():
-        if isinstance(answer, LfieldError):
-            errors[host] = answer
-            continue
-        try:
-            views[host] = msgspec.convert(answer.get("directory", {}), dict[str, Told])
-        except msgspec.ValidationError as error:
-            errors[host] = WireError(f"{host} tells no directory that this lfield knows: {error}")
-    return views, errors
+def views_of(answers: Answers[Status]) -> Views:
+    """The directories of all hosts that answered."""
+    return {
+        host: {told.agent: told for told in answer.directory}
+        for host, answer in answers.items()
+        if not isinstance(answer, LfieldError)
+    }
 
 
 def _providers(registry: Registry, agents: Sequence[Deployed]) -> list[Deployed]:
@@ -111,7 +92,8 @@ def _view(agent: Deployed, views: Views, silent: Collection[str], at: str) -> To
         told = views.get(host, {}).get(agent.id)
         if told is not None:
             return told
-    return Told(f"its host {agent.host} does not answer" if agent.host in silent else "", {})
+    why = f"its host {agent.host} does not answer" if agent.host in silent else ""
+    return Told(agent.id, why, {}, {})
 
 
 def _candidate(registry: Registry, agent: Deployed, at: str, told: Told, why: str) -> Candidate:
@@ -119,16 +101,16 @@ def _candidate(registry: Registry, agent: Deployed, at: str, told: Told, why: st
     facts = {name: Fact(value) for name, value in registry.agents.get(agent.id, {}).items()}
     unknown = {}
     for name in live_attributes(registry, agent):
-        value, age = told.facts.get(name, (None, 0.0))
-        if value is not None and _fits(value, registry.attributes[name]):
-            facts[name] = Fact(value, max(age, 0.0))
+        fact = told.facts.get(name)
+        if fact is not None and _fits(fact.value, registry.attributes[name]):
+            facts[name] = Fact(fact.value, fact.age)
         else:
             unknown[name] = told.unknown.get(name) or f"{name} is not known: {why}"
     hops = 0 if agent.host == at else 1
     return Candidate(agent.id, agent.type, agent.host, hops, told.refusal, facts, unknown)
 
 
-def _fits(value: Scalar, attribute: Attribute) -> bool:
+def _fits(value: bool | int | float | str, attribute: Attribute) -> bool:
     """Whether a value that came is one of its attribute."""
     if isinstance(value, bool | str):
         return attribute.type == ("boolean" if isinstance(value, bool) else "text")

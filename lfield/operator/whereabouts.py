@@ -6,16 +6,20 @@ the process that wrote it, and is believed only while that process lives.
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
 
 from lfield.lang.deployment import read_deployment
 from lfield.mission import bundle
 from lfield.mission.team import Team, team_of
+from lfield.wire.messages import Label, Name
 
 
 def open_team(mission: Path) -> Team:
@@ -29,9 +33,16 @@ def open_team(mission: Path) -> Team:
     return team_of(deployment.rows, deployment.kinds, deployment.ports)
 
 
-def _folder() -> Path:
+class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the file says, in JSON: who wrote it, and for each host its "address:port"."""
+
+    pid: Annotated[int, Meta(gt=0, lt=2**31)]
+    addresses: Annotated[dict[Name, Label], Meta(max_length=4096)]
+
+
+def _path(deployment: bytes) -> Path:
     base = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
-    return Path(base) / f"lfield-{os.getuid()}"
+    return Path(base) / f"lfield-{os.getuid()}" / f"{deployment.hex()[:32]}.json"
 
 
 @contextmanager
@@ -40,25 +51,48 @@ def published(deployment: bytes, addresses: Mapping[str, str]) -> Iterator[None]
 
     Where the folder cannot be written nothing is published: only `ps` without --map is the poorer for it.
     """
-    path = _folder() / f"{deployment.hex()[:32]}.json"
+    path, note = _path(deployment), Note(os.getpid(), dict(addresses))
     with suppress(OSError):
-        path.parent.mkdir(mode=0o700, exist_ok=True)
-        path.write_text(json.dumps({"pid": os.getpid(), "addresses": dict(addresses)}), encoding="utf-8")
+        _write(path, note)
     try:
         yield
     finally:
-        with suppress(OSError):
-            path.unlink()
+        # The same deployment may have been started twice: the later one's note is not ours to take.
+        if _read(path) == note:
+            with suppress(OSError):
+                path.unlink()
 
 
 def find(deployment: bytes) -> dict[str, str]:
     """The addresses published for a deployment, {} when nobody who lives has published any."""
-    path = _folder() / f"{deployment.hex()[:32]}.json"
+    note = _read(_path(deployment))
+    if note is None:
+        return {}
+    try:
+        os.kill(note.pid, 0)
+    except OSError:
+        return {}
+    return note.addresses
+
+
+def _write(path: Path, note: Note) -> None:
+    """Nobody finds half a note, and nobody else may read it."""
+    path.parent.mkdir(mode=0o700, exist_ok=True)
+    descriptor, name = tempfile.mkstemp(dir=path.parent)
+    try:
+        with open(descriptor, "wb") as file:
+            file.write(msgspec.json.encode(note))
+        os.replace(name, path)
+    except OSError:
+        os.unlink(name)
+        raise
+
+
+def _read(path: Path) -> Note | None:
+    """The note, None when there is none that makes sense in a folder of this user."""
     try:
         if path.parent.stat().st_uid != os.getuid():
-            return {}
-        record = json.loads(path.read_text(encoding="utf-8"))
-        os.kill(int(record["pid"]), 0)
-        return {str(k): str(v) for k, v in record["addresses"].items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {}
+            return None
+        return msgspec.json.decode(path.read_bytes(), type=Note)
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return None

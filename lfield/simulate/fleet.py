@@ -20,7 +20,7 @@ from lfield.clock import ManualClock
 from lfield.errors import DeviceError
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, Effect, Say, Write
-from lfield.manifest import DeviceValue
+from lfield.manifest import DeviceValue, Observation
 from lfield.mission.mission import Mission
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.vm.contract import Reading
@@ -58,7 +58,7 @@ class Links:
         """When something last came from a host."""
         return self.heard.get(host)
 
-    def last(self, device: str, quantity: str) -> tuple[DeviceValue, float] | None:
+    def last(self, device: str, quantity: str) -> Observation | None:
         """There are no devices."""
         return None
 

@@ -9,7 +9,7 @@ is followed by the raw bytes of a block. `codec` writes and reads them all.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
@@ -28,6 +28,12 @@ MAX_LABEL = 256
 #: Bytes of a program or deployment hash.
 HASH_SIZE = 32
 
+#: The most an age or another span of time may be, in seconds; `age` cuts to it.
+OLDEST = 1e9
+
+#: The most numbers of an array of telemetry that a status shows.
+MAX_NUMBERS = 1024
+
 Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME)]
 MaybeName = Annotated[str, Meta(max_length=MAX_NAME)]
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
@@ -35,7 +41,8 @@ Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
 Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
 Label = Annotated[str, Meta(max_length=MAX_LABEL)]
-Age = Annotated[float, Meta(ge=0.0, le=1e9)]
+Age = Annotated[float, Meta(ge=0.0, le=OLDEST)]
+Telemetry = bool | int | float | Text | Annotated[list[int | float], Meta(max_length=MAX_NUMBERS)]
 
 #: Where a host's copy of a coordinator stands; see `lfield/docs/mobility.md`.
 CopyState = Literal["RUN", "FROZEN", "PREPARED", "IN DOUBT", "MOVED", "EXITED"]
@@ -53,6 +60,11 @@ SUPERSEDED = "superseded"
 def clip(text: str, longest: int = MAX_TEXT) -> str:
     """The text cut to what a message may carry."""
     return text if len(text) <= longest else text[: longest - 4] + " ..."
+
+
+def age(seconds: float) -> float:
+    """A span of time as a message may carry it."""
+    return min(max(0.0, seconds), OLDEST)
 
 
 class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -173,10 +185,76 @@ class StatusRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=
     """Asks a host for what `lfield ps` shows."""
 
 
-class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
-    """The answer: plain data (strings, numbers, lists, dicts with string keys)."""
+class AgentStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """An agent that a host runs. `state` is a word for what it does; `heap` and `limit` are bytes."""
 
-    data: dict[str, Any]
+    id: Name
+    type: Text
+    kind: Literal["coordinator", "resource"]
+    state: Label
+    hops: Count
+    served: Count
+    heap: Count
+    limit: Count
+    threads: Count
+
+
+class DeviceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A device of a host, with its last telemetry by quantity, however old.
+
+    `silent` is for how long it has not been heard, None if it never was. `latched` is why it is held in its
+    safe state, '' when it is in use.
+    """
+
+    name: Text
+    telemetry: Annotated[dict[Label, Telemetry], Meta(max_length=1024)]
+    silent: Age | None
+    latched: Text
+
+
+class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """Another host: for how long there has been no link to it, None while there is one."""
+
+    host: Name
+    away: Age | None
+
+
+class ToldFact(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The value of a live attribute, `age` seconds old."""
+
+    value: bool | int | float | Text
+    age: Age
+
+
+class Told(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What a host's directory says of an agent of the team.
+
+    `refusal` is why it cannot be called, '' when it can. Live attributes are among `facts`, or `unknown` with
+    the reason.
+    """
+
+    agent: Name
+    refusal: Text
+    facts: Annotated[dict[Label, ToldFact], Meta(max_length=1024)]
+    unknown: Annotated[dict[Label, Text], Meta(max_length=1024)]
+
+
+class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
+    """The answer: a host that has been `up` for so many seconds, its agents, devices and links.
+
+    `coordinators` are all that it has seen, `directory` is what it knows of the agents of the team.
+    """
+
+    host: Name
+    address: Text
+    up: Age
+    program: Hash
+    deployment: Hash
+    agents: Annotated[list[AgentStatus], Meta(max_length=4096)]
+    coordinators: Annotated[list[Known], Meta(max_length=4096)]
+    devices: Annotated[list[DeviceStatus], Meta(max_length=4096)]
+    links: Annotated[list[LinkStatus], Meta(max_length=4096)]
+    directory: Annotated[list[Told], Meta(max_length=4096)]
 
 
 class Ping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=8):

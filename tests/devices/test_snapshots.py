@@ -26,7 +26,7 @@ def test_a_device_that_has_fallen_silent_is_lost_soon(installed, device_type):
     )
     snapshots = Snapshots(installed, [binding], clock)
     assert snapshots.lost_since("a.thing") is None
-    snapshots.take(Snapshot("a.thing", {}, {}, 0.0))
+    snapshots.take(Snapshot("a.thing", {}, clock.now))
     heard = clock.monotonic()
     clock.advance(LOST_AFTER - 0.1)
     assert snapshots.lost_since("a.thing") is None

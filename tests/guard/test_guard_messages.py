@@ -12,7 +12,7 @@ from lfield.driver.known import KnownDriver, ManifestFile
 from lfield.driver.values import conform
 from lfield.errors import WireError
 from lfield.guard.messages import MESSAGES, Call, Done, MessageReader, Open, Snapshot, encode
-from lfield.manifest import DeviceManifest, Quantity
+from lfield.manifest import DeviceManifest, Observation, Quantity
 
 BINDING = DeviceBinding(
     agent="a",
@@ -33,7 +33,7 @@ SAMPLES = [
     Open([BINDING], "again", 0.2, DRIVER),
     Call(7, "a.f", "go", [1.5, True, "text", [1, 2], [0.5], None, -3], 12.25),
     Done(7, [1.0, 2.0]),
-    Snapshot("a.f", {"mode": "GUIDED", "armed": True}, {"mode": 0.1, "armed": 0.2}, 0.05),
+    Snapshot("a.f", {"mode": Observation("GUIDED", 7.9), "armed": Observation(True, 7.8)}, 7.95),
 ]
 
 
@@ -89,8 +89,8 @@ def test_values_of_another_type_are_refused(value, kind):
 
 
 def test_a_member_without_a_number_survives_the_pipe():
-    snapshot = Snapshot("arm.joints", {"positions": [0.5, math.nan], "missing": [2]}, {}, 0.0)
-    (arrived,) = MessageReader().feed(encode(snapshot))
-    assert arrived.values["missing"] == [2]
-    assert arrived.values["positions"][0] == 0.5
-    assert math.isnan(arrived.values["positions"][1])
+    values = {"positions": Observation([0.5, math.nan], 1.0), "missing": Observation([2], 1.0)}
+    (arrived,) = MessageReader().feed(encode(Snapshot("arm.joints", values, 1.0)))
+    assert arrived.values["missing"].value == [2]
+    assert arrived.values["positions"].value[0] == 0.5
+    assert math.isnan(arrived.values["positions"].value[1])

@@ -6,9 +6,13 @@ import asyncio
 
 import pytest
 
+from lfield.devices.guards import Guards
 from lfield.errors import AddressError, GreetingError
 from lfield.host.until_done import until_done
-from lfield.operator.ask import ask, ask_all
+from lfield.operator.ask import STATUS, ask, ask_all
+from lfield.wire.codec import decode, encode
+from lfield.wire.framing import HEADER_SIZE
+from lfield.wire.messages import MAX_NUMBERS, MAX_TEXT, OLDEST, LinkStatus
 
 PROGRAM = """
 resource Post {
@@ -28,27 +32,44 @@ def test_the_status_shows_agents_hops_portals_and_heap(fleet):
         home, away = await team.up(mission)
         await team.until(lambda: away.holds("guest"))
         await asyncio.sleep(1.0)
-        status = await ask(team.network.transport("desk"), "away:8181")
-        assert status["host"] == "away"
-        assert status["address"] == "away:8181"
-        assert status["linked"] == ["home"]
-        assert status["away"] == {}
-        assert status["up"] >= 1.0
-        assert mission.program.digest.hex().startswith(status["program"])
-        agents = {agent["id"]: agent for agent in status["agents"]}
-        assert agents["guest"]["type"] == "Guest"
-        assert agents["guest"]["kind"] == "coordinator"
-        assert agents["guest"]["hops"] == 1
-        assert agents["post"]["kind"] == "resource"
-        assert (agents["post"]["served"], agents["post"]["state"]) == (0, "sleeping")
-        assert agents["guest"]["state"] == "in a portal"
-        assert 0 < agents["post"]["heap"] < agents["post"]["limit"] == 1 << 20
-        (record,) = status["coordinators"]
-        assert (record["id"], record["state"], record["hops"]) == ("guest", "RUN", 1)
-        assert home.host.status()["coordinators"][0]["where"] == "away"
+        status = await ask(team.network.transport("desk"), "away:8181", STATUS)
+        assert status.host == "away"
+        assert status.address == "away:8181"
+        assert status.links == [LinkStatus("home", None)]
+        assert status.up >= 1.0
+        assert (status.program, status.deployment) == (mission.program.digest, mission.team.deployment)
+        agents = {agent.id: agent for agent in status.agents}
+        assert agents["guest"].type == "Guest"
+        assert agents["guest"].kind == "coordinator"
+        assert agents["guest"].hops == 1
+        assert agents["post"].kind == "resource"
+        assert (agents["post"].served, agents["post"].state) == (0, "sleeping")
+        assert agents["guest"].state == "in a portal"
+        assert 0 < agents["post"].heap < agents["post"].limit == 1 << 20
+        (record,) = status.coordinators
+        assert (record.agent, record.state, record.hops) == ("guest", "RUN", 1)
+        assert home.host.status().coordinators[0].where == "away"
         assert await team.ended("guest") == "done"
-        (post,) = away.host.status()["agents"]
-        assert (post["served"], post["state"]) == (1, "parked")
+        (post,) = away.host.status().agents
+        assert (post.served, post.state) == (1, "parked")
+
+    fleet(story)
+
+
+def test_whatever_devices_tell_the_status_can_be_read(fleet, monkeypatch):
+    told = {"one.fc": {"mode": "x" * 9999, "scan": (0.5,) * 9999, "n": 1, "on": True}, "two.fc": {}}
+    heard = {"one.fc": -1e12}
+    for name, value in {"telemetry": told, "heard": heard, "latched": {"two.fc": "y" * 9999}}.items():
+        monkeypatch.setattr(Guards, name, property(lambda self, value=value: value))
+
+    async def story(team):
+        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
+        frame = encode(home.host.status())
+        one, two = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:]).devices
+        assert (one.name, one.silent, one.latched) == ("one.fc", OLDEST, "")
+        assert (two.name, two.silent, len(two.latched)) == ("two.fc", None, MAX_TEXT)
+        assert len(one.telemetry.pop("mode")) == MAX_TEXT
+        assert one.telemetry == {"scan": [0.5] * MAX_NUMBERS, "n": 1, "on": True}
 
     fleet(story)
 
@@ -60,8 +81,9 @@ def test_a_host_that_is_away_and_one_that_is_in_doubt_are_shown(fleet):
         await away.host.stop()
         await asyncio.sleep(4.0)
         status = home.host.status()
-        assert status["linked"] == []
-        assert status["away"]["away"] >= 3.0
+        (link,) = status.links
+        assert link.host == "away"
+        assert link.away >= 3.0
 
     fleet(story)
 
@@ -75,8 +97,8 @@ def test_a_coordinator_whose_fate_is_unknown_stays_frozen_and_is_told(fleet):
         await away.host.start()
         await team.until(lambda: team.network.sent["Transfer"] == 1)
         await team.until(lambda: "guest is in doubt: away has not said within 10 s" in home[0].log)
-        (record,) = home[0].host.status()["coordinators"]
-        assert (record["state"], record["where"]) == ("IN DOUBT", "away")
+        (record,) = home[0].host.status().coordinators
+        assert (record.state, record.where) == ("IN DOUBT", "away")
         await away.host.stop()
         (fate,) = await until_done(home[0].host, 15.0)
         assert fate.outcome == "lost"
@@ -89,8 +111,8 @@ def test_a_host_that_does_not_answer_is_an_error_among_the_answers(fleet):
     async def story(team):
         await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
         transport = team.network.transport("desk")
-        answers = await ask_all(transport, {"home": "home:8181", "away": "away:8181"})
-        assert answers["home"]["host"] == "home"
+        answers = await ask_all(transport, {"home": "home:8181", "away": "away:8181"}, STATUS)
+        assert answers["home"].host == "home"
         assert isinstance(answers["away"], AddressError)
 
     fleet(story)
@@ -113,9 +135,9 @@ def test_a_question_that_nobody_answers_ends(fleet):
         await transport.listen("silent:1", lambda link: Silent())
         await transport.listen("rude:1", lambda link: Rude())
         with pytest.raises(AddressError, match="no answer within 2 s"):
-            await ask(transport, "silent:1")
+            await ask(transport, "silent:1", STATUS)
         with pytest.raises(GreetingError, match="without an answer"):
-            await ask(transport, "rude:1")
+            await ask(transport, "rude:1", STATUS)
 
     fleet(story)
 

@@ -9,6 +9,7 @@ import pytest
 from lfield.capability.directory.news import Trouble
 from lfield.errors import ConstraintError
 from lfield.host.directory import LOOK_EVERY
+from lfield.manifest import Observation
 from lfield.wire.messages import AgentReport, FactReport, Report
 
 CRANES = """
@@ -42,6 +43,7 @@ class Devices:
     def __init__(self, running):
         self.values, self.troubles = {}, {}
         self.asked = 0
+        self.clock = running.host.clock
         guards = running.host.guards
         guards.open = self.open
         guards.last = self.last
@@ -52,7 +54,10 @@ class Devices:
 
     def last(self, device, quantity):
         self.asked += 1
-        return self.values.get((device, quantity))
+        if (device, quantity) not in self.values:
+            return None
+        value, age = self.values[device, quantity]
+        return Observation(value, self.clock.monotonic() - age)
 
 
 async def two_hosts(team, program=IDLE, **options):
@@ -66,7 +71,7 @@ async def two_hosts(team, program=IDLE, **options):
 
 
 def known(running, agent):
-    return running.host.status()["directory"][agent]
+    return next(told for told in running.host.status().directory if told.agent == agent)
 
 
 def offered(running, constraint=None):
@@ -77,24 +82,25 @@ def offered(running, constraint=None):
 def test_live_values_come_from_their_hosts_and_are_told_only_when_they_change(fleet):
     async def story(team):
         alpha, bravo, _, devices = await two_hosts(team)
-        assert known(alpha, "far")["unknown"] == {
+        assert known(alpha, "far").unknown == {
             "battery": "fc has not reported battery", "armed": "fc has not reported armed",
         }  # fmt: skip
         devices.values["far.fc", "battery"] = (0.75, 0.1)
-        await team.until(lambda: known(alpha, "far")["facts"].get("battery", [0])[0] == 0.75)
-        assert 0.1 <= known(alpha, "far")["facts"]["battery"][1] <= 1.2
+        await team.until(lambda: "battery" in known(alpha, "far").facts)
+        assert known(alpha, "far").facts["battery"].value == 0.75
+        assert 0.1 <= known(alpha, "far").facts["battery"].age <= 1.2
         sent = team.network.sent["Report"]
         await asyncio.sleep(20.0)
         assert team.network.sent["Report"] == sent
         # It has not changed for 20 s, and is fresh all the same: its host lives and would have said so.
-        assert known(alpha, "far")["facts"]["battery"][1] <= 1.2
+        assert known(alpha, "far").facts["battery"].age <= 1.2
         devices.values["far.fc", "battery"] = (0.752, 0.1)
         await asyncio.sleep(3.0)
         assert team.network.sent["Report"] == sent
         devices.values["far.fc", "battery"] = (0.7, 0.1)
         await asyncio.sleep(3.0)
         assert team.network.sent["Report"] == sent + 1
-        assert known(alpha, "far")["facts"]["battery"][0] == 0.7
+        assert known(alpha, "far").facts["battery"].value == 0.7
         assert offered(alpha, "battery >= 0.7") == offered(bravo, "battery >= 0.7") == ["far"]
 
     fleet(story)
@@ -203,8 +209,8 @@ def test_a_host_that_was_away_knows_all_after_one_exchange(fleet):
         await team.until(lambda: alpha.host.peers.incarnations and bravo.host.peers.incarnations)
         await asyncio.sleep(0.1)
         assert team.network.sent["Report"] - before == 2
-        assert known(alpha, "far")["facts"]["battery"][0] == 0.5
-        assert known(bravo, "near")["facts"]["battery"][0] == 0.25
+        assert known(alpha, "far").facts["battery"].value == 0.5
+        assert known(bravo, "near").facts["battery"].value == 0.25
 
     fleet(story)
 
@@ -218,7 +224,7 @@ def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(fleet):
         await asyncio.sleep(10.0)
         assert team.network.sent["Report"] == 0
         assert near.asked == far.asked == 0
-        assert alpha.host.status()["directory"] == {}
+        assert alpha.host.status().directory == []
 
     fleet(story)
 
@@ -253,7 +259,7 @@ def test_a_report_that_its_host_cannot_make_is_left_out_and_told_once(fleet, age
         await asyncio.sleep(0.5)
         assert alpha.log.count("ignored a report: ") == 1
         assert why in alpha.log
-        assert known(alpha, "far")["facts"].keys() == before["facts"].keys()
+        assert known(alpha, "far").facts.keys() == before.facts.keys()
         assert alpha.host.peers.incarnations
 
     fleet(story)

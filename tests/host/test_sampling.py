@@ -14,6 +14,7 @@ from lfield.devices.snapshots import LOST_AFTER, Snapshots
 from lfield.driver.plugins import Plugins
 from lfield.guard.messages import Latched, Snapshot
 from lfield.host.sampling import Sampler
+from lfield.manifest import Observation
 from lfield.mission.bindings_file import read_bindings
 from lfield.text.source import Source, Span
 
@@ -31,9 +32,13 @@ class Guards:
 
     def __init__(self):
         self.values, self.troubles = {}, {}
+        self.clock = ManualClock()
 
     def last(self, device, quantity):
-        return self.values.get((device, quantity))
+        if (device, quantity) not in self.values:
+            return None
+        value, age = self.values[device, quantity]
+        return Observation(value, self.clock.now - age)
 
     def trouble(self, device):
         return self.troubles.get(device)
@@ -52,7 +57,7 @@ def guards():
 
 @pytest.fixture
 def sampler(guards):
-    return Sampler(ATTRIBUTES, {"arm": Running()}, {"arm": ["fc", "hand"], "gone": []}, guards, ManualClock())
+    return Sampler(ATTRIBUTES, {"arm": Running()}, {"arm": ["fc", "hand"], "gone": []}, guards, guards.clock)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +80,7 @@ def test_telemetry_becomes_a_value_of_its_attribute(sampler, guards, source, tol
     sample = sampler.condition("arm", {source.attribute: source}).samples[source.attribute]
     assert sample.value == pytest.approx(value) if isinstance(value, float) else sample.value == value
     assert type(sample.value) is type(value)
-    assert sample.age == 0.25
+    assert (sample.at, sample.at - sample.when) == (guards.clock.now, 0.25)
 
 
 @pytest.mark.parametrize(
@@ -130,10 +135,11 @@ def test_the_last_value_is_told_however_old(installed, bound):
     clock = ManualClock()
     snapshots = Snapshots(installed.by_driver["mavlink"], [bound], clock)
     assert snapshots.last("sky.fc", "battery") is snapshots.last("sky.fc", "age") is None
-    snapshots.take(Snapshot("sky.fc", {"battery": 0.5}, {"battery": 0.5}, 0.25))
+    told = clock.now
+    snapshots.take(Snapshot("sky.fc", {"battery": Observation(0.5, told - 0.5)}, told - 0.25))
     clock.advance(1000.0)
-    assert snapshots.last("sky.fc", "battery") == (0.5, pytest.approx(1000.5))
-    assert snapshots.last("sky.fc", "age") == (pytest.approx(1000.25), 0.0)
+    assert snapshots.last("sky.fc", "battery") == Observation(0.5, told - 0.5)
+    assert snapshots.last("sky.fc", "age") == Observation(pytest.approx(1000.25), clock.now)
 
 
 def test_a_device_is_lost_when_it_is_silent_for_longer_than_its_quickest_value_may_be_old(installed, bound):
@@ -142,7 +148,7 @@ def test_a_device_is_lost_when_it_is_silent_for_longer_than_its_quickest_value_m
     snapshots = Snapshots(kind, [bound], clock)
     clock.advance(1000.0)
     assert snapshots.lost_since("sky.fc") is None
-    snapshots.take(Snapshot("sky.fc", {}, {}, 0.0))
+    snapshots.take(Snapshot("sky.fc", {}, clock.now))
     heard = clock.now
     quickest = min(quantity.max_age for quantity in kind.manifests["Mavlink"].device.telemetry)
     clock.advance(max(quickest, LOST_AFTER) - 0.1)
@@ -162,7 +168,7 @@ def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
         "fc: in its safe state land: the host was silent for over 200 ms"
     )
     guard.latched.clear()
-    guard.snapshots.take(Snapshot("sky.fc", {}, {}, 0.0))
+    guard.snapshots.take(Snapshot("sky.fc", {}, clock.now))
     clock.advance(1000.0)
     trouble = guard.trouble("sky.fc")
     assert trouble.sentence(clock.now) == "fc: not heard for 1000 s"

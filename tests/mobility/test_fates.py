@@ -5,15 +5,13 @@ from __future__ import annotations
 import pytest
 
 from lfield.mobility.fates import Fate, fates
+from lfield.wire.messages import Known
 
 HOMES = {"tom": "alpha"}
 
 
 def row(state, sequence=0, where="", *, generation=1, outcome="", detail="", id="tom"):
-    return {
-        "id": id, "generation": generation, "sequence": sequence, "hops": sequence, "state": state,
-        "where": where, "outcome": outcome, "detail": detail,
-    }  # fmt: skip
+    return Known(id, generation, sequence, sequence, state, where, outcome, detail)
 
 
 def fate(records, gone=()):

@@ -11,7 +11,9 @@ from lfield.capability.matching.matcher import Matcher
 from lfield.capability.offer import Fact
 from lfield.capability.reading.reader import check_files, shipped
 from lfield.errors import AddressError, WireError
+from lfield.operator.ask import silent
 from lfield.operator.query import from_files, from_hosts, views_of
+from lfield.wire.messages import Status, Told, ToldFact
 
 REGISTRY = """
 registry: 1
@@ -47,11 +49,12 @@ def registry(tmp_path_factory):
 
 
 def told(refusal="", unknown=None, **facts):
-    return {"refusal": refusal, "facts": facts, "unknown": unknown or {}}
+    return refusal, {name: ToldFact(value, age) for name, (value, age) in facts.items()}, unknown or {}
 
 
 def status(**agents):
-    return {"directory": agents}
+    directory = [Told(agent, *said) for agent, said in agents.items()]
+    return Status("alpha", "", 0.0, b"", b"", [], [], [], [], directory)
 
 
 def refusals(registry, team, condition):
@@ -60,8 +63,7 @@ def refusals(registry, team, condition):
 
 
 def hosts(registry, answers, at=""):
-    views, errors = views_of(answers)
-    return from_hosts(registry, AGENTS, views, errors, at).candidates("Hoist")
+    return from_hosts(registry, AGENTS, views_of(answers), silent(answers), at).candidates("Hoist")
 
 
 def test_from_the_files_only_what_is_written_is_known(registry):
@@ -141,22 +143,13 @@ def test_values_that_cannot_be_are_left_out(registry, facts):
     assert first.facts == {}
 
 
-@pytest.mark.parametrize(
-    "answer",
-    [
-        {"directory": []},
-        {"directory": {"first": 1}},
-        {"directory": {"first": {"refusal": ""}}},
-        {"directory": {"first": told(battery=[1.0])}},
-        {"directory": {"first": told(battery=[1.0, "old"])}},
-        {"directory": {"first": told(battery=[[1.0], 1.0])}},
-    ],
-)
-def test_a_host_that_tells_nonsense_counts_as_silent(answer):
-    views, errors = views_of({"alpha": answer})
-    assert views == {}
-    assert isinstance(errors["alpha"], WireError)
+def test_a_host_that_tells_nonsense_counts_as_silent(registry):
+    answers = {"alpha": WireError("a message cannot be read: Expected `array`, got `int`"), "bravo": status()}
+    assert views_of(answers) == {"bravo": {}}
+    assert silent(answers) == {"alpha": answers["alpha"]}
+    assert hosts(registry, answers)[0].refusal == "its host alpha does not answer"
 
 
 def test_a_host_without_a_directory_has_answered():
-    assert views_of({"alpha": {}}) == ({"alpha": {}}, {})
+    answers = {"alpha": status()}
+    assert (views_of(answers), silent(answers)) == ({"alpha": {}}, {})

@@ -6,6 +6,7 @@ from contextlib import suppress
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from lfield.errors import WireError
 from lfield.wire.codec import (
@@ -24,9 +25,12 @@ from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import (
     MAX_LABEL,
     MAX_NAME,
+    MAX_NUMBERS,
     MAX_TEXT,
     Accepted,
     AgentReport,
+    AgentStatus,
+    DeviceStatus,
     Ended,
     EndedAck,
     FactReport,
@@ -34,6 +38,7 @@ from lfield.wire.messages import (
     Hello,
     Inquire,
     Known,
+    LinkStatus,
     Ping,
     Pong,
     Refuse,
@@ -41,12 +46,27 @@ from lfield.wire.messages import (
     Report,
     Status,
     StatusRequest,
+    Told,
+    ToldFact,
     Transfer,
     clip,
 )
 
 HASH = b"h" * 32
 REPEATABLE = settings(derandomize=True, deadline=None)
+
+
+def status(**changes):
+    return replace(Status("a", "a:1", 0.5, HASH, HASH, [], [], [], [], []), **changes)
+
+
+AGENT = AgentStatus("Tour:one", "Tour", "coordinator", "ready", 1, 0, 12, 1 << 20, 1)
+DEVICE = DeviceStatus("one.fc", {"mode": "hold", "at": [1, -0.5], "on": True, "n": 3, "v": 0.5}, 0.25, "")
+TOLD = Told("one", "", {"battery": ToldFact(0.5, 2.5)}, {"mode": "fc has not reported mode"})
+KNOWN = Known("Tour:one", 1, 2, 3, "EXITED", "b", "died", "…")
+STATUS = status(
+    agents=[AGENT], coordinators=[KNOWN], devices=[DEVICE], links=[LinkStatus("b", None)], directory=[TOLD]
+)
 HELLO_MESSAGE = Hello(
     "host",
     "a",
@@ -54,7 +74,7 @@ HELLO_MESSAGE = Hello(
     HASH,
     HASH,
     1 << 20,
-    [Known("Tour:one", 1, 2, 3, "EXITED", "b", "died", "…")],
+    [KNOWN],
     HASH,
 )
 MESSAGES = [
@@ -67,7 +87,8 @@ MESSAGES = [
     Ended("Tour:one", 1, "done", "", "a"),
     EndedAck("Tour:one", 1),
     StatusRequest(),
-    Status({"agents": [{"id": "Tour:one", "heap": 12, "load": 0.5, "on": None, "up": True}]}),
+    STATUS,
+    status(devices=[DeviceStatus("one.fc", {}, None, "why")], links=[LinkStatus("b", 2.5)]),
     Ping(1),
     Pong(1),
     Report(1, 0, 1, [AgentReport(3, "fc: not heard", 3.5, [FactReport(0, 0.75, 0.5, True)], [(1, "…")])]),
@@ -170,6 +191,29 @@ def test_garbage_is_a_wire_error(kind, payload, words):
         report(facts=[FactReport(0, 1, 0.0, 1)]),
         report(facts=[FactReport(0, 1, 0.0, True)] * 1025),
         report(unknown=[(0, "x" * (MAX_LABEL + 1))]),
+        status(host=""),
+        status(up=-1.0),
+        status(up=math.inf),
+        status(program=b"h" * 33),
+        status(agents=[AGENT] * 4097),
+        status(agents=[replace(AGENT, kind="king")]),
+        status(agents=[replace(AGENT, heap=-1)]),
+        status(coordinators=[replace(KNOWN, state="ASLEEP")]),
+        status(devices=[replace(DEVICE, telemetry={"at": [0.0] * (MAX_NUMBERS + 1)})]),
+        status(devices=[replace(DEVICE, telemetry={"at": [[0.0]]})]),
+        status(devices=[replace(DEVICE, telemetry={"at": None})]),
+        status(devices=[replace(DEVICE, telemetry={str(n): n for n in range(1025)})]),
+        status(devices=[replace(DEVICE, silent=-0.5)]),
+        status(devices=[replace(DEVICE, latched="x" * (MAX_TEXT + 1))]),
+        status(links=[LinkStatus("b", math.nan)]),
+        status(links=[LinkStatus("", 1.0)]),
+        status(directory={}),
+        status(directory=[1]),
+        status(directory=[["first", ""]]),
+        status(directory=[replace(TOLD, facts={"battery": [1.0]})]),
+        status(directory=[replace(TOLD, facts={"battery": ToldFact(1.0, "old")})]),
+        status(directory=[replace(TOLD, facts={"battery": ToldFact([1.0], 1.0)})]),
+        status(directory=[replace(TOLD, refusal="x" * (MAX_TEXT + 1))]),
         Report(1, 0, 1, [AgentReport(0, "", None, [], [])] * 4097),
     ],
 )

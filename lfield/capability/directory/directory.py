@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Trouble
+from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Sample, Trouble
 from lfield.capability.model import Live, Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.clock import Clock
@@ -189,8 +189,8 @@ class Directory:
         if live:
             kept_until = self._kept_until(agent.host)
             facts = facts | {
-                name: Fact(s.value, s.age + now - (max(kept_until, s.at) if s.kept else s.at))
-                for name, s in condition.samples.items()
+                name: Fact(sample.value, max(0.0, now - _true_at(sample, kept_until)))
+                for name, sample in condition.samples.items()
             }
             if len(condition.samples) + len(unknown) < len(live):
                 untold = (name for name in live if name not in facts and name not in unknown)
@@ -210,6 +210,11 @@ class Directory:
             return -math.inf
         heard = self._links.last_heard(host) if remote.in_step else None
         return remote.kept_until if heard is None else max(remote.kept_until, heard)
+
+
+def _true_at(sample: Sample, kept_until: float) -> float:
+    """When a value was last true: one that is kept has moved on with its host, up to `kept_until`."""
+    return sample.when + max(0.0, kept_until - sample.at) if sample.kept else sample.when
 
 
 def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:

@@ -38,13 +38,14 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A live value that was `age` seconds old at the time `at`.
+    """A live value that was true at `when`, as it stood when somebody looked, at the time `at`.
 
-    One that is `kept` is up to date as long as something is heard from the host that has it.
+    One that is `kept` never gets older than it was then, as long as something is heard from the host that
+    has it.
     """
 
     value: Scalar
-    age: float
+    when: float
     at: float
     kept: bool = True
 
@@ -125,12 +126,12 @@ class Announcer:
         return None
 
     def _marked(self, name: str, sample: Sample) -> Sample:
-        return replace(sample, kept=sample.age <= KEPT * self._attributes[name].max_age)
+        return replace(sample, kept=sample.at - sample.when <= KEPT * self._attributes[name].max_age)
 
     def _differs(self, told: Sample | None, now: Sample, name: str) -> bool:
         if told is None or told.kept != now.kept:
             return True
-        if not now.kept and abs((now.at - now.age) - (told.at - told.age)) > JITTER:
+        if not now.kept and abs(now.when - told.when) > JITTER:
             return True
         if isinstance(now.value, float) and isinstance(told.value, float):
             return abs(now.value - told.value) > NOTABLE * abs(self._attributes[name].typical)

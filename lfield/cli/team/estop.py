@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import sys
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lfield.cli.mission_argument import add_mission, running_team
+from lfield.cli.mission_argument import add_mission, mission_path
 
 if TYPE_CHECKING:
-    from lfield.errors import LfieldError
+    from lfield.operator.ask import Answers
+    from lfield.wire.messages import EmergencyStopped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,30 +27,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when every device of every host has confirmed, 69 when one did not or a host was not reached."""
-    from lfield.net.tcp import TcpTransport
-    from lfield.operator.ask import ask_all
-    from lfield.wire.messages import EmergencyStop, clip
+    from lfield.operator.ask import ask_team, emergency_stop, silent, tell_silent
+    from lfield.operator.whereabouts import open_team
 
-    reason = clip(f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}")
-    transport = TcpTransport(1 << 20, connect_timeout=2.0)
-    answers = asyncio.run(ask_all(transport, running_team(args).reached, EmergencyStop(reason, args.lift)))
-    return _tell(answers, "may be released" if args.lift else "safe")
+    reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
+    request = emergency_stop(reason, lift=args.lift)
+    answers = ask_team(open_team(mission_path(args)), args.map, request)
+    confirmed = _tell(answers, "may be released" if args.lift else "safe")
+    tell_silent(silent(answers), "NOT REACHED, its devices have not confirmed: ")
+    return 0 if confirmed and not silent(answers) else 69
 
 
-def _tell(answers: Mapping[str, dict[str, Any] | LfieldError], word: str) -> int:
-    """A line for each device and each host without an answer; what is wrong goes to stderr."""
-    wrong = False
+def _tell(answers: Answers[EmergencyStopped], word: str) -> bool:
+    """A line for each device of the hosts that answered, on stderr what is wrong; whether all is well."""
+    well = True
     for host, answer in answers.items():
         if isinstance(answer, Exception):
-            wrong = True
-            print(f"{host}: NOT REACHED, its devices have not confirmed: {answer}", file=sys.stderr)
             continue
-        if not answer:
+        if not answer.devices:
             print(f"{host}: has no devices")
-        for device, problem in answer.items():
-            wrong = wrong or bool(problem)
+        for device, problem in answer.devices.items():
+            well = well and not problem
             print(
                 f"{host}: {device}: {f'NOT CONFIRMED: {problem}' if problem else word}",
                 file=sys.stderr if problem else sys.stdout,
             )
-    return 69 if wrong else 0
+    return well

@@ -3,16 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
-import json
-import sys
-from typing import TYPE_CHECKING, Any
 
-from lfield.cli.mission_argument import add_mission, running_team
-
-if TYPE_CHECKING:
-    from lfield.cli.views.picture import Answers
-    from lfield.errors import LfieldError
+from lfield.cli.mission_argument import add_mission, mission_path
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,28 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when every host answered, 69 when one or more did not."""
-    from lfield.net.tcp import TcpTransport
-    from lfield.operator.ask import ask_all
+    from lfield.cli.views import picture
+    from lfield.operator.ask import STATUS, ask_team, silent, tell_silent
+    from lfield.operator.whereabouts import open_team
 
-    transport = TcpTransport(1 << 20, connect_timeout=2.0)
-    answers = asyncio.run(ask_all(transport, running_team(args).reached))
+    answers = ask_team(open_team(mission_path(args)), args.map, STATUS)
     if args.json:
-        print(json.dumps({host: _plain(answer) for host, answer in answers.items()}, indent=2))
+        print(picture.as_json(answers))
     else:
-        _show(answers)
-    return 69 if any(isinstance(answer, Exception) for answer in answers.values()) else 0
-
-
-def _plain(answer: dict[str, Any] | LfieldError) -> dict[str, Any]:
-    return {"error": str(answer)} if isinstance(answer, Exception) else answer
-
-
-def _show(answers: Answers) -> None:
-    from rich.console import Console
-
-    from lfield.cli.views.picture import picture
-
-    Console().print(picture(answers))
-    for host, answer in answers.items():
-        if isinstance(answer, Exception):
-            print(f"{host}: {answer}", file=sys.stderr)
+        picture.show(answers)
+        tell_silent(silent(answers))
+    return 69 if silent(answers) else 0

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.cli.mission_argument import add_mission, mission_path, where_it_runs
+from lfield.cli.mission_argument import add_mission, mission_path
 
 if TYPE_CHECKING:
     from lfield.capability.model import Registry
     from lfield.cli.views.query_view import Known
-    from lfield.errors import LfieldError
     from lfield.mission.team import Team
 
 
@@ -39,6 +36,7 @@ def run(args: argparse.Namespace) -> int:
     """0 when there are offers, 1 when there are none."""
     from lfield.capability.matching.matcher import Matcher
     from lfield.cli.views import query_view
+    from lfield.operator.ask import tell_silent
     from lfield.operator.query import mission_registry
     from lfield.operator.question import read_question
     from lfield.operator.whereabouts import open_team
@@ -59,8 +57,7 @@ def run(args: argparse.Namespace) -> int:
         )
         for primitive in question.primitives
     ]
-    for host, why in known.silent:
-        print(f"{host}: {why}", file=sys.stderr)
+    tell_silent(known.silent)
     if args.json:
         print(query_view.as_json(question, known, answers, registry))
     else:
@@ -71,20 +68,14 @@ def run(args: argparse.Namespace) -> int:
 def _known(args: argparse.Namespace, team: Team, registry: Registry, at: str) -> Known:
     from lfield.cli.views.query_view import Known
     from lfield.errors import AddressError
+    from lfield.operator.ask import STATUS, ask_team, silent
     from lfield.operator.query import from_files, from_hosts, views_of
 
-    views, errors = views_of({} if args.files else _ask(args, team))
+    answers = {} if args.files else ask_team(team, args.map, STATUS)
+    views, errors = views_of(answers), silent(answers)
     # Where nobody listens at all nothing runs, which is no problem; anything else is one.
     nobody = not views and all(isinstance(error, AddressError) for error in errors.values())
-    silent = () if nobody else tuple((host, str(error)) for host, error in errors.items())
+    told = {} if nobody else errors
     if not views:
-        return Known(from_files(registry, team.deployed, at), silent=silent)
-    return Known(from_hosts(registry, team.deployed, views, errors.keys(), at), tuple(views), silent)
-
-
-def _ask(args: argparse.Namespace, team: Team) -> dict[str, dict[str, object] | LfieldError]:
-    from lfield.net.tcp import TcpTransport
-    from lfield.operator.ask import ask_all
-
-    transport = TcpTransport(1 << 20, connect_timeout=2.0)
-    return asyncio.run(ask_all(transport, where_it_runs(team, args).reached))
+        return Known(from_files(registry, team.deployed, at), silent=told)
+    return Known(from_hosts(registry, team.deployed, views, errors.keys(), at), tuple(views), told)

@@ -9,8 +9,7 @@ from rich.console import Console
 from rich.live import Live
 
 from lfield.cli.views.picture import picture
-from lfield.net.tcp import TcpTransport
-from lfield.operator.ask import ask_all
+from lfield.operator.ask import STATUS, ask_all, observer
 
 INTERVAL = 0.5
 
@@ -29,9 +28,9 @@ class LiveView:
         self._task = asyncio.create_task(self._draw())
 
     async def _draw(self) -> None:
-        transport = TcpTransport(1 << 20, connect_timeout=INTERVAL)
+        transport = observer(INTERVAL)
         while True:
-            answers = await ask_all(transport, self._addresses)
+            answers = await ask_all(transport, self._addresses, STATUS)
             self._live.update(picture(answers), refresh=True)
             await asyncio.sleep(INTERVAL)
 

@@ -1,17 +1,18 @@
-"""A team as a table: who is where, how every device is."""
+"""A team as it stands: as a table of who is where and how every device is, and as JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Sequence
 from typing import Any
 
-from rich.console import Group
+from msgspec.structs import asdict
+from rich.console import Console, Group
 from rich.table import Table
 
 from lfield.errors import LfieldError
-
-#: What every host answered, or the error that stood in the way.
-Answers = Mapping[str, dict[str, Any] | LfieldError]
+from lfield.operator.ask import Answers
+from lfield.wire.messages import DeviceStatus, Known, Status, Telemetry, Told
 
 #: So many quantities of a device are shown, the first of its manifest; `lfield ps --json` has all.
 SHOWN = 8
@@ -19,62 +20,114 @@ SHOWN = 8
 SILENT = 3.0
 
 
-def picture(answers: Answers) -> Group:
+def show(answers: Answers[Status]) -> None:
+    """Print the table."""
+    Console().print(picture(answers))
+
+
+def picture(answers: Answers[Status]) -> Group:
     """The agents of all hosts with the coordinators that have ended or are in doubt, then the devices."""
     devices = _devices(answers)
     return Group(_agents(answers), "", devices) if devices.row_count else Group(_agents(answers))
 
 
-def _devices(answers: Answers) -> Table:
+def _devices(answers: Answers[Status]) -> Table:
     shown = Table(box=None, pad_edge=False)
     for column in ("HOST", "DEVICE", "STATE", "TELEMETRY"):
         shown.add_column(column)
     for host, answer in answers.items():
-        if isinstance(answer, Exception):
+        if isinstance(answer, LfieldError):
             continue
-        for name, values in answer["devices"].items():
-            state = _device_state(name, answer)
+        for device in answer.devices:
+            values = device.telemetry
             words = [f"{quantity} {_value(value)}" for quantity, value in list(values.items())[:SHOWN]]
             words += [f"and {len(values) - SHOWN} more"] if len(values) > SHOWN else []
-            shown.add_row(host, name, state, ", ".join(words))
+            shown.add_row(host, device.name, _device_state(device), ", ".join(words))
     return shown
 
 
-def _device_state(name: str, answer: dict[str, Any]) -> str:
-    silence = answer["silences"].get(name, 0.0)
-    if silence > SILENT:
-        return f"silent {silence:.0f} s"
-    return "safe" if name in answer["latched"] else "in use"
+def _device_state(device: DeviceStatus) -> str:
+    if device.silent is not None and device.silent > SILENT:
+        return f"silent {device.silent:.0f} s"
+    return "safe" if device.latched else "in use"
 
 
-def _value(value: object) -> str:
-    if isinstance(value, list):
-        return f"({' '.join(_value(part) for part in value)})"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
+def _value(value: Telemetry) -> str:
+    match value:
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.2f}"
+        case list():
+            return f"({' '.join(_value(part) for part in value)})"
+        case _:
+            return str(value)
 
 
-def _agents(answers: Answers) -> Table:
+def _agents(answers: Answers[Status]) -> Table:
     shown = Table(box=None, pad_edge=False)
     for column in ("HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED", "HEAP"):
         shown.add_column(column, justify="right" if column in ("HOPS", "SERVED", "HEAP") else "left")
     for host, answer in answers.items():
-        if isinstance(answer, Exception):
+        if isinstance(answer, LfieldError):
             shown.add_row(host, "-", "", "no answer", "", "", "")
             continue
-        for agent in answer["agents"]:
-            hops = str(agent["hops"]) if agent["kind"] == "coordinator" else ""
-            served = str(agent["served"]) if agent["kind"] == "resource" else ""
-            shown.add_row(
-                host, agent["id"], agent["type"], agent["state"], hops, served, _size(agent["heap"])
-            )
-        for record in answer["coordinators"]:
-            if record["state"] == "IN DOUBT" or (record["state"] == "EXITED" and record["where"] == host):
-                state = f"{record['outcome'] or 'in doubt'}: {record['detail']}".splitlines()[0].rstrip(": ")
-                shown.add_row(host, record["id"], "", state, str(record["hops"]), "", "")
+        for agent in answer.agents:
+            hops = str(agent.hops) if agent.kind == "coordinator" else ""
+            served = str(agent.served) if agent.kind == "resource" else ""
+            shown.add_row(host, agent.id, agent.type, agent.state, hops, served, _size(agent.heap))
+        for known in answer.coordinators:
+            if known.state == "IN DOUBT" or (known.state == "EXITED" and known.where == host):
+                state = f"{known.outcome or 'in doubt'}: {known.detail}".splitlines()[0].rstrip(": ")
+                shown.add_row(host, known.agent, "", state, str(known.hops), "", "")
     return shown
 
 
 def _size(count: int) -> str:
     return f"{count} B" if count < 1024 else f"{count / 1024:.1f} KiB"
+
+
+# --- as JSON ------------------------------------------------------------------------------------------
+
+
+def as_json(answers: Answers[Status]) -> str:
+    """What every host says of itself, or why it says nothing."""
+    whole = {
+        host: {"error": str(answer)} if isinstance(answer, LfieldError) else _status(answer)
+        for host, answer in answers.items()
+    }
+    return json.dumps(whole, indent=2)
+
+
+def _status(status: Status) -> dict[str, Any]:
+    return {
+        "host": status.host,
+        "address": status.address,
+        "up": status.up,
+        "program": status.program.hex()[:16],
+        "deployment": status.deployment.hex()[:16],
+        "agents": [asdict(agent) for agent in status.agents],
+        "coordinators": [_coordinator(known) for known in status.coordinators],
+        "linked": [link.host for link in status.links if link.away is None],
+        "away": {link.host: link.away for link in status.links if link.away is not None},
+        "devices": {device.name: device.telemetry for device in status.devices},
+        "silences": {device.name: device.silent for device in status.devices if device.silent is not None},
+        "latched": {device.name: device.latched for device in status.devices if device.latched},
+        "directory": _directory(status.directory),
+    }
+
+
+def _coordinator(known: Known) -> dict[str, Any]:
+    said = asdict(known)
+    return {"id": said.pop("agent"), **said}
+
+
+def _directory(agents: Sequence[Told]) -> dict[str, Any]:
+    return {
+        told.agent: {
+            "refusal": told.refusal,
+            "facts": {name: [fact.value, fact.age] for name, fact in told.facts.items()},
+            "unknown": told.unknown,
+        }
+        for told in agents
+    }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from lfield.capability.matching.explain import cut_short, render
@@ -12,6 +12,7 @@ from lfield.capability.matching.search import named
 from lfield.capability.model import Primitive, Registry
 from lfield.capability.offer import Fact, Offer, Refusal, Team
 from lfield.cli.views.trees import plain_console, print_tree
+from lfield.errors import LfieldError
 from lfield.operator.question import Question
 from lfield.operator.registry.sheets import printable, worth
 from lfield.operator.registry.taxonomy import Branch
@@ -30,7 +31,7 @@ class Known:
 
     team: Team
     answered: tuple[str, ...] = ()
-    silent: tuple[tuple[str, str], ...] = ()
+    silent: Mapping[str, LfieldError] = field(default_factory=dict)
 
     @property
     def running(self) -> bool:
@@ -160,7 +161,7 @@ def as_json(question: Question, known: Known, answers: Sequence[Answer], registr
         "constraint": constraint.text.strip() if constraint is not None else None,
         "source": "team" if known.running else "files",
         "answered": list(known.answered),
-        "silent": dict(known.silent),
+        "silent": {host: str(why) for host, why in known.silent.items()},
         "capabilities": [
             {
                 "primitive": answer.primitive.name,

@@ -26,6 +26,7 @@ from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
 from lfield.host.reports import Reports
 from lfield.loop import run
+from lfield.manifest import Observation
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 from lfield.net import framed
@@ -50,9 +51,10 @@ async def measured_host(mission: Mission, swing: float, seconds: float) -> None:
     async def opened(self: Guards, devices: Any) -> None:
         pass
 
-    def last(self: Guards, device: str, quantity: str) -> tuple[Any, float]:
+    def last(self: Guards, device: str, quantity: str) -> Observation:
         number = telemetry(swing)
-        return (number if quantity == "battery" else (number, number, number)), 0.05
+        value = number if quantity == "battery" else (number, number, number)
+        return Observation(value, time.monotonic() - 0.05)
 
     with mock.patch.multiple(Guards, open=opened, last=last, trouble=lambda self, device: None):
         team = mission.team
@@ -93,7 +95,7 @@ class Other:
     def _tell(self) -> None:
         for agent in self._directory.own_agents:
             value, now = telemetry(self._swing), self._clock.monotonic()
-            samples = {name: Sample(value, 0.05, now) for name in self._directory.live(agent)}
+            samples = {name: Sample(value, now - 0.05, now) for name in self._directory.live(agent)}
             self._directory.own(agent, Condition(samples=samples))
         news = self._directory.news()
         if news is not None:

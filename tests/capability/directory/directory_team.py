@@ -77,7 +77,7 @@ class Seat:
         return next(c for c in self.directory.everybody() if c.agent == agent)
 
     def sample(self, value, age=0.0):
-        return Sample(value, age, self.clock.monotonic())
+        return Sample(value, self.clock.now - age, self.clock.now)
 
     def hear(self, host):
         self.wires.heard[host] = self.clock.monotonic()

@@ -56,7 +56,7 @@ class Exchange(RuleBasedStateMachine):
         now = self.bravo.clock.monotonic()
         known = [name for name in LIVE[agent] if data.draw(st.booleans())]
         samples = {
-            name: Sample(data.draw(VALUES[name]), data.draw(st.sampled_from([0.0, 1.0, 30.0])), now)
+            name: Sample(data.draw(VALUES[name]), now - data.draw(st.sampled_from([0.0, 1.0, 30.0])), now)
             for name in known
         }
         unknown = {name: f"fc has not reported {name}" for name in LIVE[agent] if name not in known}
@@ -77,7 +77,7 @@ class Exchange(RuleBasedStateMachine):
         self.bravo.clock.advance(seconds)
         for agent, condition in self.conditions.items():
             aged = {
-                name: Sample(s.value, s.age + seconds, self.bravo.clock.monotonic())
+                name: Sample(s.value, s.when, self.bravo.clock.monotonic())
                 for name, s in condition.samples.items()
             }
             self.conditions[agent] = Condition(condition.trouble, aged, condition.unknown)
@@ -165,7 +165,7 @@ class Exchange(RuleBasedStateMachine):
             else:
                 assert fact.value == sample.value
             kept = REGISTRY.attributes[name].max_age / 2
-            assert abs(fact.age - sample.age) <= max(kept, 1.0) + 1e-6
+            assert abs(fact.age - (sample.at - sample.when)) <= max(kept, 1.0) + 1e-6
 
     def same_trouble(self, refusal, trouble):
         if trouble is None or trouble.since is None:

@@ -61,13 +61,13 @@ def test_whatever_comes_is_refused_or_fits(report):
             assert name in PROVIDERS[deployed.type].live
             assert type(sample.value) is TYPES[ATTRIBUTES[name].type]
             assert not isinstance(sample.value, float) or math.isfinite(sample.value)
-            assert sample.age >= 0.0
+            assert sample.at - sample.when >= 0.0
 
 
 @given(st.floats(0.0, 100.0), st.floats(-5.0, 100.0), st.booleans())
 def test_times_become_ages_and_times_again(age, later, kept):
     # Whoever says that something will only be true later has a clock that went wrong; it is new, then.
-    sample = Sample(0.5, age, 1000.0, kept)
+    sample = Sample(0.5, 1000.0 - age, 1000.0, kept)
     change = Condition(Trouble("fc: not heard", 1000.0), {"battery": sample}, {"mode": "x" * 1000})
     reports = Reports(REGISTRY, AGENTS)
     report = through_the_wire(reports.write(News(7, 3, 4, {"arm2": change}), 1000.0 + later))
@@ -76,5 +76,5 @@ def test_times_become_ages_and_times_again(age, later, kept):
     found = news.agents["arm2"]
     assert found.trouble == Trouble("fc: not heard", pytest.approx(50.0 - max(0.0, later)))
     wanted = age if kept else max(0.0, age + later)
-    assert found.samples["battery"] == Sample(0.5, pytest.approx(wanted, abs=1e-9), 50.0, kept)
+    assert found.samples["battery"] == Sample(0.5, pytest.approx(50.0 - wanted, abs=1e-9), 50.0, kept)
     assert len(found.unknown["mode"]) == 256

@@ -7,6 +7,10 @@ import re
 
 import pytest
 
+from lfield.cli.views import picture
+from lfield.errors import AddressError
+from lfield.wire.messages import AgentStatus, DeviceStatus, Known, LinkStatus, Status, Told, ToldFact
+
 pytestmark = pytest.mark.process
 
 PROGRAM = """
@@ -57,6 +61,90 @@ def test_the_same_as_json(mission, lfield):
     assert agents["near"][1]["served"] == 1
     (moved,) = hosts["alpha"]["coordinators"]
     assert (moved["state"], moved["where"]) == ("MOVED", "bravo")
+
+
+def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
+    known = Known("tom", 7, 1, 1, "EXITED", "alpha", "died", "Exception: no")
+    status = Status(
+        "alpha",
+        "127.0.0.1:1",
+        2.5,
+        b"p" * 32,
+        b"d" * 32,
+        [AgentStatus("near", "Post", "resource", "parked", 0, 1, 512, 1024, 2)],
+        [known],
+        [
+            DeviceStatus("near.fc", {"at": [0.5, 1], "on": True}, 0.25, ""),
+            DeviceStatus("near.arm", {}, None, "lost"),
+            DeviceStatus("near.eye", {"mode": "hold"}, 4.0, "lost"),
+        ],
+        [LinkStatus("bravo", None), LinkStatus("carol", 3.5)],
+        [Told("near", "", {"battery": ToldFact(0.75, 1.5)}, {"mode": "fc has not reported mode"})],
+    )
+    answers = {"alpha": status, "bravo": AddressError("127.0.0.1:2", "nobody listens there")}
+    assert json.loads(picture.as_json(answers)) == {
+        "alpha": {
+            "host": "alpha",
+            "address": "127.0.0.1:1",
+            "up": 2.5,
+            "program": "70" * 8,
+            "deployment": "64" * 8,
+            "agents": [
+                {
+                    "id": "near",
+                    "type": "Post",
+                    "kind": "resource",
+                    "state": "parked",
+                    "hops": 0,
+                    "served": 1,
+                    "heap": 512,
+                    "limit": 1024,
+                    "threads": 2,
+                }
+            ],
+            "coordinators": [
+                {
+                    "id": "tom",
+                    "generation": 7,
+                    "sequence": 1,
+                    "hops": 1,
+                    "state": "EXITED",
+                    "where": "alpha",
+                    "outcome": "died",
+                    "detail": "Exception: no",
+                }
+            ],
+            "linked": ["bravo"],
+            "away": {"carol": 3.5},
+            "devices": {
+                "near.fc": {"at": [0.5, 1], "on": True},
+                "near.arm": {},
+                "near.eye": {"mode": "hold"},
+            },
+            "silences": {"near.fc": 0.25, "near.eye": 4.0},
+            "latched": {"near.arm": "lost", "near.eye": "lost"},
+            "directory": {
+                "near": {
+                    "refusal": "",
+                    "facts": {"battery": [0.75, 1.5]},
+                    "unknown": {"mode": "fc has not reported mode"},
+                }
+            },
+        },
+        "bravo": {"error": "cannot use 127.0.0.1:2: nobody listens there"},
+    }
+    picture.show(answers)
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert rows[1:4] == [
+        ["alpha", "near", "Post", "parked", "1", "512", "B"],
+        ["alpha", "tom", "died:", "Exception:", "no", "1"],
+        ["bravo", "-", "no", "answer"],
+    ]
+    assert rows[6:] == [
+        ["alpha", "near.fc", "in", "use", "at", "(0.50", "1),", "on", "yes"],
+        ["alpha", "near.arm", "safe"],
+        ["alpha", "near.eye", "silent", "4", "s", "mode", "hold"],
+    ]
 
 
 def test_where_nothing_runs(lfield):

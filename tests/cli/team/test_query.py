@@ -9,6 +9,7 @@ import pytest
 
 from lfield.cli.main import main
 from lfield.errors import AddressError, GreetingError
+from lfield.wire.messages import Status, Told, ToldFact
 
 CAPABILITIES = """\
 registry: 1
@@ -261,7 +262,7 @@ def told(folder, monkeypatch, capsys):
     """`told(answers, query, *options)`: as `ask`, with these answers of the hosts."""
 
     def asked(answers, query: str, *options: str) -> tuple[int, list[str], list[str]]:
-        monkeypatch.setattr("lfield.cli.team.query._ask", lambda args, deployment: answers)
+        monkeypatch.setattr("lfield.operator.ask.ask_team", lambda team, maps, request: answers)
         status = main(["query", query, "--deploy", "mission.dL", *options])
         said = capsys.readouterr()
         return status, said.out.splitlines(), said.err.splitlines()
@@ -270,8 +271,11 @@ def told(folder, monkeypatch, capsys):
 
 
 def directory(**agents):
-    whole = {agent: {"refusal": why, "facts": facts} for agent, (why, facts) in agents.items()}
-    return {"directory": whole}
+    told = [
+        Told(agent, why, {name: ToldFact(*fact) for name, fact in facts.items()}, {})
+        for agent, (why, facts) in agents.items()
+    ]
+    return Status("alpha", "", 0.0, b"", b"", [], [], [], [], told)
 
 
 def test_live_values_have_an_age(told):
