@@ -48,7 +48,7 @@ class FramedLink:
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
         """Queue a coordinator. Raises AddressError on a closed link."""
         self._require_open()
-        head = encode_transfer(header, len(block))
+        head = encode_transfer(header, block)
         if len(block) <= _ONE_WRITE:
             self.write(b"".join((head, block)))
         else:

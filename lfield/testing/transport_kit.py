@@ -209,8 +209,10 @@ class TransportKit:
             (1 << 30).to_bytes(4, "big") + bytes([CONTROL]),
             b"\x00\x00\x00\x03" + bytes([CONTROL]) + b"\x92\x63",
             b"\x00\x00\x00\x03" + bytes([TRANSFER]) + b"\x00\x00",
-            encode_transfer(transfer(5), 4) + b"four",
+            encode_transfer(transfer(5), b"four") + b"four",
             encode(Ended("", 1, "done", "", "a")),
+            encode(Ping(2))[:-1] + b"\x03",
+            encode_transfer(transfer(4), b"four") + b"foar",
         ],
     )
     def test_bad_bytes_close_that_link_and_no_other(
@@ -225,7 +227,7 @@ class TransportKit:
         bench.until(lambda: pair.accepted[1].heard == [Ping(2)])
 
     def test_a_message_cut_short_by_a_close_is_reported(self, bench: TransportBench, pair: Pair) -> None:
-        bench.write(pair.link, encode_transfer(transfer(1000), 1000) + bytes(10))
+        bench.write(pair.link, encode_transfer(transfer(1000), bytes(1000)) + bytes(10))
         pair.link.close()
         bench.until(lambda: bool(pair.far.ends))
         assert pair.far.heard == []
@@ -233,7 +235,7 @@ class TransportKit:
         assert "in the middle of a message" in str(pair.far.ends[0])
 
     def test_a_message_may_come_a_byte_at_a_time(self, bench: TransportBench, pair: Pair) -> None:
-        for byte in encode(Ping(1)) + encode_transfer(transfer(9), 9) + bytes(9) + encode(Ping(2)):
+        for byte in encode(Ping(1)) + encode_transfer(transfer(9), bytes(9)) + bytes(9) + encode(Ping(2)):
             bench.write(pair.link, bytes([byte]))
         bench.until(lambda: len(pair.far.heard) == 3)
         assert pair.far.heard == [Ping(1), (transfer(9), bytes(9)), Ping(2)]

@@ -1,19 +1,27 @@
 """Messages to frames and back.
 
-| kind         | payload                                                             |
-|--------------|---------------------------------------------------------------------|
-| HELLO (1)    | `lfld`, version (2 bytes, big-endian), msgpack of `Hello`           |
-| REFUSE (2)   | a sentence in UTF-8                                                 |
-| TRANSFER (3) | header length (2 bytes, big-endian), msgpack of `Transfer`, block   |
-| CONTROL (4)  | msgpack of one of the `Control` messages                            |
+| kind         | payload                                                                           |
+|--------------|-----------------------------------------------------------------------------------|
+| HELLO (1)    | `lfld`, version (2 bytes), checksum, msgpack of `Hello`                           |
+| REFUSE (2)   | a sentence in UTF-8                                                               |
+| CONTROL (4)  | checksum, msgpack of one of the `Control` messages                                |
+| TRANSFER (7) | header length (2 bytes), checksum, that of the block, msgpack of `Transfer`, block |
+
+Numbers are big-endian. A checksum is the CRC-32 of everything else in its frame, the frame's own header
+included; a transfer has one for all before the block, so that a header can be believed whose block was never
+read, and one for the block. A frame that does not fit its checksum is a WireError: the link is closed and
+whatever was on its way is asked for again. The kinds differ by two bits at least: one bit that flips
+makes none of them another.
 
 HELLO's first six bytes and the whole of REFUSE stay as they are in every version to come, so that two
-hosts of different versions can tell each other what is wrong.
+hosts of different versions can tell each other what is wrong. A REFUSE needs no checksum: whatever its
+sentence says, it ends the link.
 """
 
 from __future__ import annotations
 
 import struct
+import zlib
 from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
@@ -27,7 +35,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-HELLO, REFUSE, TRANSFER, CONTROL = 1, 2, 3, 4
+HELLO, REFUSE, CONTROL, TRANSFER = 1, 2, 4, 7
 
 MAGIC = b"lfld"
 
@@ -35,7 +43,9 @@ MAGIC = b"lfld"
 MAX_TRANSFER_HEADER = 1024
 
 _HELLO_START = struct.Struct(">4sH")
-_HEADER_LENGTH = struct.Struct(">H")
+_CHECKSUM = struct.Struct(">I")
+_TRANSFER_START = struct.Struct(">HII")
+_UNDER_CHECK = struct.Struct(">HI")  # what of it is under the first checksum
 _LIMITS = {HELLO: 2 << 20, REFUSE: 4 * MAX_TEXT, CONTROL: 1 << 20}
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -52,7 +62,7 @@ def frame_decoder(max_block: int, on_oversize: Callable[[Transfer, int], None]) 
     """
 
     def skipped(kind: int, length: int, head: bytes) -> None:
-        header, start = _split_transfer(head)
+        header, start, _ = _split_transfer(head, length)
         on_oversize(header, length - start)
 
     limits = _LIMITS | {TRANSFER: max_block + MAX_TRANSFER_HEADER}
@@ -62,23 +72,24 @@ def frame_decoder(max_block: int, on_oversize: Callable[[Transfer, int], None]) 
 def encode(message: Message) -> bytes:
     """The whole frame of a message."""
     if isinstance(message, Hello):
-        return frame(HELLO, _HELLO_START.pack(MAGIC, PROTOCOL) + _encode(message))
+        return _checked_frame(HELLO, _HELLO_START.pack(MAGIC, PROTOCOL), _encode(message))
     if isinstance(message, Refuse):
         return frame(REFUSE, message.reason[:MAX_TEXT].encode())
-    return frame(CONTROL, _encode(message))
+    return _checked_frame(CONTROL, b"", _encode(message))
 
 
-def encode_transfer(header: Transfer, size: int) -> bytes:
-    """The bytes to send before a block of `size` bytes: frame header and transfer header."""
-    body = _encode(header)
-    start = _HEADER_LENGTH.pack(len(body))
-    return frame_header(TRANSFER, len(start) + len(body) + size) + start + body
+def encode_transfer(header: Transfer, block: Buffer) -> bytes:
+    """The bytes to send before a block: frame header and transfer header."""
+    body, check = _encode(header), zlib.crc32(block)
+    before = frame_header(TRANSFER, _TRANSFER_START.size + len(body) + len(block))
+    start = _TRANSFER_START.pack(len(body), _head_checksum(before, check, body), check)
+    return b"".join((before, start, body))
 
 
 def decode(kind: int, payload: Buffer) -> Message:
     """The message of a frame that is not a TRANSFER. Raises WireError."""
     if kind == CONTROL:
-        return _strict(_control, payload)
+        return _strict(_control, _checked_body(CONTROL, payload, 0))
     if kind == HELLO:
         return _decode_hello(payload)
     if kind == REFUSE:
@@ -88,10 +99,12 @@ def decode(kind: int, payload: Buffer) -> Message:
 
 def decode_transfer(payload: Buffer) -> tuple[Transfer, memoryview]:
     """Header and block of a TRANSFER frame; the block is a view into the payload. Raises WireError."""
-    header, start = _split_transfer(payload)
+    header, start, check = _split_transfer(payload, len(payload))
     block = memoryview(payload)[start:]
     if len(block) != header.size:
         raise WireError(f"a transfer of {header.agent} promised {header.size} bytes and has {len(block)}")
+    if zlib.crc32(block) != check:
+        raise WireError(f"the block of {header.agent} was damaged on the way: its checksum does not fit")
     return header, block
 
 
@@ -103,18 +116,46 @@ def _decode_hello(payload: Buffer) -> Hello | ForeignHello:
         raise WireError("a greeting does not begin with 'lfld'; the peer is not an lfield host")
     if protocol != PROTOCOL:
         return ForeignHello(protocol)
-    return _strict(_hello, memoryview(payload)[_HELLO_START.size :])
+    return _strict(_hello, _checked_body(HELLO, payload, _HELLO_START.size))
 
 
-def _split_transfer(payload: Buffer) -> tuple[Transfer, int]:
-    """The transfer header and where the block begins."""
-    if len(payload) < _HEADER_LENGTH.size:
+def _split_transfer(payload: Buffer, length: int) -> tuple[Transfer, int, int]:
+    """The transfer header, where the block begins, and the block's checksum.
+
+    `length` is that of the whole payload, of which the beginning is enough.
+    """
+    if len(payload) < _TRANSFER_START.size:
         raise WireError("a transfer is too short to have a header")
-    (length,) = _HEADER_LENGTH.unpack_from(payload)
-    start = _HEADER_LENGTH.size + length
+    size, expected, check = _TRANSFER_START.unpack_from(payload)
+    start = _TRANSFER_START.size + size
     if start > MAX_TRANSFER_HEADER:
-        raise WireError(f"a transfer has a header of {length} bytes; the peer does not speak lfield")
-    return _strict(_transfer, memoryview(payload)[_HEADER_LENGTH.size : start]), start
+        raise WireError(f"a transfer has a header of {size} bytes; the peer does not speak lfield")
+    body = memoryview(payload)[_TRANSFER_START.size : start]
+    if _head_checksum(frame_header(TRANSFER, length), check, body) != expected:
+        raise WireError("the header of a transfer was damaged on the way: its checksum does not fit")
+    return _strict(_transfer, body), start, check
+
+
+def _head_checksum(before: bytes, check: int, body: Buffer) -> int:
+    """That of a transfer without its block: frame header, both numbers before the header, header."""
+    return zlib.crc32(body, zlib.crc32(_UNDER_CHECK.pack(len(body), check), zlib.crc32(before)))
+
+
+def _checked_frame(kind: int, start: bytes, body: bytes) -> bytes:
+    """A frame with the checksum between the two parts of its payload."""
+    before = frame_header(kind, len(start) + _CHECKSUM.size + len(body)) + start
+    return b"".join((before, _CHECKSUM.pack(zlib.crc32(body, zlib.crc32(before))), body))
+
+
+def _checked_body(kind: int, payload: Buffer, start: int) -> memoryview:
+    """What follows the checksum that stands at `start`. Raises WireError."""
+    view, body = memoryview(payload), start + _CHECKSUM.size
+    if len(view) < body:
+        raise WireError("a message is too short to have a checksum")
+    before = zlib.crc32(view[:start], zlib.crc32(frame_header(kind, len(view))))
+    if zlib.crc32(view[body:], before) != _CHECKSUM.unpack_from(view, start)[0]:
+        raise WireError("a message was damaged on the way: its checksum does not fit")
+    return view[body:]
 
 
 def _strict(decoder: msgspec.msgpack.Decoder[T], payload: Buffer) -> T:
