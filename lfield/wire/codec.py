@@ -1,17 +1,17 @@
 """Messages to frames and back.
 
-| kind         | payload                                                                           |
-|--------------|-----------------------------------------------------------------------------------|
-| HELLO (1)    | `lfld`, version (2 bytes), checksum, msgpack of `Hello`                           |
-| REFUSE (2)   | a sentence in UTF-8                                                               |
-| CONTROL (4)  | checksum, msgpack of one of the `Control` messages                                |
-| TRANSFER (7) | header length (2 bytes), checksum, that of the block, msgpack of `Transfer`, block |
+| kind         | payload                                                                          |
+|--------------|----------------------------------------------------------------------------------|
+| HELLO (1)    | `lfld`, version (2 bytes), checksum, msgpack of `Hello`                          |
+| REFUSE (2)   | a sentence in UTF-8                                                              |
+| CONTROL (4)  | checksum, msgpack of one of the `Control` messages                               |
+| TRANSFER (7) | checksum, that of the block, header length (2 bytes), msgpack of `Transfer`, block |
 
-Numbers are big-endian. A checksum is the CRC-32 of everything else in its frame, the frame's own header
-included; a transfer has one for all before the block, so that a header can be believed whose block was never
-read, and one for the block. A frame that does not fit its checksum is a WireError: the link is closed and
-whatever was on its way is asked for again. The kinds differ by two bits at least: one bit that flips
-makes none of them another.
+Numbers are big-endian. A checksum is the CRC-32 of what follows it, begun with the length of the payload
+instead of zero. That of a transfer ends before the block, which has its own, so that a header can be believed
+whose block was never read. A frame that does not fit its checksum is a WireError: the link is closed, and
+whatever was on its way is asked for again. The kinds differ by two bits at least: one bit that flips makes
+none of them another.
 
 HELLO's first six bytes and the whole of REFUSE stay as they are in every version to come, so that two
 hosts of different versions can tell each other what is wrong. A REFUSE needs no checksum: whatever its
@@ -44,8 +44,7 @@ MAX_TRANSFER_HEADER = 1024
 
 _HELLO_START = struct.Struct(">4sH")
 _CHECKSUM = struct.Struct(">I")
-_TRANSFER_START = struct.Struct(">HII")
-_UNDER_CHECK = struct.Struct(">HI")  # what of it is under the first checksum
+_TRANSFER_START = struct.Struct(">IIH")
 _LIMITS = {HELLO: 2 << 20, REFUSE: 4 * MAX_TEXT, CONTROL: 1 << 20}
 
 _encode = msgspec.msgpack.Encoder().encode
@@ -72,24 +71,24 @@ def frame_decoder(max_block: int, on_oversize: Callable[[Transfer, int], None]) 
 def encode(message: Message) -> bytes:
     """The whole frame of a message."""
     if isinstance(message, Hello):
-        return _checked_frame(HELLO, _HELLO_START.pack(MAGIC, PROTOCOL), _encode(message))
+        return frame(HELLO, _HELLO_START.pack(MAGIC, PROTOCOL) + _checked(message, _HELLO_START.size))
     if isinstance(message, Refuse):
         return frame(REFUSE, message.reason[:MAX_TEXT].encode())
-    return _checked_frame(CONTROL, b"", _encode(message))
+    return frame(CONTROL, _checked(message, 0))
 
 
 def encode_transfer(header: Transfer, block: Buffer) -> bytes:
     """The bytes to send before a block: frame header and transfer header."""
-    body, check = _encode(header), zlib.crc32(block)
-    before = frame_header(TRANSFER, _TRANSFER_START.size + len(body) + len(block))
-    start = _TRANSFER_START.pack(len(body), _head_checksum(before, check, body), check)
-    return b"".join((before, start, body))
+    body = _encode(header)
+    start = _TRANSFER_START.pack(0, zlib.crc32(block), len(body))[_CHECKSUM.size :] + body
+    length = _CHECKSUM.size + len(start) + len(block)
+    return b"".join((frame_header(TRANSFER, length), _CHECKSUM.pack(zlib.crc32(start, length)), start))
 
 
 def decode(kind: int, payload: Buffer) -> Message:
     """The message of a frame that is not a TRANSFER. Raises WireError."""
     if kind == CONTROL:
-        return _strict(_control, _checked_body(CONTROL, payload, 0))
+        return _strict(_control, _check(payload, 0))
     if kind == HELLO:
         return _decode_hello(payload)
     if kind == REFUSE:
@@ -116,7 +115,7 @@ def _decode_hello(payload: Buffer) -> Hello | ForeignHello:
         raise WireError("a greeting does not begin with 'lfld'; the peer is not an lfield host")
     if protocol != PROTOCOL:
         return ForeignHello(protocol)
-    return _strict(_hello, _checked_body(HELLO, payload, _HELLO_START.size))
+    return _strict(_hello, _check(payload, _HELLO_START.size))
 
 
 def _split_transfer(payload: Buffer, length: int) -> tuple[Transfer, int, int]:
@@ -126,36 +125,30 @@ def _split_transfer(payload: Buffer, length: int) -> tuple[Transfer, int, int]:
     """
     if len(payload) < _TRANSFER_START.size:
         raise WireError("a transfer is too short to have a header")
-    size, expected, check = _TRANSFER_START.unpack_from(payload)
+    expected, check, size = _TRANSFER_START.unpack_from(payload)
     start = _TRANSFER_START.size + size
     if start > MAX_TRANSFER_HEADER:
         raise WireError(f"a transfer has a header of {size} bytes; the peer does not speak lfield")
-    body = memoryview(payload)[_TRANSFER_START.size : start]
-    if _head_checksum(frame_header(TRANSFER, length), check, body) != expected:
+    head = memoryview(payload)[:start]
+    if zlib.crc32(head[_CHECKSUM.size :], length) != expected:
         raise WireError("the header of a transfer was damaged on the way: its checksum does not fit")
-    return _strict(_transfer, body), start, check
+    return _strict(_transfer, head[_TRANSFER_START.size :]), start, check
 
 
-def _head_checksum(before: bytes, check: int, body: Buffer) -> int:
-    """That of a transfer without its block: frame header, both numbers before the header, header."""
-    return zlib.crc32(body, zlib.crc32(_UNDER_CHECK.pack(len(body), check), zlib.crc32(before)))
+def _checked(message: Message, before: int) -> bytes:
+    """A message behind its checksum; `before` are the bytes of the payload that go before the two."""
+    body = _encode(message)
+    return _CHECKSUM.pack(zlib.crc32(body, before + _CHECKSUM.size + len(body))) + body
 
 
-def _checked_frame(kind: int, start: bytes, body: bytes) -> bytes:
-    """A frame with the checksum between the two parts of its payload."""
-    before = frame_header(kind, len(start) + _CHECKSUM.size + len(body)) + start
-    return b"".join((before, _CHECKSUM.pack(zlib.crc32(body, zlib.crc32(before))), body))
-
-
-def _checked_body(kind: int, payload: Buffer, start: int) -> memoryview:
-    """What follows the checksum that stands at `start`. Raises WireError."""
-    view, body = memoryview(payload), start + _CHECKSUM.size
-    if len(view) < body:
+def _check(payload: Buffer, before: int) -> memoryview:
+    """What stands behind the checksum, which is at `before`. Raises WireError."""
+    if len(payload) < before + _CHECKSUM.size:
         raise WireError("a message is too short to have a checksum")
-    before = zlib.crc32(view[:start], zlib.crc32(frame_header(kind, len(view))))
-    if zlib.crc32(view[body:], before) != _CHECKSUM.unpack_from(view, start)[0]:
+    body = memoryview(payload)[before + _CHECKSUM.size :]
+    if zlib.crc32(body, len(payload)) != _CHECKSUM.unpack_from(payload, before)[0]:
         raise WireError("a message was damaged on the way: its checksum does not fit")
-    return view[body:]
+    return body
 
 
 def _strict(decoder: msgspec.msgpack.Decoder[T], payload: Buffer) -> T:

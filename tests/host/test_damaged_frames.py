@@ -1,4 +1,4 @@
-"""A bit that flips on the way: the link closes, the hop is asked for again, and the mission's sum is right."""
+"""A bit that flips on the way: the link closes, the hop is asked for again, the mission's sum is right."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def is_answer(link: MemoryLink, data: bytes) -> bool:
 
 
 class Damage:
-    """Flips bit after bit of the frames that `wanted` picks: one of a link's first, none of the next link's."""
+    """Flips bit after bit of the frames that `wanted` picks: one of a link, and none of the next link."""
 
     def __init__(self, wanted: Callable[[MemoryLink, bytes], bool]) -> None:
         self.wanted = wanted
