@@ -5,13 +5,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lfield.errors import AddressError, GreetingError, WireError
-from lfield.wire.codec import TRANSFER, decode, decode_transfer, encode, encode_transfer, frame_decoder
+from lfield.wire.codec import (
+    TRANSFER,
+    decode,
+    decode_transfer,
+    encode,
+    encode_transfer,
+    frame_decoder,
+    limits,
+)
 
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
     from lfield.net.transport import LinkHandler
     from lfield.wire.framing import Buffer
-    from lfield.wire.messages import Message, Transfer
+    from lfield.wire.messages import Message, Role, Transfer
 
 # Up to here one copy is cheaper than a second system call; a larger block is written by itself.
 _ONE_WRITE = 64 * 1024
@@ -30,7 +38,8 @@ class FramedLink:
         self.peer = peer
         self.closed = False
         self._error: LfieldError | None = None
-        self._decoder = frame_decoder(max_block, self._oversize)
+        self._max_block = max_block
+        self._decoder = frame_decoder(self._oversize)
 
     def write(self, data: Buffer) -> None:
         """Queue bytes as they are. Only `send` and `send_transfer`, and tests of bad bytes, call it."""
@@ -39,6 +48,14 @@ class FramedLink:
     def close(self) -> None:
         """Send what is queued, then close; sets `closed`."""
         raise NotImplementedError
+
+    def abort(self) -> None:
+        """Close and lose what is queued; sets `closed`."""
+        raise NotImplementedError
+
+    def greeted(self, role: Role) -> None:
+        """See `Link.greeted`."""
+        self._decoder.limits = limits(role, self._max_block)
 
     def send(self, message: Message) -> None:
         """Queue a message. Raises AddressError on a closed link."""
@@ -74,6 +91,8 @@ class FramedLink:
         """The stream has ended; the first reason known is the one reported."""
         half = not self.closed and self._decoder.unfinished
         self.closed = True
+        # Now, and not when the collector finds this link: what never greeted must not pile up until then.
+        self._decoder.forget()
         if self._error is None and error is None and half:
             error = WireError(f"{self.peer} closed the link in the middle of a message")
         self.handler.on_closed(self, self._error or error)

@@ -25,13 +25,24 @@ import zlib
 from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
+from msgspec.structs import replace
 
 from lfield.errors import WireError
 from lfield.wire.framing import Buffer, FrameDecoder, frame, frame_header
-from lfield.wire.messages import MAX_TEXT, PROTOCOL, Control, ForeignHello, Hello, Message, Refuse, Transfer
+from lfield.wire.messages import (
+    MAX_TEXT,
+    PROTOCOL,
+    Control,
+    ForeignHello,
+    Hello,
+    Message,
+    Refuse,
+    Role,
+    Transfer,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 T = TypeVar("T")
 
@@ -45,7 +56,11 @@ MAX_TRANSFER_HEADER = 1024
 _HELLO_START = struct.Struct(">4sH")
 _CHECKSUM = struct.Struct(">I")
 _TRANSFER_START = struct.Struct(">IIH")
-_LIMITS = {HELLO: 2 << 20, REFUSE: 4 * MAX_TEXT, CONTROL: 1 << 20}
+
+#: What may come before the greeting, in bytes: anybody may send that, and hold so much memory.
+GREETING_LIMITS = {HELLO: 1 << 18, REFUSE: 4 * MAX_TEXT}
+_OBSERVER_LIMITS = GREETING_LIMITS | {CONTROL: 8 * MAX_TEXT}
+_HOST_LIMITS = GREETING_LIMITS | {CONTROL: 1 << 20}
 
 _encode = msgspec.msgpack.Encoder().encode
 _hello: msgspec.msgpack.Decoder[Hello] = msgspec.msgpack.Decoder(Hello)
@@ -53,8 +68,8 @@ _transfer: msgspec.msgpack.Decoder[Transfer] = msgspec.msgpack.Decoder(Transfer)
 _control: msgspec.msgpack.Decoder[Control] = msgspec.msgpack.Decoder(Control)
 
 
-def frame_decoder(max_block: int, on_oversize: Callable[[Transfer, int], None]) -> FrameDecoder:
-    """A decoder for one link; `max_block` is the largest block to take, in bytes.
+def frame_decoder(on_oversize: Callable[[Transfer, int], None]) -> FrameDecoder:
+    """A decoder for one link, which lets only greetings pass until its limits are widened.
 
     The block of a larger transfer is thrown away as it arrives, then `on_oversize` is called with its
     header and its size in bytes. It may raise WireError, as `FrameDecoder.feed` then does.
@@ -64,14 +79,20 @@ def frame_decoder(max_block: int, on_oversize: Callable[[Transfer, int], None]) 
         header, start, _ = _split_transfer(head, length)
         on_oversize(header, length - start)
 
-    limits = _LIMITS | {TRANSFER: max_block + MAX_TRANSFER_HEADER}
-    return FrameDecoder(limits, skippable={TRANSFER: MAX_TRANSFER_HEADER}, on_skipped=skipped)
+    return FrameDecoder(GREETING_LIMITS, skippable={TRANSFER: MAX_TRANSFER_HEADER}, on_skipped=skipped)
+
+
+def limits(role: Role, max_block: int) -> Mapping[int, int]:
+    """What may come from a peer that has greeted; `max_block` is the largest block to take, in bytes."""
+    return (
+        _OBSERVER_LIMITS if role == "observer" else _HOST_LIMITS | {TRANSFER: max_block + MAX_TRANSFER_HEADER}
+    )
 
 
 def encode(message: Message) -> bytes:
     """The whole frame of a message."""
     if isinstance(message, Hello):
-        return frame(HELLO, _HELLO_START.pack(MAGIC, PROTOCOL) + _checked(message, _HELLO_START.size))
+        return _encode_hello(message)
     if isinstance(message, Refuse):
         return frame(REFUSE, message.reason[:MAX_TEXT].encode())
     return frame(CONTROL, _checked(message, 0))
@@ -105,6 +126,14 @@ def decode_transfer(payload: Buffer) -> tuple[Transfer, memoryview]:
     if zlib.crc32(block) != check:
         raise WireError(f"the block of {header.agent} was damaged on the way: its checksum does not fit")
     return header, block
+
+
+def _encode_hello(hello: Hello) -> bytes:
+    payload = _HELLO_START.pack(MAGIC, PROTOCOL) + _checked(hello, _HELLO_START.size)
+    if len(payload) > GREETING_LIMITS[HELLO] and any(known.detail for known in hello.coordinators):
+        # Why hundreds have ended is told by each Ended too; that they have ended must be told here.
+        return _encode_hello(replace(hello, coordinators=[replace(k, detail="") for k in hello.coordinators]))
+    return frame(HELLO, payload)
 
 
 def _decode_hello(payload: Buffer) -> Hello | ForeignHello:

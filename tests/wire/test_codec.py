@@ -21,6 +21,7 @@ from lfield.wire.codec import (
     encode,
     encode_transfer,
     frame_decoder,
+    limits,
 )
 from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import (
@@ -102,6 +103,12 @@ def report(agent=0, trouble="", lasting=None, facts=(), unknown=(), since=0):
 
 
 TRANSFER_HEADER = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5)
+
+
+def decoder_of_a_host(max_block: int, told: list):
+    decoder = frame_decoder(lambda *what: told.append(what))
+    decoder.limits = limits("host", max_block)
+    return decoder
 
 
 def parts(frame: bytes) -> tuple[int, bytes]:
@@ -307,7 +314,7 @@ def test_no_frame_with_one_bit_flipped_is_taken_for_what_was_sent_or_anything_el
         return decode_transfer(payload) if kind == TRANSFER else decode(kind, payload)
 
     for flipped in flips(data):
-        decoder = frame_decoder(1 << 20, lambda *what: taken.append(what))
+        decoder = decoder_of_a_host(1 << 20, taken)
         try:
             # What follows shows that a length that has grown does not hide the damage.
             for kind, payload in decoder.feed(flipped + encode(Ping(2))):
@@ -329,7 +336,7 @@ def test_an_oversize_transfer_that_was_damaged_is_not_reported():
     big = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5000)
     data, told = encode_transfer(big, bytes(5000)), []
     for flipped in flips(data):
-        decoder = frame_decoder(1000, lambda *what: told.append(what))
+        decoder = decoder_of_a_host(1000, told)
         with suppress(WireError):
             list(decoder.feed(flipped + bytes(5000)))
     assert told == []
@@ -337,14 +344,14 @@ def test_an_oversize_transfer_that_was_damaged_is_not_reported():
 
 def test_an_oversize_transfer_is_told_by_its_header():
     told = []
-    decoder = frame_decoder(1000, lambda *what: told.append(what))
+    decoder = decoder_of_a_host(1000, told)
     big = Transfer("Tour:one", 1, 2, 3, HASH, 4, 5000)
     assert list(decoder.feed(encode_transfer(big, bytes(5000)) + bytes(5000))) == []
     assert told == [(big, 5000)]
 
 
 def test_an_oversize_transfer_with_a_bad_header_is_a_wire_error():
-    decoder = frame_decoder(1000, lambda *what: None)
+    decoder = decoder_of_a_host(1000, [])
     with pytest.raises(WireError):
         list(decoder.feed(b"\x00\x00\x20\x00\x07" + bytes(8191)))
 
@@ -354,3 +361,10 @@ def test_long_text_is_clipped_to_what_travels():
     assert len(clip("x" * 5000)) == MAX_TEXT
     assert len(clip("x" * 5000, MAX_LABEL)) == MAX_LABEL
     assert len(decode(*parts(encode(Refuse("x" * 5000)))).reason) == MAX_TEXT
+
+
+def test_a_greeting_of_a_team_that_has_ended_is_small_enough_to_be_taken():
+    ended = [Known(f"Tour:{n}", 1, 2, 3, "EXITED", "b", "died", "x" * MAX_TEXT) for n in range(4096)]
+    frame = encode(replace(HELLO_MESSAGE, coordinators=ended))
+    ((kind, payload),) = frame_decoder(lambda *what: None).feed(frame)
+    assert [known.agent for known in decode(kind, payload).coordinators] == [known.agent for known in ended]
