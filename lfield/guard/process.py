@@ -21,6 +21,7 @@ from lfield.driver.known import KnownDriver
 from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import DeviceError, LfieldError, PluginError, WireError
 from lfield.guard.core import Cancel, Effect, Execute, Exit, GuardCore, MakeSafe, Quiet, Tell
+from lfield.guard.endpoint_lock import EndpointLock
 from lfield.guard.messages import (
     Allow,
     Beat,
@@ -63,6 +64,7 @@ class Shell(asyncio.Protocol):
         self._reader = MessageReader()
         self._core: GuardCore | None = None
         self._driver: Driver | None = None
+        self._lock = EndpointLock()
         self._telemetry = Telemetry(clock, self._tell_snapshot)
         self._calls: dict[int, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -161,6 +163,7 @@ class Shell(asyncio.Protocol):
     async def _open(self, message: Open) -> None:
         problems: list[tuple[str, str, str]] = []
         try:
+            await self._lock.take(message.devices[0].endpoint)
             self._driver = self._make_driver(message)
             self._on_loaded()
             await self._driver.open()
@@ -286,6 +289,7 @@ class Shell(asyncio.Protocol):
             task.cancel()
         if self._driver is not None:
             await self._driver.close()
+        self._lock.release()
 
 
 def check_same(known: KnownDriver, plugin: Plugin) -> None:

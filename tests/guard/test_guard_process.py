@@ -8,16 +8,18 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 from contextlib import asynccontextmanager
 
 import msgspec
 import pytest
+from pymavlink import mavutil
 
 from lfield.devices.fakes import start_fake
 from lfield.driver.binding import SIMULATED
 from lfield.driver.plugins import Plugins
 from lfield.driver.sims import Sims
-from lfield.errors import BindingError, DeviceError
+from lfield.errors import BindingError, DeviceError, DevicesError
 from lfield.mission.bindings_file import read_bindings
 from lfield.testing.driver_bench import RunningFake, guarded, running_fake
 
@@ -136,8 +138,7 @@ def test_a_stopped_host_is_silence(tmp_path):
             try:
                 await asyncio.to_thread(host.stdout.readline)
                 host.send_signal(signal.SIGSTOP)
-                async with flying(f) as watcher:
-                    await watcher.reads("mode", lambda now: now == "LAND")
+                await asyncio.to_thread(sees_landing, f.endpoint)
             finally:
                 host.kill()
                 host.communicate()
@@ -155,6 +156,35 @@ def test_a_killed_host_leaves_the_vehicle_landed():
             async with flying(f) as watcher:
                 await watcher.reads("mode", lambda now: now == "LAND")
                 await watcher.reads("armed", lambda now: now is False)
+
+    asyncio.run(mission())
+
+
+def sees_landing(endpoint: str) -> None:
+    """Wait until the vehicle says that it lands; asked past the guard, which still has the endpoint."""
+    watcher = mavutil.mavlink_connection(endpoint.replace("udp:", "udpout:"))
+    end = time.monotonic() + 30.0
+    while time.monotonic() < end:
+        watcher.mav.heartbeat_send(
+            mavutil.mavlink.MAV_TYPE_GCS, mavutil.mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0
+        )
+        heard = watcher.recv_match(type="HEARTBEAT", blocking=True, timeout=0.5)
+        if heard is not None and mavutil.mode_mapping_acm[heard.custom_mode] == "LAND":
+            watcher.close()
+            return
+    pytest.fail("the vehicle does not land")
+
+
+def test_a_second_guard_at_one_endpoint_is_told_the_first_one():
+    async def mission():
+        async with fake() as f, flying(f) as flight:
+            with pytest.raises(DevicesError, match=r"is in use by process \d+, which process") as told:
+                async with flying(f):
+                    pytest.fail("two guards have one vehicle")
+            assert f"which process {os.getpid()} has started" in str(told.value)
+            assert await flight.call("armed") is False
+        async with fake() as f, flying(f), fake() as other, flying(other):
+            pass
 
     asyncio.run(mission())
 

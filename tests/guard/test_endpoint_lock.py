@@ -1,0 +1,132 @@
+"""Two guards never own one endpoint, however each of them writes it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield.guard import endpoint_lock
+from lfield.guard.endpoint_lock import EndpointLock, Place, places
+
+#: Takes a lock, says so, and keeps it until it is killed.
+HOLDER = """
+import asyncio, sys
+from lfield.guard.endpoint_lock import EndpointLock
+async def main():
+    lock = EndpointLock()
+    await lock.take(sys.argv[1])
+    print("held", flush=True)
+    await asyncio.sleep(1000)
+asyncio.run(main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "expected"),
+    [
+        ("udp:10.0.0.1:14550", [Place("udp", "10.0.0.1", 14550)]),
+        ("udpin:0.0.0.0:14550", [Place("udpin", "0.0.0.0", 14550)]),
+        ("tcp:[::1]:5760", [Place("tcp", "::1", 5760)]),
+        ("serial:/dev/ttyUSB0:57600", [Place("device", "/dev/ttyUSB0")]),
+        ("slcan:/dev/ttyUSB0@115200?bitrate=500000", [Place("device", "/dev/ttyUSB0")]),
+        ("serial:/dev/serial/by-id/usb-1:2:57600", [Place("device", "/dev/serial/by-id/usb-1:2")]),
+        ("socketcan:can0?fd=True", [Place("socketcan", "can0")]),
+        ("socketcand:10.0.0.1:29536/can0", [Place("socketcand", "10.0.0.1", 29536, "/can0")]),
+        ("pcan:PCAN_USBBUS1", [Place("pcan", "PCAN_USBBUS1")]),
+        ("virtual:bus", []),
+        (
+            "udp:10.0.0.1:14550, serial:/dev/ttyUSB0:57600",
+            [Place("udp", "10.0.0.1", 14550), Place("device", "/dev/ttyUSB0")],
+        ),
+        ("nonsense", []),
+        ("", []),
+    ],
+)
+def test_what_an_endpoint_leads_to(endpoint, expected):
+    assert places(endpoint) == expected
+
+
+async def refusal(endpoint: str) -> str:
+    lock = EndpointLock()
+    try:
+        await lock.take(endpoint)
+    except DeviceError as error:
+        return error.reason
+    finally:
+        lock.release()
+    return ""
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    monkeypatch.setattr(endpoint_lock, "PATIENCE", 0.05)
+    monkeypatch.setattr(endpoint_lock, "AGAIN", 0.01)
+
+
+@pytest.fixture
+def port(tmp_path):
+    """Three names of one device."""
+    device, other = tmp_path / "ttyX", tmp_path / "by-id"
+    device.touch()
+    other.symlink_to(device)
+    return device, other
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize(
+    ("held", "wanted", "refused"),
+    [
+        ("udp:127.0.0.1:9", "udp:127.0.0.1:9", True),
+        ("udp:127.0.0.1:9", "udp:127.0.0.1:19", False),
+        ("udp:127.0.0.1:9", "tcp:127.0.0.1:9", False),
+        ("tcp:127.0.0.1:9", "serial:/dev/null:9600, tcp:127.0.0.1:9", True),
+        ("socketcand:127.0.0.1:9/can0", "socketcand:127.0.0.1:9/can0?fd=True", True),
+        ("socketcand:127.0.0.1:9/can0", "socketcand:127.0.0.1:9/can1", False),
+        ("virtual:one", "virtual:one", False),
+    ],
+)
+def test_one_place_has_one_owner(held, wanted, refused):
+    async def story() -> None:
+        lock = EndpointLock()
+        await lock.take(held)
+        said = await refusal(wanted)
+        assert (f"{wanted} is in use by process {os.getpid()}, which" in said) is refused
+        lock.release()
+        assert await refusal(wanted) == ""
+
+    asyncio.run(story())
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_device_is_the_same_under_every_name(port):
+    async def story() -> None:
+        lock = EndpointLock()
+        await lock.take(f"serial:{port[0]}:57600")
+        assert "is in use by process" in await refusal(f"slcan:{port[1]}@115200")
+        lock.release()
+
+    asyncio.run(story())
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("hangs", [False, True])
+def test_another_process_is_named_and_its_death_frees_the_endpoint(hangs, monkeypatch):
+    endpoint = f"udp:127.0.0.1:{os.getpid() % 60000 + 1}"
+    with subprocess.Popen([sys.executable, "-c", HOLDER, endpoint], stdout=subprocess.PIPE) as holder:
+        try:
+            assert holder.stdout.readline() == b"held\n"
+            monkeypatch.setattr(endpoint_lock, "PATIENCE", 0.2)
+            if hangs:
+                holder.send_signal(signal.SIGSTOP)
+            for _ in range(3):
+                said = asyncio.run(refusal(endpoint))
+                assert f"process {holder.pid}, which process {os.getpid()} has started" in said
+        finally:
+            holder.kill()
+    assert asyncio.run(refusal(endpoint)) == ""
