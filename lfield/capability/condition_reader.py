@@ -161,6 +161,15 @@ _FOREIGN = frozenset(
 )
 #: Operators of other languages that are words.
 _WORDS = {"and": "write &&", "or": "write ||", "not": "write !", "in": "write set == member"}
+#: What can name nothing: the reserved words of L (appendix A); a test compares them with the scanner's.
+RESERVED_WORDS = frozenset(
+    (
+        *("resource", "coordinator", "class", "include", "init", "portal", "emit", "synchronized"),
+        *("public", "private", "boolean", "int", "real", "string", "void"),
+        *("if", "else", "while", "for", "break", "continue", "return", "try", "catch", "throw"),
+        *("new", "this", "true", "false", "null"),
+    )
+)
 _CONSTANTS = {"true": True, "false": False, "null": None}
 _INT_LIMIT = 2**63
 
@@ -290,7 +299,7 @@ class _Parser:
 
     def _member(self, owner: Expr) -> Expr:
         name = self._next
-        if name.kind != "name":
+        if name.kind != "name" or name.text in RESERVED_WORDS:
             raise _Stop(name.span, f"expected the name of a member, found {name}")
         self._advance()
         return Member(owner.span.to(name.span), owner.height + 1, owner, name.text, name.span)
@@ -324,6 +333,8 @@ class _Parser:
                 return Meaningless(token.span, 1)
             case "name", "new" if self._next.kind == "name":
                 return Meaningless(token.span.to(self._postfix().span), 1)
+            case "name", word if word in RESERVED_WORDS:
+                raise _Stop(token.span, f"expected an expression, found {token}", f"'{word}' is a word of L")
             case "name", _:
                 return Name(token.span, 1, token.text)
             case "symbol", "(":

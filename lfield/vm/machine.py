@@ -100,8 +100,8 @@ class Machine:
     def admit(self, member: Member, image: bytes | memoryview, limits: Limits) -> Agent:
         """Inject a coordinator that came from another host; raises BlockError when its bytes are not sound.
 
-        It goes on at its portal call, now here. Another start of it that is here goes on no more: of two starts
-        one host never runs both.
+        It goes on at its portal call, now here. Another start of it that is here goes on no more: of two
+        starts one host never runs both.
         """
         block = self._soundness.check(image, limits.heap // 8)
         block.w[layout.W_HOPS] += 1

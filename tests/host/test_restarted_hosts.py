@@ -107,7 +107,7 @@ def test_a_start_that_arrives_where_a_later_one_runs_ends_it_first(fleet):
 
     async def story(team):
         mission = team.mission(TWICE, THREE_HOSTS)
-        home, away, carol = await team.up(mission)
+        home, _, carol = await team.up(mission)
         await team.until(lambda: carol.output)
         first = carol.output[0].split()[0]
         # Nobody who can be reached knows where it is, so a second one is started.
