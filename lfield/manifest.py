@@ -64,9 +64,14 @@ class Instruction:
     channel: str = "motion"
 
     @property
+    def only_asks(self) -> bool:
+        """Whether it moves and changes nothing: telemetry answers it, or the device itself is asked."""
+        return self.effect == "query"
+
+    @property
     def is_query(self) -> bool:
         """Whether telemetry answers it: then it is never sent to the device."""
-        return self.effect == "query" and not self.blocking
+        return self.only_asks and not self.blocking
 
 
 @dataclass(frozen=True, slots=True)

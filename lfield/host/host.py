@@ -13,6 +13,7 @@ import secrets
 import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -187,12 +188,15 @@ class Host:
 
     def fail(self, error: BaseException) -> None:
         """A bug in the host itself: nothing more is done, no guard is fed, and whoever runs it ends it."""
-        if self.failure is None:
-            self.failure = HostFailure(self.name, error)
+        if self.failure is not None:
+            return
+        self.failure = HostFailure(self.name, error)
+        self.failed.set()
+        # The bug may be in the log itself: it must not keep the host from ending.
+        with suppress(Exception):
             self.note(str(self.failure))
             if os.environ.get("LFIELD_TRACEBACK"):
                 self.note("".join(traceback.format_exception(error)))
-            self.failed.set()
 
     def unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: what was raised beside the core, in a task or a socket's callback."""

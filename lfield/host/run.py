@@ -53,17 +53,14 @@ async def run_host(
     failed = asyncio.ensure_future(host.failed.wait())
     try:
         await asyncio.wait([life, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
-        if host.failure is not None:
-            return host.failure.exit_status
-        if life.done():
-            return life.result()
         # Without --until-done there is no other end than to be told to stop.
-        return 0 if lost_after is None else 130
+        status = life.result() if life.done() else 0 if lost_after is None else 130
     finally:
         for task in (life, stopped, failed):
             task.cancel()
         await asyncio.gather(life, stopped, failed, return_exceptions=True)
         await host.stop()
+    return status if host.failure is None else host.failure.exit_status
 
 
 async def _live(host: Host, lost_after: float | None) -> int:

@@ -67,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
     from lfield.mission import bundle
 
     path = mission_path(args)
+    if path.suffix in (".L", ".lb"):
+        raise UsageError(f"{path} is a program: name its deployment, {path.with_suffix('.dL')}")
     if path.suffix != bundle.SUFFIX:
         return _run_built(path, args)
     if args.program is not None:

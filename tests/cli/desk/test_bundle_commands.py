@@ -144,6 +144,22 @@ def test_other_bindings_on_one_robot(lfield, bundled) -> None:
     simulated.wait_for("here is up")
 
 
+def test_a_deployment_is_listed_and_explained_as_its_bundle_is(lfield, here) -> None:
+    lfield.mission(PROGRAM, DEPLOYMENT)
+    assert here("build", "mission.dL").status == 0
+    for command in ("disasm", "inspect"):
+        of_bundle, of_deployment = here(command, "mission.lfm"), here(command, "mission.dL")
+        assert (of_bundle.status, of_deployment.status) == (0, 0)
+        assert of_bundle.out == of_deployment.out
+
+
+def test_a_program_is_no_mission(lfield, here) -> None:
+    lfield.mission(PROGRAM, DEPLOYMENT)
+    refused = here("up", "mission.L", "--all")
+    assert refused.status == 64
+    assert refused.err == ["lfield: mission.L is a program: name its deployment, mission.dL"]
+
+
 def test_a_device_that_is_not_bound_is_no_bundle(lfield, here) -> None:
     lfield.mission(ARM, "//Arm:arm@here\n")
     made = here("build", "mission.dL")
