@@ -1,4 +1,4 @@
-"""`lfield inspect FILE`: a dumped agent with its threads, L stack, locals and heap; the parts of a mission."""
+"""`lfield inspect FILE`: a dumped agent, its threads, L stack, locals and heap; or the parts of a mission."""
 
 from __future__ import annotations
 
