@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import LfieldError, PluginError
+from lfield.text.outlet import never_waiting
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -123,14 +124,15 @@ def main(arguments: Sequence[str]) -> int:
     if not arguments:
         print("usage: python -m lfield.driver.sims package.module:SIM [options]", file=sys.stderr)
         return 64
-    try:
-        sim = load_sim(arguments[0])
-        parser = argparse.ArgumentParser(prog=f"lfield sim {sim.name}", description=sim.help)
-        sim.add_arguments(parser)
-        return sim.run(parser.parse_args(arguments[1:]))
-    except LfieldError as error:
-        print(error, file=sys.stderr)
-        return error.exit_status
+    with never_waiting():
+        try:
+            sim = load_sim(arguments[0])
+            parser = argparse.ArgumentParser(prog=f"lfield sim {sim.name}", description=sim.help)
+            sim.add_arguments(parser)
+            return sim.run(parser.parse_args(arguments[1:]))
+        except LfieldError as error:
+            print(error, file=sys.stderr)
+            return error.exit_status
 
 
 if __name__ == "__main__":

@@ -64,9 +64,15 @@ def _seconds(word: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Run until done or stopped: 0 if all ended normally, 1 if a coordinator died or was lost."""
+    from lfield.text.outlet import never_waiting
+
+    with never_waiting("lfield: " if args.all else ""):
+        return _run_mission(mission_path(args), args)
+
+
+def _run_mission(path: Path, args: argparse.Namespace) -> int:
     from lfield.mission import bundle
 
-    path = mission_path(args)
     if path.suffix != bundle.SUFFIX:
         return _run_built(path, args)
     if args.program is not None:

@@ -16,7 +16,6 @@ import sys
 from asyncio.subprocess import PIPE, Process
 from typing import TYPE_CHECKING, TextIO
 
-from lfield.host.logbook import lost, silence
 from lfield.net.local import reserve
 from lfield.operator import whereabouts
 
@@ -124,13 +123,7 @@ class _Team:
         if self.view and target.isatty():
             self.view.print(line)
             return
-        try:
-            target.write(line + "\n")
-            target.flush()
-        except (OSError, ValueError) as error:
-            silence(target)
-            if target is sys.stdout:
-                print(f"lfield: {lost(error)}", file=sys.stderr)
+        target.write(line + "\n")
 
     async def line(self, source: asyncio.StreamReader) -> bytes:
         try:
