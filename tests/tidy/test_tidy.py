@@ -26,7 +26,6 @@ SMALL = {
     "lfield/driver/binding.py": "one bound device, as it travels",
     "lfield/host/effects.py": "what the core asks of its shell, and nothing else",
     "lfield/host/logbook.py": "the two streams of a host",
-    "lfield/host/until_done.py": "the only life of a host that ends by itself",
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/simulate/time.py": "the jumping clock",
     "lfield/testing/offers.py": "a team for golden programs",
