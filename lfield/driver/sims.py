@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import LfieldError, PluginError
 from lfield.text.outlet import never_waiting
+from lfield.text.private import private_folder
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -100,11 +101,12 @@ def sims_of(drivers: Collection[str]) -> Sims:
 
 
 def control_folder() -> Path:
-    """Where running fakes have the sockets at which their faults are set; made on demand."""
+    """Where running fakes have the sockets at which their faults are set; made on demand.
+
+    Raises OutputFileError when others could put theirs there.
+    """
     base = os.environ.get("XDG_RUNTIME_DIR") or f"{tempfile.gettempdir()}/lfield-{os.getuid()}"
-    folder = Path(base) / "lfield-sims"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return folder
+    return private_folder(Path(base) / "lfield-sims")
 
 
 def load_sim(reference: str) -> Sim:

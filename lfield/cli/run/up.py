@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield.cli.mission_argument import add_mission, mission_path
-from lfield.errors import UsageError
+from lfield.errors import OutputFileError, UsageError
 
 if TYPE_CHECKING:
     from lfield.mission.mission import Mission
@@ -101,11 +101,23 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
     if warn:
         for warning in mission.warnings:
             print(warning, file=sys.stderr)
+    if args.dump is not None and not args.leash:
+        _look_at_dumps(args.dump)
     if args.all:
         from lfield.cli.run.up_all import run_all
 
         return run_all(mission, file, args)
     return _run_one(mission, args)
+
+
+def _look_at_dumps(folder: Path) -> None:
+    """Say now what is wrong with the folder, and not only when an agent has died."""
+    from lfield.text.private import private_folder
+
+    try:
+        private_folder(folder)
+    except OutputFileError as error:
+        print(f"lfield: agents that die will not be dumped: {error}", file=sys.stderr)
 
 
 def _run_one(mission: Mission, args: argparse.Namespace) -> int:

@@ -35,8 +35,12 @@ def run_all(mission: Mission, file: Path, args: argparse.Namespace) -> int:
     """Run every host of the mission in a bundle until all have ended: 0 if all did so normally."""
     reserved = {host: reserve() for host in mission.team.hosts}
     addresses = {host: address for host, (_, address) in reserved.items()}
-    with whereabouts.published(mission.team.deployment, addresses):
+    with whereabouts.published(mission.team.deployment, addresses, _tell):
         return asyncio.run(_Team(file, args, reserved, addresses).run())
+
+
+def _tell(text: str) -> None:
+    print(f"lfield: {text}", file=sys.stderr)
 
 
 class _Team:
