@@ -31,7 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sim", action="store_true", help="bind every device to its fake, and start the fakes"
     )
     parser.add_argument(
-        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
+        "--map",
+        metavar="NAME=ADDR:PORT",
+        action="append",
+        default=[],
+        help="where a host listens and is reached",
     )
     parser.add_argument("--until-done", action="store_true", help="end when every coordinator has ended")
     parser.add_argument("--dump", metavar="DIR", type=Path, help="dump agents that die, for 'lfield inspect'")
