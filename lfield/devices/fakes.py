@@ -72,6 +72,6 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> Fake:
     if words[:1] != ["ready"] or len(words) < 2:
         fake = Fake("", process)
         await fake.stop()
-        said = f"; it said: {line.strip()}" if line.strip() else "; what stands above is why, if anything does"
+        said = f"; it said: {line.strip()}" if line.strip() else "; see above"
         raise PluginError(f"{names}: the fake '{sim.name}' did not start{said}")
     return Fake(words[1], process)

@@ -23,7 +23,7 @@ from lfield.bytecode.program import DeviceCall
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
-from lfield.errors import DeviceError, HostFailure
+from lfield.errors import DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
 from lfield.host.logbook import Logbook
@@ -35,6 +35,7 @@ from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
+from lfield.text.private import write_private
 from lfield.vm.agent import Agent
 from lfield.vm.contract import Reading
 from lfield.vm.inspect import dump
@@ -245,11 +246,10 @@ class Host:
         )
         path = folder / f"{agent.id}.block"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
+            write_private(path, data)
             self.note(f"dumped {agent.id}: lfield inspect {path}")
-        except OSError as error:
-            self.note(f"cannot dump {agent.id} to {path}: {os.strerror(error.errno or 0)}")
+        except OutputFileError as error:
+            self.note(f"cannot dump {agent.id} to {path}: {error}")
 
     # --- Owner of the links ---------------------------------------------------------------------------
 

@@ -25,6 +25,7 @@ SMALL = {
     "lfield/clock.py": "a word that everybody speaks",
     "lfield/driver/binding.py": "one bound device, as it travels",
     "lfield/host/effects.py": "what the core asks of its shell, and nothing else",
+    "lfield/host/logbook.py": "the two streams of a host",
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/simulate/time.py": "the jumping clock",
     "lfield/testing/offers.py": "a team for golden programs",
