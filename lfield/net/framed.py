@@ -6,13 +6,21 @@ from typing import TYPE_CHECKING
 
 from lfield.errors import AddressError, GreetingError, WireError
 from lfield.loop import unexpected
-from lfield.wire.codec import TRANSFER, decode, decode_transfer, encode, encode_transfer, frame_decoder
+from lfield.wire.codec import (
+    TRANSFER,
+    decode,
+    decode_transfer,
+    encode,
+    encode_transfer,
+    frame_decoder,
+    limits,
+)
 
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
     from lfield.net.transport import LinkHandler
     from lfield.wire.framing import Buffer
-    from lfield.wire.messages import Message, Transfer
+    from lfield.wire.messages import Message, Role, Transfer
 
 # Up to here one copy is cheaper than a second system call; a larger block is written by itself.
 _ONE_WRITE = 64 * 1024
@@ -31,7 +39,8 @@ class FramedLink:
         self.peer = peer
         self.closed = False
         self._error: LfieldError | None = None
-        self._decoder = frame_decoder(max_block, self._oversize)
+        self._max_block = max_block
+        self._decoder = frame_decoder(self._oversize)
 
     def write(self, data: Buffer) -> None:
         """Queue bytes as they are. Only `send` and `send_transfer`, and tests of bad bytes, call it."""
@@ -41,6 +50,14 @@ class FramedLink:
         """Send what is queued, then close; sets `closed`."""
         raise NotImplementedError
 
+    def abort(self) -> None:
+        """Close and lose what is queued; sets `closed`."""
+        raise NotImplementedError
+
+    def greeted(self, role: Role) -> None:
+        """See `Link.greeted`."""
+        self._decoder.limits = limits(role, self._max_block)
+
     def send(self, message: Message) -> None:
         """Queue a message. Raises AddressError on a closed link."""
         self._require_open()
@@ -49,7 +66,7 @@ class FramedLink:
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
         """Queue a coordinator. Raises AddressError on a closed link."""
         self._require_open()
-        head = encode_transfer(header, len(block))
+        head = encode_transfer(header, block)
         if len(block) <= _ONE_WRITE:
             self.write(b"".join((head, block)))
         else:
@@ -78,6 +95,8 @@ class FramedLink:
         """The stream has ended; the first reason known is the one reported."""
         half = not self.closed and self._decoder.unfinished
         self.closed = True
+        # Now, and not when the collector finds this link: what never greeted must not pile up until then.
+        self._decoder.forget()
         if self._error is None and error is None and half:
             error = WireError(f"{self.peer} closed the link in the middle of a message")
         self.handler.on_closed(self, self._error or error)

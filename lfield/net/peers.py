@@ -8,6 +8,7 @@ taken the other's greeting: each then sends a Ping, and whoever is not taken get
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Protocol
@@ -16,6 +17,7 @@ from lfield.clock import Clock
 from lfield.errors import AddressError, GreetingError, LfieldError
 from lfield.loop import spawn
 from lfield.net.greeting import Greeting
+from lfield.net.guests import Guests
 from lfield.net.transport import Link, Listener, Transport
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Control, Hello, Message, Ping, Pong, Refuse, Transfer
@@ -26,6 +28,9 @@ FIRST_RETRY, LAST_RETRY = 0.05, 1.0
 PING_EVERY, SILENT_FOR = 1.0, 3.0
 #: Whoever has not greeted after so many seconds is no host.
 GREETED_WITHIN = 10.0
+
+#: So many links at most that have not greeted, and of observers.
+MOST_UNGREETED, MOST_OBSERVERS = 64, 64
 
 #: How many different complaints are remembered, so as not to be repeated.
 MOST_COMPLAINTS = 100
@@ -74,6 +79,9 @@ class Peers:
         self._tasks: list[asyncio.Task[None]] = []
         self._listener: Listener | None = None
         self._complaints: set[str] = set()
+        dice = random.Random()
+        self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
+        self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)
         #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.
         self._unheard = {host for i, host in enumerate(hosts) if i != here}
         self._all_heard = asyncio.Event()
@@ -152,6 +160,9 @@ class Peers:
         session = Session(self, dialled=None)
         # The transport hands out messages only when this has returned.
         session.greet(link)
+        pushed = self._ungreeted.enter(session, session.caller)
+        if pushed is not None:
+            pushed.turn_away(f"over {MOST_UNGREETED} links to this host have not greeted")
         return session
 
     async def _keep_calling(self, number: int) -> None:
@@ -200,8 +211,17 @@ class Peers:
         """The greeting for a new link."""
         return Greeting(self._owner.hello(), hosts=self._hosts, linked=self.incarnations, dialled=dialled)
 
-    def linked(self, session: Session, hello: Hello) -> None:
-        """Both sides of a link have taken the other's greeting."""
+    def known(self, session: Session, hello: Hello) -> None:
+        """A link has greeted, and its other side has taken ours."""
+        self._ungreeted.leave(session)
+        if hello.role == "host":
+            self._linked(session, hello)
+            return
+        pushed = self._observers.enter(session, session.caller)
+        if pushed is not None:
+            pushed.turn_away(f"over {MOST_OBSERVERS} observers have links to this host")
+
+    def _linked(self, session: Session, hello: Hello) -> None:
         old = self._links.get(hello.host)
         self._links[hello.host] = session
         if old and old is not session:
@@ -213,6 +233,8 @@ class Peers:
 
     def gone(self, session: Session) -> None:
         """A link is closed."""
+        self._ungreeted.leave(session)
+        self._observers.leave(session)
         host = session.hello.host if session.hello else ""
         if self._links.get(host) is session:
             del self._links[host]
@@ -308,6 +330,7 @@ class Session:
                 link.send(self._greeting.refusal)
             raise
         self.hello = hello
+        link.greeted(hello.role)
         if hello.role == "host":
             link.send(Ping(0))
         else:
@@ -320,8 +343,7 @@ class Session:
             return
         self._relax()
         self.linked = True
-        if hello.role == "host":
-            self._peers.linked(self, hello)
+        self._peers.known(self, hello)
 
     def _sender(self) -> str:
         """Who sends a coordinator. Raises GreetingError for anybody who is not a host."""
@@ -344,12 +366,19 @@ class Session:
             self._patience.cancel()
 
     def _give_up(self) -> None:
-        self.reason = f"it has not greeted within {GREETED_WITHIN:g} s"
+        self.turn_away(f"it has not greeted within {GREETED_WITHIN:g} s")
+
+    def turn_away(self, reason: str) -> None:
+        """Close the link at once."""
+        self.reason = reason
         if not self.dialled:
-            self._complain(self.reason)
-        self.link.close()
+            self._complain(reason)
+        self.link.abort()
+
+    @property
+    def caller(self) -> str:
+        """The other's address without the port, which is another for every attempt."""
+        return self.link.peer.rpartition(":")[0] or self.link.peer
 
     def _complain(self, reason: str) -> None:
-        # Without the port, which is another for every attempt.
-        caller = self.link.peer.rpartition(":")[0] or self.link.peer
-        self._peers.complain(f"closed a link from {caller}: {reason}")
+        self._peers.complain(f"closed a link from {self.caller}: {reason}")

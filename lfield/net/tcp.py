@@ -29,6 +29,10 @@ _REASONS = {
 }
 
 
+#: Seconds that a peer has to take the last words of a link that is closed.
+LAST_WORDS = 5.0
+
+
 class TcpTransport:
     """Hosts reached over TCP, inside a running asyncio loop (uvloop's will do).
 
@@ -101,6 +105,7 @@ class _TcpLink(FramedLink, asyncio.Protocol):
         self._on_link = on_link
         self._loop = asyncio.get_running_loop()
         self._waiting: list[Buffer] = []
+        self._patience: asyncio.TimerHandle | None = None
 
     def write(self, data: Buffer) -> None:
         """Messages of one turn leave together: a system call costs more than all the rest of a hop."""
@@ -122,6 +127,12 @@ class _TcpLink(FramedLink, asyncio.Protocol):
         self._flush()
         self.closed = True
         self._transport.close()
+        if self._patience is None and self._transport.get_write_buffer_size():
+            self._patience = self._loop.call_later(LAST_WORDS, self._transport.abort)
+
+    def abort(self) -> None:
+        self.closed = True
+        self._transport.abort()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast("asyncio.Transport", transport)
@@ -141,6 +152,8 @@ class _TcpLink(FramedLink, asyncio.Protocol):
         self._transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
+        if self._patience is not None:
+            self._patience.cancel()
         self.finished(AddressError(self.peer, f"the connection was lost: {exc}") if exc else None)
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from lfield.errors import LfieldError
     from lfield.wire.framing import Buffer
-    from lfield.wire.messages import Message, Transfer
+    from lfield.wire.messages import Message, Role, Transfer
 
 #: The port of a host whose address gives none (chapter IV, figure 4.9).
 DEFAULT_PORT = 8181
@@ -57,8 +57,17 @@ class Link(Protocol):
         """Queue a coordinator. The block must not change before the link is done with it, which is when
         an answer to the transfer has come or the link is closed. Raises AddressError on a closed link."""
 
+    def greeted(self, role: Role) -> None:
+        """The peer's greeting is taken: from now on it may send what its role may.
+
+        Until then only a greeting or a refusal passes, and anything else closes the link.
+        """
+
     def close(self) -> None:
-        """Send what is queued, then close. Closing twice is allowed."""
+        """Send what is queued, if the peer takes it soon, then close. Closing twice is allowed."""
+
+    def abort(self) -> None:
+        """Close at once; what is queued is lost. It may be closed already."""
 
 
 class Listener(Protocol):

@@ -115,7 +115,7 @@ class _Asking(Generic[T]):
 
     def on_message(self, link: Link, message: Message) -> None:
         if self.greeting.peer is None:
-            self.greeting.receive(message)
+            link.greeted(self.greeting.receive(message).role)
             link.send(self._request.message)
         elif isinstance(message, self._request.answer) and not self.answer.done():
             self.answer.set_result(message)

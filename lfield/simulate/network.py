@@ -200,6 +200,10 @@ class MemoryLink(FramedLink):
             self._to_other(self.other.end)
             self._network.later(self._network.now(), self.end)
 
+    def abort(self) -> None:
+        """See `Link.abort`. Nothing is queued at this end: what was written is under way."""
+        self.close()
+
     def lose(self) -> None:
         """Break at once: nothing more is delivered to this end."""
         if not self.closed:

@@ -17,8 +17,22 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 import pytest
 
 from lfield.errors import AddressError, GreetingError, LfieldError, WireError
-from lfield.wire.codec import CONTROL, TRANSFER, encode, encode_transfer
-from lfield.wire.messages import Ended, Message, Ping, Pong, Refuse, Transfer
+from lfield.wire.codec import CONTROL, GREETING_LIMITS, HELLO, TRANSFER, encode, encode_transfer
+from lfield.wire.framing import frame_header
+from lfield.wire.messages import (
+    MAX_TEXT,
+    EmergencyStop,
+    Ended,
+    Hello,
+    Message,
+    Ping,
+    Pong,
+    Refuse,
+    Role,
+    Status,
+    Told,
+    Transfer,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -80,12 +94,15 @@ class Recorder:
 
 
 class Pair:
-    """A listener and links to it; `near` and `far` are the two ends of the first."""
+    """A listener and links to it; `near` and `far` are the two ends of the first.
 
-    def __init__(self, bench: TransportBench, refuse: str = "") -> None:
+    Both have greeted as `role`; with none, nobody has greeted yet.
+    """
+
+    def __init__(self, bench: TransportBench, refuse: str = "", role: Role | None = "host") -> None:
         self.bench = bench
         self.accepted: list[Recorder] = []
-        self._refuse = refuse
+        self._refuse, self._role = refuse, role
         self.listener = bench.wait(bench.transport.listen(bench.address, self._on_link))
         self.link, self.near = self.connect()
         self.far = self.accepted[0]
@@ -95,11 +112,15 @@ class Pair:
         near, number = Recorder(), len(self.accepted)
         link = self.bench.wait(self.bench.transport.connect(self.listener.address, near))
         self.bench.until(lambda: len(self.accepted) > number)
+        if self._role:
+            link.greeted(self._role)
         return link, near
 
     def _on_link(self, link: Link) -> LinkHandler:
         handler = Recorder(self._refuse)
         handler.link = link
+        if self._role:
+            link.greeted(self._role)
         self.accepted.append(handler)
         return handler
 
@@ -209,8 +230,10 @@ class TransportKit:
             (1 << 30).to_bytes(4, "big") + bytes([CONTROL]),
             b"\x00\x00\x00\x03" + bytes([CONTROL]) + b"\x92\x63",
             b"\x00\x00\x00\x03" + bytes([TRANSFER]) + b"\x00\x00",
-            encode_transfer(transfer(5), 4) + b"four",
+            encode_transfer(transfer(5), b"four") + b"four",
             encode(Ended("", 1, "done", "", "a")),
+            encode(Ping(2))[:-1] + b"\x03",
+            encode_transfer(transfer(4), b"four") + b"foar",
         ],
     )
     def test_bad_bytes_close_that_link_and_no_other(
@@ -225,7 +248,7 @@ class TransportKit:
         bench.until(lambda: pair.accepted[1].heard == [Ping(2)])
 
     def test_a_message_cut_short_by_a_close_is_reported(self, bench: TransportBench, pair: Pair) -> None:
-        bench.write(pair.link, encode_transfer(transfer(1000), 1000) + bytes(10))
+        bench.write(pair.link, encode_transfer(transfer(1000), bytes(1000)) + bytes(10))
         pair.link.close()
         bench.until(lambda: bool(pair.far.ends))
         assert pair.far.heard == []
@@ -233,7 +256,7 @@ class TransportKit:
         assert "in the middle of a message" in str(pair.far.ends[0])
 
     def test_a_message_may_come_a_byte_at_a_time(self, bench: TransportBench, pair: Pair) -> None:
-        for byte in encode(Ping(1)) + encode_transfer(transfer(9), 9) + bytes(9) + encode(Ping(2)):
+        for byte in encode(Ping(1)) + encode_transfer(transfer(9), bytes(9)) + bytes(9) + encode(Ping(2)):
             bench.write(pair.link, bytes([byte]))
         bench.until(lambda: len(pair.far.heard) == 3)
         assert pair.far.heard == [Ping(1), (transfer(9), bytes(9)), Ping(2)]
@@ -246,3 +269,40 @@ class TransportKit:
         assert pair.near.heard == [Refuse("wrong program")]
         assert pair.far.heard == [Ping(1)]
         assert isinstance(pair.far.ends[0], GreetingError)
+
+    @pytest.mark.parametrize(
+        "data",
+        [
+            encode(Ping(1)),
+            encode_transfer(transfer(4), b"four") + b"four",
+            encode_transfer(transfer(2 * MAX_BLOCK), b"")[:5],
+            frame_header(HELLO, GREETING_LIMITS[HELLO] + 1),
+        ],
+    )
+    def test_before_the_greeting_only_a_small_greeting_passes(
+        self, bench: TransportBench, data: bytes
+    ) -> None:
+        pair = Pair(bench, role=None)
+        bench.write(pair.link, encode(Hello("host", "a", 1)) + data)
+        bench.until(lambda: bool(pair.far.ends and pair.near.ends))
+        assert pair.far.heard == [Hello("host", "a", 1)]
+        assert isinstance(pair.far.ends[0], WireError)
+
+    def test_a_greeted_observer_may_send_what_is_small(self, bench: TransportBench) -> None:
+        pair = Pair(bench, role="observer")
+        longest = EmergencyStop("\U0010ffff" * MAX_TEXT)
+        pair.link.send(longest)
+        bench.until(lambda: pair.far.heard == [longest])
+        pair.link.send(
+            Status("a", "a:1" * 600, 0.0, b"", b"", [], [], [], [], [Told("a", "x" * 2000, {}, {})] * 9)
+        )
+        bench.until(lambda: bool(pair.far.ends and pair.near.ends))
+        assert isinstance(pair.far.ends[0], WireError)
+
+    def test_an_aborted_link_is_seen_on_both_sides(self, bench: TransportBench, pair: Pair) -> None:
+        pair.link.abort()
+        pair.link.abort()
+        assert pair.near.ends == [], "no callback inside abort"
+        bench.until(lambda: bool(pair.near.ends and pair.far.ends))
+        with pytest.raises(AddressError, match="the link to it is closed"):
+            pair.link.send(Ping(1))

@@ -1,33 +1,52 @@
 """Messages to frames and back.
 
-| kind         | payload                                                             |
-|--------------|---------------------------------------------------------------------|
-| HELLO (1)    | `lfld`, version (2 bytes, big-endian), msgpack of `Hello`           |
-| REFUSE (2)   | a sentence in UTF-8                                                 |
-| TRANSFER (3) | header length (2 bytes, big-endian), msgpack of `Transfer`, block   |
-| CONTROL (4)  | msgpack of one of the `Control` messages                            |
+| kind         | payload                                                                          |
+|--------------|----------------------------------------------------------------------------------|
+| HELLO (1)    | `lfld`, version (2 bytes), checksum, msgpack of `Hello`                          |
+| REFUSE (2)   | a sentence in UTF-8                                                              |
+| CONTROL (4)  | checksum, msgpack of one of the `Control` messages                               |
+| TRANSFER (7) | checksum, that of the block, header length (2 bytes), msgpack of `Transfer`, block |
+
+Numbers are big-endian. A checksum is the CRC-32 of what follows it, begun with the length of the payload
+instead of zero. That of a transfer ends before the block, which has its own, so that a header can be believed
+whose block was never read. A frame that does not fit its checksum is a WireError: the link is closed, and
+whatever was on its way is asked for again. The kinds differ by two bits at least: one bit that flips makes
+none of them another.
 
 HELLO's first six bytes and the whole of REFUSE stay as they are in every version to come, so that two
-hosts of different versions can tell each other what is wrong.
+hosts of different versions can tell each other what is wrong. A REFUSE needs no checksum: whatever its
+sentence says, it ends the link.
 """
 
 from __future__ import annotations
 
 import struct
+import zlib
 from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
+from msgspec.structs import replace
 
 from lfield.errors import WireError
 from lfield.wire.framing import Buffer, FrameDecoder, frame, frame_header
-from lfield.wire.messages import MAX_TEXT, PROTOCOL, Control, ForeignHello, Hello, Message, Refuse, Transfer
+from lfield.wire.messages import (
+    MAX_TEXT,
+    PROTOCOL,
+    Control,
+    ForeignHello,
+    Hello,
+    Message,
+    Refuse,
+    Role,
+    Transfer,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 T = TypeVar("T")
 
-HELLO, REFUSE, TRANSFER, CONTROL = 1, 2, 3, 4
+HELLO, REFUSE, CONTROL, TRANSFER = 1, 2, 4, 7
 
 MAGIC = b"lfld"
 
@@ -35,8 +54,13 @@ MAGIC = b"lfld"
 MAX_TRANSFER_HEADER = 1024
 
 _HELLO_START = struct.Struct(">4sH")
-_HEADER_LENGTH = struct.Struct(">H")
-_LIMITS = {HELLO: 2 << 20, REFUSE: 4 * MAX_TEXT, CONTROL: 1 << 20}
+_CHECKSUM = struct.Struct(">I")
+_TRANSFER_START = struct.Struct(">IIH")
+
+#: What may come before the greeting, in bytes: anybody may send that, and hold so much memory.
+GREETING_LIMITS = {HELLO: 1 << 18, REFUSE: 4 * MAX_TEXT}
+_OBSERVER_LIMITS = GREETING_LIMITS | {CONTROL: 8 * MAX_TEXT}
+_HOST_LIMITS = GREETING_LIMITS | {CONTROL: 1 << 20}
 
 _encode = msgspec.msgpack.Encoder().encode
 _hello: msgspec.msgpack.Decoder[Hello] = msgspec.msgpack.Decoder(Hello)
@@ -44,41 +68,48 @@ _transfer: msgspec.msgpack.Decoder[Transfer] = msgspec.msgpack.Decoder(Transfer)
 _control: msgspec.msgpack.Decoder[Control] = msgspec.msgpack.Decoder(Control)
 
 
-def frame_decoder(max_block: int, on_oversize: Callable[[Transfer, int], None]) -> FrameDecoder:
-    """A decoder for one link; `max_block` is the largest block to take, in bytes.
+def frame_decoder(on_oversize: Callable[[Transfer, int], None]) -> FrameDecoder:
+    """A decoder for one link, which lets only greetings pass until its limits are widened.
 
     The block of a larger transfer is thrown away as it arrives, then `on_oversize` is called with its
     header and its size in bytes. It may raise WireError, as `FrameDecoder.feed` then does.
     """
 
     def skipped(kind: int, length: int, head: bytes) -> None:
-        header, start = _split_transfer(head)
+        header, start, _ = _split_transfer(head, length)
         on_oversize(header, length - start)
 
-    limits = _LIMITS | {TRANSFER: max_block + MAX_TRANSFER_HEADER}
-    return FrameDecoder(limits, skippable={TRANSFER: MAX_TRANSFER_HEADER}, on_skipped=skipped)
+    return FrameDecoder(GREETING_LIMITS, skippable={TRANSFER: MAX_TRANSFER_HEADER}, on_skipped=skipped)
+
+
+def limits(role: Role, max_block: int) -> Mapping[int, int]:
+    """What may come from a peer that has greeted; `max_block` is the largest block to take, in bytes."""
+    return (
+        _OBSERVER_LIMITS if role == "observer" else _HOST_LIMITS | {TRANSFER: max_block + MAX_TRANSFER_HEADER}
+    )
 
 
 def encode(message: Message) -> bytes:
     """The whole frame of a message."""
     if isinstance(message, Hello):
-        return frame(HELLO, _HELLO_START.pack(MAGIC, PROTOCOL) + _encode(message))
+        return _encode_hello(message)
     if isinstance(message, Refuse):
         return frame(REFUSE, message.reason[:MAX_TEXT].encode())
-    return frame(CONTROL, _encode(message))
+    return frame(CONTROL, _checked(message, 0))
 
 
-def encode_transfer(header: Transfer, size: int) -> bytes:
-    """The bytes to send before a block of `size` bytes: frame header and transfer header."""
+def encode_transfer(header: Transfer, block: Buffer) -> bytes:
+    """The bytes to send before a block: frame header and transfer header."""
     body = _encode(header)
-    start = _HEADER_LENGTH.pack(len(body))
-    return frame_header(TRANSFER, len(start) + len(body) + size) + start + body
+    start = _TRANSFER_START.pack(0, zlib.crc32(block), len(body))[_CHECKSUM.size :] + body
+    length = _CHECKSUM.size + len(start) + len(block)
+    return b"".join((frame_header(TRANSFER, length), _CHECKSUM.pack(zlib.crc32(start, length)), start))
 
 
 def decode(kind: int, payload: Buffer) -> Message:
     """The message of a frame that is not a TRANSFER. Raises WireError."""
     if kind == CONTROL:
-        return _strict(_control, payload)
+        return _strict(_control, _check(payload, 0))
     if kind == HELLO:
         return _decode_hello(payload)
     if kind == REFUSE:
@@ -88,11 +119,21 @@ def decode(kind: int, payload: Buffer) -> Message:
 
 def decode_transfer(payload: Buffer) -> tuple[Transfer, memoryview]:
     """Header and block of a TRANSFER frame; the block is a view into the payload. Raises WireError."""
-    header, start = _split_transfer(payload)
+    header, start, check = _split_transfer(payload, len(payload))
     block = memoryview(payload)[start:]
     if len(block) != header.size:
         raise WireError(f"a transfer of {header.agent} promised {header.size} bytes and has {len(block)}")
+    if zlib.crc32(block) != check:
+        raise WireError(f"the block of {header.agent} was damaged on the way: its checksum does not fit")
     return header, block
+
+
+def _encode_hello(hello: Hello) -> bytes:
+    payload = _HELLO_START.pack(MAGIC, PROTOCOL) + _checked(hello, _HELLO_START.size)
+    if len(payload) > GREETING_LIMITS[HELLO] and any(known.detail for known in hello.coordinators):
+        # Why hundreds have ended is told by each Ended too; that they have ended must be told here.
+        return _encode_hello(replace(hello, coordinators=[replace(k, detail="") for k in hello.coordinators]))
+    return frame(HELLO, payload)
 
 
 def _decode_hello(payload: Buffer) -> Hello | ForeignHello:
@@ -103,18 +144,40 @@ def _decode_hello(payload: Buffer) -> Hello | ForeignHello:
         raise WireError("a greeting does not begin with 'lfld'; the peer is not an lfield host")
     if protocol != PROTOCOL:
         return ForeignHello(protocol)
-    return _strict(_hello, memoryview(payload)[_HELLO_START.size :])
+    return _strict(_hello, _check(payload, _HELLO_START.size))
 
 
-def _split_transfer(payload: Buffer) -> tuple[Transfer, int]:
-    """The transfer header and where the block begins."""
-    if len(payload) < _HEADER_LENGTH.size:
+def _split_transfer(payload: Buffer, length: int) -> tuple[Transfer, int, int]:
+    """The transfer header, where the block begins, and the block's checksum.
+
+    `length` is that of the whole payload, of which the beginning is enough.
+    """
+    if len(payload) < _TRANSFER_START.size:
         raise WireError("a transfer is too short to have a header")
-    (length,) = _HEADER_LENGTH.unpack_from(payload)
-    start = _HEADER_LENGTH.size + length
+    expected, check, size = _TRANSFER_START.unpack_from(payload)
+    start = _TRANSFER_START.size + size
     if start > MAX_TRANSFER_HEADER:
-        raise WireError(f"a transfer has a header of {length} bytes; the peer does not speak lfield")
-    return _strict(_transfer, memoryview(payload)[_HEADER_LENGTH.size : start]), start
+        raise WireError(f"a transfer has a header of {size} bytes; the peer does not speak lfield")
+    head = memoryview(payload)[:start]
+    if zlib.crc32(head[_CHECKSUM.size :], length) != expected:
+        raise WireError("the header of a transfer was damaged on the way: its checksum does not fit")
+    return _strict(_transfer, head[_TRANSFER_START.size :]), start, check
+
+
+def _checked(message: Message, before: int) -> bytes:
+    """A message behind its checksum; `before` are the bytes of the payload that go before the two."""
+    body = _encode(message)
+    return _CHECKSUM.pack(zlib.crc32(body, before + _CHECKSUM.size + len(body))) + body
+
+
+def _check(payload: Buffer, before: int) -> memoryview:
+    """What stands behind the checksum, which is at `before`. Raises WireError."""
+    if len(payload) < before + _CHECKSUM.size:
+        raise WireError("a message is too short to have a checksum")
+    body = memoryview(payload)[before + _CHECKSUM.size :]
+    if zlib.crc32(body, len(payload)) != _CHECKSUM.unpack_from(payload, before)[0]:
+        raise WireError("a message was damaged on the way: its checksum does not fit")
+    return body
 
 
 def _strict(decoder: msgspec.msgpack.Decoder[T], payload: Buffer) -> T:

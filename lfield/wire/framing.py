@@ -41,11 +41,11 @@ def frame(kind: int, payload: Buffer) -> bytes:
 class FrameDecoder:
     """Cuts a stream of bytes, fed in pieces of any size, back into frames.
 
-    `limits` gives the largest payload of every kind that may come, in bytes. A frame of another kind, or
-    one that is too long, is a WireError: the stream cannot be read any further. The kinds in `skippable`
-    are milder: an oversize one is thrown away as it arrives, and when all of it has passed `on_skipped`
-    is called with the kind, the length, and as many of the first payload bytes as `skippable` says, so
-    that the reader can refuse it politely.
+    `limits` gives the largest payload of every kind that may come, in bytes; it may be replaced between
+    two frames. A frame of another kind, or one that is too long, is a WireError: the stream cannot be read
+    any further. The kinds in `skippable` are milder: an oversize one is thrown away as it arrives, and when
+    all of it has passed `on_skipped` is called with the kind, the length, and as many of the first payload
+    bytes as `skippable` says, so that the reader can refuse it politely.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class FrameDecoder:
         skippable: Mapping[int, int] | None = None,
         on_skipped: Callable[[int, int, bytes], None] | None = None,
     ) -> None:
-        self._limits = limits
+        self.limits = limits
         self._skippable = skippable or {}
         self._on_skipped = on_skipped
         self._start = bytearray()  # a header that arrived in pieces
@@ -97,15 +97,19 @@ class FrameDecoder:
                 length, kind = _HEADER.unpack_from(view, position)
                 position += HEADER_SIZE
             length -= 1
-            if 0 <= length <= end - position and length <= self._limits.get(kind, -1):
+            if 0 <= length <= end - position and length <= self.limits.get(kind, -1):
                 yield kind, view[position : position + length]
                 position += length
             else:
                 self._begin(kind, length)
 
+    def forget(self) -> None:
+        """Give back the memory of an unfinished frame: nothing more will come."""
+        self._body = None
+
     def _begin(self, kind: int, length: int) -> None:
         """Make room for a payload that does not lie in one piece, or for the head of an oversize one."""
-        limit = self._limits.get(kind)
+        limit = self.limits.get(kind)
         if limit is None or length < 0:
             raise WireError(f"the peer does not speak lfield: a frame of kind {kind} and length {length + 1}")
         kept = length
@@ -130,7 +134,7 @@ class FrameDecoder:
         """Yield the collected frame, or report the skipped one."""
         body, self._body = self._body, None
         assert body is not None
-        if self._length <= self._limits[self._kind]:
+        if self._length <= self.limits[self._kind]:
             yield self._kind, memoryview(body)
         elif self._on_skipped is not None:
             self._on_skipped(self._kind, self._length, bytes(body))

@@ -47,6 +47,9 @@ Telemetry = bool | int | float | Text | Annotated[list[int | float], Meta(max_le
 #: Where a host's copy of a coordinator stands; see `lfield/docs/mobility.md`.
 CopyState = Literal["RUN", "FROZEN", "PREPARED", "IN DOUBT", "MOVED", "EXITED"]
 
+#: What a peer is: one of the team, or somebody who looks at it (`lfield ps`).
+Role = Literal["host", "observer"]
+
 #: How a coordinator ended. 'superseded': an earlier start of it is alive, so this one was stopped.
 Outcome = Literal["done", "died", "lost", "superseded"]
 
@@ -95,7 +98,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     `max_block` is the largest block this host takes, in bytes.
     """
 
-    role: Literal["host", "observer"]
+    role: Role
     host: Name
     incarnation: Count
     program: Hash = b""

@@ -20,6 +20,7 @@ from lfield.mission.load import load_mission
 from lfield.net.greeting import Greeting
 from lfield.simulate.network import MemoryNetwork
 from lfield.simulate.time import LoopClock, run_jumping
+from lfield.vm.agent import Member
 from lfield.vm.inspect import dump
 from lfield.wire.codec import decode as decode_message
 from lfield.wire.framing import FrameDecoder
@@ -84,6 +85,22 @@ def test_a_later_dump_is_refused_with_both_versions() -> None:
         dump.decode(newer)
     with pytest.raises(BlockError, match="does not begin as a dump file does"):
         dump.decode(data[1:])
+
+
+def test_a_dump_with_one_bit_flipped_is_refused_wherever_the_bit_is() -> None:
+    record, program, block = dump.decode(DUMPS[-1].read_bytes())
+    members = enumerate(zip(record.members, record.types, strict=True))
+    team = [Member(number, name, type_, "resource", 0) for number, (name, type_) in members]
+    data = dump.encode(record.host, record.reason, record.limit, team, record.hosts, program, block)
+    assert dump.decode(data)[0] == record
+    for bit in range(8 * len(data)):
+        damaged = bytearray(data)
+        damaged[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(BlockError):
+            dump.decode(bytes(damaged))
+    for size in range(len(data)):
+        with pytest.raises(BlockError):
+            dump.decode(data[:size])
 
 
 @pytest.mark.parametrize("path", GREETINGS, ids=lambda path: path.name)

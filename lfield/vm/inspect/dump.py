@@ -1,11 +1,14 @@
 """Dump files: a block with everything `lfield inspect` needs to explain it, in one file.
 
-"LFDP"  u16 version  u16 0  then a msgpack record
+"LFDP"  u16 version  u16 0  u32 CRC-32 of the record  then the record in msgpack; numbers little-endian
+
+Version 1, of lfield 0.3, has no checksum.
 """
 
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Sequence
 
 import msgspec
@@ -20,7 +23,7 @@ from lfield.vm.memory.layout import Layouts
 from lfield.vm.memory.soundness import Soundness
 
 MAGIC = b"LFDP"
-VERSION = 1
+VERSION = 2
 MAX_SIZE = 512 << 20
 
 
@@ -38,6 +41,7 @@ class Dump(msgspec.Struct, frozen=True, array_like=True):
 
 
 _HEADER = struct.Struct("<4sHH")
+_CHECKSUM = struct.Struct("<I")
 _decoder = msgspec.msgpack.Decoder(Dump)
 
 
@@ -52,8 +56,9 @@ def encode(
 ) -> bytes:
     """The bytes of a dump file; `limit` is the agent's heap limit in bytes."""
     members, types = tuple(m.id for m in team), tuple(m.type for m in team)
-    record = Dump(host, reason, limit, members, types, hosts, encode_program(program), bytes(block.image()))
-    return _HEADER.pack(MAGIC, VERSION, 0) + msgspec.msgpack.encode(record)
+    dump = Dump(host, reason, limit, members, types, hosts, encode_program(program), bytes(block.image()))
+    record = msgspec.msgpack.encode(dump)
+    return b"".join((_HEADER.pack(MAGIC, VERSION, 0), _CHECKSUM.pack(zlib.crc32(record)), record))
 
 
 def decode(data: bytes) -> tuple[Dump, Program, Block]:
@@ -61,12 +66,21 @@ def decode(data: bytes) -> tuple[Dump, Program, Block]:
     if len(data) < _HEADER.size or data[:4] != MAGIC:
         raise BlockError("it does not begin as a dump file does")
     _, version, reserved = _HEADER.unpack_from(data)
-    if version != VERSION or reserved:
+    if version not in (1, VERSION) or reserved:
         raise BlockError(f"it has format {version}, this lfield reads format {VERSION}")
+    record = memoryview(data)[_HEADER.size :]
     try:
-        dump = _decoder.decode(memoryview(data)[_HEADER.size :])
+        dump = _decoder.decode(record if version == 1 else _checked(record))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BlockError(f"its record is malformed ({error})") from None
     program = decode_program(dump.program)
     checker = Soundness(program, Layouts(program), dump.types)
     return dump, program, checker.check_heap(dump.block, len(dump.block) // 8 + 1)
+
+
+def _checked(data: memoryview) -> memoryview:
+    """What follows the checksum at the beginning. Raises BlockError."""
+    record = data[_CHECKSUM.size :]
+    if len(data) < _CHECKSUM.size or zlib.crc32(record) != _CHECKSUM.unpack_from(data)[0]:
+        raise BlockError("it is damaged: its checksum does not fit; copy it again from where it was written")
+    return record

@@ -1,0 +1,101 @@
+"""A bit that flips on the way: the link closes, the hop is asked for again, the mission's sum is right."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+
+from lfield.errors import LfieldError
+from lfield.simulate.network import MemoryLink
+from lfield.wire.codec import CONTROL, TRANSFER, decode
+from lfield.wire.framing import HEADER_SIZE
+from lfield.wire.messages import Accepted
+
+WALK = """
+resource Post {
+    string id;
+    init(string[] arg) { id = arg[0]; }
+    portal add(int sum) emit int { return sum + 1; }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post near = findPost("near");
+        Post far = findPost("far");
+        Post away = findPost("away");
+        int sum = 0;
+        for (int i = 0; i < ROUNDS; i = i + 1) sum = near.add(away.add(far.add(sum)));
+        print("the sum is " + i2s(sum));
+    }
+}
+"""
+THREE_HOSTS = "//Post:near@alpha\n//Post:far@bravo\n//Post:away@charlie\n//Walker:walker@alpha\n"
+
+
+def is_hop(link: MemoryLink, data: bytes) -> bool:
+    """Whether it is a hop of alpha to bravo."""
+    return (link.machine, link.other.machine) == ("alpha", "bravo") and data[HEADER_SIZE - 1] == TRANSFER
+
+
+def is_answer(link: MemoryLink, data: bytes) -> bool:
+    """Whether it is bravo's answer to such a hop."""
+    if (link.machine, link.other.machine) != ("bravo", "alpha") or data[HEADER_SIZE - 1] != CONTROL:
+        return False
+    return isinstance(decode(CONTROL, data[HEADER_SIZE:]), Accepted)
+
+
+class Damage:
+    """Flips bit after bit of the frames that `wanted` picks: one of a link, and none of the next link."""
+
+    def __init__(self, wanted: Callable[[MemoryLink, bytes], bool]) -> None:
+        self.wanted = wanted
+        self.flipped, self.last = 0, 0
+        self._link: MemoryLink | None = None
+        self._spare = True
+
+    def __call__(self, link: MemoryLink, data: bytes) -> bytes:
+        """The bytes as they arrive."""
+        if not self.wanted(link, data):
+            return data
+        self.last = 8 * len(data)
+        # A length that has grown is found out when nothing more is heard: one damage to a link.
+        if link is self._link or self.flipped >= self.last:
+            return data
+        self._spare = not self._spare
+        if self._spare:
+            return data
+        self._link = link
+        damaged = bytearray(data)
+        damaged[self.flipped // 8] ^= 1 << self.flipped % 8
+        self.flipped += 1
+        return bytes(damaged)
+
+
+@pytest.mark.parametrize(("wanted", "rounds"), [(is_hop, 5000), (is_answer, 1000)], ids=["hop", "answer"])
+def test_every_bit_of_a_hop_may_flip(fleet, monkeypatch, wanted, rounds):
+    damage, write = Damage(wanted), MemoryLink.write
+    monkeypatch.setattr(MemoryLink, "write", lambda link, data: write(link, damage(link, bytes(data))))
+    finished, ended = MemoryLink.finished, []
+
+    def note_end(link: MemoryLink, error: LfieldError | None) -> None:
+        if link.machine == "alpha":
+            ended.append(link.peer)
+        finished(link, error)
+
+    monkeypatch.setattr(MemoryLink, "finished", note_end)
+    logs: dict[str, str] = {}
+
+    async def story(team):
+        team.network.latency = 0.1
+        hosts = await team.up(team.mission(WALK.replace("ROUNDS", str(rounds)), THREE_HOSTS))
+        while "walker:" not in "".join(logs.values()):
+            await asyncio.sleep(10.0)
+            logs.update((running.host.name, running.log) for running in hosts)
+        print(f"{wanted.__name__}, a bit flipped at every position: {len(ended)} / {damage.flipped} refused")
+        assert ended == ["bravo:8181"] * damage.flipped
+        assert damage.flipped == damage.last > 0
+
+    fleet(story)
+    assert "Exception" not in "".join(logs.values())
+    assert f"walker: the sum is {3 * rounds}\n" in "".join(logs.values())
