@@ -27,6 +27,7 @@ SMALL = {
     "lfield/host/effects.py": "what the core asks of its shell, and nothing else",
     "lfield/host/logbook.py": "the two streams of a host",
     "lfield/net/control.py": "the door of a fake, from outside",
+    "lfield/net/guests.py": "who may wait at the door before the greeting",
     "lfield/simulate/time.py": "the jumping clock",
     "lfield/testing/offers.py": "a team for golden programs",
     "lfield/testing/reports.py": "the guard's end of a driver, for tests",
