@@ -7,6 +7,7 @@ import os
 import pty
 import random
 import socket
+import subprocess
 import sys
 import termios
 import threading
@@ -234,3 +235,16 @@ def test_a_process_without_streams(monkeypatch):
     monkeypatch.setattr(sys, "stderr", None)
     with never_waiting():
         assert (sys.stdout, sys.stderr) == (None, None)
+
+
+@pytest.mark.parametrize("process", ["lfield.guard.process", "lfield.driver.sims"])
+def test_a_library_that_prints_does_not_stop_a_guard_or_fake_whose_log_nobody_reads(tmp_path, process):
+    (tmp_path / "chatty.py").write_text("print('x\\n' * 200_000)\nTHING = None\n")
+    command = [sys.executable, "-m", process, "chatty:THING"]
+    reading, writing = os.pipe()
+    with os.fdopen(reading), os.fdopen(writing, "w") as unread:
+        environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+        done = subprocess.run(
+            command, env=environment, stdin=subprocess.DEVNULL, stdout=unread, stderr=unread, timeout=PATIENCE
+        )
+    assert done.returncode == 69
