@@ -10,7 +10,7 @@ class Clock(Protocol):
     """What the runtime and the drivers know of time, in seconds."""
 
     def monotonic(self) -> float:
-        """Seconds on a clock that never goes back; only differences mean anything."""
+        """Seconds on a clock that never goes back; only differences mean anything. Suspended ones count."""
 
     def time(self) -> float:
         """Seconds since 1970-01-01 UTC, as the wall clock has it."""
@@ -20,8 +20,8 @@ class SystemClock:
     """The machine's own clocks."""
 
     def monotonic(self) -> float:
-        """`time.monotonic()`."""
-        return time.monotonic()
+        """Seconds since the computer was started, those in which it was suspended included."""
+        return time.clock_gettime(time.CLOCK_BOOTTIME)
 
     def time(self) -> float:
         """`time.time()`."""

@@ -18,6 +18,15 @@ def run(work: Coroutine[Any, Any, T]) -> T:
         return runner.run(work)
 
 
+def unexpected(error: Exception) -> None:
+    """Hand what nobody expected to the loop's exception handler, from a callback of a socket or pipe.
+
+    The loops take an OSError that a callback raises for a connection that was lost, and say nothing.
+    """
+    context = {"message": "a callback has failed", "exception": error}
+    asyncio.get_running_loop().call_exception_handler(context)
+
+
 #: Tasks that nobody else holds: without a reference a task may be collected before it ends.
 _tasks: set[asyncio.Task[Any]] = set()
 

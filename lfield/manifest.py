@@ -15,9 +15,6 @@ from msgspec import Struct
 
 Effect = Literal["query", "idempotent", "actuate"]
 
-#: What any instruction of any device may raise, unless its manifest says less.
-DEVICE_EXCEPTIONS = ("DeviceException", "DeviceTimeoutException")
-
 #: L types that may cross between a program and a driver.
 DEVICE_VALUE_TYPES = ("boolean", "int", "real", "string", "real[]", "int[]")
 
@@ -54,7 +51,7 @@ class Instruction:
     nothing new (idempotent), or act again (actuate). A query is answered from the last telemetry
     snapshot and never blocks; `blocking` instructions hold the calling thread until they are done.
     Instructions of one `channel` replace one another, those of different channels run side by side: a
-    gripper may close while the vehicle that carries it flies on. `raises` are L exceptions.
+    gripper may close while the vehicle that carries it flies on.
     """
 
     name: str
@@ -65,12 +62,16 @@ class Instruction:
     blocking: bool = False
     meaning: str = ""
     channel: str = "motion"
-    raises: tuple[str, ...] = DEVICE_EXCEPTIONS
+
+    @property
+    def only_asks(self) -> bool:
+        """Whether it moves and changes nothing: telemetry answers it, or the device itself is asked."""
+        return self.effect == "query"
 
     @property
     def is_query(self) -> bool:
         """Whether telemetry answers it: then it is never sent to the device."""
-        return self.effect == "query" and not self.blocking
+        return self.only_asks and not self.blocking
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +92,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class DeviceManifest:
-    """A device type as L sees it: `Mavlink fc;` with its instructions, telemetry and safe states.
-
-    `capabilities` are dotted ids of the registry (DESIGN section 8) that a resource with it can offer.
-    """
+    """A device type as L sees it: `Mavlink fc;` with its instructions, telemetry and safe states."""
 
     type: str
     driver: str
@@ -102,7 +100,6 @@ class DeviceManifest:
     telemetry: tuple[Quantity, ...] = ()
     safe_states: tuple[str, ...] = ()
     meaning: str = ""
-    capabilities: tuple[str, ...] = ()
 
     @cached_property
     def _by_name(self) -> dict[str, Instruction]:

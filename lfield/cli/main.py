@@ -17,7 +17,7 @@ from typing import NoReturn, Protocol
 
 from lfield import __version__
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
-from lfield.host.logbook import silence
+from lfield.text.outlet import silence
 
 #: Subcommands, each a module of a room of this package, and what they are for.
 COMMANDS = {

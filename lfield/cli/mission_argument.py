@@ -13,6 +13,14 @@ def add_mission(parser: argparse.ArgumentParser) -> None:
     named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help="the same")
 
 
+def add_running_mission(parser: argparse.ArgumentParser) -> None:
+    """Declare it, and where its hosts are reached."""
+    add_mission(parser)
+    parser.add_argument(
+        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
+    )
+
+
 def mission_path(args: argparse.Namespace) -> Path:
     """The file that was named."""
     path: Path = args.mission or args.deploy

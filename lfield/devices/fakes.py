@@ -72,7 +72,6 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> Fake:
     if words[:1] != ["ready"] or len(words) < 2:
         fake = Fake("", process)
         await fake.stop()
-        raise PluginError(
-            f"{names}: the fake '{sim.name}' did not start; it said: {line.strip() or 'nothing'}"
-        )
+        said = f"; it said: {line.strip()}" if line.strip() else "; see above"
+        raise PluginError(f"{names}: the fake '{sim.name}' did not start{said}")
     return Fake(words[1], process)

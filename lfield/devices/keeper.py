@@ -37,7 +37,7 @@ from lfield.guard.messages import (
     Stopped,
     encode,
 )
-from lfield.loop import spawn
+from lfield.loop import spawn, unexpected
 from lfield.manifest import DeviceValue, Instruction
 
 #: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
@@ -249,6 +249,8 @@ class Guard(asyncio.SubprocessProtocol):
         except WireError as error:
             self._note(f"the guard sent bytes that make no sense: {error}")
             self.kill()
+        except Exception as error:
+            unexpected(error)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The guard has ended and all it said is read; unless it was asked to end, a new one is started."""

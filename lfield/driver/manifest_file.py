@@ -5,7 +5,6 @@ driver: servo                       # the name in bindings
 type: Servo                         # the device type in L
 meaning: one servo on a bus
 safe_states: [hold, off]            # the first is the default
-capabilities: [maneuverability.rotational_force]   # of the registry; what a resource with it can offer
 options:                            # the driver's own keys of a binding
   id: {type: int, default: 1, minimum: 1, maximum: 252, meaning: its number on the bus}
 limits:
@@ -35,7 +34,6 @@ from lfield.driver.binding import OptionValue
 from lfield.driver.contract import STANDARD, WATCHDOG, Limit, Manifest, Option
 from lfield.errors import PluginError
 from lfield.manifest import (
-    DEVICE_EXCEPTIONS,
     DEVICE_VALUE_TYPES,
     DeviceManifest,
     Effect,
@@ -53,7 +51,6 @@ OPTION_TYPES = ("boolean", "int", "real", "string", "path", "int[]", "string[]")
 _NAME = re.compile(r"[a-z][A-Za-z0-9]*")
 #: Keys of bindings are no names in L, so they look like the other keys of that file.
 _KEY = re.compile(r"[a-z][A-Za-z0-9_]*")
-_DOTTED = re.compile(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*")
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 
@@ -79,14 +76,6 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
     options = tuple(_option(name, fields) for name, fields in _named(top, "options"))
     limits = tuple(_limit(name, fields) for name, fields in _named(top, "limits"))
     waivers = ((WATCHDOG, "it has no watchdog of its own, or a slow one"), *_waivers(top))
-    capabilities = top.texts("capabilities")
-    for capability in capabilities:
-        if not _DOTTED.fullmatch(capability):
-            span, hint = (
-                top.value_span("capabilities"),
-                "small words and dots, as in perception.spatial.position",
-            )
-            top.report("Y113", f"'{capability}' cannot be a capability", span, hint)
     instructions = [_instruction(name, fields) for name, fields in _named(top, "instructions")]
     telemetry = tuple(_quantity(name, fields) for name, fields in _named(top, "telemetry"))
     _check_names_differ(top, {instruction.name for instruction in instructions})
@@ -99,7 +88,6 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
         telemetry=telemetry,
         safe_states=safe_states,
         meaning=meaning,
-        capabilities=capabilities,
     )
     return Manifest(device, options, limits, waivers)
 
@@ -180,7 +168,6 @@ def _instruction(name: str, fields: Fields) -> Instruction:
         fields.flag("blocking"),
         fields.text("meaning"),
         fields.text("channel", "motion"),
-        fields.texts("raises") or DEVICE_EXCEPTIONS,
     )
     if instruction.is_query:
         fields.report(

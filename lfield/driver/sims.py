@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import LfieldError, PluginError
+from lfield.text.outlet import never_waiting
+from lfield.text.private import private_folder
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -99,11 +101,12 @@ def sims_of(drivers: Collection[str]) -> Sims:
 
 
 def control_folder() -> Path:
-    """Where running fakes have the sockets at which their faults are set; made on demand."""
+    """Where running fakes have the sockets at which their faults are set; made on demand.
+
+    Raises OutputFileError when others could put theirs there.
+    """
     base = os.environ.get("XDG_RUNTIME_DIR") or f"{tempfile.gettempdir()}/lfield-{os.getuid()}"
-    folder = Path(base) / "lfield-sims"
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return folder
+    return private_folder(Path(base) / "lfield-sims")
 
 
 def load_sim(reference: str) -> Sim:
@@ -123,14 +126,15 @@ def main(arguments: Sequence[str]) -> int:
     if not arguments:
         print("usage: python -m lfield.driver.sims package.module:SIM [options]", file=sys.stderr)
         return 64
-    try:
-        sim = load_sim(arguments[0])
-        parser = argparse.ArgumentParser(prog=f"lfield sim {sim.name}", description=sim.help)
-        sim.add_arguments(parser)
-        return sim.run(parser.parse_args(arguments[1:]))
-    except LfieldError as error:
-        print(error, file=sys.stderr)
-        return error.exit_status
+    with never_waiting():
+        try:
+            sim = load_sim(arguments[0])
+            parser = argparse.ArgumentParser(prog=f"lfield sim {sim.name}", description=sim.help)
+            sim.add_arguments(parser)
+            return sim.run(parser.parse_args(arguments[1:]))
+        except LfieldError as error:
+            print(error, file=sys.stderr)
+            return error.exit_status
 
 
 if __name__ == "__main__":

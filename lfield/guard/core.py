@@ -45,7 +45,7 @@ Way = Literal["ask", "act", "setpoint"]
 
 def way(instruction: Instruction) -> Way:
     """How the guard treats an instruction: asking moves nothing; a setpoint acts on after it returned."""
-    if instruction.effect == "query" or instruction.name == RELEASE.name:
+    if instruction.only_asks or instruction.name == RELEASE.name:
         return "ask"
     return "setpoint" if instruction.effect == "actuate" and not instruction.blocking else "act"
 

@@ -37,6 +37,7 @@ from lfield.guard.messages import (
     encode,
 )
 from lfield.guard.telemetry import Telemetry
+from lfield.text.outlet import never_waiting
 
 #: More than this many unread bytes, and telemetry is dropped: the host has stopped reading.
 BACKLOG = 1 << 18
@@ -341,15 +342,16 @@ def main(arguments: Sequence[str]) -> int:
     if len(arguments) != 1:
         print("usage: python -m lfield.guard.process package:PLUGIN", file=sys.stderr)
         return 64
-    # A vendor library that prints must not end up in the middle of a frame.
+    # A vendor library that prints must not end up in the middle of a frame, nor wait for who reads the log.
     output_fd = os.dup(1)
     os.dup2(2, 1)
-    try:
-        plugin = load_plugin(arguments[0])
-        return loop.run(serve(plugin, os.dup(0), output_fd))
-    except LfieldError as error:
-        print(error, file=sys.stderr)
-        return error.exit_status
+    with never_waiting():
+        try:
+            plugin = load_plugin(arguments[0])
+            return loop.run(serve(plugin, os.dup(0), output_fd))
+        except LfieldError as error:
+            print(error, file=sys.stderr)
+            return error.exit_status
 
 
 if __name__ == "__main__":

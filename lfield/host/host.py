@@ -13,6 +13,7 @@ import secrets
 import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from lfield.bytecode.program import DeviceCall
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
-from lfield.errors import DeviceError, HostFailure
+from lfield.errors import DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
 from lfield.host.logbook import Logbook
@@ -34,6 +35,7 @@ from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
+from lfield.text.private import write_private
 from lfield.vm.agent import Agent
 from lfield.vm.contract import Reading
 from lfield.vm.inspect import dump
@@ -187,12 +189,15 @@ class Host:
 
     def fail(self, error: BaseException) -> None:
         """A bug in the host itself: nothing more is done, no guard is fed, and whoever runs it ends it."""
-        if self.failure is None:
-            self.failure = HostFailure(self.name, error)
+        if self.failure is not None:
+            return
+        self.failure = HostFailure(self.name, error)
+        self.failed.set()
+        # The bug may be in the log itself: it must not keep the host from ending.
+        with suppress(Exception):
             self.note(str(self.failure))
             if os.environ.get("LFIELD_TRACEBACK"):
                 self.note("".join(traceback.format_exception(error)))
-            self.failed.set()
 
     def unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: what was raised beside the core, in a task or a socket's callback."""
@@ -241,11 +246,10 @@ class Host:
         )
         path = folder / f"{agent.id}.block"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(data)
+            write_private(path, data)
             self.note(f"dumped {agent.id}: lfield inspect {path}")
-        except OSError as error:
-            self.note(f"cannot dump {agent.id} to {path}: {os.strerror(error.errno or 0)}")
+        except OutputFileError as error:
+            self.note(f"cannot dump {agent.id} to {path}: {error}")
 
     # --- Owner of the links ---------------------------------------------------------------------------
 

@@ -34,12 +34,8 @@ async def run_host(
     Raises AddressError and DevicesError when it cannot start.
     """
     address = listen or mission.team.addresses[mission.team.number(name)]
-    if not (listen or trust_network or await is_loopback(address)):
-        raise UsageError(
-            f"{address} can be reached from other machines and there are no keys yet: "
-            "use --trust-network on a network of your own, or --map "
-            f"{name}=127.0.0.1:PORT to stay on this machine"
-        )
+    if not (listen or trust_network):
+        await stay_here(name, address)
     bound = unreachable_after or mission.bindings.unreachable_after
     host_options = Options(address, dump, bound)
     logbook = Logbook()
@@ -53,17 +49,24 @@ async def run_host(
     failed = asyncio.ensure_future(host.failed.wait())
     try:
         await asyncio.wait([life, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
-        if host.failure is not None:
-            return host.failure.exit_status
-        if life.done():
-            return life.result()
         # Without --until-done there is no other end than to be told to stop.
-        return 0 if lost_after is None else 130
+        status = life.result() if life.done() else 0 if lost_after is None else 130
     finally:
         for task in (life, stopped, failed):
             task.cancel()
         await asyncio.gather(life, stopped, failed, return_exceptions=True)
         await host.stop()
+    return status if host.failure is None else host.failure.exit_status
+
+
+async def stay_here(name: str, address: str) -> None:
+    """Raise UsageError if other machines could reach who listens there; AddressError if it is no address."""
+    if not await is_loopback(address):
+        raise UsageError(
+            f"{address} can be reached from other machines and there are no keys yet: "
+            "use --trust-network on a network of your own, or --map "
+            f"{name}=127.0.0.1:PORT to stay on this machine"
+        )
 
 
 async def _live(host: Host, lost_after: float | None) -> int:

@@ -22,10 +22,11 @@ from pathlib import Path
 import msgspec
 
 from lfield import __version__
-from lfield.errors import BundleError, InputFileError
+from lfield.errors import BundleError, InputFileError, OutputFileError
 from lfield.mission import bundle
 from lfield.mission.inputs import Inputs
 from lfield.text.files import read_within
+from lfield.text.private import private_folder
 
 #: So many bundles are kept, the last that were made.
 KEPT = 64
@@ -102,12 +103,10 @@ def cache_folder() -> Path | None:
     base = os.environ.get("XDG_CACHE_HOME") or ""
     folder = (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "lfield" / "bundles"
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        state = folder.lstat()
-    except (OSError, RuntimeError):
+        unseen = not private_folder(folder).stat().st_mode & 0o077
+    except (OSError, OutputFileError):
         return None
-    private = state.st_uid == os.getuid() and not state.st_mode & 0o077
-    return folder if private and folder.is_dir() and os.access(folder, os.W_OK | os.X_OK) else None
+    return folder if unseen and os.access(folder, os.W_OK | os.X_OK) else None
 
 
 def _kept(folder: Path, order: Order) -> Path | None:

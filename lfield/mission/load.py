@@ -116,7 +116,9 @@ def _program(path: Path, plugins: Plugins, types: RegistryTypes) -> tuple[Progra
 
 
 def load_program(path: Path) -> Program:
-    """A program from L text, from a bundle or from a program file, whichever the path names."""
+    """A program from L text, from a program file, or that of a deployment or bundle, as the path names."""
+    if path.suffix == ".dL":
+        path = path.with_suffix(".L")
     if path.suffix == bundle.SUFFIX:
         return bundle.read(path).program
     return compile_file(path)[0] if path.suffix == ".L" else _read_program(path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lfield.errors import AddressError, GreetingError, WireError
+from lfield.loop import unexpected
 from lfield.wire.codec import (
     TRANSFER,
     decode,
@@ -86,6 +87,9 @@ class FramedLink:
         except (WireError, GreetingError) as error:
             self._error = error
             self.close()
+        except Exception as error:
+            self.close()
+            unexpected(error)
 
     def finished(self, error: LfieldError | None) -> None:
         """The stream has ended; the first reason known is the one reported."""

@@ -8,6 +8,7 @@ import socket
 from collections.abc import Sequence
 
 from lfield.errors import AddressError, UsageError
+from lfield.net.tcp import refusal
 from lfield.net.transport import join_address, split_address
 
 
@@ -57,8 +58,16 @@ async def is_loopback(address: str) -> bool:
     return all(ipaddress.ip_address(str(entry[4][0]).partition("%")[0]).is_loopback for entry in found)
 
 
-def reserve(host: str = "127.0.0.1") -> tuple[socket.socket, str]:
-    """A listening socket on a free port, to be inherited by another process, and its address."""
-    reserved = socket.create_server((host, 0))
+def reserve(address: str) -> tuple[socket.socket, str]:
+    """A listening socket, to be inherited by another process, and its address; port 0 takes a free one.
+
+    Raises AddressError.
+    """
+    host, port = split_address(address)
+    try:
+        family, _, _, _, found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        reserved = socket.create_server(found[:2], family=family)
+    except (OSError, UnicodeError) as error:
+        raise AddressError(address, refusal(error)) from None
     reserved.set_inheritable(True)
     return reserved, join_address(*reserved.getsockname()[:2])

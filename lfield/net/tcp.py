@@ -62,7 +62,7 @@ class TcpTransport:
                 host, port = split_address(address)
                 server = await loop.create_server(lambda: self._new_link(on_link), host, port)
         except (OSError, UnicodeError) as error:
-            raise AddressError(address, _reason(error)) from None
+            raise AddressError(address, refusal(error)) from None
         return TcpListener(server)
 
     async def connect(self, address: str, handler: LinkHandler) -> Link:
@@ -75,7 +75,7 @@ class TcpTransport:
         except TimeoutError:
             raise AddressError(address, f"no answer within {self._connect_timeout:g} s") from None
         except (OSError, UnicodeError) as error:
-            raise AddressError(address, _reason(error)) from None
+            raise AddressError(address, refusal(error)) from None
         return link
 
     def _new_link(self, on_link: Callable[[Link], LinkHandler]) -> _TcpLink:
@@ -161,7 +161,7 @@ def _socket_address(name: tuple[str, int] | tuple[str, int, int, int]) -> str:
     return join_address(name[0], name[1])
 
 
-def _reason(error: OSError | UnicodeError) -> str:
+def refusal(error: OSError | UnicodeError) -> str:
     """What a socket's error means to the user."""
     if isinstance(error, socket.gaierror | UnicodeError):
         return "the name is not known; correct it, or say where the host is with --map NAME=ADDR:PORT"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
@@ -16,10 +16,15 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from lfield.errors import OutputFileError
 from lfield.lang.deployment import read_deployment
 from lfield.mission import bundle
 from lfield.mission.team import Team, team_of
+from lfield.text.private import read_private, write_private
 from lfield.wire.messages import Label, Name
+
+#: A larger note is none.
+_MAX_NOTE = 4 << 20
 
 
 def open_team(mission: Path) -> Team:
@@ -46,14 +51,16 @@ def _path(deployment: bytes) -> Path:
 
 
 @contextmanager
-def published(deployment: bytes, addresses: Mapping[str, str]) -> Iterator[None]:
+def published(deployment: bytes, addresses: Mapping[str, str], tell: Callable[[str], None]) -> Iterator[None]:
     """Let others on this machine find these addresses (host name to "host:port") for the duration.
 
-    Where the folder cannot be written nothing is published: only `ps` without --map is the poorer for it.
+    Where that cannot be, or others could change the note, nothing is published; `tell` hears why.
     """
     path, note = _path(deployment), Note(os.getpid(), dict(addresses))
-    with suppress(OSError):
-        _write(path, note)
+    try:
+        write_private(path, msgspec.json.encode(note))
+    except OutputFileError as error:
+        tell(f"ps, query and estop need --map to find these hosts: {error}")
     try:
         yield
     finally:
@@ -75,24 +82,9 @@ def find(deployment: bytes) -> dict[str, str]:
     return note.addresses
 
 
-def _write(path: Path, note: Note) -> None:
-    """Nobody finds half a note, and nobody else may read it."""
-    path.parent.mkdir(mode=0o700, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(dir=path.parent)
-    try:
-        with open(descriptor, "wb") as file:
-            file.write(msgspec.json.encode(note))
-        os.replace(name, path)
-    except OSError:
-        os.unlink(name)
-        raise
-
-
 def _read(path: Path) -> Note | None:
     """The note, None when there is none that makes sense in a folder of this user."""
     try:
-        if path.parent.stat().st_uid != os.getuid():
-            return None
-        return msgspec.json.decode(path.read_bytes(), type=Note)
+        return msgspec.json.decode(read_private(path, _MAX_NOTE), type=Note)
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return None

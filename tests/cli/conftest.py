@@ -40,11 +40,11 @@ class Process:
         self.out: list[str] = []
         self.err: list[str] = []
         options.setdefault("stdout", subprocess.PIPE)
+        options.setdefault("stderr", subprocess.PIPE)
         self.popen = subprocess.Popen(
             [sys.executable, "-m", "lfield", *map(str, words)],
             env=environment,
             stdin=subprocess.PIPE if stdin else subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
             start_new_session=True,
             **options,
         )

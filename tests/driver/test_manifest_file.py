@@ -46,14 +46,13 @@ WINCH = b"""\
 driver: winch
 type: Winch
 safe_states: [brake]
-capabilities: [maneuverability.rotational]
 options:
   ids: {type: "int[]", default: []}
   key_file: {type: path, default: ""}
 waivers:
   no_homing: it moves before it has been homed
 instructions:
-  light: {parameters: {on: {type: boolean}}, blocking: true, channel: light, raises: [DeviceException]}
+  light: {parameters: {on: {type: boolean}}, blocking: true, channel: light}
 telemetry:
   length: {type: real, unit: m, rate: 20.0}
 """
@@ -62,7 +61,6 @@ telemetry:
 def test_what_a_driver_for_a_team_needs_besides():
     manifest = load_manifest("m.yaml", WINCH)
     device = manifest.device
-    assert device.capabilities == ("maneuverability.rotational",)
     assert [(o.name, o.type, o.default) for o in manifest.options] == [
         ("ids", "int[]", []),
         ("key_file", "path", ""),
@@ -70,13 +68,8 @@ def test_what_a_driver_for_a_team_needs_besides():
     assert [name for name, _ in manifest.waivers] == ["device_watchdog", "no_homing"]
     light = device.instruction("light")
     assert light is not None
-    assert (light.channel, light.raises) == ("light", ("DeviceException",))
+    assert light.channel == "light"
     assert device.telemetry[0].rate == 20.0
-
-
-def test_a_capability_is_a_dotted_id():
-    with pytest.raises(PluginError, match="'Lift it' cannot be a capability"):
-        load_manifest("m.yaml", WINCH.replace(b"maneuverability.rotational", b"Lift it"))
 
 
 @pytest.mark.parametrize(

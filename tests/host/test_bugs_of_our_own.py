@@ -8,8 +8,9 @@ import pytest
 
 from lfield.host.core import HostCore
 from lfield.host.host import Host
+from lfield.host.logbook import Logbook
 from lfield.mobility.core import Mobility
-from lfield.net.peers import Peers
+from lfield.net.peers import Peers, Session
 from lfield.vm import portals
 from lfield.vm.agent import Agent
 from lfield.vm.machine import Machine
@@ -184,5 +185,50 @@ def test_a_bug_in_a_task_of_the_links_ends_the_host(fleet, monkeypatch):
         monkeypatch.setattr("lfield.net.peers.PING_EVERY", "a second")
         await asyncio.sleep(5.0)
         assert alpha.host.failure is not None
+
+    fleet(story)
+
+
+@pytest.mark.parametrize("name", ["note", "flush", "write"])
+def test_a_bug_in_the_log_does_not_keep_the_host_from_ending(fleet, monkeypatch, name):
+    async def story(team):
+        alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
+
+        def planted(*given):
+            raise RuntimeError("planted")
+
+        asyncio.get_running_loop().set_exception_handler(alpha.host.unhandled)
+        monkeypatch.setattr(Logbook, name, planted)
+        await asyncio.sleep(2.0)
+        team.network.partition("alpha", "bravo")
+        await asyncio.sleep(5.0)
+        failed = [running for running in (alpha, bravo) if running.host.failed.is_set()]
+        assert failed
+        assert not any(running.host.turn() for running in failed)
+        monkeypatch.undo()
+
+    fleet(story)
+
+
+@pytest.mark.parametrize("error", [ConnectionResetError, OSError, ZeroDivisionError])
+@pytest.mark.parametrize("place", ["on_message", "on_transfer", "_taken"])
+def test_what_a_callback_of_a_link_raises_is_no_lost_connection(fleet, monkeypatch, place, error):
+    """The loops take an OSError there for the end of the connection, and say nothing."""
+
+    async def story(team):
+        alpha, bravo = await team.up(team.mission(PROGRAM, DEPLOYMENT))
+
+        def unhandled(loop, context):
+            for running in (alpha, bravo):
+                running.host.unhandled(loop, context)
+
+        asyncio.get_running_loop().set_exception_handler(unhandled)
+
+        def planted(*given):
+            raise error("planted")
+
+        monkeypatch.setattr(Session, place, planted)
+        await asyncio.sleep(5.0)
+        assert isinstance(alpha.host.failure.cause, error)
 
     fleet(story)

@@ -8,7 +8,7 @@ import pytest
 
 from lfield.clock import ManualClock
 from lfield.errors import AddressError, WireError
-from lfield.net.tcp import TcpTransport, _reason
+from lfield.net.tcp import TcpTransport, refusal
 from lfield.net.transport import join_address, split_address
 from lfield.simulate.network import MemoryNetwork
 from lfield.testing.transport_kit import MAX_BLOCK, Pair, Recorder, TransportKit, transfer
@@ -158,10 +158,10 @@ def test_an_address_that_is_not_ours(tcp, address, words):
 
 
 def test_socket_errors_are_told_in_words():
-    assert "name is not known" in _reason(socket.gaierror(-2, "Name or service not known"))
-    assert "above 1023" in _reason(PermissionError(errno.EACCES, "Permission denied"))
-    assert _reason(OSError(errno.EIO, "")) == "Input/output error"
-    assert _reason(OSError("Multiple exceptions")) == "Multiple exceptions"
+    assert "name is not known" in refusal(socket.gaierror(-2, "Name or service not known"))
+    assert "above 1023" in refusal(PermissionError(errno.EACCES, "Permission denied"))
+    assert refusal(OSError(errno.EIO, "")) == "Input/output error"
+    assert refusal(OSError("Multiple exceptions")) == "Multiple exceptions"
 
 
 def test_a_hop_is_not_delayed_to_be_joined_by_more(tcp):

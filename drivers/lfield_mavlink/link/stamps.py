@@ -37,7 +37,8 @@ def load_key(path: Path) -> bytes:
         data = read_within(path, 4 * KEY)
         mode = path.stat().st_mode
     except (OSError, ValueError) as error:
-        raise _error(f"the signing key {path} cannot be read: {error}") from None
+        why = getattr(error, "strerror", None) or error
+        raise _error(f"the signing key {path} cannot be read: {why}") from None
     if mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise _error(f"the signing key {path} is open to others; run: chmod 600 {path}")
     key = data if len(data) == KEY else _from_hex(data)

@@ -1,4 +1,4 @@
-"""`lfield disasm FILE`: lists the program of a program file or bundle, or an L program once compiled."""
+"""`lfield disasm FILE`: lists a program: of a program file, of L text, of a deployment or bundle."""
 
 from __future__ import annotations
 
@@ -8,7 +8,12 @@ from pathlib import Path
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    parser.add_argument("file", metavar="FILE", type=Path, help="a program file, a bundle, or FILE.L")
+    parser.add_argument(
+        "file",
+        metavar="FILE",
+        type=Path,
+        help="a program file, L text, a deployment or a bundle",
+    )
 
 
 def run(args: argparse.Namespace) -> int:

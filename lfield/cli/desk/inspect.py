@@ -1,4 +1,4 @@
-"""`lfield inspect FILE`: a dumped block as agent, threads, L stack, locals and heap; what is in a bundle."""
+"""`lfield inspect FILE`: a dumped agent, its threads, L stack, locals and heap; or the parts of a mission."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     parser.add_argument(
-        "file", metavar="FILE", type=Path, help="a dump that 'lfield up --dump DIR' wrote, or a bundle"
+        "file", metavar="FILE", type=Path, help="a dump of 'lfield up --dump DIR', a bundle or a deployment"
     )
 
 
@@ -21,8 +21,8 @@ def run(args: argparse.Namespace) -> int:
     """Print what the file says."""
     from lfield.mission import bundle
 
-    if args.file.suffix == bundle.SUFFIX:
-        return _show_bundle(args.file)
+    if args.file.suffix in (bundle.SUFFIX, ".dL"):
+        return _show_mission(args.file)
     return _show_dump(args.file)
 
 
@@ -68,11 +68,18 @@ def _print_state(shown: BlockView, limit: int) -> None:
         print(f"  {size:>9} bytes  {count:>6} × {name}")
 
 
-def _show_bundle(file: Path) -> int:
+def _show_mission(file: Path) -> int:
+    """What is in a bundle, or would be in that of a deployment."""
     from lfield.mission import bundle
+    from lfield.mission.load import load_mission
 
-    mission = bundle.read(file)
-    found = bundle.contents(bundle.read_file(file))
+    if file.suffix == bundle.SUFFIX:
+        data = bundle.read_file(file)
+        mission = bundle.read(file)
+    else:
+        mission = load_mission(file)
+        data = bundle.encode(mission)
+    found = bundle.contents(data)
     print(f"bundle    {found.digest.hex()[:16]} of {mission.name}")
     for part in found.table:
         print(f"          {part.name:<9}{part.size:>9} bytes  {part.digest.hex()[:16]}")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield.cli.mission_argument import add_mission, mission_path
-from lfield.errors import UsageError
+from lfield.errors import OutputFileError, UsageError
 
 if TYPE_CHECKING:
     from lfield.mission.mission import Mission
@@ -31,7 +31,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--sim", action="store_true", help="bind every device to its fake, and start the fakes"
     )
     parser.add_argument(
-        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
+        "--map",
+        metavar="NAME=ADDR:PORT",
+        action="append",
+        default=[],
+        help="where a host listens and is reached",
     )
     parser.add_argument("--until-done", action="store_true", help="end when every coordinator has ended")
     parser.add_argument("--dump", metavar="DIR", type=Path, help="dump agents that die, for 'lfield inspect'")
@@ -64,9 +68,17 @@ def _seconds(word: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Run until done or stopped: 0 if all ended normally, 1 if a coordinator died or was lost."""
+    from lfield.text.outlet import never_waiting
+
+    with never_waiting("lfield: " if args.all else ""):
+        return _run_mission(mission_path(args), args)
+
+
+def _run_mission(path: Path, args: argparse.Namespace) -> int:
     from lfield.mission import bundle
 
-    path = mission_path(args)
+    if path.suffix in (".L", ".lb"):
+        raise UsageError(f"{path} is a program: name its deployment, {path.with_suffix('.dL')}")
     if path.suffix != bundle.SUFFIX:
         return _run_built(path, args)
     if args.program is not None:
@@ -95,11 +107,23 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
     if warn:
         for warning in mission.warnings:
             print(warning, file=sys.stderr)
+    if args.dump is not None and not args.leash:
+        _look_at_dumps(args.dump)
     if args.all:
         from lfield.cli.run.up_all import run_all
 
         return run_all(mission, file, args)
     return _run_one(mission, args)
+
+
+def _look_at_dumps(folder: Path) -> None:
+    """Say now what is wrong with the folder, and not only when an agent has died."""
+    from lfield.text.private import private_folder
+
+    try:
+        private_folder(folder)
+    except OutputFileError as error:
+        print(f"lfield: agents that die will not be dumped: {error}", file=sys.stderr)
 
 
 def _run_one(mission: Mission, args: argparse.Namespace) -> int:

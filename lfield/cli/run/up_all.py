@@ -1,4 +1,4 @@
-"""`lfield up --all`: every host of a mission as a process of its own, on free loopback ports.
+"""`lfield up --all`: every host of a mission as a process of its own, on free ports or as --map says.
 
 All run one bundle; none of them compiles anything.
 
@@ -16,7 +16,8 @@ import sys
 from asyncio.subprocess import PIPE, Process
 from typing import TYPE_CHECKING, TextIO
 
-from lfield.host.logbook import lost, silence
+from lfield.host.run import stay_here
+from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
 from lfield.operator import whereabouts
 
@@ -28,16 +29,26 @@ if TYPE_CHECKING:
 
 #: A host that is gone does not come back under --all: it is given up sooner than in the field.
 LOST_AFTER = 3.0
+#: Where a host listens that no --map names: on a free port.
+FREE = "127.0.0.1:0"
 #: How long hosts may take to make their devices safe and end, in seconds, before they are killed.
 PATIENCE = 20.0
 
 
 def run_all(mission: Mission, file: Path, args: argparse.Namespace) -> int:
     """Run every host of the mission in a bundle until all have ended: 0 if all did so normally."""
-    reserved = {host: reserve() for host in mission.team.hosts}
+    mapped = parse_maps(args.map, mission.team)
+    if not args.trust_network:
+        for host, address in mapped.items():
+            asyncio.run(stay_here(host, address))
+    reserved = {host: reserve(mapped.get(host, FREE)) for host in mission.team.hosts}
     addresses = {host: address for host, (_, address) in reserved.items()}
-    with whereabouts.published(mission.team.deployment, addresses):
+    with whereabouts.published(mission.team.deployment, addresses, _tell):
         return asyncio.run(_Team(file, args, reserved, addresses).run())
+
+
+def _tell(text: str) -> None:
+    print(f"lfield: {text}", file=sys.stderr)
 
 
 class _Team:
@@ -124,13 +135,7 @@ class _Team:
         if self.view and target.isatty():
             self.view.print(line)
             return
-        try:
-            target.write(line + "\n")
-            target.flush()
-        except (OSError, ValueError) as error:
-            silence(target)
-            if target is sys.stdout:
-                print(f"lfield: {lost(error)}", file=sys.stderr)
+        target.write(line + "\n")
 
     async def line(self, source: asyncio.StreamReader) -> bytes:
         try:

@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from lfield.cli.mission_argument import add_mission, mission_path
+from lfield.cli.mission_argument import add_running_mission, mission_path
 
 if TYPE_CHECKING:
     from lfield.operator.ask import Answers
@@ -15,13 +15,10 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    add_mission(parser)
+    add_running_mission(parser)
     parser.add_argument("--reason", metavar="TEXT", default="", help="a sentence for the logs of the hosts")
     parser.add_argument(
         "--lift", action="store_true", help="the emergency is over: programs may release their devices again"
-    )
-    parser.add_argument(
-        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
     )
 
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import argparse
 
-from lfield.cli.mission_argument import add_mission, mission_path
+from lfield.cli.mission_argument import add_running_mission, mission_path
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
-    add_mission(parser)
+    add_running_mission(parser)
     parser.add_argument("--json", action="store_true", help="print what the hosts say as JSON")
-    parser.add_argument(
-        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
-    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.cli.mission_argument import add_mission, mission_path
+from lfield.cli.mission_argument import add_running_mission, mission_path
 
 if TYPE_CHECKING:
     from lfield.capability.model import Registry
@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "query", metavar="QUERY", help='a capability, or an id of the taxonomy: "Lift where payload >= 2.0"'
     )
-    add_mission(parser)
+    add_running_mission(parser)
     parser.add_argument(
         "--capabilities", metavar="FILE", type=Path, help="the mission's registry, if not beside it"
     )
@@ -27,9 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--files", action="store_true", help="from the files alone: ask no host")
     parser.add_argument("--explain", action="store_true", help="also tell why the others are not offered")
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
-    parser.add_argument(
-        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
-    )
 
 
 def run(args: argparse.Namespace) -> int:

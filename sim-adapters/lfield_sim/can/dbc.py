@@ -149,7 +149,8 @@ def load(file: str, *, node: str = "", commands: str = "", command: str = "", st
     try:
         database: Any = cantools.database.load_file(file, database_format="dbc")
     except Exception as error:  # cantools raises what its parsers raise
-        raise UsageError(f"{file} cannot be read as a DBC file: {error}") from None
+        why = getattr(error, "strerror", None) or error
+        raise UsageError(f"{file} cannot be read as a DBC file: {why}") from None
     plain = [m for m in database.messages if not m.is_multiplexed() and not m.is_container]
     links = {_place(plain, status): _place(plain, command)} if command or status else {}
     if commands:

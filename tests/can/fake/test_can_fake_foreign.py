@@ -26,6 +26,18 @@ TYPES = {
 }
 
 
+class Patient(BaseNode402):
+    """The client, for a busy computer: what it waits for by itself is bounded by fractions of a second."""
+
+    PATIENCE = 10.0
+    TIMEOUT_SWITCH_OP_MODE = TIMEOUT_SWITCH_STATE_FINAL = TIMEOUT_SWITCH_STATE_SINGLE = PATIENCE
+    TIMEOUT_CHECK_TPDO = TIMEOUT_RESET_FAULT = PATIENCE
+
+    def __init__(self, number: int, known: objectdictionary.ObjectDictionary) -> None:
+        super().__init__(number, known)
+        self.sdo.RESPONSE_TIMEOUT = self.PATIENCE
+
+
 def dictionary() -> objectdictionary.ObjectDictionary:
     """The drive's objects as canopen knows them."""
     known, table = objectdictionary.ObjectDictionary(), entries(5, INCREMENTS, 1.0, 5.0)
@@ -50,12 +62,12 @@ def node(request) -> Iterator[BaseNode402]:
         network = canopen.Network()
         network.connect(**place(fake.endpoint))
         try:
-            drive = BaseNode402(5, dictionary())
+            drive = Patient(5, dictionary())
             network.add_node(drive)
-            drive.nmt.wait_for_heartbeat(5)
+            drive.nmt.wait_for_heartbeat(drive.PATIENCE)
             drive.setup_402_state_machine()
             drive.nmt.state = "OPERATIONAL"
-            drive.nmt.wait_for_heartbeat(5)
+            drive.nmt.wait_for_heartbeat(drive.PATIENCE)
             yield drive
         finally:
             network.disconnect()
@@ -93,7 +105,7 @@ def test_homing(node):
     node.sdo[0x6098].raw = 35
     node.state = "OPERATION ENABLED"
     node.op_mode = "HOMING"
-    assert node.homing(timeout=5)
+    assert node.homing(timeout=node.PATIENCE)
     assert node.is_homed()
 
 

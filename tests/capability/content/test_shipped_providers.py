@@ -58,19 +58,6 @@ def test_live_attributes_are_telemetry(name: str) -> None:
         assert quantity.type.endswith("[]") == (live.index is not None)
 
 
-@pytest.mark.parametrize("name", sorted(DEVICES))
-def test_a_manifest_names_what_the_stock_types_serve_with_it(name: str) -> None:
-    offered = set(DEVICES[name].capabilities)
-    served = {
-        REGISTRY.primitives[primitive].id
-        for stock in STOCK
-        if name in signature(stock).devices.values()
-        for primitive in REGISTRY.providers[stock].serves
-    }
-    assert offered >= served
-    assert [id for id in offered if id not in REGISTRY.terms or REGISTRY.terms[id].deprecated] == []
-
-
 @pytest.mark.parametrize("name", STOCK)
 def test_the_class_of_machine_is_stated(name: str) -> None:
     stated = REGISTRY.providers[name].attributes

@@ -46,19 +46,23 @@ agents:
 """
 
 
-def bundle_of(lfield, *options: object) -> Path:
-    """Build the mission of a test's folder, which has all there is to know, and then take its files away."""
-    made = lfield("build", "mission.dL", *options)
-    assert lfield.status(made) == 0, made.said
-    for path in lfield.folder.glob("mission.*"):
-        if path.suffix != ".lfm":
-            path.unlink()
-    return lfield.folder / "mission.lfm"
+@pytest.fixture
+def bundled(lfield, here):
+    """`bundled()` builds the mission of a test's folder and takes the files it was built from away."""
+
+    def build() -> None:
+        made = here("build", "mission.dL")
+        assert made.status == 0, made
+        for path in lfield.folder.glob("mission.*"):
+            if path.suffix != ".lfm":
+                path.unlink()
+
+    return build
 
 
-def test_a_bundle_is_all_that_hosts_need(lfield) -> None:
+def test_a_bundle_is_all_that_hosts_need(lfield, bundled) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
-    bundle_of(lfield)
+    bundled()
     maps = lfield.maps(["alpha", "bravo"])
     hosts = [
         lfield.start("up", "mission.lfm", "--host", name, "--until-done", *maps)
@@ -68,28 +72,28 @@ def test_a_bundle_is_all_that_hosts_need(lfield) -> None:
     assert hosts[1].out == ["here"]
 
 
-def test_all_hosts_of_a_bundle_at_once(lfield) -> None:
+def test_all_hosts_of_a_bundle_at_once(lfield, bundled) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
-    bundle_of(lfield)
+    bundled()
     ran = lfield("up", "mission.lfm", "--all", "--until-done")
     assert lfield.status(ran) == 0, ran.said
     assert "bravo | here" in ran.out
 
 
-def test_what_is_said_of_a_build(lfield) -> None:
+def test_what_is_said_of_a_build(lfield, here) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     made = lfield("build", "mission.dL", "-o", "other.lfm")
     assert lfield.status(made) == 0
     (told,) = made.err
     assert told.startswith("other.lfm: ")
     assert told.endswith("for alpha, bravo")
-    shown = lfield("inspect", "other.lfm")
+    shown = here("inspect", "other.lfm")
     text = "\n".join(shown.out)
     assert "host bravo at bravo:8181\n  resource echo (Echo)" in text
     assert told.split("bundle ")[1].split(",")[0] in text
-    checked = lfield("check", "other.lfm")
-    assert (lfield.status(checked), checked.err) == (0, [])
-    assert "Caller" in "\n".join(lfield("disasm", "other.lfm").out)
+    checked = here("check", "other.lfm")
+    assert (checked.status, checked.err) == (0, [])
+    assert "Caller" in "\n".join(here("disasm", "other.lfm").out)
 
 
 def test_a_running_team_is_found_by_its_bundle_and_by_its_deployment(lfield, alone) -> None:
@@ -110,26 +114,26 @@ def test_a_running_team_is_found_by_its_bundle_and_by_its_deployment(lfield, alo
     assert team.wait() == 130
 
 
-def test_a_query_to_a_bundle(lfield) -> None:
+def test_a_query_to_a_bundle(lfield, here, bundled) -> None:
     lfield.mission(LIFTING, "//Crane:crane@yard\n//Boss:boss@yard\n")
     lfield.write("mission.capabilities.yaml", CAPABILITIES)
-    bundle_of(lfield)
-    asked = lfield("query", "Lift where payload >= 20", "mission.lfm", "--files")
-    assert lfield.status(asked) == 0, asked.said
+    bundled()
+    asked = here("query", "Lift where payload >= 20", "mission.lfm", "--files")
+    assert asked.status == 0, asked
     assert "crane" in "\n".join(asked.out)
 
 
-def test_a_bundle_whose_program_names_no_capability_has_no_registry(lfield) -> None:
+def test_a_bundle_whose_program_names_no_capability_has_no_registry(lfield, here, bundled) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
-    bundle_of(lfield)
-    asked = lfield("query", "Lift", "mission.lfm", "--files")
-    assert lfield.status(asked) == 64
+    bundled()
+    asked = here("query", "Lift", "mission.lfm", "--files")
+    assert asked.status == 64
     assert "the program of mission.lfm names no capability" in asked.err[0]
 
 
-def test_other_bindings_on_one_robot(lfield) -> None:
+def test_other_bindings_on_one_robot(lfield, bundled) -> None:
     lfield.mission(ARM, "//Arm:arm@here\n", ARM_DEVICES)
-    bundle_of(lfield)
+    bundled()
     lfield.write("robot.yaml", ARM_DEVICES.replace("NOBODY", "OTHER"))
     maps = lfield.maps(["here"])
     for options, port in (([], "ttyNOBODY"), (["--devices", "robot.yaml"], "ttyOTHER")):
@@ -140,16 +144,32 @@ def test_other_bindings_on_one_robot(lfield) -> None:
     simulated.wait_for("here is up")
 
 
-def test_a_device_that_is_not_bound_is_no_bundle(lfield) -> None:
+def test_a_deployment_is_listed_and_explained_as_its_bundle_is(lfield, here) -> None:
+    lfield.mission(PROGRAM, DEPLOYMENT)
+    assert here("build", "mission.dL").status == 0
+    for command in ("disasm", "inspect"):
+        of_bundle, of_deployment = here(command, "mission.lfm"), here(command, "mission.dL")
+        assert (of_bundle.status, of_deployment.status) == (0, 0)
+        assert of_bundle.out == of_deployment.out
+
+
+def test_a_program_is_no_mission(lfield, here) -> None:
+    lfield.mission(PROGRAM, DEPLOYMENT)
+    refused = here("up", "mission.L", "--all")
+    assert refused.status == 64
+    assert refused.err == ["lfield: mission.L is a program: name its deployment, mission.dL"]
+
+
+def test_a_device_that_is_not_bound_is_no_bundle(lfield, here) -> None:
     lfield.mission(ARM, "//Arm:arm@here\n")
-    made = lfield("build", "mission.dL")
-    assert lfield.status(made) == 65
+    made = here("build", "mission.dL")
+    assert made.status == 65
     assert "arm.boom (Dynamixel) is not bound" in made.err[0]
     assert not (lfield.folder / "mission.lfm").exists()
-    assert lfield.status(lfield("build", "mission.dL", "--sim")) == 0
+    assert here("build", "mission.dL", "--sim").status == 0
 
 
-def test_files_that_devices_need_travel_beside_the_bundle(lfield) -> None:
+def test_files_that_devices_need_travel_beside_the_bundle(lfield, here) -> None:
     program = "resource Car { Mavlink fc; init(string[] arg) { while (true) yield(); } portal here() { } }"
     devices = """
 agents:
@@ -159,10 +179,10 @@ agents:
 """
     lfield.mission(program, "//Car:car@here\n", devices)
     lfield.write("keys/secret", "00" * 32)
-    made = lfield("build", "mission.dL", "-o", "sent/mission.lfm")
-    assert lfield.status(made) == 73, "there is no such folder"
+    made = here("build", "mission.dL", "-o", "sent/mission.lfm")
+    assert made.status == 73, "there is no such folder"
     (lfield.folder / "sent").mkdir()
-    made = lfield("build", "mission.dL", "-o", "sent/mission.lfm")
+    made = here("build", "mission.dL", "-o", "sent/mission.lfm")
     assert made.err[-1] == "copy with it, as they lie beside it: keys/secret"
     assert ("00" * 32).encode() not in (lfield.folder / "sent" / "mission.lfm").read_bytes()
 
@@ -204,14 +224,14 @@ def test_a_driver_that_is_not_the_one_of_the_desk_is_refused(lfield) -> None:
         (["up", "mission.lfm"], 64, "name one with --host, or run all of them here with --all"),
     ],
 )
-def test_a_bundle_that_cannot_be_run(lfield, command, status, words) -> None:
+def test_a_bundle_that_cannot_be_run(lfield, here, command, status, words) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
-    lfield("build", "mission.dL")
+    here("build", "mission.dL")
     data = (lfield.folder / "mission.lfm").read_bytes()
     lfield.write("cut.lfm", data[:99])
     lfield.write("newer.lfm", data[:4] + b"\x09" + data[5:])
-    said = lfield(*command)
-    assert lfield.status(said) == status, said.said
+    said = here(*command)
+    assert said.status == status, said
     assert words in "\n".join(said.err)
 
 

@@ -197,6 +197,32 @@ def test_a_port_in_use(lfield):
     assert host.err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
 
 
+def test_all_listens_where_map_says_and_elsewhere_on_free_ports(lfield):
+    deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
+    (port,) = lfield.ports.take(1)
+    words = ("up", "--deploy", deployment, "--all", "--until-done", "--map")
+    done = lfield(*words, f"bravo=127.0.0.1:{port}")
+    assert lfield.status(done) == 0, done.said
+    assert f"bravo | bravo is up on 127.0.0.1:{port}" in done.err
+    assert any(line.startswith("alpha | alpha is up on 127.0.0.1:") for line in done.err)
+
+
+def test_all_refuses_a_map_that_it_cannot_keep(lfield):
+    words = ("up", "--deploy", lfield.mission(POSTS, "//Post:near@alpha\n"), "--all", "--map")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        used = lfield(*words, f"alpha={address}")
+    remedy = "stop the program that has it, or choose another port"
+    assert used.err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
+    assert lfield.status(used) == 69
+    abroad = lfield(*words, "alpha=0.0.0.0:8181")
+    assert abroad.err[0].startswith("lfield: 0.0.0.0:8181 can be reached from other machines")
+    assert lfield.status(abroad) == 64
+    unknown = lfield(*words, "alfa=127.0.0.1:8181")
+    assert "the deployment has no host 'alfa'" in unknown.err[0]
+    assert lfield.status(unknown) == 64
+
+
 CROWD = """
 resource Worker {
     init(string[] arg) { }

@@ -1,0 +1,66 @@
+"""Where dead agents are dumped: into a folder that is the user's alone, and never onto what blocks."""
+
+from __future__ import annotations
+
+import os
+import stat
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+DIES = """
+coordinator Careless { init(string[] arg) { print(i2s(1 / (arg.length() - 1))); } }
+coordinator Careful { init(string[] arg) { sleep(1.0); print("goes on"); } }
+"""
+DEPLOYMENT = "//Careless:tom@alpha\n//Careful:ann@alpha\n"
+
+
+@pytest.fixture
+def run(lfield):
+    """`run()`: the mission to its end, with `--dump dumps`."""
+
+    def to_the_end():
+        words = ("up", "--deploy", lfield.mission(DIES, DEPLOYMENT), "--host", "alpha", "--until-done")
+        done = lfield(*words, *lfield.maps(["alpha"]), "--dump", "dumps")
+        assert lfield.status(done) == 1
+        assert "ann: goes on" in done.err
+        return done
+
+    return to_the_end
+
+
+def test_a_dump_is_for_its_user_alone(lfield, run):
+    assert "dumped tom: lfield inspect dumps/tom.block" in run().err
+    folder = lfield.folder / "dumps"
+    assert [stat.S_IMODE(path.stat().st_mode) for path in (folder, folder / "tom.block")] == [0o700, 0o600]
+    assert [path.name for path in folder.iterdir()] == ["tom.block"]
+
+
+def test_a_dump_onto_a_fifo_is_refused_and_the_host_goes_on(lfield, run):
+    dumps = lfield.folder / "dumps"
+    dumps.mkdir(mode=0o700)
+    os.mkfifo(dumps / "tom.block")
+    path = "dumps/tom.block"
+    refused = f"cannot dump tom to {path}: cannot write {path}: it is there and is no plain file; remove it"
+    assert refused in run().err
+
+
+@pytest.mark.parametrize("kind", ["fifo", "link", "open"])
+def test_a_folder_that_will_not_do_is_told_at_the_start_and_when_it_is_needed(lfield, run, kind):
+    dumps, elsewhere = lfield.folder / "dumps", lfield.folder / "elsewhere"
+    elsewhere.mkdir()
+    if kind == "fifo":
+        os.mkfifo(dumps)
+        why = "it is not a folder"
+    elif kind == "link":
+        dumps.symlink_to(elsewhere)
+        why = "it is a link; name the folder that is meant"
+    else:
+        dumps.mkdir()
+        dumps.chmod(0o777)
+        why = "others may write to the folder: run 'chmod go-w dumps', or name another"
+    said = run().err
+    assert said[0] == f"lfield: agents that die will not be dumped: cannot write dumps: {why}"
+    assert f"cannot dump tom to dumps/tom.block: cannot write dumps: {why}" in said
+    assert list(lfield.folder.rglob("*.block")) == []

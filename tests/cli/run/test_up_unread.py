@@ -1,0 +1,109 @@
+"""Output that nobody reads (Ctrl-S, a stuck ssh, `| sleep 1000`) stops no host: it flies on, and answers."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import signal
+import struct
+import termios
+import time
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+#: A copter that flies, and a program that says much more than a pipe holds on both streams.
+PROGRAM = """
+resource Copter {
+    Mavlink fc;
+    init(string[] arg) {
+        fc.arm();
+        fc.takeoff(2.0);
+        int i = 0;
+        string much = "...";
+        while (much.length() < 500) much = much + much;
+        while (true) {
+            i = i + 1;
+            write("out " + i2s(i) + much + " end\\n");
+            print("log " + i2s(i) + much + " end");
+            if (i % 40 == 0) sleep(0.01);
+        }
+    }
+}
+coordinator Nobody { init(string[] arg) { sleep(1000.0); } }
+"""
+DEPLOYMENT = "//Copter:lead@alpha\n//Nobody:one@alpha\n"
+DEVICES = """
+silence: 2.0
+agents:
+  lead:
+    devices:
+      fc: {driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_watchdog], system: 1}
+"""
+
+
+@pytest.fixture
+def unread():
+    """Both ends of a pipe; who writes has it as stdout and stderr."""
+    reading, writing = os.pipe()
+    yield reading, writing
+    for descriptor in (reading, writing):
+        os.close(descriptor)
+
+
+def filled(reading: int) -> None:
+    """Wait until nothing more goes into a pipe, and for some more that finds no room."""
+    end, before = time.monotonic() + 60, -1
+    while (now := waiting(reading)) < 30000 or now != before:
+        assert time.monotonic() < end, f"only {now} bytes came"
+        before = now
+        time.sleep(1.0)
+    time.sleep(3.0)
+
+
+def waiting(reading: int) -> int:
+    return struct.unpack("i", fcntl.ioctl(reading, termios.FIONREAD, b"\0" * 4))[0]
+
+
+def read_some(reading: int) -> list[bytes]:
+    """The complete lines of what waits, and of what comes next, until one says that others are missing."""
+    lines, end = [b""], time.monotonic() + 60
+    while not any(b" missing" in line for line in lines[-1000:-1]):
+        assert time.monotonic() < end, lines[-3:]
+        first, *rest = os.read(reading, 1 << 16).split(b"\n")
+        lines[-1] += first
+        lines += rest
+    return lines[:-1]
+
+
+@pytest.mark.parametrize("everything", [False, True], ids=["host", "all"])
+def test_a_host_whose_output_nobody_reads_flies_on_and_answers(lfield, alone, unread, everything):
+    reading, writing = unread
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
+    maps = [] if everything else lfield.maps(["alpha"])
+    words = ("--deploy", deployment, *maps)
+    which = ("--all",) if everything else ("--host", "alpha")
+    team = lfield.start("up", *words, *which, "--sim", stdout=writing, stderr=writing, env=alone)
+    filled(reading)
+
+    asked = lfield("ps", *words, env=alone)
+    assert lfield.status(asked) == 0, asked.said
+    assert "safe state" not in asked.said
+
+    pressed = lfield("estop", *words, "--reason", "nobody reads", env=alone)
+    assert lfield.status(pressed) == 0, pressed.said
+    assert pressed.out == ["alpha: lead.fc: safe"]
+
+    lines = read_some(reading)
+    assert any(re.search(rb"[1-9][0-9]* line\(s\) (of program output )?are missing", line) for line in lines)
+    said = [line for line in lines if b"..." in line and b"missing" not in line]
+    assert all(line.endswith(b" end") for line in said), "lines come whole"
+
+    filled(reading)
+    before = time.monotonic()
+    team.signal(signal.SIGTERM)
+    assert team.wait() == (130 if everything else 0)
+    assert time.monotonic() - before < 20
+    assert lfield.left() == []

@@ -1,0 +1,250 @@
+"""Output whose reader is slow, stuck or gone: what is kept, what is counted, and that nobody waits."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import random
+import socket
+import subprocess
+import sys
+import termios
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from lfield.text.outlet import AT_ONCE, Backlog, Outlet, never_waiting
+
+PATIENCE = 30.0
+
+
+def all_of(backlog: Backlog) -> list[tuple[int, bytes]]:
+    taken = []
+    while backlog:
+        taken.append(backlog.take())
+    return taken
+
+
+# --- what is kept ---------------------------------------------------------------------------------------
+
+
+def test_lines_come_out_as_they_went_in():
+    backlog = Backlog()
+    backlog.put(b"a\nb\n")
+    backlog.put(b"c")
+    backlog.put(b"d\ne")
+    assert backlog.take() == (0, b"a\nb\ncd\ne")
+    assert not backlog
+
+
+def test_the_oldest_lines_go_first_and_are_counted():
+    backlog = Backlog(limit=8)
+    backlog.put(b"".join(b"%03d\n" % number for number in range(10)))
+    assert backlog.take() == (8, b"008\n009\n")
+    backlog.put(b"010\n")
+    assert backlog.take() == (0, b"010\n")
+
+
+def test_one_line_over_the_limit_is_kept_whole():
+    backlog = Backlog(limit=8)
+    backlog.put(b"short\n")
+    backlog.put(b"a line that is longer\n")
+    assert backlog.take() == (1, b"a line that is longer\n")
+
+
+def test_what_is_taken_at_once_is_whole_lines_that_no_pipe_tears():
+    dice = random.Random(7)
+    lines = [b"%d " % number * dice.randrange(1, 400) + b"\n" for number in range(500)]
+    backlog = Backlog()
+    for line in lines:
+        cut = dice.randrange(len(line))
+        backlog.put(line[:cut])
+        backlog.put(line[cut:])
+    taken = [data for _, data in all_of(backlog)]
+    assert b"".join(taken) == b"".join(lines)
+    assert all(data.endswith(b"\n") and (len(data) <= AT_ONCE or data.count(b"\n") == 1) for data in taken)
+
+
+def test_every_line_is_kept_or_counted():
+    dice, backlog, kept, lost, sent = random.Random(3), Backlog(limit=200), 0, 0, 0
+    for _ in range(2000):
+        if dice.random() < 0.8:
+            backlog.put(b"x" * dice.randrange(40) + b"\n")
+            sent += 1
+        else:
+            dropped, data = backlog.take()
+            kept, lost = kept + data.count(b"\n"), lost + dropped
+    for dropped, data in all_of(backlog):
+        kept, lost = kept + data.count(b"\n"), lost + dropped
+    assert lost > 100
+    assert kept + lost == sent
+
+
+# --- nobody waits ---------------------------------------------------------------------------------------
+
+
+def a_pipe():
+    return os.pipe()
+
+
+def a_socket():
+    ours, theirs = socket.socketpair()
+    return ours.detach(), theirs.detach()
+
+
+def a_terminal():
+    """A terminal as ssh has one, without the change of line ends."""
+    ours, theirs = pty.openpty()
+    attributes = termios.tcgetattr(theirs)
+    attributes[1] &= ~termios.OPOST
+    termios.tcsetattr(theirs, termios.TCSANOW, attributes)
+    return ours, theirs
+
+
+@pytest.fixture(params=[a_pipe, a_socket, a_terminal], ids=["pipe", "socket", "terminal"])
+def ends(request):
+    """Where is read, and where is written; both blocking, as a shell gives them."""
+    reading, writing = request.param()
+    yield reading, writing
+    os.close(reading)
+    os.close(writing)
+
+
+class Reader:
+    """Begins to read at last."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.data = b""
+        self._descriptor = descriptor
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        try:
+            while piece := os.read(self._descriptor, 1 << 16):
+                self.data += piece
+        except OSError:
+            pass
+
+    def lines_when(self, end: bytes) -> list[bytes]:
+        until = time.monotonic() + PATIENCE
+        while not self.data.endswith(end):
+            assert time.monotonic() < until, self.data[-200:]
+            time.sleep(0.01)
+        return self.data.splitlines()
+
+
+def test_nobody_waits_for_a_reader_and_what_is_missing_is_said_in_its_place(ends):
+    reading, writing = ends
+    outlet = Outlet(writing, limit=20_000)
+    before = time.monotonic()
+    for number in range(100_000):
+        outlet.write(f"line {number:6} of the log\n")
+    assert time.monotonic() - before < 20
+    assert not outlet.drain(0.1)
+    assert not fcntl.fcntl(writing, fcntl.F_GETFL) & os.O_NONBLOCK, "the shell has the same one"
+    reader = Reader(reading)
+    assert outlet.drain(PATIENCE)
+    outlet.write("end\n")
+    lines = reader.lines_when(b"end\n")
+    told = [number for number, line in enumerate(lines) if b"missing here" in line]
+    missing = sum(int(lines[number].split()[1]) for number in told)
+    assert missing > 50_000
+    assert missing + len(lines) - len(told) - 1 == 100_000
+    assert lines[-2] == b"line  99999 of the log"
+    assert {len(line) for line in lines[:-1]} - {len(lines[number]) for number in told} == {22}
+
+
+def test_a_stream_that_somebody_made_nonblocking_is_written_whole():
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    outlet = Outlet(writing)
+    for number in range(20_000):
+        outlet.write(f"line {number:6}\n")
+    assert Reader(reading).lines_when(b"line  19999\n") == [b"line %6d" % n for n in range(20_000)]
+
+
+def test_an_incomplete_line_waits_for_its_end_or_flush():
+    reading, writing = os.pipe()
+    outlet = Outlet(writing)
+    outlet.write("a prompt: ")
+    outlet.flush()
+    assert os.read(reading, 100) == b"a prompt: "
+    print("one", "line", file=outlet)
+    assert os.read(reading, 100) == b"one line\n"
+    outlet.write("no UTF-8: \ud800\n")
+    assert os.read(reading, 100) == b"no UTF-8: \\ud800\n"
+
+
+@pytest.mark.parametrize(("gone", "why"), [(False, "No space left on device"), (True, "Broken pipe")])
+def test_what_cannot_be_written_is_told_once(gone, why):
+    if gone:
+        reading, target = os.pipe()
+        os.close(reading)
+    else:
+        target = os.open("/dev/full", os.O_WRONLY)
+    told: list[str | None] = []
+    outlet = Outlet(target, lost=lambda error: told.append(error.strerror))
+    for _ in range(3):
+        outlet.write("a line\n")
+        assert outlet.drain(PATIENCE)
+    assert told == [why]
+    os.close(target)
+
+
+# --- a process's own streams ----------------------------------------------------------------------------
+
+
+def test_the_streams_of_a_process_are_outlets_for_the_duration(capfd):
+    before = sys.stdout, sys.stderr
+    with never_waiting():
+        print("output")
+        print("log", file=sys.stderr)
+        assert isinstance(sys.stdout, Outlet)
+    assert (sys.stdout, sys.stderr) == before
+    assert capfd.readouterr() == ("output\n", "log\n")
+
+
+def test_lost_program_output_is_told_in_the_log(capfd, monkeypatch):
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        with never_waiting("somebody: "):
+            print("output")
+    assert capfd.readouterr().err == (
+        "somebody: program output is lost from here on: No space left on device\n"
+    )
+
+
+def test_streams_that_are_stuck_stay_outlets_and_the_end_is_not_far(monkeypatch):
+    reading, writing = os.pipe()
+    with os.fdopen(writing, "w") as stuck, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stuck)
+        before = time.monotonic()
+        with never_waiting():
+            print("x" * 100_000)
+        print("a last sentence")
+        assert time.monotonic() - before < 10
+        reader = Reader(reading)
+        assert reader.lines_when(b"a last sentence\n") == [b"x" * 100_000, b"a last sentence"]
+
+
+def test_a_process_without_streams(monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    monkeypatch.setattr(sys, "stderr", None)
+    with never_waiting():
+        assert (sys.stdout, sys.stderr) == (None, None)
+
+
+@pytest.mark.parametrize("process", ["lfield.guard.process", "lfield.driver.sims"])
+def test_a_library_that_prints_does_not_stop_a_guard_or_fake_whose_log_nobody_reads(tmp_path, process):
+    (tmp_path / "chatty.py").write_text("print('x\\n' * 200_000)\nTHING = None\n")
+    command = [sys.executable, "-m", process, "chatty:THING"]
+    reading, writing = os.pipe()
+    with os.fdopen(reading), os.fdopen(writing, "w") as unread:
+        environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+        done = subprocess.run(
+            command, env=environment, stdin=subprocess.DEVNULL, stdout=unread, stderr=unread, timeout=PATIENCE
+        )
+    assert done.returncode == 69

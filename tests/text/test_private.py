@@ -1,0 +1,122 @@
+"""Files of this user alone: through no link, into nobody else's folder, whole, and never blocking."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import OutputFileError
+from lfield.text.private import private_folder, read_private, write_private
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "deep" / "folder" / "file"
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.lstat().st_mode)
+
+
+def refused(path: Path, words: str) -> None:
+    with pytest.raises(OutputFileError, match=words):
+        write_private(path, b"new")
+
+
+def test_what_is_written_is_read_by_this_user_alone(path):
+    before = os.umask(0)
+    try:
+        write_private(path, b"data")
+    finally:
+        os.umask(before)
+    assert (mode(path.parent), mode(path)) == (0o700, 0o600)
+    assert read_private(path, 4) == b"data"
+    assert list(path.parent.iterdir()) == [path]
+    with pytest.raises(OSError, match="too large"):
+        read_private(path, 3)
+
+
+def test_a_folder_that_is_there_stays_as_it_is(path):
+    path.parent.mkdir(parents=True)
+    path.parent.chmod(0o755)
+    write_private(path, b"data")
+    assert (mode(path.parent), mode(path)) == (0o755, 0o600)
+
+
+@pytest.mark.parametrize("others", [0o770, 0o707, 0o777, 0o1777])
+def test_a_folder_that_others_may_write_to_is_refused(path, others):
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"old")
+    path.parent.chmod(others)
+    refused(path, "others may write to the folder: run 'chmod go-w .*folder', or name another")
+    assert path.read_bytes() == b"old"
+    with pytest.raises(PermissionError):
+        read_private(path, 10)
+
+
+def test_a_folder_of_somebody_else_is_refused(path, monkeypatch):
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"old")
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    refused(path, "the folder belongs to another user")
+    with pytest.raises(PermissionError):
+        read_private(path, 10)
+    assert path.read_bytes() == b"old"
+
+
+def test_a_folder_that_is_none_is_refused(path, tmp_path):
+    path.parent.parent.mkdir()
+    path.parent.symlink_to(tmp_path)
+    refused(path, "it is a link; name the folder that is meant")
+    path.parent.unlink()
+    path.parent.write_bytes(b"")
+    refused(path, "it is not a folder")
+    path.parent.unlink()
+    os.mkfifo(path.parent)
+    refused(path, "it is not a folder")
+    with pytest.raises(OutputFileError, match="cannot write /proc/nowhere: No such file"):
+        private_folder(Path("/proc/nowhere"))
+
+
+def test_a_link_is_neither_written_through_nor_read(path, tmp_path):
+    private_folder(path.parent)
+    precious = tmp_path / "precious"
+    precious.write_bytes(b"old")
+    path.symlink_to(precious)
+    refused(path, "is no plain file; remove it")
+    with pytest.raises(OSError, match="symbolic links"):
+        read_private(path, 10)
+    assert precious.read_bytes() == b"old"
+
+
+def test_the_other_names_of_a_file_keep_what_was_there(path, tmp_path):
+    private_folder(path.parent)
+    precious = tmp_path / "precious"
+    precious.write_bytes(b"old")
+    path.hardlink_to(precious)
+    write_private(path, b"new")
+    assert (path.read_bytes(), precious.read_bytes()) == (b"new", b"old")
+
+
+def test_a_fifo_that_nobody_reads_or_writes_does_not_block(path):
+    private_folder(path.parent)
+    os.mkfifo(path)
+    refused(path, "is no plain file; remove it")
+    with pytest.raises(PermissionError):
+        read_private(path, 10)
+
+
+def test_a_file_that_cannot_be_finished_leaves_the_old_one(path, monkeypatch):
+    write_private(path, b"old")
+
+    def full(*words: object, **more: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    refused(path, "No space left on device")
+    assert list(path.parent.iterdir()) == [path]
+    assert path.read_bytes() == b"old"
