@@ -15,14 +15,15 @@ ODRIVE = "type: CanAxis, protocol: odrive, waivers: [no_homing, device_watchdog]
 
 
 def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(fake, try_kit):
-    bus = fake("can", "--device", "cia402:5", "--device", "odrive:3", "--device", f"dbc:{DBC}")
+    # An endpoint has one guard, so each has a bus of its own.
+    drive, odrive, gripper = (fake("can", "--device", d) for d in ("cia402:5", "odrive:3", f"dbc:{DBC}"))
     found = try_kit(
         "can",
-        {"drive": f'endpoint: "{bus.endpoint}", node: 5, {DRIVE}, limits: {{speed: 5.0, torque: 1.0}}'},
+        {"drive": f'endpoint: "{drive.endpoint}", node: 5, {DRIVE}, limits: {{speed: 5.0, torque: 1.0}}'},
         # Its setpoints live for longer than the host may be silent: which is over first is no chance.
-        {"odrive": f'endpoint: "{bus.endpoint}", node: 3, {ODRIVE}, ttl: 1.0, limits: {{speed: 5.0}}'},
+        {"odrive": f'endpoint: "{odrive.endpoint}", node: 3, {ODRIVE}, ttl: 1.0, limits: {{speed: 5.0}}'},
         {
-            "gripper": f'endpoint: "{bus.endpoint}", type: CanSignals, dbc: "{DBC}", '
+            "gripper": f'endpoint: "{gripper.endpoint}", type: CanSignals, dbc: "{DBC}", '
             "commands: [GripperCommand], "
             "safe: [GripperCommand.TargetWidth=0.05, GripperCommand.TargetForce=0, GripperCommand.Enable=0], "
             "confirm: [GripperStatus.Enable=0], waivers: [device_watchdog]"
@@ -39,24 +40,26 @@ def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(fake, try_kit):
 
 
 def test_an_axis_that_does_not_do_it_fails(fake, try_kit):
-    axes = [word for node in (5, 6, 7) for word in ("--device", f"cia402:{node}")]
-    bus = fake("can", *axes, "--device", "odrive:3")
-    bus.fault("stuck@5=true")
+    n5, n6, n7 = (fake("can", "--device", f"cia402:{node}") for node in (5, 6, 7))
+    n3 = fake("can", "--device", "odrive:3")
+    n5.fault("stuck@5=true")
     turning, sound = "a velocity that is not renewed ends", "it is heard, and nothing is wrong with it"
     found = try_kit(
         "can",
-        *({f"n{node}": f'endpoint: "{bus.endpoint}", node: {node}, {DRIVE}'} for node in (5, 6)),
-        {"n3": f'endpoint: "{bus.endpoint}", node: 3, {ODRIVE}'},
+        {"n5": f'endpoint: "{n5.endpoint}", node: 5, {DRIVE}'},
+        {"n6": f'endpoint: "{n6.endpoint}", node: 6, {DRIVE}'},
+        {"n3": f'endpoint: "{n3.endpoint}", node: 3, {ODRIVE}'},
         only=("enabled, it stays where it is", turning),
     )
     assert found["n5", turning].outcome == "failed"
     assert "does not turn it" in found["n5", turning].seen or "blocked" in found["n5", turning].seen
     assert found["n6", turning].outcome == "passed"
-    bus.fault("overheat@7=true", "overcurrent@3=true")
+    n7.fault("overheat@7=true")
+    n3.fault("overcurrent@3=true")
     found = try_kit(
         "can",
-        {"n7": f'endpoint: "{bus.endpoint}", node: 7, {DRIVE}'},
-        {"n3": f'endpoint: "{bus.endpoint}", node: 3, {ODRIVE}'},
+        {"n7": f'endpoint: "{n7.endpoint}", node: 7, {DRIVE}'},
+        {"n3": f'endpoint: "{n3.endpoint}", node: 3, {ODRIVE}'},
         only=(sound,),
     )
     assert "too hot" in found["n7", sound].seen

@@ -12,17 +12,17 @@ LIMITS = "limits: {speed: 5.0, altitude: 20.0, radius: 50.0}"
 
 
 def vehicles(fake, *specs):
-    options = [word for spec in specs for word in ("--vehicle", spec)]
-    return fake("mavlink", "--listen", "udp:127.0.0.1:0", *options, *FAST)
+    """A vehicle at an endpoint of its own for each: an endpoint has one guard."""
+    return [fake("mavlink", "--listen", "udp:127.0.0.1:0", "--vehicle", spec, *FAST) for spec in specs]
 
 
 def test_copters_of_both_autopilots_and_a_rover_pass(fake, try_kit):
-    link = vehicles(fake, "1:copter:ardupilot", "2:rover:ardupilot", "3:copter:px4")
+    copter, rover, px4 = vehicles(fake, "1:copter:ardupilot", "2:rover:ardupilot", "3:copter:px4")
     found = try_kit(
         "mavlink",
-        {"ardupilot": f'endpoint: "{link.endpoint}", system: 1, ttl: 1.0, {LIMITS}'},
-        {"rover": f'endpoint: "{link.endpoint}", system: 2, kind: rover, ttl: 1.5, {LIMITS}'},
-        {"px4": f'endpoint: "{link.endpoint}", system: 3, safe_state: hold'},
+        {"ardupilot": f'endpoint: "{copter.endpoint}", system: 1, ttl: 1.0, {LIMITS}'},
+        {"rover": f'endpoint: "{rover.endpoint}", system: 2, kind: rover, ttl: 1.5, {LIMITS}'},
+        {"px4": f'endpoint: "{px4.endpoint}", system: 3, safe_state: hold'},
     )
     assert failed(found) == []
     assert not_run(found) == {
@@ -38,14 +38,19 @@ def test_copters_of_both_autopilots_and_a_rover_pass(fake, try_kit):
 
 
 def test_a_vehicle_that_does_not_do_it_fails(fake, try_kit):
-    link = vehicles(fake, "1", "2", "3")
-    link.fault("refuse_arming@1=compass not calibrated", "motor_failure@2=true", "gps_loss@3=true")
+    links = vehicles(fake, "1", "2", "3")
+    faults = ("refuse_arming@1=compass not calibrated", "motor_failure@2=true", "gps_loss@3=true")
+    for link, fault in zip(links, faults, strict=True):
+        link.fault(fault)
     fence = "a fence is set, read back and cleared"
     waived = "waivers: [device_watchdog]"
     checks = ("motors on and off", "a short trip", "files", fence)
     found = try_kit(
         "mavlink",
-        *({f"v{system}": f'endpoint: "{link.endpoint}", system: {system}, {waived}'} for system in (1, 2, 3)),
+        *(
+            {f"v{system}": f'endpoint: "{link.endpoint}", system: {system}, {waived}'}
+            for system, link in enumerate(links, 1)
+        ),
         only=checks,
     )
     assert "compass not calibrated" in found["v1", "motors on and off"].seen
