@@ -9,7 +9,8 @@
 
 Numbers are big-endian. A checksum is the CRC-32 of what follows it, begun with the length of the payload
 instead of zero. That of a transfer ends before the block, which has its own, so that a header can be believed
-whose block was never read. A frame that does not fit its checksum is a WireError: the link is closed, and
+whose block was never read; the block has an Adler-32, which costs a fifth of it and finds every single flipped
+bit as well. A frame that does not fit its checksum is a WireError: the link is closed, and
 whatever was on its way is asked for again. The kinds differ by two bits at least: one bit that flips makes
 none of them another.
 
@@ -101,7 +102,7 @@ def encode(message: Message) -> bytes:
 def encode_transfer(header: Transfer, block: Buffer) -> bytes:
     """The bytes to send before a block: frame header and transfer header."""
     body = _encode(header)
-    start = _TRANSFER_START.pack(0, zlib.crc32(block), len(body))[_CHECKSUM.size :] + body
+    start = _TRANSFER_START.pack(0, zlib.adler32(block), len(body))[_CHECKSUM.size :] + body
     length = _CHECKSUM.size + len(start) + len(block)
     return b"".join((frame_header(TRANSFER, length), _CHECKSUM.pack(zlib.crc32(start, length)), start))
 
@@ -123,7 +124,7 @@ def decode_transfer(payload: Buffer) -> tuple[Transfer, memoryview]:
     block = memoryview(payload)[start:]
     if len(block) != header.size:
         raise WireError(f"a transfer of {header.agent} promised {header.size} bytes and has {len(block)}")
-    if zlib.crc32(block) != check:
+    if zlib.adler32(block) != check:
         raise WireError(f"the block of {header.agent} was damaged on the way: its checksum does not fit")
     return header, block
 
