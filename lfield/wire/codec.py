@@ -9,10 +9,10 @@
 
 Numbers are big-endian. A checksum is the CRC-32 of what follows it, begun with the length of the payload
 instead of zero. That of a transfer ends before the block, which has its own, so that a header can be believed
-whose block was never read; the block has an Adler-32, which costs a fifth of it and finds every single flipped
-bit as well. A frame that does not fit its checksum is a WireError: the link is closed, and
-whatever was on its way is asked for again. The kinds differ by two bits at least: one bit that flips makes
-none of them another.
+whose block was never read. The block has an Adler-32, which costs a fifth of it and finds every single
+flipped bit as well. A frame that does not fit its checksum is a WireError: the link is closed, and whatever
+was on its way is asked for again. The kinds differ by two bits at least: one bit that flips makes none of
+them another.
 
 HELLO's first six bytes and the whole of REFUSE stay as they are in every version to come, so that two
 hosts of different versions can tell each other what is wrong. A REFUSE needs no checksum: whatever its
