@@ -18,12 +18,13 @@ def run(work: Coroutine[Any, Any, T]) -> T:
         return runner.run(work)
 
 
-def unexpected(error: Exception) -> None:
-    """Hand what nobody expected to the loop's exception handler, from a callback of a socket or pipe.
+def unexpected(error: BaseException) -> None:
+    """Hand what nobody expected to the loop's exception handler, from a task or a callback.
 
-    The loops take an OSError that a callback raises for a connection that was lost, and say nothing.
+    The loops take an OSError that a callback of a socket raises for a connection that was lost, and say
+    nothing; what a task raises they tell when it is collected, if ever.
     """
-    context = {"message": "a callback has failed", "exception": error}
+    context = {"message": "a task or callback has failed", "exception": error}
     asyncio.get_running_loop().call_exception_handler(context)
 
 
@@ -41,9 +42,8 @@ def spawn(work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
 
 def _ended(task: asyncio.Task[None]) -> None:
     _tasks.discard(task)
-    if not task.cancelled() and task.exception() is not None:
-        context = {"message": "a task has failed", "exception": task.exception(), "task": task}
-        task.get_loop().call_exception_handler(context)
+    if not task.cancelled() and (error := task.exception()) is not None:
+        unexpected(error)
 
 
 def be_prompt() -> None:
