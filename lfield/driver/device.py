@@ -56,8 +56,8 @@ def method_name(instruction: str) -> str:
 class Device:
     """One device on a bus.
 
-    Authors override `_open`, `_make_safe`, for a device that has one `_set_watchdog`, and write the
-    `do_...` coroutines.
+    Authors override `_open`, `_make_safe`, for a device that has one `_set_watchdog`, for one that takes its
+    time to come to rest `_moving`, and write the `do_...` coroutines.
 
     A device that can do much may have `parts`: any objects, made in its constructor, whose `do_...` are
     looked up beside its own. A part takes what it needs (often the device itself, to ask and to publish),
@@ -100,6 +100,14 @@ class Device:
     async def make_safe(self) -> None:
         """Bring the device into its safe state and see that it is there. Raises DeviceError."""
         await self._make_safe(self.binding.safe_state)
+
+    def moving(self) -> str:
+        """What it still does although it is in its safe state, in a few words; '' when it is at rest.
+
+        `4.2 m up, sinking at 0.7 m/s`. Called a few times a second, from what is known: it asks nothing of
+        the device and never waits. One that somebody else has taken over is at rest as far as its guard goes.
+        """
+        return self._moving()
 
     async def check_watchdog(self) -> None:
         """Set its watchdog: nothing may be commanded unless it stops by itself when this computer is gone.
@@ -145,6 +153,10 @@ class Device:
 
     async def _make_safe(self, state: str) -> None:
         raise NotImplementedError
+
+    def _moving(self) -> str:
+        """See `moving`; a device that is still as soon as its safe state is confirmed needs none."""
+        return ""
 
     async def _set_watchdog(self, longest: float) -> float | None:
         """Set the device's own watchdog to at most `longest` seconds, or to the least it can.

@@ -12,6 +12,7 @@ agents:
         limits: {speed: 5.0}               # SI units; the driver's manifest lists them
         ttl: 0.5                           # seconds that a setpoint lasts
         safe_state: land
+        rest_within: 120                   # seconds for it to come to rest when its host stops
         waivers: [device_watchdog]         # protections that are knowingly given up
         sim: ["battery=0.5"]               # of its fake, with --sim: see `lfield sim fault`
 defaults: {heap: 1 MiB, call_depth: 500}   # limits of every agent
@@ -19,9 +20,9 @@ unreachable_after: 10                      # seconds until UnreachableResourceEx
 silence: 0.2                               # seconds without the host after which its devices go safe
 ```
 
-The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `limits`, `waivers`,
-`sim` and, for those who read it, `type`; the rest are the driver's own options. What fits no agent, device,
-driver or type is an error, all of them at once, each drawn at its place.
+The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `rest_within`,
+`limits`, `waivers`, `sim` and, for those who read it, `type`; the rest are the driver's own options. What
+fits no agent, device, driver or type is an error, all of them at once, each drawn at its place.
 """
 
 from __future__ import annotations
@@ -174,6 +175,7 @@ class BindingsReader:
             driver=name,
             endpoint=fields.text("endpoint", required=not self._simulate),
             ttl=fields.number("ttl", 0.5, minimum=0.02, maximum=60.0),
+            rest_within=fields.number("rest_within", 120.0, minimum=1.0, maximum=3600.0),
             safe_state=fields.text("safe_state", manifest.default_safe_state, choices=states),
             limits=self._device_limits(fields, manifest),
             options=self._options(fields, manifest),

@@ -62,8 +62,9 @@ def _device(device: DeviceBinding, drivers: KnownDrivers) -> Iterator[str]:
         return
     if device.safe_state not in manifest.device.safe_states:
         yield f"{device.name} has no safe state '{device.safe_state}'"
-    if not (0.0 < device.ttl <= 60.0 and _finite(device.limits.values())):
-        yield f"the ttl or a limit of {device.name} makes no sense"
+    times = 0.0 < device.ttl <= 60.0 and 1.0 <= device.rest_within <= 3600.0
+    if not (times and _finite(device.limits.values())):
+        yield f"the ttl, the rest_within or a limit of {device.name} makes no sense"
     if missing := [option.name for option in manifest.options if option.name not in device.options]:
         yield f"{device.name} lacks {', '.join(missing)}"
 

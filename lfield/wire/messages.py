@@ -206,13 +206,15 @@ class DeviceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
     """A device of a host, with its last telemetry by quantity, however old.
 
     `silent` is for how long it has not been heard, None if it never was. `latched` is why it is held in its
-    safe state, '' when it is in use.
+    safe state, '' when it is in use; `moving` is what it still does there, '' once it is at rest, and before
+    its safe state is confirmed that it is not.
     """
 
     name: Text
     telemetry: Annotated[dict[Label, Telemetry], Meta(max_length=1024)]
     silent: Age | None
     latched: Text
+    moving: Text = ""
 
 
 class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

@@ -24,6 +24,7 @@ SMALL = {
     "lfield/capability/ways.py": "names that compiler and machine share",
     "lfield/clock.py": "a word that everybody speaks",
     "lfield/driver/binding.py": "one bound device, as it travels",
+    "lfield/exits.py": "the statuses of a run",
     "lfield/host/effects.py": "what the core asks of its shell, and nothing else",
     "lfield/host/logbook.py": "the two streams of a host",
     "lfield/net/control.py": "the door of a fake, from outside",
