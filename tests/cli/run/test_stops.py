@@ -1,4 +1,4 @@
-"""Every way to stop a host whose vehicle flies: what the vehicle does, who is named, with which status it ends.
+"""Every way to stop a host that flies: what the vehicle does, who is named, with which status it ends.
 
 The vehicle is a fake of its own that outlives the host, and a second client watches it.
 """
@@ -31,7 +31,8 @@ agents:
   lead:
     devices:
       fc:
-        {{driver: mavlink, endpoint: '{endpoint}', waivers: [device_watchdog], system: 1, rest_within: {within}}}
+        {{driver: mavlink, endpoint: '{endpoint}', system: 1,
+         waivers: [device_watchdog], rest_within: {within}}}
 """
 CLIMB = ("--climb", "6", "--acceleration", "10")
 #: Three metres at this speed take some seconds.
