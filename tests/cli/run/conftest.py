@@ -1,0 +1,21 @@
+"""Flights that end with their test."""
+
+from __future__ import annotations
+
+import pytest
+from flight import Flight
+
+
+@pytest.fixture
+def flight(alone, lfield):
+    """`flight(**options)`: a copter in the air under a host of its own."""
+    made: list[Flight] = []
+
+    def begin(**options) -> Flight:
+        made.append(Flight(lfield, alone, **options))
+        return made[-1]
+
+    yield begin
+    for flown in made:
+        flown.witness.close()
+    lfield.end()
