@@ -39,7 +39,7 @@ from lfield.guard.messages import (
     encode,
 )
 from lfield.guard.rest import UNSEEN
-from lfield.loop import spawn, unexpected
+from lfield.loop import spawn, start_process, unexpected
 from lfield.manifest import DeviceValue, Instruction
 
 #: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
@@ -116,8 +116,11 @@ class Guard(asyncio.SubprocessProtocol):
         loop = asyncio.get_running_loop()
         self._opening, self._exited, self._reader = loop.create_future(), asyncio.Event(), MessageReader()
         command = (sys.executable, "-m", "lfield.guard.process", self._driver.reference)
-        # A session of its own: a Ctrl-C is for the host, which then stops its guards in order.
-        await loop.subprocess_exec(lambda: self, *command, stderr=None, start_new_session=True)
+        try:
+            await start_process(self, *command)
+        except OSError as error:
+            # Out of descriptors, processes or memory.
+            raise OpenFailed([f"the driver's process does not start: {error.strerror or error}"]) from None
         self._send(Open(list(self._devices.values()), latched, self._silence, self._driver))
         self._beat()
         try:

@@ -7,6 +7,7 @@ fails there is a bug of ours: the host stops feeding its guards and ends, its de
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import random
 import secrets
@@ -54,6 +55,8 @@ from lfield.wire.messages import (
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
 CENSUS = 1.5
+#: What a computer is out of when it refuses a socket.
+SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 
 @dataclass(slots=True)
@@ -211,6 +214,10 @@ class Host:
     def unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: what was raised beside the core, in a task or a socket's callback."""
         error = context.get("exception")
+        if isinstance(error, OSError) and error.errno in SCARCE and "socket" in context:
+            # Asyncio's own loop tells so of a caller that it has no descriptor for, and tries again.
+            self.peers.complain(f"nobody else can be let in: {error.strerror}")
+            return
         self.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
 
     def _carry_out(self, effect: Effect) -> None:

@@ -15,7 +15,7 @@ from typing import Protocol
 
 from lfield.clock import Clock
 from lfield.errors import AddressError, GreetingError, LfieldError
-from lfield.loop import spawn
+from lfield.loop import spare_descriptors, spawn
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
 from lfield.net.transport import Link, Listener, Transport
@@ -31,6 +31,8 @@ GREETED_WITHIN = 10.0
 
 #: So many links at most that have not greeted, and of observers.
 MOST_UNGREETED, MOST_OBSERVERS = 64, 64
+#: So many descriptors are kept for the callers that come before one that is shown out has gone.
+SPARE = 4
 
 #: How many different complaints are remembered, so as not to be repeated.
 MOST_COMPLAINTS = 100
@@ -160,9 +162,12 @@ class Peers:
         session = Session(self, dialled=None)
         # The transport hands out messages only when this has returned.
         session.greet(link)
-        pushed = self._ungreeted.enter(session, session.caller)
+        # The next caller may be an emergency stop.
+        last = not spare_descriptors(SPARE)
+        pushed = self._ungreeted.enter(session, session.caller, last=last)
         if pushed is not None:
-            pushed.turn_away(f"over {MOST_UNGREETED} links to this host have not greeted")
+            many = "this computer lets this host open no more links"
+            pushed.turn_away(many if last else f"over {MOST_UNGREETED} links to this host have not greeted")
         return session
 
     async def _keep_calling(self, number: int) -> None:

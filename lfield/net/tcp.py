@@ -29,6 +29,9 @@ _REASONS = {
 }
 
 
+#: How many callers are let in at once, and how many may wait. Asyncio's own loop takes one number for both:
+#: of a crowd it would take more at once than there are descriptors, before any of them can be shown out.
+AT_ONCE, WAITING = 1, 128
 #: Seconds that a peer has to take the last words of a link that is closed.
 LAST_WORDS = 5.0
 
@@ -57,10 +60,16 @@ class TcpTransport:
         try:
             if address.startswith("fd:"):
                 inherited = socket.socket(fileno=int(address[3:]))
-                server = await loop.create_server(lambda: self._new_link(on_link), sock=inherited)
+                server = await loop.create_server(
+                    lambda: self._new_link(on_link), sock=inherited, backlog=AT_ONCE
+                )
             else:
                 host, port = split_address(address)
-                server = await loop.create_server(lambda: self._new_link(on_link), host, port)
+                server = await loop.create_server(
+                    lambda: self._new_link(on_link), host, port, backlog=AT_ONCE
+                )
+            with server.sockets[0].dup() as listening:
+                listening.listen(WAITING)
         except (OSError, UnicodeError) as error:
             raise AddressError(address, refusal(error)) from None
         return TcpListener(server)
