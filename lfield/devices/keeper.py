@@ -302,6 +302,9 @@ class Guard(asyncio.SubprocessProtocol):
         if self._beating is not None:
             self._beating.cancel()
         was_ready, self._ready = self._ready, False
+        if was_ready and self._stopping and status == 0:
+            # It says the same by its status, should there have been no memory for its last words.
+            self._unsafe = {}
         self._exited.set()
         if self._opening is not None and not self._opening.done():
             self._opening.set_exception(OpenFailed([f"the driver's process ended with status {status}"]))

@@ -55,6 +55,8 @@ from lfield.wire.messages import (
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
 CENSUS = 1.5
+#: Bytes for the end of a host for which there is no more memory.
+RESERVE = 4 << 20
 #: What a computer is out of when it refuses a socket.
 SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
@@ -99,6 +101,8 @@ class Host:
         #: Set when the host has failed: `failure` says by what.
         self.failed = asyncio.Event()
         self.failure: HostFailure | None = None
+        #: Called first when it fails: whatever is wrong must not keep it from ending.
+        self.on_failure: Callable[[], None] = lambda: None
         self.address = ""
         #: What other hosts have last said of themselves, for whoever asks them.
         self.statuses: dict[str, Status] = {}
@@ -107,6 +111,8 @@ class Host:
         self._due = 0.0
         self._events: deque[Callable[[], None]] = deque()
         self._entered = self._stopped = False
+        # Of a host that has no memory left; until then it is address space only.
+        self._reserve = bytearray(RESERVE)
 
     @property
     def machine(self) -> Machine:
@@ -203,6 +209,8 @@ class Host:
         """A bug in the host itself: nothing more is done, no guard is fed, and whoever runs it ends it."""
         if self.failure is not None:
             return
+        self._reserve.clear()
+        self.on_failure()
         self.failure = HostFailure(self.name, error)
         self.failed.set()
         # The bug may be in the log itself: it must not keep the host from ending.

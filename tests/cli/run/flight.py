@@ -32,10 +32,10 @@ SLOW = ("--land", "0.5", "--descend", "0.5")
 BRISK = ("--land", "6", "--descend", "6")
 
 
-def devices(endpoints: dict[str, str], within: float) -> str:
+def devices(endpoints: dict[str, str], within: float, heap: str = "1 MiB") -> str:
     """The devices file for copters at these endpoints, by agent."""
     bound = [DEVICE.format(agent=a, endpoint=e, within=within) for a, e in endpoints.items()]
-    return "silence: 2.0\nagents:" + "".join(bound)
+    return f"silence: 2.0\ndefaults: {{heap: {heap}}}\nagents:" + "".join(bound)
 
 
 def copter(lfield, environment, land=BRISK) -> str:
@@ -62,12 +62,13 @@ class Flight:
         land=BRISK,
         within=60.0,
         stay="1000",
+        heap="1 MiB",
         options=(),
         **started,
     ):
         self._lfield, self.environment = lfield, environment
         endpoint = copter(lfield, environment, land)
-        bound = devices({"lead": endpoint}, within)
+        bound = devices({"lead": endpoint}, within, heap)
         file = lfield.mission(program, deployment.format(stay=stay), bound)
         self.words = ("--deploy", file, *lfield.maps(["alpha"]))
         started = {**started, "env": {**environment, **started.get("env", {})}}

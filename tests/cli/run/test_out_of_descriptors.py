@@ -1,4 +1,4 @@
-"""A host that may open no more files and sockets while its copter flies: what the copter does, and who gets in."""
+"""A host that may open no more files and sockets while its copter flies: what that does, and who gets in."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STRANGERS = 30
 
 @pytest.fixture(params=["uvloop", "asyncio"])
 def starved(request, flight, lfield):
-    """`starved(spare)`: a copter in the air under a host that may open so many files more; with which loop."""
+    """`starved(spare)`: a copter in the air under a host that may open so many files more."""
 
     def begin(spare: int, **options):
         if request.param == "asyncio":

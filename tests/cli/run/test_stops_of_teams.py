@@ -1,4 +1,4 @@
-"""A team that flies under `up --all`, and every way in which somebody or something ends it: what the vehicles do.
+"""A team that flies under `up --all`, and every way in which it is ended: what the vehicles do.
 
 The vehicles are fakes of their own that outlive everything, each with a second client that watches it.
 """
