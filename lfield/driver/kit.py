@@ -85,7 +85,7 @@ class Bench(Protocol):
 
     @property
     def moving(self) -> str | None:
-        """What it still does there, in its driver's words; '' when it is at rest, None when nobody has said."""
+        """What it still does there, in its driver's words; '' at rest, None when nobody has said."""
 
 
 CheckFunction = Callable[[Bench], Awaitable[str]]
