@@ -12,11 +12,13 @@ from typing import Any, cast
 
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
+from lfield.devices.lateness import BEAT, Lateness
 from lfield.devices.snapshots import Snapshots
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import KnownDriver
 from lfield.driver.values import conform
 from lfield.errors import DeviceError, WireError
+from lfield.guard.core import host_silent
 from lfield.guard.messages import (
     Allow,
     Beat,
@@ -40,8 +42,6 @@ from lfield.guard.messages import (
 from lfield.loop import spawn, unexpected
 from lfield.manifest import DeviceValue, Instruction
 
-#: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
-BEAT = 0.05
 #: So many beats without a word from the guard, and it hangs. Beats are counted, not seconds: a host that
 #: was stopped itself must not blame its guards.
 UNANSWERED = 60
@@ -55,9 +55,10 @@ Answered = Callable[[DeviceValue | DeviceError], None]
 
 
 class Guard(asyncio.SubprocessProtocol):
-    """One bus. `note` takes a line for the log; after `silence` seconds without a beat it goes safe.
+    """One bus. `note` takes a line for the log; after a silence of `lateness.limit` it goes safe.
 
-    A beat is given only when `turned` says that the host has just had its turn.
+    A beat is given only when `turned` says that the host has just had its turn. How late each one was is told
+    to `lateness`.
     """
 
     def __init__(
@@ -66,11 +67,11 @@ class Guard(asyncio.SubprocessProtocol):
         devices: Sequence[DeviceBinding],
         clock: Clock,
         note: Callable[[str], None],
-        silence: float,
+        lateness: Lateness,
         turned: Callable[[], bool],
     ) -> None:
         self._driver = driver.only({device.type for device in devices})
-        self._clock, self._note, self._silence = clock, note, silence
+        self._clock, self._note, self._lateness = clock, note, lateness
         self._turned = turned
         self._devices = {device.name: device for device in devices}
         self.snapshots = Snapshots(driver, devices, clock)
@@ -78,6 +79,8 @@ class Guard(asyncio.SubprocessProtocol):
         self._transport: asyncio.SubprocessTransport | None = None
         self._pipe: asyncio.WriteTransport | None = None
         self._beating: asyncio.TimerHandle | None = None
+        #: When the next beat is due, while devices depend on it.
+        self._due: float | None = None
         self._restarting: asyncio.Task[None] | None = None
         self._opening: asyncio.Future[dict[str, str]] | None = None
         self._exited = asyncio.Event()
@@ -104,7 +107,7 @@ class Guard(asyncio.SubprocessProtocol):
         command = (sys.executable, "-m", "lfield.guard.process", self._driver.reference)
         # A session of its own: a Ctrl-C is for the host, which then stops its guards in order.
         await loop.subprocess_exec(lambda: self, *command, stderr=None, start_new_session=True)
-        self._send(Open(list(self._devices.values()), latched, self._silence, self._driver))
+        self._send(Open(list(self._devices.values()), latched, self._lateness.limit.silence, self._driver))
         self._beat()
         try:
             async with asyncio.timeout(OPEN_BOUND):
@@ -153,8 +156,17 @@ class Guard(asyncio.SubprocessProtocol):
         if self._ready and self._unanswered > UNANSWERED:
             self._note(f"the guard of {', '.join(self._devices)} hangs")
             self.kill()
-        self._send(Beat(self._clock.monotonic()))
+        now = self._look_at_lateness()
+        self._send(Beat(now))
+        self._due = now + BEAT if self._ready else None
         self._beating = asyncio.get_running_loop().call_later(BEAT, self._beat)
+
+    def _look_at_lateness(self) -> float:
+        """The time, at which the beat that is due has not gone yet."""
+        now = self._clock.monotonic()
+        if self._due is not None and (warning := self._lateness.sample(self._due, now)):
+            self._note(warning)
+        return now
 
     async def _restart(self) -> None:
         """Start the process again until it works; its devices come back safe."""
@@ -176,6 +188,7 @@ class Guard(asyncio.SubprocessProtocol):
         """Send no beat for so long, as a host that hangs."""
         if self._beating is not None:
             self._beating.cancel()
+        self._due = None
         await asyncio.sleep(seconds)
         self._beat()
 
@@ -260,7 +273,7 @@ class Guard(asyncio.SubprocessProtocol):
         self._transport = self._pipe = None
         if self._beating is not None:
             self._beating.cancel()
-        was_ready, self._ready = self._ready, False
+        was_ready, self._ready, self._due = self._ready, False, None
         self.confirmed.clear()
         self._exited.set()
         if self._opening is not None and not self._opening.done():
@@ -291,7 +304,8 @@ class Guard(asyncio.SubprocessProtocol):
             case Refused(token, kind, reason):
                 binding, _, answered = self._calls.pop(token)
                 answered(DeviceError(binding.field, reason, kind=kind))
-            case Latched(device, reason, confirmed):
+            case Latched(device, told, confirmed):
+                reason = self._whose_fault(device, told, confirmed)
                 self.latched[device] = reason
                 (self.confirmed.add if confirmed else self.confirmed.discard)(device)
                 self.on_latch()
@@ -312,6 +326,14 @@ class Guard(asyncio.SubprocessProtocol):
                 self._opening.set_exception(OpenFailed([self._sentence(*problem) for problem in problems]))
             case Stopped(unsafe):
                 self._unsafe = unsafe
+
+    def _whose_fault(self, device: str, reason: str, confirmed: bool) -> str:
+        """A guard's reason; if it is that this host was silent, with what this computer knows of itself."""
+        if reason != host_silent(self._lateness.limit.silence):
+            return reason
+        if confirmed:
+            return self.latched.get(device, reason)
+        return f"{reason}, since {self._lateness.answers_for(self._look_at_lateness())}"
 
     def _sentence(self, device: str, _: str, reason: str) -> str:
         return f"{device or ', '.join(self._devices)}: {reason}"
