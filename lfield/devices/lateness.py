@@ -17,6 +17,8 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
+from lfield.guard.core import host_silent
+
 #: Seconds between two signs of life.
 BEAT = 0.05
 #: By what the lateness of a host counts: guards may be late too, unless the system lets them come first.
@@ -103,9 +105,9 @@ class Lateness:
         """The longest of the last minute."""
         return self.since(now - MINUTE)
 
-    def answers_for(self, now: float) -> str:
-        """Why a guard has just taken this host for dead: the vehicle has no part in it."""
-        late = self.since(now - self.limit.silence - BEHIND)
+    def answers_for(self, now: float, due: float) -> str:
+        """Why a guard has taken this host for dead whose next beat is `due`: it is never the vehicle."""
+        late = max(self.since(now - self.limit.silence - BEHIND), now - due)
         if late > self.limit.allowed:
             return f"this computer was late by {shown(late)}"
         return "this computer was late to wake its guard"
@@ -120,6 +122,29 @@ class Lateness:
             f"this computer was late by {shown(late)} (longest so far: {shown(self.longest)}): free it; "
             f"at {shown(self.limit.silence - BEAT)} guards take this host for dead and make its devices safe"
         )
+
+
+class Pulse:
+    """The beats for one guard: each is late by what it comes after the one before it and BEAT."""
+
+    def __init__(self, lateness: Lateness) -> None:
+        self._lateness = lateness
+        self._due = math.inf
+
+    def beat(self, now: float) -> str:
+        """A beat goes out; a warning for the log, or ''."""
+        due, self._due = self._due, now + BEAT
+        return self._lateness.sample(due, now)
+
+    def pause(self) -> None:
+        """None is due before the next one has come."""
+        self._due = math.inf
+
+    def explained(self, reason: str, now: float) -> str:
+        """Why a guard has made a device safe; if this host was silent, with whose fault it was."""
+        if reason != host_silent(self._lateness.limit.silence):
+            return reason
+        return f"{reason}, since {self._lateness.answers_for(now, self._due)}"
 
 
 def shown(seconds: float) -> str:

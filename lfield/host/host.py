@@ -135,16 +135,25 @@ class Host:
             await self.peers.first_round(CENSUS)
         self._enter(partial(self.core.start_coordinators, generation))
 
-    async def stop(self) -> None:
-        """Make the devices safe, then close everything. Coordinators that are here end with the host."""
+    async def stop(self) -> dict[str, str]:
+        """Make the devices safe, stay until they are at rest, then close everything.
+
+        Meanwhile no agent runs, and who asks gets an answer. Coordinators that are here end with the host.
+        Returns the devices that have not been seen at rest in their safe states, by name, each with what was
+        last known of it. `guards.hurry` cuts the waiting short.
+        """
         if self._stopped:
-            return
+            return {}
+        self.core.halt()
+        unsafe = await self.guards.close()
+        for name, why in unsafe.items():
+            self.note(f"{name}: NOT SAFE: {why}")
         self._stopped = True
         if self._timer:
             self._timer.cancel()
-        await self.guards.close()
         self.peers.close()
         self.logbook.flush()
+        return unsafe
 
     # --- one way in, one way out ----------------------------------------------------------------------
 

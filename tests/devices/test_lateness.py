@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.devices.lateness import BEAT, MINUTE, Lateness, Limit
+from lfield.devices.lateness import BEAT, MINUTE, Lateness, Limit, Pulse
 
 SILENCE = 0.2
 
@@ -152,6 +152,25 @@ def test_the_figures_are_those_of_all_samples_and_warnings_are_few(steps):
 def test_a_silence_is_the_computers_fault_and_never_the_vehicles():
     run = Run()
     run.beat(0.31)
-    assert run.lateness.answers_for(run.now) == "this computer was late by 0.31 s"
+    assert run.lateness.answers_for(run.now, run.now + BEAT) == "this computer was late by 0.31 s"
     run.beats(30.0)
-    assert run.lateness.answers_for(run.now) == "this computer was late to wake its guard"
+    assert run.lateness.answers_for(run.now, run.now + BEAT) == "this computer was late to wake its guard"
+
+
+def test_a_guard_may_tell_of_a_silence_before_the_late_beat_has_gone():
+    pulse = Pulse(Lateness(Limit(SILENCE)))
+    assert [pulse.beat(when) for when in (5.0, 5.05, 5.1)] == ["", "", ""]
+    silent = "the host was silent for over 200 ms"
+    assert pulse.explained(silent, 5.65) == f"{silent}, since this computer was late by 0.50 s"
+    assert pulse.explained("the setpoint's time-to-live of 1 s is over", 5.65).endswith("is over")
+    assert "late by 0.50 s" in pulse.beat(5.65)
+    assert pulse.explained(silent, 5.66) == f"{silent}, since this computer was late by 0.50 s"
+
+
+def test_beats_that_were_not_to_be_are_not_late():
+    pulse = Pulse(lateness := Lateness(Limit(SILENCE)))
+    pulse.beat(5.0)
+    pulse.pause()
+    assert pulse.beat(9.0) == ""
+    assert lateness.longest == 0.0
+    assert "late by 0.45 s" in pulse.beat(9.5)

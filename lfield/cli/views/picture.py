@@ -12,10 +12,9 @@ from rich.table import Table
 
 from lfield.errors import LfieldError
 from lfield.operator.ask import Answers
-from lfield.wire.messages import DeviceStatus, Known, Status, Telemetry, Told
+from lfield.text.values import telemetry_in_words
+from lfield.wire.messages import DeviceStatus, Known, Status, Told
 
-#: So many quantities of a device are shown, the first of its manifest; `lfield ps --json` has all.
-SHOWN = 8
 #: A device that has not been heard for longer (seconds) is shown as silent: its telemetry is old.
 SILENT = 3.0
 
@@ -52,29 +51,17 @@ def _devices(answers: Answers[Status]) -> Table:
         if isinstance(answer, LfieldError):
             continue
         for device in answer.devices:
-            values = device.telemetry
-            words = [f"{quantity} {_value(value)}" for quantity, value in list(values.items())[:SHOWN]]
-            words += [f"and {len(values) - SHOWN} more"] if len(values) > SHOWN else []
-            shown.add_row(host, device.name, _device_state(device), ", ".join(words))
+            words = telemetry_in_words(device.telemetry)
+            shown.add_row(host, device.name, _device_state(device), words)
     return shown
 
 
 def _device_state(device: DeviceStatus) -> str:
     if device.silent is not None and device.silent > SILENT:
         return f"silent {device.silent:.0f} s"
-    return "safe" if device.latched else "in use"
-
-
-def _value(value: Telemetry) -> str:
-    match value:
-        case bool():
-            return "yes" if value else "no"
-        case float():
-            return f"{value:.2f}"
-        case list():
-            return f"({' '.join(_value(part) for part in value)})"
-        case _:
-            return str(value)
+    if not device.latched:
+        return "in use"
+    return f"safe: {device.moving}" if device.moving else "safe, at rest"
 
 
 def _agents(answers: Answers[Status]) -> Table:
@@ -128,6 +115,7 @@ def _status(status: Status) -> dict[str, Any]:
         "latched": {device.name: device.latched for device in status.devices if device.latched},
         "late": status.late,
         "silence": status.silence,
+        "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),
     }
 

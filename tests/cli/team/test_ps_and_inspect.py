@@ -76,7 +76,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
         [known],
         [
             DeviceStatus("near.fc", {"at": [0.5, 1], "on": True}, 0.25, ""),
-            DeviceStatus("near.arm", {}, None, "lost"),
+            DeviceStatus("near.arm", {}, None, "lost", "4 m up"),
             DeviceStatus("near.eye", {"mode": "hold"}, 4.0, "lost"),
         ],
         [LinkStatus("bravo", None), LinkStatus("carol", 3.5)],
@@ -126,6 +126,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "latched": {"near.arm": "lost", "near.eye": "lost"},
             "late": None,
             "silence": None,
+            "moving": {"near.arm": "4 m up"},
             "directory": {
                 "near": {
                     "refusal": "",
@@ -145,7 +146,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
     ]
     assert rows[6:] == [
         ["alpha", "near.fc", "in", "use", "at", "(0.50", "1),", "on", "yes"],
-        ["alpha", "near.arm", "safe"],
+        ["alpha", "near.arm", "safe:", "4", "m", "up"],
         ["alpha", "near.eye", "silent", "4", "s", "mode", "hold"],
     ]
 
