@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import json
+import signal
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 
 import pytest
@@ -57,6 +59,22 @@ def test_a_busy_computer_carries_a_simulated_mission_through(lfield):
     assert status == 0, team.said
     assert "pilot: landed" in team.said
     assert "silent for over" not in team.said
+
+
+@pytest.mark.process
+def test_a_simulated_host_that_gets_no_processor_for_half_a_second_flies_on(lfield):
+    program = PROGRAM.replace("copter.land();", "sleep(3.0); copter.land();")
+    deployment = lfield.mission(program, DEPLOYMENT.replace("bravo", "alpha"), HARDWARE)
+    words = ("--host", "alpha", *lfield.maps(["alpha"]))
+    host = lfield.start("up", "--deploy", deployment, *words, "--sim", "--until-done")
+    host.wait_for("in the air")
+    for _ in range(3):
+        host.signal(signal.SIGSTOP)
+        time.sleep(0.6)
+        host.signal(signal.SIGCONT)
+        time.sleep(0.1)
+    assert host.wait() == 0, host.said
+    assert "silent for over" not in host.said
 
 
 @pytest.fixture
