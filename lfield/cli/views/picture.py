@@ -46,7 +46,8 @@ def _hosts(answers: Answers[Status]) -> Table:
 def _devices(answers: Answers[Status]) -> Table:
     shown = Table(box=None, pad_edge=False)
     for column in ("HOST", "DEVICE", "STATE", "TELEMETRY"):
-        shown.add_column(column)
+        # Of what a vehicle still does not a word is torn off: it is what one looks for.
+        shown.add_column(column, no_wrap=column == "STATE")
     for host, answer in answers.items():
         if isinstance(answer, LfieldError):
             continue
