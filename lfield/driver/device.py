@@ -37,7 +37,7 @@ class Reports(Protocol):
         """One sentence for the log of the host."""
 
     def crashed(self, reason: str | BaseException) -> None:
-        """Something in the driver has broken: every device goes safe."""
+        """Something in the driver has broken, or this was raised in it: every device goes safe."""
 
 
 class _Call(NamedTuple):

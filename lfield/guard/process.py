@@ -29,7 +29,6 @@ from lfield.guard.messages import (
     Beat,
     Call,
     Failed,
-    Latched,
     Message,
     MessageReader,
     Note,
@@ -37,7 +36,6 @@ from lfield.guard.messages import (
     Ready,
     Safe,
     Stop,
-    Stopped,
     encode,
     last_words,
 )

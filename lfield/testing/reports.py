@@ -36,4 +36,4 @@ class KeptReports:
 
     def crashed(self, reason: str | BaseException) -> None:
         """Something has broken."""
-        self.crashes.append(reason)
+        self.crashes.append(reason if isinstance(reason, str) else repr(reason))

@@ -1,8 +1,7 @@
-"""A host that may open no more files and sockets while its copter flies: what that does, and who gets in."""
+"""A host that may open no more files or start no more processes while its copter flies, and who gets in."""
 
 from __future__ import annotations
 
-import os
 import resource
 import signal
 import socket
@@ -78,7 +77,7 @@ def test_an_emergency_stop_gets_through_a_crowd_of_strangers(starved):
 def test_a_guard_that_cannot_be_started_again_is_tried_again_and_lands(starved):
     flown = starved(3)
     died = flown.guard
-    os.kill(died, signal.SIGKILL)
+    flown.kill_guard()
     flown.host.wait_for("cannot be started again yet: .* does not start: Too many open files")
     flown.host.wait_for("cannot be started again yet: .* does not start: Too many open files")
     assert flown.host.popen.poll() is None
@@ -91,7 +90,7 @@ def test_a_guard_that_cannot_be_started_again_is_tried_again_and_lands(starved):
 
 def test_a_guard_that_is_never_started_again_is_named_and_its_vehicle_lands_by_itself(starved):
     flown = starved(3, within=2.0)
-    os.kill(flown.guard, signal.SIGKILL)
+    flown.kill_guard()
     flown.host.wait_for("cannot be started again yet")
     flown.host.signal(signal.SIGTERM)
     assert flown.host.wait() == 3, flown.host.said
@@ -99,3 +98,17 @@ def test_a_guard_that_is_never_started_again_is_named_and_its_vehicle_lands_by_i
     assert line.startswith("lead.fc: NOT SAFE: its safe state was not seen")
     # The autopilot's own failsafe: its station is gone.
     flown.landed()
+
+
+def test_a_guard_for_which_there_is_no_process_left_is_tried_again_and_lands(flight, bounded):
+    flown, group = flight(), bounded("pids")
+    died = flown.guard
+    group.bound(0, flown.host.pid)
+    flown.kill_guard()
+    flown.host.wait_for("cannot be started again yet: .* does not start: ")
+    assert flown.host.popen.poll() is None
+    group.bound(1000)
+    flown.has_a_guard_again(after=died)
+    flown.landed()
+    flown.host.signal(signal.SIGTERM)
+    assert flown.host.wait() == 0, flown.host.said

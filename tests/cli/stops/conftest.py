@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from flight import Flight
+from groups import Group
 
 
 @pytest.fixture
@@ -19,3 +20,18 @@ def flight(alone, lfield):
     for flown in made:
         flown.witness.close()
     lfield.end()
+
+
+@pytest.fixture
+def bounded(lfield):
+    """`bounded(controller)`: a control group for processes of this test."""
+    made: list[Group] = []
+
+    def begin(controller: str) -> Group:
+        made.append(Group(controller))
+        return made[-1]
+
+    yield begin
+    lfield.end()
+    for group in made:
+        group.remove()

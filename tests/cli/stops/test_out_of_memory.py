@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import resource
 import signal
-import uuid
 from contextlib import suppress
 from pathlib import Path
 
@@ -84,46 +83,6 @@ class Leaking:
         self.flown.landed()
 
 
-class Group:
-    """A memory cgroup of this test's own, for processes that it has started."""
-
-    def __init__(self) -> None:
-        self._folder, self._limit = Path(), ""
-        name = f"lfield-test-{uuid.uuid4().hex[:12]}"
-        why = "there is no memory cgroup here"
-        for mount, limit in (("memory", "memory.limit_in_bytes"), ("", "memory.max")):
-            folder = Path("/sys/fs/cgroup") / mount / name
-            try:
-                folder.mkdir()
-            except OSError as error:
-                why = f"no memory cgroup may be made: {error}"
-                continue
-            self._folder, self._limit = folder, limit
-            if (folder / limit).exists():
-                return
-            self.remove()
-        pytest.skip(why)
-
-    def bound(self, limit: int, *pids: int) -> None:
-        """Put processes into it, which may take so much more memory, together."""
-        for pid in pids:
-            (self._folder / "cgroup.procs").write_text(str(pid))
-        (self._folder / self._limit).write_text(str(limit))
-
-    def remove(self) -> None:
-        """Remove it when its processes have ended."""
-        with suppress(FileNotFoundError):
-            self._folder.rmdir()
-
-
-@pytest.fixture
-def group(lfield):
-    made = Group()
-    yield made
-    lfield.end()
-    made.remove()
-
-
 def test_a_host_that_gets_no_memory_says_so_and_ends_with_70_its_copter_on_the_ground(flight, lfield):
     lfield.write("broken/sitecustomize.py", REFUSED.format(file=str(lfield.folder / "refuse")))
     flown = flight(env={"PYTHONPATH": str(lfield.folder / "broken")})
@@ -184,7 +143,8 @@ def test_agents_that_take_more_than_the_host_may_have_do_not_keep_the_copter_up(
 
 
 @pytest.mark.parametrize("victims", ["host", "guard", "host of both"])
-def test_what_the_kernel_kills_for_its_memory_lands_the_copter(flight, lfield, group, victims):
+def test_what_the_kernel_kills_for_its_memory_lands_the_copter(flight, lfield, bounded, victims):
+    group = bounded("memory")
     leaking = Leaking(flight, lfield, GUARD if victims == "guard" else HOST)
     host, guard = leaking.flown.host, leaking.flown.guard
     group.bound(24 * MIB, *{"host": [host.pid], "guard": [guard]}.get(victims, [host.pid, guard]))
