@@ -16,8 +16,6 @@ from lfield.errors import PluginError
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from lfield.driver.plugin import Plugin
-
 #: Where installed drivers announce themselves.
 GROUP = "lfield.drivers.v1"
 
@@ -100,14 +98,3 @@ def _here(driver: KnownDriver, found: Mapping[str, str]) -> KnownDriver:
     if driver.reference in found.values():
         return driver
     raise PluginError(f"driver '{driver.name}' is not installed here: install {driver.to_install}")
-
-
-def check_same(known: KnownDriver, plugin: Plugin) -> None:
-    """Raise PluginError unless the installed driver promises what the mission was built with."""
-    for file in known.files.values():
-        if plugin.manifest_digest(file.name) != file.digest:
-            raise PluginError(
-                f"the driver '{known.name}' that is installed here is not the one the mission was built with "
-                f"({file.name} differs): install {known.to_install} here, or build the mission again with "
-                "the driver that its robots have"
-            )

@@ -18,8 +18,7 @@ from typing import Any
 from lfield import loop
 from lfield.clock import Clock, SystemClock
 from lfield.driver.device import Device, Driver, check_methods
-from lfield.driver.known import check_same
-from lfield.driver.plugin import Plugin, load_plugin
+from lfield.driver.plugin import Plugin, check_same, load_plugin
 from lfield.errors import DeviceError, LfieldError, PluginError, WireError
 from lfield.guard.core import GuardCore
 from lfield.guard.effects import Cancel, Effect, Execute, Exit, Look, MakeSafe, Quiet, Tell
@@ -46,8 +45,8 @@ from lfield.text.outlet import never_waiting
 BACKLOG = 1 << 18
 #: Seconds between two answers to the host's beats.
 ANSWER = 0.5
-#: Seconds for the safe states to be commanded by a guard without memory, and the status that it ends with.
-LAST_COMMANDS, OUT_OF_MEMORY = 0.3, 71
+#: Seconds for the safe states to be commanded by a guard that has no memory left.
+LAST_COMMANDS = 0.3
 
 
 class Shell(asyncio.Protocol):
@@ -196,7 +195,7 @@ class Shell(asyncio.Protocol):
 
     def _make_room(self) -> None:
         if not self._output.is_closing():
-            os._exit(OUT_OF_MEMORY)
+            os.kill(os.getpid(), signal.SIGKILL)
 
     # -- opening --------------------------------------------------------------------------------------
 

@@ -13,9 +13,9 @@ from lfield.driver.known import (
     KnownDriver,
     KnownDrivers,
     ManifestFile,
-    check_same,
     installed_here,
 )
+from lfield.driver.plugin import check_same
 from lfield.driver.plugins import discover
 from lfield.errors import PluginError
 
