@@ -23,7 +23,7 @@ from lfield.bytecode.program import DeviceCall
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
-from lfield.errors import DeviceError, HostFailure, OutputFileError
+from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
 from lfield.host.logbook import Logbook
@@ -58,11 +58,15 @@ CENSUS = 1.5
 
 @dataclass(slots=True)
 class Options:
-    """How a host is run. `listen` is the address to listen on; times are in seconds."""
+    """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
+
+    Times are in seconds.
+    """
 
     listen: str
     dump: Path | None = None
     unreachable_after: float = 10.0
+    door: str = ""
     clock: Clock = field(default_factory=SystemClock)
     dice: random.Random = field(default_factory=random.Random)
 
@@ -123,6 +127,7 @@ class Host:
         Raises AddressError and DevicesError: then nothing has moved.
         """
         self.address = await self.peers.open(self.options.listen)
+        await self._open_door(self.options.door)
         members = self.team.on(self.core.here)
         await self.guards.open(self.mission.bindings.of([m.id for m in members]))
         self.note(f"{self.name} is up on {self.address}")
@@ -131,6 +136,14 @@ class Host:
         if any(member.kind == "coordinator" for member in members):
             await self.peers.first_round(CENSUS)
         self._enter(partial(self.core.start_coordinators, generation))
+
+    async def _open_door(self, door: str) -> None:
+        """A host that cannot be asked on this computer runs all the same."""
+        try:
+            if door:
+                await self.peers.open_door(door)
+        except AddressError as error:
+            self.note(f"ps, query and estop need --map to find this host: {error}")
 
     async def stop(self) -> None:
         """Make the devices safe, then close everything. Coordinators that are here end with the host."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import asdict
@@ -39,11 +39,15 @@ def _devices(answers: Answers[Status]) -> Table:
         if isinstance(answer, LfieldError):
             continue
         for device in answer.devices:
-            values = device.telemetry
-            words = [f"{quantity} {_value(value)}" for quantity, value in list(values.items())[:SHOWN]]
-            words += [f"and {len(values) - SHOWN} more"] if len(values) > SHOWN else []
-            shown.add_row(host, device.name, _device_state(device), ", ".join(words))
+            shown.add_row(host, device.name, _device_state(device), telemetry(device.telemetry))
     return shown
+
+
+def telemetry(values: Mapping[str, Telemetry]) -> str:
+    """The first quantities of a device, in one line."""
+    words = [f"{quantity} {_value(value)}" for quantity, value in list(values.items())[:SHOWN]]
+    words += [f"and {len(values) - SHOWN} more"] if len(values) > SHOWN else []
+    return ", ".join(words)
 
 
 def _device_state(device: DeviceStatus) -> str:
@@ -92,11 +96,15 @@ def _size(count: int) -> str:
 
 def as_json(answers: Answers[Status]) -> str:
     """What every host says of itself, or why it says nothing."""
-    whole = {
+    return json.dumps(as_data(answers), indent=2)
+
+
+def as_data(answers: Answers[Status]) -> dict[str, Any]:
+    """The same as data that JSON can hold."""
+    return {
         host: {"error": str(answer)} if isinstance(answer, LfieldError) else _status(answer)
         for host, answer in answers.items()
     }
-    return json.dumps(whole, indent=2)
 
 
 def _status(status: Status) -> dict[str, Any]:
