@@ -1,4 +1,4 @@
-"""The mission that a command is about: a bundle, or a deployment with its files beside it; or all that run."""
+"""The mission that a command is about: a bundle, or a deployment with its files; or all that run here."""
 
 from __future__ import annotations
 

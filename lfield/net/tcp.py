@@ -40,7 +40,7 @@ LAST_WORDS = 5.0
 
 
 class TcpTransport:
-    """Hosts reached over TCP or a Unix socket ("unix:PATH"), inside a running asyncio loop (uvloop's will do).
+    """Hosts reached over TCP or a Unix socket ("unix:PATH"), inside a running loop (uvloop's will do).
 
     `max_block` is the largest block to take and `max_pending` the most bytes to hold for a peer that does
     not read (by default room for four such blocks); a link over it is closed. `connect_timeout` is in

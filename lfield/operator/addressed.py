@@ -1,4 +1,4 @@
-"""Whom a command is about: of the runs on this computer, or of a mission, each host once, and where it is asked.
+"""Whom a command is about: each host once, of the runs on this computer or of a mission, and its address.
 
 A host is asked at the socket of the run that runs it here, else where that run knows it. `--map` comes before
 both. A mission that nobody runs here is asked at the addresses of its deployment.
@@ -20,7 +20,7 @@ from lfield.text.suggest import listed
 
 
 class Place(NamedTuple):
-    """A host by its name, and the run that it is asked for; `run` is '' for a mission that nobody runs here."""
+    """A host by its name, and its run; that is '' for a mission that nobody runs here."""
 
     run: str
     host: str
@@ -28,7 +28,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Party:
-    """Hosts that belong together, each with the address where it is asked, and the runs here that they are of."""
+    """Hosts that belong together, each with the address where it is asked, and their runs here."""
 
     runs: tuple[Run, ...]
     addresses: Mapping[str, str]
@@ -67,14 +67,17 @@ def open_team(mission: Path) -> Team:
 
 
 def parties_of_team(team: Team, runs: Sequence[Run], maps: Sequence[str]) -> list[Party]:
-    """The runs of a team among these, or itself where it says. `maps` are `NAME=ADDR:PORT`; raises UsageError."""
+    """The runs of a team among these, else the team where it says; `maps` are `NAME=ADDR:PORT`.
+
+    Raises UsageError.
+    """
     mapped = parse_maps(maps, team)
     own = [run for run in runs if run.note.deployment == team.deployment.hex()]
     return parties_of(own, mapped) if own else [Party((), team.at(mapped).reached)]
 
 
 def parties_of(runs: Sequence[Run], mapped: Mapping[str, str] | None = None) -> list[Party]:
-    """The teams of these runs. A host that is `mapped`, or that no run here runs, is in the first that knows it."""
+    """The teams of these runs. A host that is `mapped`, or that none of them runs, is in the first only."""
     mapped = mapped or {}
     # What a run runs itself is asked there, also for another run that reaches it at its address.
     taken = {

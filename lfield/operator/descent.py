@@ -1,4 +1,4 @@
-"""What becomes of every device after an emergency stop: answers in, lines and a verdict out. No clock of its own.
+"""What becomes of every device after an emergency stop: answers in, lines and a verdict out.
 
 A device is well when its host has confirmed its safe state and it has been seen there, heard lately and at
 rest. Until then it is looked for: `over` says when that has come to an end, well or not.
@@ -42,7 +42,7 @@ class Device:
         """Its host has told how it is."""
         self.telemetry = found.telemetry
         if found.silent is not None and found.silent > SILENT:
-            self.words = f"not heard for {found.silent:.0f} s"
+            self.words = "not heard any more"
             return
         self.rested = bool(found.latched) and not found.moving
         self.words = self.last = _doing(found)
@@ -75,7 +75,7 @@ def _doing(found: DeviceStatus) -> str:
 
 
 class Descent:
-    """All devices of the hosts that have answered a stop. They have `within` seconds from `now` to come to rest."""
+    """The devices of the hosts that a stop has reached: within so many seconds from now they come to rest."""
 
     def __init__(self, within: float, now: float) -> None:
         self._began, self._within, self._now = now, within, now

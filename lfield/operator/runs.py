@@ -100,7 +100,7 @@ class Doors:
 
 
 def begun(mission: Mission, file: Path, here: Iterable[str]) -> Note:
-    """What a new run tells of itself that this process begins, of a mission from that file; it runs hosts `here`."""
+    """What a run tells of itself that this process begins: the hosts `here` of a mission from a file."""
     return Note(
         mission=str(file.absolute()),
         deployment=mission.team.deployment.hex(),
@@ -266,10 +266,9 @@ def _base() -> tuple[Path, bool]:
 def _bases() -> Iterator[tuple[Path, Collection[int]]]:
     """Where runs can be, with the users who are believed there."""
     service = _service() or SERVICE
-    with suppress(OSError):
-        # Only the service manager can have made it where only root may: then whoever has it is the service.
-        with private_opened(service.parent, (0, os.geteuid())):
-            yield service, {0, service.lstat().st_uid}
+    # Where only root may write, the service manager has made it: whoever it belongs to is the service.
+    with suppress(OSError), private_opened(service.parent, (0, os.geteuid())):
+        yield service, {0, service.lstat().st_uid}
     yield from ((base, {os.geteuid()}) for base in _own() if base != service)
 
 

@@ -3,8 +3,8 @@
 The folder is held open while it is looked at and used: whoever swaps it in between swaps nothing. What is no
 plain file (a fifo, a device, a link) is neither written nor read, so nothing here can block on one.
 
-A group may be let read, by `mode`; write it may nowhere. What another user has written is believed only of the
-`owners` that the caller names.
+A group may be let read, by `mode`; it may write nowhere. What another user has written is believed only of
+the `owners` that the caller names.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def private_folder(path: Path) -> Path:
 
 
 def new_private_folder(path: Path, mode: int = 0o700) -> int:
-    """Make a folder that is not there yet, in one that is made if there is none; the descriptor it is open by.
+    """Make a folder that is not there yet, and return the descriptor that it is open by.
 
-    Raises OutputFileError.
+    The one above it is made if there is none. Raises OutputFileError.
     """
     with _made(path.parent) as parent:
         try:
@@ -66,10 +66,11 @@ def private_opened(path: Path, owners: Collection[int] = ()) -> Iterator[int]:
     """
     folder = os.open(path, _FOLDER)
     try:
-        _check(path, os.fstat(folder), owners or (os.geteuid(),))
+        try:
+            _check(path, os.fstat(folder), owners or (os.geteuid(),))
+        except OutputFileError as error:
+            raise PermissionError(errno.EPERM, error.reason, str(path)) from None
         yield folder
-    except OutputFileError as error:
-        raise PermissionError(errno.EPERM, error.reason, str(path)) from None
     finally:
         os.close(folder)
 
@@ -77,7 +78,7 @@ def private_opened(path: Path, owners: Collection[int] = ()) -> Iterator[int]:
 def read_private(path: Path, most: int, owners: Collection[int] = ()) -> bytes:
     """What `write_private` has written; raises OSError.
 
-    Also when anybody but `owners` could have written it, as for `private_opened`, or it is larger than `most`.
+    Also when anybody but `owners` could have written it (see `private_opened`), or it is larger than `most`.
     """
     with private_opened(path.parent, owners) as folder:
         descriptor = os.open(path.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)

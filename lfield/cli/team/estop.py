@@ -1,4 +1,4 @@
-"""`lfield estop`: every device of running missions into its safe state, who did not confirm, and their way down."""
+"""`lfield estop`: every device into its safe state, who did not confirm that, and the way down of all."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     parties = meant_parties(args, meant_runs(args))
     names = names_of(parties)
     if named_mission(args) is None:
-        _tell_whom(parties)
+        _tell_whom(parties, "lifting" if args.lift else "stopping")
     reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
     try:
         answers = ask_parties(parties, emergency_stop(reason, lift=args.lift))
@@ -57,11 +57,11 @@ def run(args: argparse.Namespace) -> int:
     return exits.worst((status, _way_down(parties, answers, names)))
 
 
-def _tell_whom(parties: Sequence[Party]) -> None:
+def _tell_whom(parties: Sequence[Party], doing: str) -> None:
     from lfield.operator.runs import unseen
 
     for party in parties:
-        print(f"stopping {party.id}: {', '.join(party.addresses)}")
+        print(f"{doing} {party.id}: {', '.join(party.addresses)}")
     if unseen():
         _tell(f"lfield: {unseen()}")
 

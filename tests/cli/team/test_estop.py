@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 
 pytestmark = pytest.mark.process
@@ -62,7 +64,7 @@ def team(alone, lfield):
 
 
 def test_every_device_is_safe_and_is_not_released_before_the_stop_is_lifted(lfield, team):
-    pressed = lfield("estop", *team.words, "--reason", "a child on the field")
+    pressed = lfield("estop", *team.words, "--no-wait", "--reason", "a child on the field")
     assert lfield.status(pressed) == 0, pressed.said
     assert sorted(pressed.out) == ["alpha: lead.fc: safe", "bravo: wing.fc: safe"]
     for host in team.hosts.values():
@@ -79,16 +81,16 @@ def test_every_device_is_safe_and_is_not_released_before_the_stop_is_lifted(lfie
 def test_who_does_not_confirm_and_who_is_not_reached_is_named(lfield, team, alone):
     silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
     assert lfield.status(silenced) == 0, silenced.said
-    pressed = lfield("estop", *team.words)
-    assert lfield.status(pressed) == 69, pressed.said
+    pressed = lfield("estop", *team.words, "--no-wait")
+    assert lfield.status(pressed) == 3, pressed.said
     assert pressed.out == ["alpha: lead.fc: safe"]
     assert pressed.err == [
         "bravo: wing.fc: NOT CONFIRMED: its safe state was not confirmed in 5 s",
     ]
     team.hosts["bravo"].popen.kill()
     team.hosts["bravo"].popen.wait()
-    again = lfield("estop", *team.words)
-    assert lfield.status(again) == 69, again.said
+    again = lfield("estop", *team.words, "--no-wait")
+    assert lfield.status(again) == 3, again.said
     assert again.out == ["alpha: lead.fc: safe"]
     (line,) = again.err
     assert line.startswith("bravo: NOT REACHED, its devices have not confirmed: ")
@@ -100,3 +102,35 @@ def test_a_mission_that_does_not_run_is_not_reached(lfield):
     assert lfield.status(pressed) == 69
     assert len(pressed.err) == 2
     assert all("NOT REACHED" in line for line in pressed.err)
+
+
+def lines_of(process, device: str) -> list[str]:
+    return [line.partition(f"{device}: ")[2] for line in process.out if device in line]
+
+
+def test_the_way_down_is_shown_until_all_are_at_rest_and_what_does_not_come_down_is_named(lfield, own):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim", env=own)
+    for host in ("alpha", "bravo"):
+        team.wait_for(rf"{host} +\| flies")
+    first, second = (lfield.start("estop", env=own) for _ in range(2))
+    for pressed in (first, second):
+        assert pressed.wait() == 0, pressed.said
+        assert pressed.out[0].startswith("stopping mission-")
+        for device in ("lead.fc", "wing.fc"):
+            assert lines_of(pressed, device)[0] == "safe"
+            assert lines_of(pressed, device)[-1] == "at rest"
+    silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=own)
+    assert lfield.status(silenced) == 0, silenced.said
+    looking = lfield.start("estop", env=own)
+    looking.wait_for("wing.fc: not heard any more")
+    looking.signal(signal.SIGINT)
+    assert looking.wait() == 3, looking.said
+    assert looking.err[0] == "bravo: wing.fc: NOT CONFIRMED: its safe state was not confirmed in 5 s"
+    assert looking.err[1] == "no longer looking: the stop goes on; 'lfield ps' shows how the devices are"
+    assert looking.err[2].startswith("bravo: wing.fc: NOT CONFIRMED: ")
+    looking = lfield.start("estop", env=own)
+    looking.wait_for("wing.fc: not heard any more")
+    team.signal(signal.SIGTERM)
+    assert looking.wait() == 3, looking.said
+    assert "wing.fc: its host has ended" in "\n".join(looking.out)
