@@ -31,18 +31,19 @@ class Device:
     place: Place
     name: str
     problem: str
-    words: str = "not looked at yet"
+    words: str = ""
     last: str = ""
     rested: bool = False
     gone: bool = False
     telemetry: dict[str, Telemetry] | None = None
     told: tuple[str, float] | None = None
 
-    def look(self, found: DeviceStatus) -> None:
-        """Its host has told how it is."""
+    def look(self, found: DeviceStatus, since: float) -> None:
+        """Its host has told how it is. What was heard before the stop, `since` seconds ago, is no news."""
         self.telemetry = found.telemetry
-        if found.silent is not None and found.silent > SILENT:
-            self.words = "not heard any more"
+        if found.silent is not None and found.silent >= min(since, SILENT):
+            if found.silent >= SILENT:
+                self.words = "not heard any more"
             return
         self.rested = bool(found.latched) and not found.moving
         self.words = self.last = _doing(found)
@@ -110,10 +111,10 @@ class Descent:
             return
         for found in answer.devices:
             if found.name in own:
-                own[found.name].look(found)
+                own[found.name].look(found, self._now - self._began)
 
-    def looked(self, now: float) -> None:
-        """All hosts have told, at this time."""
+    def at(self, now: float) -> None:
+        """What follows was asked at this time."""
         self._now = now
 
     def news(self) -> list[Device]:
@@ -131,7 +132,7 @@ class Descent:
 
 def _is_news(device: Device, now: float) -> bool:
     if device.told is None:
-        return True
+        return bool(device.words)
     words, when = device.told
     # What it came to is told at once.
     return device.words != words and (now - when >= TOLD_EVERY or device.rested or device.gone)

@@ -27,8 +27,8 @@ def descent(problem: str = "") -> Descent:
 
 def look(made: Descent, at: float, answer, place=ALPHA) -> list[str]:
     """One look; the lines it gives."""
+    made.at(at)
     made.told(place, answer)
-    made.looked(at)
     return [device.words for device in made.news()]
 
 
@@ -38,7 +38,7 @@ def wrong(made: Descent) -> list[str]:
 
 def test_a_device_is_looked_at_until_it_is_at_rest():
     made = descent()
-    assert look(made, 100.0, status("descends, 5 m")) == ["descends, 5 m"]
+    assert look(made, 100.5, status("descends, 5 m")) == ["descends, 5 m"]
     assert not made.over
     assert look(made, 102.0, status()) == ["at rest"]
     assert made.over
@@ -47,9 +47,9 @@ def test_a_device_is_looked_at_until_it_is_at_rest():
 
 def test_words_are_told_when_they_change_and_once_in_a_second():
     made = descent()
-    assert look(made, 100.0, status("5 m")) == ["5 m"]
-    assert look(made, 100.5, status("4 m")) == []
-    assert look(made, 101.0, status("3 m")) == ["3 m"]
+    assert look(made, 100.5, status("5 m")) == ["5 m"]
+    assert look(made, 101.0, status("4 m")) == []
+    assert look(made, 101.5, status("3 m")) == ["3 m"]
     assert look(made, 102.5, status("3 m")) == []
     assert look(made, 103.0, status("2 m")) == ["2 m"]
     assert look(made, 103.5, status()) == ["at rest"]
@@ -81,6 +81,16 @@ def test_what_a_silent_device_was_heard_doing_is_not_what_it_does(moving):
     assert not made.over
     look(made, 110.0, status(moving, silent=9.0))
     assert wrong(made) == ["NOT AT REST after 10 s: not heard any more; last seen: descends"]
+
+
+def test_what_was_heard_before_the_stop_is_no_news_of_it():
+    made = descent()
+    assert look(made, 100.0, status(silent=0.1)) == []
+    assert look(made, 100.5, status(silent=0.5)) == []
+    assert not made.over
+    assert look(made, 101.0, status(silent=0.2)) == ["at rest"]
+    never_told = descent()
+    assert look(never_told, 100.0, status(silent=None)) == ["at rest"]
 
 
 def test_a_device_in_use_is_not_at_rest():
@@ -132,7 +142,7 @@ def test_a_host_that_does_not_answer_is_asked_again():
 def test_a_device_that_its_host_says_nothing_of():
     made = descent()
     look(made, 110.0, status(name="other"))
-    assert wrong(made) == ["NOT AT REST after 10 s: not looked at yet; last seen: never"]
+    assert wrong(made) == ["NOT AT REST after 10 s; last seen: never"]
 
 
 def test_hosts_without_devices_are_not_waited_for():

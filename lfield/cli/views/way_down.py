@@ -39,9 +39,9 @@ async def _look(
     transport = observer()
     while not descent.over:
         asked = {place: addresses[place] for place in addresses if place in descent.places}
+        descent.at(clock.monotonic())
         for place, answer in (await ask_all(transport, asked, STATUS)).items():
             descent.told(place, answer)
-        descent.looked(clock.monotonic())
         if live:
             live.update(_table(descent, names), refresh=True)
         else:
