@@ -54,6 +54,8 @@ from lfield.wire.messages import (
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
 CENSUS = 1.5
+#: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
+LOOKING, LAST_LOOK = 3.0, 1.5
 
 
 @dataclass(slots=True)
@@ -107,7 +109,9 @@ class Host:
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
         self._due = 0.0
         self._events: deque[Callable[[], None]] = deque()
-        self._entered = self._stopped = False
+        self._entered = self._stopped = self._pressed = False
+        #: When somebody last asked how the devices are.
+        self._looked = -LOOKING
 
     @property
     def machine(self) -> Machine:
@@ -145,16 +149,31 @@ class Host:
         except AddressError as error:
             self.note(f"ps, query and estop need --map to find this host: {error}")
 
-    async def stop(self) -> None:
-        """Make the devices safe, then close everything. Coordinators that are here end with the host."""
+    async def stop(self) -> dict[str, str]:
+        """Make the devices safe, stay until they are at rest, then close everything.
+
+        Meanwhile no agent runs, and who asks gets an answer. Coordinators that are here end with the host.
+        Returns the devices that have not been seen at rest in their safe states, by name, each with what was
+        last known of it. `guards.hurry` cuts the waiting short.
+        """
         if self._stopped:
-            return
+            return {}
+        self.core.halt()
+        unsafe = await self.guards.close()
+        for name, why in unsafe.items():
+            self.note(f"{name}: NOT SAFE: {why}")
+        await self._be_seen()
         self._stopped = True
         if self._timer:
             self._timer.cancel()
-        await self.guards.close()
         self.peers.close()
         self.logbook.flush()
+        return unsafe
+
+    async def _be_seen(self) -> None:
+        """After an emergency stop somebody may be looking at the devices: let them see how that has ended."""
+        if self._pressed and self.clock.monotonic() - self._looked < LOOKING:
+            await asyncio.sleep(LAST_LOOK)
 
     # --- one way in, one way out ----------------------------------------------------------------------
 
@@ -289,6 +308,7 @@ class Host:
     def received(self, host: str, message: Control, link: Link) -> None:
         """A message came; `host` is '' when an observer sent it."""
         if isinstance(message, StatusRequest):
+            self._looked = self.clock.monotonic()
             link.send(self.status())
         elif isinstance(message, Status):
             self.statuses[host] = message
@@ -299,6 +319,7 @@ class Host:
             self._enter(partial(self.core.received, host, message))
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
+        self._pressed = not message.lift
         if message.lift:
             self.note("the emergency stop is lifted; programs may release their devices")
             devices = self.guards.lift_stop()

@@ -84,13 +84,14 @@ def _busiest(states: list[int]) -> str:
 
 
 def _devices(guards: Guards, now: float) -> list[DeviceStatus]:
-    heard, latched = guards.heard, guards.latched
+    heard, latched, moving = guards.heard, guards.latched, guards.moving
     return [
         DeviceStatus(
             clip(name),
             _telemetry(values),
             _since(now - heard[name]) if name in heard else None,
             clip(latched.get(name, "")),
+            clip(moving.get(name, "")),
         )
         for name, values in guards.telemetry.items()
     ]

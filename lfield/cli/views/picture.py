@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from msgspec.structs import asdict
@@ -12,12 +12,9 @@ from rich.table import Table
 
 from lfield.errors import LfieldError
 from lfield.operator.ask import Answers
-from lfield.wire.messages import DeviceStatus, Known, Status, Telemetry, Told
-
-#: So many quantities of a device are shown, the first of its manifest; `lfield ps --json` has all.
-SHOWN = 8
-#: A device that has not been heard for longer (seconds) is shown as silent: its telemetry is old.
-SILENT = 3.0
+from lfield.operator.descent import SILENT
+from lfield.text.values import telemetry_in_words
+from lfield.wire.messages import DeviceStatus, Known, Status, Told
 
 
 def show(answers: Answers[Status]) -> None:
@@ -39,33 +36,17 @@ def _devices(answers: Answers[Status]) -> Table:
         if isinstance(answer, LfieldError):
             continue
         for device in answer.devices:
-            shown.add_row(host, device.name, _device_state(device), telemetry(device.telemetry))
+            words = telemetry_in_words(device.telemetry)
+            shown.add_row(host, device.name, _device_state(device), words)
     return shown
-
-
-def telemetry(values: Mapping[str, Telemetry]) -> str:
-    """The first quantities of a device, in one line."""
-    words = [f"{quantity} {_value(value)}" for quantity, value in list(values.items())[:SHOWN]]
-    words += [f"and {len(values) - SHOWN} more"] if len(values) > SHOWN else []
-    return ", ".join(words)
 
 
 def _device_state(device: DeviceStatus) -> str:
     if device.silent is not None and device.silent > SILENT:
         return f"silent {device.silent:.0f} s"
-    return "safe" if device.latched else "in use"
-
-
-def _value(value: Telemetry) -> str:
-    match value:
-        case bool():
-            return "yes" if value else "no"
-        case float():
-            return f"{value:.2f}"
-        case list():
-            return f"({' '.join(_value(part) for part in value)})"
-        case _:
-            return str(value)
+    if not device.latched:
+        return "in use"
+    return f"safe: {device.moving}" if device.moving else "safe, at rest"
 
 
 def _agents(answers: Answers[Status]) -> Table:
@@ -121,6 +102,7 @@ def _status(status: Status) -> dict[str, Any]:
         "devices": {device.name: device.telemetry for device in status.devices},
         "silences": {device.name: device.silent for device in status.devices if device.silent is not None},
         "latched": {device.name: device.latched for device in status.devices if device.latched},
+        "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),
     }
 

@@ -10,12 +10,12 @@ from contextlib import AbstractContextManager, nullcontext
 from rich.live import Live
 from rich.table import Table
 
-from lfield.cli.views.picture import telemetry
 from lfield.cli.views.trees import plain_console
 from lfield.clock import Clock, SystemClock
 from lfield.operator.addressed import Place
 from lfield.operator.ask import STATUS, ask_all, observer
 from lfield.operator.descent import Descent
+from lfield.text.values import telemetry_in_words
 
 #: Seconds between two looks.
 INTERVAL = 0.5
@@ -60,5 +60,6 @@ def _table(descent: Descent, names: Mapping[Place, str]) -> Table:
     for column in ("HOST", "DEVICE", "NOW", "TELEMETRY"):
         table.add_column(column)
     for device in descent.devices:
-        table.add_row(names[device.place], device.name, device.words, telemetry(device.telemetry or {}))
+        values = telemetry_in_words(device.telemetry or {})
+        table.add_row(names[device.place], device.name, device.words, values)
     return table

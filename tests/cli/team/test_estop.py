@@ -134,3 +134,35 @@ def test_the_way_down_is_shown_until_all_are_at_rest_and_what_does_not_come_down
     looking = lfield("estop", env=own)
     assert lfield.status(looking) == 3, looking.said
     assert re.search("bravo: wing.fc: NOT .*; last seen: ", looking.err[-1])
+
+
+def test_a_host_that_ends_by_the_stop_is_seen_at_rest_first(lfield, own):
+    """Its program dies of the stop, and it ends as soon as its vehicle is down."""
+    program = """
+    resource Copter {
+        Mavlink fc;
+        init(string[] arg) { }
+        portal fly() { fc.arm(); fc.takeoff(2.0); write("flies\\n"); while (true) { sleep(0.2); fc.hold(); } }
+    }
+    coordinator Pilot { init(string[] arg) { findCopter("lead").fly(); } }
+    """
+    devices = "silence: 2.0\nagents: {lead: {devices: {fc: {" + COPTER + "}}}}\n"
+    deployment = lfield.mission(program, "//Copter:lead@alpha\n//Pilot:one@alpha\n", devices)
+    run = lfield.start(
+        "up",
+        "--deploy",
+        deployment,
+        "--host",
+        "alpha",
+        "--sim",
+        "--until-done",
+        *lfield.maps(["alpha"]),
+        env=own,
+    )
+    run.wait_for("flies")
+    pressed = lfield("estop", env=own)
+    assert lfield.status(pressed) == 0, pressed.said
+    words = lines_of(pressed, "lead.fc")
+    assert (words[0], words[-1]) == ("safe", "at rest")
+    assert len(words) > 2
+    assert run.wait() == 1

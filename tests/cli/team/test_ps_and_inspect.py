@@ -75,7 +75,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
         [known],
         [
             DeviceStatus("near.fc", {"at": [0.5, 1], "on": True}, 0.25, ""),
-            DeviceStatus("near.arm", {}, None, "lost"),
+            DeviceStatus("near.arm", {}, None, "lost", "4 m up"),
             DeviceStatus("near.eye", {"mode": "hold"}, 4.0, "lost"),
         ],
         [LinkStatus("bravo", None), LinkStatus("carol", 3.5)],
@@ -123,6 +123,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             },
             "silences": {"near.fc": 0.25, "near.eye": 4.0},
             "latched": {"near.arm": "lost", "near.eye": "lost"},
+            "moving": {"near.arm": "4 m up"},
             "directory": {
                 "near": {
                     "refusal": "",
@@ -142,7 +143,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
     ]
     assert rows[6:] == [
         ["alpha", "near.fc", "in", "use", "at", "(0.50", "1),", "on", "yes"],
-        ["alpha", "near.arm", "safe"],
+        ["alpha", "near.arm", "safe:", "4", "m", "up"],
         ["alpha", "near.eye", "silent", "4", "s", "mode", "hold"],
     ]
 
