@@ -31,7 +31,8 @@ def picture(answers: Answers[Status]) -> Group:
 def _devices(answers: Answers[Status]) -> Table:
     shown = Table(box=None, pad_edge=False)
     for column in ("HOST", "DEVICE", "STATE", "TELEMETRY"):
-        shown.add_column(column)
+        # How it stands with a vehicle is read at a glance; its telemetry takes the lines it needs.
+        shown.add_column(column, no_wrap=column == "STATE")
     for host, answer in answers.items():
         if isinstance(answer, LfieldError):
             continue

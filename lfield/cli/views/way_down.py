@@ -58,7 +58,7 @@ def _lines(descent: Descent, names: Mapping[Place, str]) -> None:
 def _table(descent: Descent, names: Mapping[Place, str]) -> Table:
     table = Table(box=None, pad_edge=False)
     for column in ("HOST", "DEVICE", "NOW", "TELEMETRY"):
-        table.add_column(column)
+        table.add_column(column, no_wrap=column == "NOW")
     for device in descent.devices:
         values = telemetry_in_words(device.telemetry or {})
         table.add_row(names[device.place], device.name, device.words, values)
