@@ -45,6 +45,8 @@ class Guards:
         self._drivers, self._clock, self._note, self._silence = drivers, clock, note, silence
         self._turned = turned
         self._guards: list[Guard] = []
+        #: One for each emergency stop that is under way: several may be pressed at a time.
+        self._stopping: list[asyncio.Event] = []
         self._fakes: list[Fake] = []
         self._by_device: dict[str, tuple[Guard, DeviceManifest]] = {}
 
@@ -148,19 +150,25 @@ class Guards:
     async def emergency_stop(self, reason: str) -> dict[str, str]:
         """Every device into its safe state: '' for each that confirmed within STOPS_WITHIN, else why not."""
         changed = asyncio.Event()
+        self._stopping.append(changed)
         for guard in self._guards:
-            guard.on_latch = changed.set
+            guard.on_latch = self._latched
             guard.bar(reason)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(STOPS_WITHIN):
                 while any(not guard.confirmed.issuperset(guard.names) for guard in self._guards):
                     changed.clear()
                     await changed.wait()
+        self._stopping.remove(changed)
         return {
             name: "" if name in guard.confirmed else f"its safe state was not confirmed in {STOPS_WITHIN:g} s"
             for guard in self._guards
             for name in guard.names
         }
+
+    def _latched(self) -> None:
+        for changed in self._stopping:
+            changed.set()
 
     def lift_stop(self) -> dict[str, str]:
         """The program may release its devices again; the same table, all ''."""
