@@ -54,7 +54,7 @@ def meant_runs(args: argparse.Namespace) -> list[Run]:
         raise UsageError("--map is for the hosts of a mission: name the mission too")
     if not runs:
         hidden = unseen()
-        raise NothingRuns(f"no mission runs here{f' that this user may see; {hidden}' if hidden else ''}")
+        raise NothingRuns(f"no mission runs here{f'; {hidden}' if hidden else ''}")
     return runs
 
 

@@ -185,7 +185,7 @@ def unseen() -> str:
     service = _service() or SERVICE
     if not service.exists() or os.access(service, os.R_OK | os.X_OK):
         return ""
-    return f"this user may not see what runs in {service}: use sudo, or join the group of that folder"
+    return f"what runs in {service} this user may not see: use sudo, or join the group of that folder"
 
 
 def _runs_in(base: Path, owners: Collection[int]) -> Iterator[Run]:

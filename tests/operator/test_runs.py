@@ -257,7 +257,7 @@ def test_a_command_finds_the_runs_of_the_service_and_its_own(service, monkeypatc
 def test_a_service_that_this_user_may_not_look_at_is_told(service, monkeypatch):
     assert unseen() == ""
     monkeypatch.setattr(os, "access", lambda path, how: False)
-    assert unseen().startswith(f"this user may not see what runs in {service}: use sudo")
+    assert unseen().startswith(f"what runs in {service} this user may not see: use sudo")
     service.rmdir()
     assert unseen() == ""
 
