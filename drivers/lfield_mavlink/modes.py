@@ -223,9 +223,7 @@ _ALL = (
     _of_ardupilot("rover", _ROVERS, _ROVER_MODES, "HOLD", "HOLD", "RTL", retreats=_RETURNS, flies=False),
     # A plane cannot land without a runway: it returns and circles.
     _of_ardupilot("plane", _PLANES, _PLANE_MODES, "LOITER", "RTL", "RTL", retreats=_PLANE_RETREATS),
-    _of_ardupilot(
-        "submarine", _SUBMARINES, _SUBMARINE_MODES, "POSHOLD", "SURFACE", "SURFACE", flies=False
-    ),
+    _of_ardupilot("submarine", _SUBMARINES, _SUBMARINE_MODES, "POSHOLD", "SURFACE", "SURFACE", flies=False),
     _of_px4("copter", _COPTERS, "AUTO.LAND", flies=True),
     _of_px4("rover", _ROVERS, "AUTO.LOITER", flies=False),
     _of_px4("plane", _PLANES, "AUTO.LAND", flies=True),

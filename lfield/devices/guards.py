@@ -9,10 +9,12 @@ from typing import Any
 
 import msgspec
 
+from lfield import loop
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
 from lfield.devices.fakes import Fake, start_fake
 from lfield.devices.keeper import Answered, Guard, OpenFailed
+from lfield.devices.lateness import Lateness, Limit
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers
 from lfield.driver.sims import sims_of
@@ -42,7 +44,9 @@ class Guards:
         silence: float = SILENCE,
         turned: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._drivers, self._clock, self._note, self._silence = drivers, clock, note, silence
+        self._drivers, self._clock, self._note = drivers, clock, note
+        #: How late the beats for the guards are.
+        self.lateness = Lateness(Limit(silence, loop.may_be_prompt()))
         self._turned = turned
         self._guards: list[Guard] = []
         #: One for each emergency stop that is under way: several may be pressed at a time.
@@ -69,7 +73,7 @@ class Guards:
             return
         for bus in _by_bus(placed).values():
             driver = self._drivers.by_driver[bus[0].driver]
-            guard = Guard(driver, bus, self._clock, self._note, self._silence, self._turned)
+            guard = Guard(driver, bus, self._clock, self._note, self.lateness, self._turned)
             self._guards.append(guard)
             self._by_device.update(
                 {device.name: (guard, driver.manifests[device.type].device) for device in bus}

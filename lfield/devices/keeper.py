@@ -12,6 +12,7 @@ from typing import Any, cast
 
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
+from lfield.devices.lateness import BEAT, Lateness, Pulse
 from lfield.devices.snapshots import Snapshots
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import KnownDriver
@@ -42,8 +43,6 @@ from lfield.guard.rest import UNSEEN
 from lfield.loop import spawn, unexpected
 from lfield.manifest import DeviceValue, Instruction
 
-#: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
-BEAT = 0.05
 #: So many beats without a word from the guard, and it hangs. Beats are counted, not seconds: a host that
 #: was stopped itself must not blame its guards.
 UNANSWERED = 60
@@ -64,9 +63,10 @@ Answered = Callable[[DeviceValue | DeviceError], None]
 
 
 class Guard(asyncio.SubprocessProtocol):
-    """One bus. `note` takes a line for the log; after `silence` seconds without a beat it goes safe.
+    """One bus. `note` takes a line for the log; after a silence of `lateness.limit` it goes safe.
 
-    A beat is given only when `turned` says that the host has just had its turn.
+    A beat is given only when `turned` says that the host has just had its turn. How late each one was is told
+    to `lateness`.
     """
 
     def __init__(
@@ -75,11 +75,12 @@ class Guard(asyncio.SubprocessProtocol):
         devices: Sequence[DeviceBinding],
         clock: Clock,
         note: Callable[[str], None],
-        silence: float,
+        lateness: Lateness,
         turned: Callable[[], bool],
     ) -> None:
         self._driver = driver.only({device.type for device in devices})
-        self._clock, self._note, self._silence = clock, note, silence
+        self._clock, self._note = clock, note
+        self._silence, self._pulse = lateness.limit.silence, Pulse(lateness)
         self._turned = turned
         self._devices = {device.name: device for device in devices}
         self.snapshots = Snapshots(driver, devices, clock)
@@ -119,6 +120,7 @@ class Guard(asyncio.SubprocessProtocol):
         # A session of its own: a Ctrl-C is for the host, which then stops its guards in order.
         await loop.subprocess_exec(lambda: self, *command, stderr=None, start_new_session=True)
         self._send(Open(list(self._devices.values()), latched, self._silence, self._driver))
+        self._pulse.pause()
         self._beat()
         try:
             async with asyncio.timeout(OPEN_BOUND):
@@ -191,7 +193,10 @@ class Guard(asyncio.SubprocessProtocol):
         if self._ready and self._unanswered > UNANSWERED:
             self._note(f"the guard of {', '.join(self._devices)} hangs")
             self.kill()
-        self._send(Beat(self._clock.monotonic()))
+        now = self._clock.monotonic()
+        if self._ready and (warning := self._pulse.beat(now)):
+            self._note(warning)
+        self._send(Beat(now))
         self._beating = asyncio.get_running_loop().call_later(BEAT, self._beat)
 
     async def _restart(self) -> None:
@@ -216,6 +221,7 @@ class Guard(asyncio.SubprocessProtocol):
         """Send no beat for so long, as a host that hangs."""
         if self._beating is not None:
             self._beating.cancel()
+        self._pulse.pause()
         await asyncio.sleep(seconds)
         self._beat()
 
@@ -335,7 +341,9 @@ class Guard(asyncio.SubprocessProtocol):
             case Refused(token, kind, reason):
                 binding, _, answered = self._calls.pop(token)
                 answered(DeviceError(binding.field, reason, kind=kind))
-            case Latched(device, reason, confirmed):
+            case Latched(device, told, confirmed):
+                fault = self._pulse.explained(told, self._clock.monotonic())
+                reason = self.latched.get(device, told) if confirmed else fault
                 self.latched[device] = reason
                 (self.confirmed.add if confirmed else self.confirmed.discard)(device)
                 self.moving[device] = UNSEEN

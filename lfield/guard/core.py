@@ -45,6 +45,11 @@ QUIET_BY = 2.0
 Way = Literal["ask", "act", "setpoint"]
 
 
+def host_silent(silence: float) -> str:
+    """Why a device goes safe whose host has been silent for so many seconds."""
+    return f"the host was silent for over {silence * 1000:.0f} ms"
+
+
 def way(instruction: Instruction) -> Way:
     """How the guard treats an instruction: asking moves nothing; a setpoint acts on after it returned."""
     if instruction.only_asks or instruction.name == RELEASE.name:
@@ -227,7 +232,7 @@ class GuardCore:
         silent = now >= self._silent_at
         for device in self._devices.values():
             if silent and device.moved:
-                effects += self._latch(device, f"the host was silent for over {self._silence * 1000:.0f} ms")
+                effects += self._latch(device, host_silent(self._silence))
             until = self._expiry(device)
             if until is not None and now >= until:
                 effects += self._latch(device, f"the setpoint's time-to-live of {device.ttl:g} s is over")

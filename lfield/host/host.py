@@ -23,6 +23,7 @@ from lfield.bytecode.program import DeviceCall
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
+from lfield.devices.measuring import insist
 from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
@@ -133,7 +134,9 @@ class Host:
         self.address = await self.peers.open(self.options.listen)
         await self._open_door(self.options.door)
         members = self.team.on(self.core.here)
-        await self.guards.open(self.mission.bindings.of([m.id for m in members]))
+        devices = self.mission.bindings.of([m.id for m in members])
+        await insist(self.guards.lateness.limit, devices, self.clock)
+        await self.guards.open(devices)
         self.note(f"{self.name} is up on {self.address}")
         generation = int(self.clock.time() * 1e9)
         self._enter(partial(self.core.start_resources, generation))

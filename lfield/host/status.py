@@ -41,6 +41,7 @@ _LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
 def status_of(core: HostCore, peers: Peers, guards: Guards, address: str, up: float, clock: Clock) -> Status:
     """The status of a host that has been `up` for so many seconds, to the millisecond."""
     now = clock.monotonic()
+    lateness = guards.lateness if guards.telemetry else None
     return Status(
         host=core.name,
         address=address,
@@ -55,6 +56,8 @@ def status_of(core: HostCore, peers: Peers, guards: Guards, address: str, up: fl
             *(LinkStatus(host, _since(now - since)) for host, since in peers.away.items()),
         ],
         directory=core.directory.told(),
+        late=_since(lateness.last_minute(now)) if lateness else None,
+        silence=lateness.limit.silence if lateness else None,
     )
 
 

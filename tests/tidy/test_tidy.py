@@ -23,6 +23,7 @@ SMALL = {
     "lfield/capability/matching/matcher.py": "the face of matching",
     "lfield/capability/ways.py": "names that compiler and machine share",
     "lfield/clock.py": "a word that everybody speaks",
+    "lfield/devices/measuring.py": "what is done for lateness to decide",
     "lfield/driver/binding.py": "one bound device, as it travels",
     "lfield/exits.py": "the statuses of a run",
     "lfield/guard/effects.py": "what the core of a guard asks of its shell",

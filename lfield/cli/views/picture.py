@@ -23,9 +23,22 @@ def show(answers: Answers[Status]) -> None:
 
 
 def picture(answers: Answers[Status]) -> Group:
-    """The agents of all hosts with the coordinators that have ended or are in doubt, then the devices."""
-    devices = _devices(answers)
-    return Group(_agents(answers), "", devices) if devices.row_count else Group(_agents(answers))
+    """The agents of all hosts with the coordinators that have ended or are in doubt, then the devices.
+
+    Last are the hosts that have devices, with how late each was and how long it may be silent.
+    """
+    further = (table for table in (_devices(answers), _hosts(answers)) if table.row_count)
+    return Group(_agents(answers), *(part for table in further for part in ("", table)))
+
+
+def _hosts(answers: Answers[Status]) -> Table:
+    shown = Table(box=None, pad_edge=False)
+    for column in ("HOST", "LATE", "SILENCE"):
+        shown.add_column(column, justify="left" if column == "HOST" else "right")
+    for host, answer in answers.items():
+        if not isinstance(answer, LfieldError) and answer.late is not None and answer.silence is not None:
+            shown.add_row(host, f"{answer.late:.3f} s", f"{answer.silence:g} s")
+    return shown
 
 
 def _devices(answers: Answers[Status]) -> Table:
@@ -103,6 +116,8 @@ def _status(status: Status) -> dict[str, Any]:
         "devices": {device.name: device.telemetry for device in status.devices},
         "silences": {device.name: device.silent for device in status.devices if device.silent is not None},
         "latched": {device.name: device.latched for device in status.devices if device.latched},
+        "late": status.late,
+        "silence": status.silence,
         "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),
     }

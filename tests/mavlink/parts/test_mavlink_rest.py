@@ -328,9 +328,7 @@ def test_an_order_that_px4_refuses_while_it_lands_leaves_the_landing_ours(bench,
         landing = asyncio.create_task(fc.execute("land", []))
         await asyncio.sleep(2.0)
         landing.cancel()
-        monkeypatch.setattr(
-            type(b.autopilot), "reposition", lambda *_, **__: Result.TEMPORARILY_REJECTED
-        )
+        monkeypatch.setattr(type(b.autopilot), "reposition", lambda *_, **__: Result.TEMPORARILY_REJECTED)
         b.driver.devices["a1.fc"].motion.stream.start = lambda message, until: None
         with pytest.raises(DeviceError):
             await fc.execute(*order)
