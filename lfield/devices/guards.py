@@ -219,6 +219,7 @@ class Guards:
 
     async def _close(self, guard: Guard) -> dict[str, str]:
         unsafe = await guard.close()
+        guard.moving.update({name: "" for name in guard.names if name not in unsafe})
         return {name: f"{why}; {guard.snapshots.in_words(name)}" for name, why in unsafe.items()}
 
     def hurry(self) -> None:

@@ -153,9 +153,7 @@ class Guard(asyncio.SubprocessProtocol):
         except TimeoutError:
             self._give_up()
             await self._exited.wait()
-        unsafe = self._found_unsafe() if self.identities else {}
-        self.moving.update(dict.fromkeys(self._devices.keys() - unsafe.keys(), ""))
-        return unsafe
+        return self._found_unsafe() if self.identities else {}
 
     def hurry(self) -> None:
         """Wait for the devices no longer; who is not at rest will be named."""
