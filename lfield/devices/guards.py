@@ -164,11 +164,7 @@ class Guards:
                     changed.clear()
                     await changed.wait()
         self._stopping.remove(changed)
-        return {
-            name: "" if name in guard.confirmed else f"its safe state was not confirmed in {STOPS_WITHIN:g} s"
-            for guard in self._guards
-            for name in guard.names
-        }
+        return {name: _unconfirmed(guard, name) for guard in self._guards for name in guard.names}
 
     def _latched(self) -> None:
         for changed in self._stopping:
@@ -226,6 +222,15 @@ class Guards:
         """Wait for no device any longer; `close` then ends, and tells who is not at rest."""
         for guard in self._guards:
             guard.hurry()
+
+
+def _unconfirmed(guard: Guard, name: str) -> str:
+    """Why an emergency stop does not know a device safe; '' when it does."""
+    if name not in guard.confirmed:
+        return f"its safe state was not confirmed in {STOPS_WITHIN:g} s"
+    if guard.snapshots.lost_since(name) is not None:
+        return f"it was in its safe state before, and is not heard any more; {guard.snapshots.in_words(name)}"
+    return ""
 
 
 def _shared_ports(devices: Sequence[DeviceBinding]) -> list[str]:

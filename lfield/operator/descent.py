@@ -56,10 +56,11 @@ class Device:
 
     def verdict(self, seconds: float) -> str:
         """What is wrong with it after so many seconds, '' when all is well."""
+        if self.rested:
+            # However late: it has been seen.
+            return ""
         if self.problem:
             wrong = f"NOT CONFIRMED: {self.problem}"
-        elif self.rested:
-            return ""
         elif self.gone:
             wrong = "NOT SEEN AT REST: its host has ended before"
         else:

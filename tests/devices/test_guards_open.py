@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -89,7 +90,10 @@ class LateGuard:
 
     names = ("arm.wrist",)
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, seconds: float, *, lost: float | None = None) -> None:
+        self.snapshots = SimpleNamespace(
+            lost_since=lambda name: lost, in_words=lambda name: "last heard 9.0 s ago"
+        )
         self.confirmed: set[str] = set()
         self.on_latch = lambda: None
         self._seconds = seconds
@@ -113,3 +117,14 @@ def test_a_second_stop_does_not_take_the_answer_of_the_first(plugins):
         return loop.time() - began
 
     assert run_jumping(story()) == pytest.approx(2.0)
+
+
+def test_who_was_safe_before_and_is_not_heard_any_more_is_not_called_safe(plugins):
+    async def story() -> dict[str, str]:
+        guards = Guards(plugins, ManualClock(), print)
+        guards._guards = [LateGuard(0.1, lost=3.0)]
+        return await guards.emergency_stop("first")
+
+    assert run_jumping(story()) == {
+        "arm.wrist": "it was in its safe state before, and is not heard any more; last heard 9.0 s ago"
+    }

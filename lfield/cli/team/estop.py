@@ -49,12 +49,13 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         _tell("interrupted: not every host has answered; press it again")
         return exits.UNSAFE
-    status = _confirmed(answers, names, "may be released" if args.lift else "safe")
+    confirmed = _confirmed(answers, names, "may be released" if args.lift else "safe")
+    everybody = _reached(answers, names)
     if not (parties[0].runs or any(reached(answer) for answer in answers.values())):
         return AddressError.exit_status
     if args.lift or args.no_wait:
-        return status
-    return exits.worst((status, _way_down(parties, answers, names)))
+        return exits.DONE if confirmed and everybody else exits.UNSAFE
+    return exits.worst((exits.DONE if everybody else exits.UNSAFE, _way_down(parties, answers, names)))
 
 
 def _tell_whom(parties: Sequence[Party], doing: str) -> None:
@@ -66,10 +67,17 @@ def _tell_whom(parties: Sequence[Party], doing: str) -> None:
         _tell(f"lfield: {unseen()}")
 
 
-def _confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> int:
-    """A line for each device of the hosts that answered, on stderr what is wrong; the status it comes to."""
+def _reached(answers: Stopped, names: Mapping[Place, str]) -> bool:
+    """Whether every host has answered; a line on stderr for each that has not."""
     from lfield.operator.ask import silent, tell_silent
 
+    unreached = silent({names[place]: answer for place, answer in answers.items()})
+    tell_silent(unreached, "NOT REACHED, its devices have not confirmed: ")
+    return not unreached
+
+
+def _confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> bool:
+    """A line for each device of the hosts that answered, on stderr what is wrong; whether all is well."""
     well = True
     for place, answer in answers.items():
         if isinstance(answer, Exception):
@@ -80,9 +88,7 @@ def _confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> int:
             well = well and not problem
             said = f"{names[place]}: {device}: {f'NOT CONFIRMED: {problem}' if problem else word}"
             print(said, file=sys.stderr if problem else sys.stdout, flush=True)
-    unreached = silent({names[place]: answer for place, answer in answers.items()})
-    tell_silent(unreached, "NOT REACHED, its devices have not confirmed: ")
-    return exits.DONE if well and not unreached else exits.UNSAFE
+    return well
 
 
 def _way_down(parties: Sequence[Party], answers: Stopped, names: Mapping[Place, str]) -> int:
