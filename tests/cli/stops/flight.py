@@ -29,6 +29,7 @@ DEVICE = """
 CLIMB = ("--climb", "6", "--acceleration", "10")
 #: Three metres at this speed take some seconds.
 SLOW = ("--land", "0.5", "--descend", "0.5")
+SLOWEST = ("--land", "0.25", "--descend", "0.25")
 BRISK = ("--land", "6", "--descend", "6")
 
 
