@@ -10,7 +10,6 @@ import importlib
 import os
 import signal
 import sys
-import tempfile
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import LfieldError, PluginError
 from lfield.text.outlet import never_waiting
-from lfield.text.private import private_folder
+from lfield.text.private import private_folder, temporary_folder
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -106,7 +105,7 @@ def control_folder() -> Path:
 
     Raises OutputFileError when others could put theirs there.
     """
-    base = os.environ.get("XDG_RUNTIME_DIR") or f"{tempfile.gettempdir()}/lfield-{os.getuid()}"
+    base = os.environ.get("XDG_RUNTIME_DIR") or f"{temporary_folder()}/lfield-{os.getuid()}"
     return private_folder(Path(base) / "lfield-sims")
 
 

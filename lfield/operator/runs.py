@@ -17,7 +17,6 @@ import os
 import pwd
 import re
 import secrets
-import tempfile
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -31,7 +30,13 @@ from msgspec import Meta
 from lfield.errors import OutputFileError
 from lfield.mission.mission import Mission
 from lfield.net.tcp import UNIX
-from lfield.text.private import new_private_folder, private_opened, read_private, write_private
+from lfield.text.private import (
+    new_private_folder,
+    private_opened,
+    read_private,
+    temporary_folder,
+    write_private,
+)
 from lfield.wire.messages import Label, Name
 
 #: Where the unit of deploy/ has its runs.
@@ -280,7 +285,7 @@ def _service() -> Path | None:
 
 def _own() -> list[Path]:
     """The folders of this user for this, the best first."""
-    temporary = Path(tempfile.gettempdir()) / f"lfield-{os.geteuid()}"
+    temporary = temporary_folder() / f"lfield-{os.geteuid()}"
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     with suppress(OSError):
         # After `su` it may still be another user's.

@@ -13,6 +13,7 @@ import errno
 import os
 import secrets
 import stat
+import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,6 +22,14 @@ from lfield.errors import OutputFileError
 
 #: What others must not be allowed in such a folder: to write.
 _WRITABLE = stat.S_IWGRP | stat.S_IWOTH
+
+
+def temporary_folder() -> Path:
+    """The folder for what is temporary, also when its disk is full: `tempfile` looks by writing there."""
+    try:
+        return Path(tempfile.gettempdir())
+    except OSError:
+        return Path(os.environ.get("TMPDIR") or "/tmp")
 
 
 def private_folder(path: Path) -> Path:

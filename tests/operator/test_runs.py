@@ -35,7 +35,7 @@ def folder(tmp_path, monkeypatch):
     """Where this user's runs are."""
     for name in ("temporary", "run"):
         (tmp_path / name).mkdir(mode=0o700)
-    monkeypatch.setattr(runs.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    monkeypatch.setattr(runs, "temporary_folder", lambda: tmp_path / "temporary")
     monkeypatch.setattr(runs, "SERVICE", tmp_path / "run" / "lfield")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
