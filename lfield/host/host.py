@@ -25,8 +25,9 @@ from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
 from lfield.errors import DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
-from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
+from lfield.host.effects import Call, Complain, Died, Effect, KeepStart, Say, Write
 from lfield.host.logbook import Logbook
+from lfield.host.record import Record
 from lfield.host.status import status_of
 from lfield.loop import spawn
 from lfield.manifest import DeviceValue, Observation
@@ -58,13 +59,19 @@ CENSUS = 1.5
 
 @dataclass(slots=True)
 class Options:
-    """How a host is run. `listen` is the address to listen on; times are in seconds."""
+    """How a host is run. `listen` is the address to listen on; times are in seconds.
+
+    `record` has the host's earlier starts, None where none are kept: all hosts are then heard first.
+    `first_start`: somebody says that there were none.
+    """
 
     listen: str
     dump: Path | None = None
     unreachable_after: float = 10.0
     clock: Clock = field(default_factory=SystemClock)
     dice: random.Random = field(default_factory=random.Random)
+    record: Record | None = None
+    first_start: bool = False
 
 
 class Host:
@@ -126,11 +133,12 @@ class Host:
         members = self.team.on(self.core.here)
         await self.guards.open(self.mission.bindings.of([m.id for m in members]))
         self.note(f"{self.name} is up on {self.address}")
-        generation = int(self.clock.time() * 1e9)
-        self._enter(partial(self.core.start_resources, generation))
-        if any(member.kind == "coordinator" for member in members):
-            await self.peers.first_round(CENSUS)
-        self._enter(partial(self.core.start_coordinators, generation))
+        self._enter(self.core.start_resources)
+        if not any(member.kind == "coordinator" for member in members):
+            return
+        record = self.options.record.read() if self.options.record else None
+        await self.peers.first_round(CENSUS)
+        self._enter(partial(self.core.start_coordinators, record, first=self.options.first_start))
 
     async def stop(self) -> None:
         """Make the devices safe, then close everything. Coordinators that are here end with the host."""
@@ -218,6 +226,8 @@ class Host:
                 self.peers.complain(effect.text)
             case Call():
                 self._call(effect)
+            case KeepStart():
+                self._keep(effect.generation)
             case Died():
                 if self.options.dump:
                     self._dump(effect.agent, self.options.dump)
@@ -233,6 +243,20 @@ class Host:
             self.guards.call(asked.agent.id, call.field, call.instruction, asked.values, answered)
         except DeviceError as error:
             answered(error)
+
+    def _keep(self, generation: int) -> None:
+        if self.options.record is None:
+            self._enter(partial(self.core.kept, generation))
+        else:
+            spawn(self._write(self.options.record, generation))
+
+    async def _write(self, record: Record, generation: int) -> None:
+        try:
+            await record.write(generation)
+        except OutputFileError as error:
+            self._enter(partial(self.core.not_kept, str(error)))
+        else:
+            self._enter(partial(self.core.kept, generation))
 
     def _dump(self, agent: Agent, folder: Path) -> None:
         data = dump.encode(
@@ -279,11 +303,21 @@ class Host:
             link.send(self.status())
         elif isinstance(message, Status):
             self.statuses[host] = message
+            if host:
+                self._enter(partial(self.core.told, host, message.coordinators))
             self.changed.set()
         elif isinstance(message, EmergencyStop) and not host:
             spawn(self._emergency_stop(message, link))
         elif host:
             self._enter(partial(self.core.received, host, message))
+
+    def reaped(self, host: str) -> None:
+        """Whoever started the hosts says that one has ended for good."""
+        self._enter(partial(self.core.reaped, host))
+
+    def pass_on(self) -> None:
+        """This host is about to go: it tells all others of the endings that it knows."""
+        self._enter(self.core.pass_on)
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
         if message.lift:

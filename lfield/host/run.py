@@ -9,11 +9,15 @@ import sys
 from pathlib import Path
 from typing import NoReturn
 
+from lfield import exits
 from lfield.errors import UsageError
 from lfield.host.host import Host, Options
+from lfield.host.leash import Leash
 from lfield.host.logbook import Logbook
+from lfield.host.record import Record
 from lfield.host.until_done import until_done
 from lfield.mission.mission import Mission
+from lfield.mobility.fates import Fate
 from lfield.net.local import is_loopback
 from lfield.net.tcp import TcpTransport
 
@@ -28,8 +32,12 @@ async def run_host(
     lost_after: float | None = None,
     trust_network: bool = False,
     leash: bool = False,
+    record: Record | None = None,
+    first_start: bool = False,
 ) -> int:
     """Run a host; returns the exit status. `lost_after` None runs until it is stopped.
+
+    `record` has its earlier starts; without one it starts its coordinators when it has heard all hosts.
 
     Raises AddressError and DevicesError when it cannot start.
     """
@@ -37,12 +45,12 @@ async def run_host(
     if not (listen or trust_network):
         await stay_here(name, address)
     bound = unreachable_after or mission.bindings.unreachable_after
-    host_options = Options(address, dump, bound)
+    host_options = Options(address, dump, bound, record=record, first_start=first_start)
     logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
     stopping = _stop_signals()
     if leash:
-        _end_with_parent(stopping)
+        Leash(sys.stdin.fileno(), host.reaped, stopping.set)
     asyncio.get_running_loop().set_exception_handler(host.unhandled)
     life = asyncio.ensure_future(_live(host, lost_after))
     stopped = asyncio.ensure_future(stopping.wait())
@@ -77,11 +85,20 @@ async def _live(host: Host, lost_after: float | None) -> int:
     gc.freeze()
     if lost_after is None:
         await _for_ever()
-    fates = await until_done(host, lost_after)
-    for fate in fates:
-        if fate.outcome == "lost":
+    return exits.worst(_told(host, fate) for fate in await until_done(host, lost_after))
+
+
+def _told(host: Host, fate: Fate) -> int:
+    """The status that a fate ends this host with; what others could not say, its log does."""
+    match fate.outcome:
+        case "done":
+            return exits.DONE
+        case "unheard":
+            host.note(f"{fate.agent} is not heard of: {fate.detail}")
+            return exits.UNHEARD
+        case "lost":
             host.note(f"{fate.agent} is lost: {fate.detail}")
-    return 0 if all(fate.outcome == "done" for fate in fates) else 1
+    return exits.FAILED
 
 
 async def _for_ever() -> NoReturn:
@@ -95,15 +112,3 @@ def _stop_signals() -> asyncio.Event:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, stopping.set)
     return stopping
-
-
-def _end_with_parent(stopping: asyncio.Event) -> None:
-    """Stop in order when stdin closes: whoever holds its other end has gone."""
-    loop = asyncio.get_running_loop()
-    descriptor = sys.stdin.fileno()
-
-    def gone() -> None:
-        loop.remove_reader(descriptor)
-        stopping.set()
-
-    loop.add_reader(descriptor, gone)

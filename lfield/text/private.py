@@ -26,15 +26,17 @@ def private_folder(path: Path) -> Path:
         return path
 
 
-def write_private(path: Path, data: bytes) -> None:
+def write_private(path: Path, data: bytes, *, durable: bool = False) -> None:
     """Write a whole file, which only this user may read, or leave what was there. Raises OutputFileError.
 
-    The folder is made if there is none.
+    The folder is made if there is none. `durable`: it is on the disk when this returns.
     """
     with _opened(path.parent) as folder:
         try:
             _refuse_strange(path, folder)
-            _replace(path.name, data, folder)
+            _replace(path.name, data, folder, durable=durable)
+            if durable:
+                os.fsync(folder)
         except OSError as error:
             raise OutputFileError(str(path), error.strerror or str(error)) from None
 
@@ -105,13 +107,16 @@ def _refuse_strange(path: Path, folder: int) -> None:
             raise OutputFileError(str(path), "it is there and is no plain file; remove it")
 
 
-def _replace(name: str, data: bytes, folder: int) -> None:
+def _replace(name: str, data: bytes, folder: int, *, durable: bool) -> None:
     temporary = f".{secrets.token_hex(8)}"
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
     descriptor = os.open(temporary, flags, 0o600, dir_fd=folder)
     try:
         with open(descriptor, "wb") as file:
             file.write(data)
+            if durable:
+                file.flush()
+                os.fsync(descriptor)
         os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
     except OSError:
         os.unlink(temporary, dir_fd=folder)

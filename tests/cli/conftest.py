@@ -33,6 +33,8 @@ class Process:
 
     def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
         environment = {**os.environ, MARK: mark, **options.pop("env", {})}
+        # The starts of hosts that a test starts by hand are on record in its own folder.
+        environment.setdefault("XDG_STATE_HOME", str(options.get("cwd", tempfile.gettempdir())))
         # Where a test run is unbuffered, the commands are not: Python then loses what a pipe does not take.
         environment.pop("PYTHONUNBUFFERED", None)
         self.mark = mark

@@ -3,7 +3,8 @@
 All run one bundle; none of them compiles anything.
 
 Each child inherits its listening socket, so no port is taken by somebody else in between, and holds the
-other end of a pipe to this process: when it closes, the child stops in order, its devices made safe.
+other end of a pipe to this process: when it closes, the child stops in order, its devices made safe. A line on
+it tells of another child that was reaped.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import sys
 from asyncio.subprocess import PIPE, Process
 from typing import TYPE_CHECKING, TextIO
 
+from lfield import exits
+from lfield.host import leash
 from lfield.host.run import stay_here
 from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
@@ -27,7 +30,7 @@ if TYPE_CHECKING:
     from lfield.cli.views.live import LiveView
     from lfield.mission.mission import Mission
 
-#: A host that is gone does not come back under --all: it is given up sooner than in the field.
+#: A host that is silent under --all hangs: it is waited for for less long than in the field.
 LOST_AFTER = 3.0
 #: Where a host listens that no --map names: on a free port.
 FREE = "127.0.0.1:0"
@@ -85,7 +88,7 @@ class _Team:
         await asyncio.gather(*readers)
         if self.view:
             await self.view.stop()
-        return 130 if self.stopping.is_set() else self.refused or max(statuses)
+        return 130 if self.stopping.is_set() else self.refused or exits.worst(statuses)
 
     async def start(self, host: str) -> list[asyncio.Task[None]]:
         """Start the process of a host; returns the tasks that pass its lines on."""
@@ -147,14 +150,22 @@ class _Team:
     async def wait(self, host: str) -> int:
         """The exit status of a host, 1 when a signal ended it. One that cannot start stops the others."""
         status = await self.children[host].wait()
+        if status:
+            self.tell(host)
         if status < 0:
             name = signal.Signals(-status).name
             self.show(host, f"ended by {name}", sys.stderr)
             return 1
-        if status not in (0, 1) and not self.stopping.is_set():
+        if status not in (exits.DONE, exits.FAILED, exits.UNHEARD) and not self.stopping.is_set():
             self.refused = self.refused or status
             self.release()
         return status
+
+    def tell(self, reaped: str) -> None:
+        """The other hosts hear of one that has ended before its mission: that is proof, silence is none."""
+        for host, child in self.children.items():
+            if host != reaped and child.returncode is None and child.stdin and not child.stdin.is_closing():
+                child.stdin.write(leash.news(reaped))
 
     async def watch(self) -> None:
         """Stop everything in order when told to, and by force when that takes too long."""
