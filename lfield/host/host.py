@@ -111,6 +111,8 @@ class Host:
         self._due = 0.0
         self._events: deque[Callable[[], None]] = deque()
         self._entered = self._stopped = False
+        #: What puts a start on record.
+        self._writing: asyncio.Task[None] | None = None
 
     @property
     def machine(self) -> Machine:
@@ -139,6 +141,8 @@ class Host:
         record = self.options.record.read() if self.options.record else None
         await self.peers.first_round(CENSUS)
         self._enter(partial(self.core.start_coordinators, record, first=self.options.first_start))
+        if self._writing is not None:
+            await asyncio.wait([self._writing])
 
     async def stop(self) -> None:
         """Make the devices safe, then close everything. Coordinators that are here end with the host."""
@@ -248,7 +252,7 @@ class Host:
         if self.options.record is None:
             self._enter(partial(self.core.kept, generation))
         else:
-            spawn(self._write(self.options.record, generation))
+            self._writing = spawn(self._write(self.options.record, generation))
 
     async def _write(self, record: Record, generation: int) -> None:
         try:

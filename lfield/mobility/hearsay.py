@@ -14,9 +14,9 @@ from lfield.mobility.fates import Absent
 from lfield.wire.messages import Heard, SignOfLife
 
 #: Seconds between two tellings.
-TELL_EVERY = 0.5
+TELL_EVERY = 1.0
 #: A shorter silence than this says nothing: a sign of life may be as long on its way round.
-LEAST = 2.0
+LEAST = 3.0
 #: How many lives of a host are told apart; an older one's count is news again, once.
 MOST_LIVES = 64
 
