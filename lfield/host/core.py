@@ -31,8 +31,6 @@ from lfield.vm.world import PENDING, Pending
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Control, Ended, EndedAck, Heard, Hello, Known, Outcome, Report, Transfer
 
-_ALIVE = ("RUN", "FROZEN", "PREPARED")
-
 
 class Nearby(Neighbours, Protocol):
     """What a host can tell at once, without asking anybody: its telemetry, and how its links are."""
@@ -85,11 +83,9 @@ class HostCore:
         #: When mobility may have something to give up. A new deadline is later than those before, so one that
         #: is set stays until it has come.
         self._due: float | None = None
-        self._hellos: dict[str, Hello] = {}
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic())
         own = [member.id for member in self.team.on(self.here) if member.kind == "coordinator"]
         self._starts = Starts(own, [host for host in self.team.hosts if host != name])
-        self._told_why = ""
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -131,7 +127,7 @@ class HostCore:
             self._effects += self.directory.tick(now)
         if self.hearsay.due is not None and now >= self.hearsay.due:
             told = self.hearsay.tell(now)
-            self._effects += [mobile.Send(host, told) for host in self._hellos]
+            self._effects += [mobile.Send(host, told) for host in self.hearsay.links]
         pause = self.machine.run()
         if self._answers:
             self._answer()
@@ -164,13 +160,19 @@ class HostCore:
 
     def kept(self, generation: int) -> None:
         """The start is on record: begin, unless a greeting has told of a later one meanwhile."""
-        self._starts.learn(self.mobility.knowledge())
+        known = self.mobility.knowledge()
+        self._starts.learn(known)
         if self._starts.next > generation:
             self._effects.append(KeepStart(self._starts.next))
             return
         for member in self.team.on(self.here):
-            if member.kind == "coordinator" and self._may_start(member, generation):
-                self.machine.start(member, self.mission.bindings.limits(member.id), generation)
+            if member.kind != "coordinator":
+                continue
+            if self._starts.alive(member.id, known):
+                self._say(f"{member.id} is alive on another host: not started again")
+                continue
+            self.mobility.start(member.id, generation)
+            self.machine.start(member, self.mission.bindings.limits(member.id), generation)
 
     def not_kept(self, reason: str) -> None:
         """The record could not be written: a later start could then count as an earlier one."""
@@ -178,34 +180,11 @@ class HostCore:
         self._say(f"not started: {agents}; its start cannot be put on record: {reason}")
 
     def _start_when_heard(self) -> None:
-        if not self._starts.waiting:
-            return
-        if self._starts.missing:
-            if self._told_why != self._starts.why:
-                self._told_why = self._starts.why
-                self._say(self._told_why)
-            return
-        self._starts.waiting = False
-        self._starts.learn(self.mobility.knowledge())
-        self._effects.append(KeepStart(self._starts.next))
-
-    def _may_start(self, member: Member, generation: int) -> bool:
-        here = [known for known in self.mobility.knowledge() if known.agent == member.id]
-        alive_here = any(known.state in (*_ALIVE, "IN DOUBT") for known in here)
-        ended = {known.generation for known in here if known.state == "EXITED"}
-        if alive_here or self._runs_elsewhere(member.id, ended):
-            self._say(f"{member.id} is alive on another host: not started again")
-            return False
-        self.mobility.start(member.id, generation)
-        return True
-
-    def _runs_elsewhere(self, identity: str, ended: set[int]) -> bool:
-        """Whether a host that is linked had it alive when it greeted, and it has not ended since."""
-        return any(
-            known.agent == identity and known.state in _ALIVE and known.generation not in ended
-            for hello in self._hellos.values()
-            for known in hello.coordinators
-        )
+        if why := self._starts.why():
+            self._say(why)
+        if self._starts.due:
+            self._starts.learn(self.mobility.knowledge())
+            self._effects.append(KeepStart(self._starts.next))
 
     # --- the team -------------------------------------------------------------------------------------
 
@@ -213,7 +192,7 @@ class HostCore:
         """A host of this team has ended for good: whoever started it says so."""
         if host in self.team.hosts and host != self.name:
             self.hearsay.gone.add(host)
-            self._starts.heard(host, ())
+            self._starts.heard(host)
             self._start_when_heard()
             self._effects.append(CHANGED)
 
@@ -231,7 +210,6 @@ class HostCore:
         """A host can be talked to."""
         restarted = self.hearsay.linked(hello.host, hello.incarnation)
         self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
-        self._hellos[hello.host] = hello
         self._starts.heard(hello.host, hello.coordinators)
         self._effects += self.directory.linked(hello)
         self._carry_out(self.mobility.linked(hello))
@@ -244,7 +222,7 @@ class HostCore:
         self.mobility.unlinked(host)
         self.directory.unlinked(host)
         self.hearsay.unlinked(host, self._clock.monotonic())
-        self._hellos.pop(host, None)
+        self._starts.unlinked(host)
         self._effects.append(CHANGED)
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:

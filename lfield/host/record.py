@@ -18,7 +18,6 @@ from urllib.parse import quote
 import msgspec
 from msgspec import Meta
 
-from lfield.errors import OutputFileError
 from lfield.text.private import read_private, write_private
 
 #: A larger file is none of ours.

@@ -50,6 +50,11 @@ class Hearsay:
         """Whether all hosts are linked, and always were in this life: then everybody tells of endings."""
         return len(self._linked) == len(self._others) and not self.restarted
 
+    @property
+    def links(self) -> list[str]:
+        """The hosts that can be talked to."""
+        return list(self._linked)
+
     def linked(self, host: str, incarnation: int) -> bool:
         """A host can be talked to; whether it was restarted since it was last linked."""
         self._linked[host] = incarnation

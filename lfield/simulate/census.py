@@ -8,14 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
+from lfield.host.core import HostCore
 from lfield.mobility.fates import Absent, Fate, Judge, fates
+from lfield.simulate.fleet import Fleet, Life
 from lfield.wire.messages import Known
-
-if TYPE_CHECKING:
-    from lfield.host.core import HostCore
-    from lfield.simulate.fleet import Fleet, Life
 
 #: As in host/until_done.py, in seconds.
 ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
@@ -31,14 +28,30 @@ class Verdict:
 
 
 class UntilDone:
-    """Watches over one life of one host until all coordinators have a fate; then, if it `leaves`, it goes."""
+    """All hosts of a fleet, from now on, wait until all coordinators have a fate; if they `leave`, they go then.
 
-    def __init__(self, fleet: Fleet, name: str, life: Life, lost_after: float, *, leaves: bool) -> None:
-        self._fleet, self._name, self._life = fleet, name, life
-        self._lost_after, self._leaves = lost_after, leaves
+    `verdicts` are what they have said.
+    """
+
+    def __init__(self, fleet: Fleet, lost_after: float, *, leave: bool = False) -> None:
+        self.fleet, self.lost_after, self.leave = fleet, lost_after, leave
+        self.verdicts: list[Verdict] = []
         team = fleet.mission.team
-        self._homes = {member.id: team.hosts[member.host] for member in team.coordinators}
-        self._judge = Judge(self._homes)
+        self.homes = {member.id: team.hosts[member.host] for member in team.coordinators}
+        fleet.on_boot = self._watch
+        for name, life in fleet.lives.items():
+            self._watch(name, life)
+
+    def _watch(self, name: str, life: Life) -> None:
+        _Watch(self, name, life)
+
+
+class _Watch:
+    """One life of one host."""
+
+    def __init__(self, all: UntilDone, name: str, life: Life) -> None:
+        self._all, self._fleet, self._name, self._life = all, all.fleet, name, life
+        self._homes, self._judge = all.homes, Judge(all.homes)
         self._answers: dict[str, Sequence[Known]] = {}
         self._later(ASK_EVERY, self._look)
 
@@ -76,8 +89,8 @@ class UntilDone:
     def _hold(self) -> None:
         """The census is in."""
         known = self._answers | {self._name: self._core.mobility.knowledge()}
-        bound = max(self._lost_after, self._fleet.unreachable_after)
-        absent = self._core.hearsay.absent(known, self._fleet.clock.now, self._lost_after, bound)
+        bound = max(self._all.lost_after, self._fleet.unreachable_after)
+        absent = self._core.hearsay.absent(known, self._fleet.clock.now, self._all.lost_after, bound)
         found = self._judge.judge(known, absent)
         if self._homes.keys() == found.keys():
             self._over(found)
@@ -85,9 +98,9 @@ class UntilDone:
             self._later(ASK_EVERY, self._look)
 
     def _over(self, found: dict[str, Fate]) -> None:
-        self._fleet.verdicts += [Verdict(self._fleet.clock.now, self._name, fate) for fate in found.values()]
+        self._all.verdicts += [Verdict(self._fleet.clock.now, self._name, fate) for fate in found.values()]
         self._core.pass_on()
-        if self._leaves:
+        if self._all.leave:
             self._later(LINGER, partial(self._fleet.leave, self._name))
         else:
             # It stays to be judged again.

@@ -23,7 +23,6 @@ from lfield.host.effects import Call, Effect, KeepStart, Say, Write
 from lfield.manifest import DeviceValue, Observation
 from lfield.mission.mission import Mission
 from lfield.mobility.effects import Send, SendTransfer
-from lfield.simulate.census import UntilDone, Verdict
 from lfield.vm.contract import Reading
 from lfield.wire.messages import Control, Hello, Transfer
 
@@ -80,8 +79,7 @@ class Fleet:
     """The hosts of a mission, all up at the beginning. Everything that is left to chance comes from `seed`.
 
     `watch` is called after every event, and raises AssertionError for what must never be. A portal call of a
-    host that cannot be reached is given up after `unreachable_after` seconds. With `lost_after` every host
-    waits until all is done, and says so in `verdicts`; with `leaves` it goes then.
+    host that cannot be reached is given up after `unreachable_after` seconds.
     """
 
     def __init__(
@@ -90,13 +88,11 @@ class Fleet:
         seed: int = 0,
         watch: Watch = lambda fleet: None,
         unreachable_after: float = 10.0,
-        *,
-        lost_after: float | None = None,
-        leaves: bool = False,
     ) -> None:
         self.mission, self.dice, self._watch = mission, random.Random(seed), watch
-        self.unreachable_after, self._lost_after, self._leaves = unreachable_after, lost_after, leaves
-        self.verdicts: list[Verdict] = []
+        self.unreachable_after = unreachable_after
+        #: Called for every new life of a host.
+        self.on_boot: Callable[[str, Life], None] = lambda name, life: None
         #: The record of starts of each host: it stays when the host crashes, and may be lost.
         self.disks: dict[str, int] = {}
         self.clock = ManualClock(0.0)
@@ -155,8 +151,7 @@ class Fleet:
             self._reconnect(name, other)
         start = partial(core.start_coordinators, self.disks.get(name))
         self.later(CENSUS, lambda: self.enter(name, started, start))
-        if self._lost_after is not None:
-            UntilDone(self, name, started, self._lost_after, leaves=self._leaves)
+        self.on_boot(name, started)
 
     def lose_disk(self, name: str) -> None:
         """A host has no record of its starts any more."""

@@ -201,12 +201,9 @@ class Lfield:
         return self.write(f"{name}.dL", deployment)
 
     def hosts(self, deployment: Path, names: list[str], *options: object, **more) -> dict[str, Process]:
-        """One process for each host, on ports of their own, as by hand."""
-        maps = self.maps(names)
-        return {
-            name: self.start("up", "--deploy", deployment, "--host", name, *maps, *options, **more)
-            for name in names
-        }
+        """One process for each host, on ports of their own, as by hand; they need not wait for one another."""
+        words = ("up", "--deploy", deployment, *self.maps(names), "--first-start", *options)
+        return {name: self.start(*words, "--host", name, **more) for name in names}
 
     def maps(self, names: list[str]) -> list[str]:
         """`--map` options that put the hosts on free ports of this machine."""

@@ -91,8 +91,8 @@ def test_without_a_record_a_host_waits_until_it_has_heard_all(fleet):
         await home.host.start()
         await asyncio.sleep(30.0)
         why = (
-            "guest and other are not started before away was heard: this host has no record of earlier starts; "
-            "`--first-start` says that there was none"
+            "guest and other are not started before away was heard: this host has no record of earlier "
+            "starts; `--first-start` says that there was none"
         )
         assert home.log.count(why) == 1
         assert not home.holds("guest")
@@ -194,7 +194,9 @@ def test_the_file_keeps_the_number_and_is_of_its_user_alone(tmp_path):
 
 def test_it_is_on_the_disk_before_it_counts(tmp_path, monkeypatch):
     synced = []
-    monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append(stat.S_IFMT(os.fstat(descriptor).st_mode)))
+    monkeypatch.setattr(
+        os, "fsync", lambda descriptor: synced.append(stat.S_IFMT(os.fstat(descriptor).st_mode))
+    )
     write(tmp_path / "starts.json", 5)
     assert synced == [stat.S_IFREG, stat.S_IFDIR]
 

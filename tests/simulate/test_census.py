@@ -9,7 +9,9 @@ import pytest
 
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.fleet import Fleet, Weather
+from lfield.simulate import fleet as simulated
+from lfield.simulate.census import UntilDone, Verdict
+from lfield.simulate.fleet import Watch, Weather
 
 PROGRAM = """
 resource Post {
@@ -28,6 +30,25 @@ HOSTS = ("alpha", "bravo", "carol")
 EDGES = list(combinations(HOSTS, 2))
 #: A start that is younger than a census is not in it.
 YOUNG = 3.0
+
+
+class Fleet(simulated.Fleet):
+    """A fleet whose hosts say what became of the walker, if there is a `lost_after`."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        seed: int,
+        watch: Watch = lambda fleet: None,
+        unreachable_after: float = 10.0,
+        *,
+        lost_after: float = 0.0,
+        leave: bool = False,
+    ) -> None:
+        super().__init__(mission, seed, watch, unreachable_after)
+        self.verdicts: list[Verdict] = []
+        if lost_after:
+            self.verdicts = UntilDone(self, lost_after, leave=leave).verdicts
 
 
 def mission(folder: Path, way: str, home: str = "alpha", program: str = PROGRAM) -> Mission:
@@ -68,7 +89,7 @@ def outcomes(fleet: Fleet) -> dict[str, str]:
 @pytest.mark.parametrize("edge", EDGES, ids="-".join)
 @pytest.mark.parametrize("way", ["a&b&c", "c&b&a", "b&b&b"])
 def test_one_edge_of_a_triangle_cut_changes_no_ending(tmp_path, edge, way, seed):
-    fleet = Fleet(mission(tmp_path, way), seed, Honest(), lost_after=5.0, leaves=True, unreachable_after=8.0)
+    fleet = Fleet(mission(tmp_path, way), seed, Honest(), lost_after=5.0, leave=True, unreachable_after=8.0)
     fleet.run(3.0)
     fleet.cut(*edge)
     fleet.run(80.0)
@@ -77,7 +98,7 @@ def test_one_edge_of_a_triangle_cut_changes_no_ending(tmp_path, edge, way, seed)
 
 @pytest.mark.parametrize("edge", EDGES, ids="-".join)
 def test_an_edge_that_heals_changes_nothing_either(tmp_path, edge):
-    fleet = Fleet(mission(tmp_path, "c&b&a&c"), 1, Honest(), lost_after=3.0, leaves=True)
+    fleet = Fleet(mission(tmp_path, "c&b&a&c"), 1, Honest(), lost_after=3.0, leave=True)
     for _ in range(6):
         fleet.run(2.5)
         fleet.cut(*edge)
@@ -87,10 +108,12 @@ def test_an_edge_that_heals_changes_nothing_either(tmp_path, edge):
     assert outcomes(fleet) == dict.fromkeys(HOSTS, "done")
 
 
-@pytest.mark.parametrize("way", ["c&c&c&c&c&c", "b&b&b&b&b&b", "c&b&c&b&c&b"], ids=["cut off", "near", "both"])
+@pytest.mark.parametrize(
+    "way", ["c&c&c&c&c&c", "b&b&b&b&b&b", "c&b&c&b&c&b"], ids=["cut off", "near", "both"]
+)
 def test_a_host_that_nobody_hears_is_not_heard_of_wherever_the_walker_was(tmp_path, way):
     """The same word for all who cannot know; those who have it go on."""
-    fleet = Fleet(mission(tmp_path, way), 2, Honest(), lost_after=4.0, leaves=True, unreachable_after=3.0)
+    fleet = Fleet(mission(tmp_path, way), 2, Honest(), lost_after=4.0, leave=True, unreachable_after=3.0)
     fleet.run(10.0)
     for other in ("bravo", "carol"):
         fleet.cut("alpha", other)
@@ -107,7 +130,7 @@ def test_a_chain_of_hosts_tells_of_its_far_end(tmp_path):
     lines = [f"//Post:{host[0]}@{host}" for host in hosts]
     lines.append("//Walker:walker@alpha?b&c&d&d&d&d&d")
     (tmp_path / "mission.dL").write_text("\n".join(lines) + "\n")
-    fleet = Fleet(load_mission(tmp_path / "mission.dL"), 3, Honest(), lost_after=4.0, leaves=True)
+    fleet = Fleet(load_mission(tmp_path / "mission.dL"), 3, Honest(), lost_after=4.0, leave=True)
     for one, other in (("alpha", "carol"), ("alpha", "dana"), ("bravo", "dana")):
         fleet.later(12.0, lambda one=one, other=other: fleet.cut(one, other))
     fleet.run(80.0)
@@ -124,7 +147,7 @@ def test_a_host_that_came_back_without_the_walker_proves_the_loss(tmp_path):
 
 
 def test_a_host_that_dies_and_stays_away_proves_nothing(tmp_path):
-    fleet = Fleet(mission(tmp_path, "c&c&c&c&c"), 5, Honest(), lost_after=5.0, leaves=True)
+    fleet = Fleet(mission(tmp_path, "c&c&c&c&c"), 5, Honest(), lost_after=5.0, leave=True)
     fleet.run(8.0)
     fleet.crash("carol")
     fleet.run(30.0)

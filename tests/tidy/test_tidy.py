@@ -25,7 +25,7 @@ SMALL = {
     "lfield/clock.py": "a word that everybody speaks",
     "lfield/driver/binding.py": "one bound device, as it travels",
     "lfield/exits.py": "the statuses of a run",
-    "lfield/host/effects.py": "what the core asks of its shell, and nothing else",
+    "lfield/host/leash.py": "what a host hears from whoever started it",
     "lfield/host/logbook.py": "the two streams of a host",
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/net/guests.py": "who may wait at the door before the greeting",

@@ -121,7 +121,9 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
     if args.all:
         for option, given in (("--state", args.state is not None), ("--first-start", args.first_start)):
             if given:
-                raise UsageError(f"{option} is for a host on its own: with --all every start is the first one")
+                raise UsageError(
+                    f"{option} is for a host on its own: with --all every start is the first one"
+                )
         from lfield.cli.run.up_all import run_all
 
         return run_all(mission, file, args)

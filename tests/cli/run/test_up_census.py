@@ -126,13 +126,15 @@ def test_a_child_of_all_that_was_reaped_is_proof(lfield):
 
 
 def test_a_child_of_all_that_hangs_is_not_heard_of(lfield):
-    deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&1000\n")
+    deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&15\n")
     team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
     team.wait_for(r"carol \| c receives")
     hung = _child(lfield, "carol")
     os.kill(hung, signal.SIGSTOP)
     for host in ("alpha", "bravo"):
-        team.wait_for(rf"{host} \| walker is not heard of: it went to carol \(transfer 1\), and carol has not ")
+        team.wait_for(
+            rf"{host} \| walker is not heard of: it went to carol \(transfer 1\), and carol has not "
+        )
     os.kill(hung, signal.SIGCONT)
     assert team.wait() == 4
     assert "is lost" not in team.said
