@@ -16,6 +16,7 @@ from lfield.driver.kit_checks import KIT
 from lfield.driver.plugins import Installed, Plugins
 from lfield.errors import DeviceError
 from lfield.guard.core import QUIET_BY, SILENCE
+from lfield.guard.rest import UNSEEN
 from lfield.manifest import DeviceValue
 from lfield.vm.world import Pending
 
@@ -23,6 +24,8 @@ from lfield.vm.world import Pending
 LOOK = 0.02
 #: Seconds for a guard to be there again.
 BACK = 60.0
+#: The name of the finding that a device was not left in its safe state and at rest.
+LEFT = "left safe and at rest"
 
 
 class LiveBench:
@@ -63,6 +66,12 @@ class LiveBench:
     def confirmed(self) -> bool:
         """Whether it has been seen there."""
         return self.binding.name in self._guard.confirmed
+
+    @property
+    def moving(self) -> str | None:
+        """What it still does there; '' when it is at rest, None when nobody has said."""
+        told = self._guard.moving.get(self.binding.name)
+        return told if told != UNSEEN else None
 
     async def call(self, instruction: str, *arguments: object) -> Any:
         """Carry an instruction out and return its result. Raises DeviceError."""
@@ -136,8 +145,8 @@ async def try_devices(
 ) -> list[Finding]:
     """Run the checks on one device after the other, and show each finding as it is made.
 
-    `silence` is how long this host may be silent, in seconds. Raises DevicesError when a device cannot be
-    opened.
+    The last is of LEFT: each device that was not seen at rest in its safe state in the end. `silence` is how
+    long this host may be silent, in seconds. Raises DevicesError when a device cannot be opened.
     """
     checks, notes, findings = list(checks), list[str](), list[Finding]()
     guards = Guards(plugins, SystemClock(), notes.append, silence=silence)
@@ -150,5 +159,7 @@ async def try_devices(
                 findings.append(finding)
                 show(finding)
     finally:
-        await guards.close()
+        for name, why in (await guards.close()).items():
+            findings.append(Finding(name, LEFT, "failed", why))
+            show(findings[-1])
     return findings

@@ -84,8 +84,10 @@ class HostCore:
         #: is set stays until it has come.
         self._due: float | None = None
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic())
-        own = [member.id for member in self.team.on(self.here) if member.kind == "coordinator"]
-        self._starts = Starts(own, [host for host in self.team.hosts if host != name])
+        self._own = [member for member in self.team.on(self.here) if member.kind == "coordinator"]
+        others = [host for host in self.team.hosts if host != name]
+        self._starts = Starts([member.id for member in self._own], others)
+        self._halted = False
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -128,7 +130,7 @@ class HostCore:
         if self.hearsay.due is not None and now >= self.hearsay.due:
             told = self.hearsay.tell(now)
             self._effects += [mobile.Send(host, told) for host in self.hearsay.links]
-        pause = self.machine.run()
+        pause = None if self._halted else self.machine.run()
         if self._answers:
             self._answer()
         for due in (self._due, self.directory.due, self.hearsay.due):
@@ -158,6 +160,13 @@ class HostCore:
         self._starts.begin(record, first=first)
         self._start_when_heard()
 
+    def halt(self) -> None:
+        """The host is stopping: no agent runs any more, and no coordinator is taken in.
+
+        What is under way between hosts goes on, and so does what this host tells of itself.
+        """
+        self._halted = True
+
     def kept(self, generation: int) -> None:
         """The start is on record: begin, unless a greeting has told of a later one meanwhile."""
         known = self.mobility.knowledge()
@@ -165,18 +174,16 @@ class HostCore:
         if self._starts.next > generation:
             self._effects.append(KeepStart(self._starts.next))
             return
-        for member in self.team.on(self.here):
-            if member.kind != "coordinator":
-                continue
+        for member in self._own:
             if self._starts.alive(member.id, known):
                 self._say(f"{member.id} is alive on another host: not started again")
-                continue
-            self.mobility.start(member.id, generation)
-            self.machine.start(member, self.mission.bindings.limits(member.id), generation)
+            else:
+                self.mobility.start(member.id, generation)
+                self.machine.start(member, self.mission.bindings.limits(member.id), generation)
 
     def not_kept(self, reason: str) -> None:
         """The record could not be written: a later start could then count as an earlier one."""
-        agents = " and ".join(self._starts.agents)
+        agents = " and ".join(member.id for member in self._own)
         self._say(f"not started: {agents}; its start cannot be put on record: {reason}")
 
     def _start_when_heard(self) -> None:
@@ -185,8 +192,6 @@ class HostCore:
         if self._starts.due:
             self._starts.learn(self.mobility.knowledge())
             self._effects.append(KeepStart(self._starts.next))
-
-    # --- the team -------------------------------------------------------------------------------------
 
     def reaped(self, host: str) -> None:
         """A host of this team has ended for good: whoever started it says so."""
@@ -302,6 +307,8 @@ class HostCore:
                 self._say(effect.reason)
 
     def _inject(self, header: Transfer, block: Buffer) -> mobile.Refusal | None:
+        if self._halted:
+            return mobile.Refusal("UnreachableResourceException", f"{self.name} is stopping")
         member = self._coordinators.get(header.agent)
         if member is None:
             return mobile.Refusal(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import signal
 import sys
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
@@ -14,12 +14,17 @@ from lfield.errors import UsageError
 from lfield.host.host import Host, Options
 from lfield.host.leash import Leash
 from lfield.host.logbook import Logbook
-from lfield.host.record import Record
+from lfield.host.stop_words import StopWords, hear_signals
 from lfield.host.until_done import until_done
 from lfield.mission.mission import Mission
 from lfield.mobility.fates import Fate
 from lfield.net.local import is_loopback
 from lfield.net.tcp import TcpTransport
+from lfield.text.record import Record
+
+#: After so many seconds of a stop it is told what it waits for.
+PATIENCE = 1.0
+WAITING = "waiting for the devices to come to rest; a second Ctrl-C or SIGTERM does not wait for them"
 
 
 async def run_host(
@@ -35,7 +40,7 @@ async def run_host(
     record: Record | None = None,
     first_start: bool = False,
 ) -> int:
-    """Run a host; returns the exit status. `lost_after` None runs until it is stopped.
+    """Run a host; returns the exit status (exits.py). `lost_after` None runs until it is stopped.
 
     `record` has its earlier starts; without one it starts its coordinators when it has heard all hosts.
 
@@ -48,23 +53,46 @@ async def run_host(
     host_options = Options(address, dump, bound, record=record, first_start=first_start)
     logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
-    stopping = _stop_signals()
+    words = StopWords(host.clock)
+    hear_signals(words)
     if leash:
-        Leash(sys.stdin.fileno(), host.reaped, stopping.set)
+        Leash(sys.stdin.fileno(), host.reaped, partial(words.say, again=False))
     asyncio.get_running_loop().set_exception_handler(host.unhandled)
     life = asyncio.ensure_future(_live(host, lost_after))
-    stopped = asyncio.ensure_future(stopping.wait())
+    stopped = asyncio.ensure_future(words.first.wait())
     failed = asyncio.ensure_future(host.failed.wait())
     try:
         await asyncio.wait([life, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
-        # Without --until-done there is no other end than to be told to stop.
-        status = life.result() if life.done() else 0 if lost_after is None else 130
     finally:
         for task in (life, stopped, failed):
             task.cancel()
         await asyncio.gather(life, stopped, failed, return_exceptions=True)
-        await host.stop()
-    return status if host.failure is None else host.failure.exit_status
+        unsafe = await _stop(host, words)
+    if unsafe:
+        _tell_why(life, host)
+        return exits.UNSAFE
+    if host.failure is not None:
+        return host.failure.exit_status
+    if life.cancelled():
+        # Without --until-done there is no other end than to be told to stop.
+        return exits.DONE if lost_after is None else exits.INTERRUPTED
+    return life.result()
+
+
+async def _stop(host: Host, words: StopWords) -> dict[str, str]:
+    """Stop the host; the devices that were not seen at rest in their safe states."""
+    words.on_second = host.guards.hurry
+    told = asyncio.get_running_loop().call_later(PATIENCE, host.note, WAITING)
+    try:
+        return await host.stop()
+    finally:
+        told.cancel()
+
+
+def _tell_why(life: asyncio.Future[int], host: Host) -> None:
+    """What else is wrong, when the exit status says that a device is not safe."""
+    if not life.cancelled() and (error := life.exception()) is not None:
+        host.note(str(error))
 
 
 async def stay_here(name: str, address: str) -> None:
@@ -104,11 +132,3 @@ def _told(host: Host, fate: Fate) -> int:
 async def _for_ever() -> NoReturn:
     while True:
         await asyncio.get_running_loop().create_future()
-
-
-def _stop_signals() -> asyncio.Event:
-    stopping = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, stopping.set)
-    return stopping

@@ -28,7 +28,7 @@ class Verdict:
 
 
 class UntilDone:
-    """All hosts of a fleet, from now on, wait until all coordinators have a fate; if they `leave`, they go then.
+    """From now on all hosts of a fleet wait until all coordinators have a fate; if they `leave`, they go then.
 
     `verdicts` are what they have said.
     """

@@ -201,7 +201,7 @@ class Lfield:
         return self.write(f"{name}.dL", deployment)
 
     def hosts(self, deployment: Path, names: list[str], *options: object, **more) -> dict[str, Process]:
-        """One process for each host, on ports of their own, as by hand; they need not wait for one another."""
+        """One process for each host, on ports of their own, as by hand; none waits for another."""
         words = ("up", "--deploy", deployment, *self.maps(names), "--first-start", *options)
         return {name: self.start(*words, "--host", name, **more) for name in names}
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import OutputFileError
-from lfield.host.record import FileRecord, record_file
 from lfield.simulate.time import LoopClock
+from lfield.text.record import FileRecord, record_file
 
 PROGRAM = """
 resource Post {

@@ -14,8 +14,8 @@ from lfield.cli.mission_argument import add_mission, mission_path
 from lfield.errors import OutputFileError, UsageError
 
 if TYPE_CHECKING:
-    from lfield.host.record import Record
     from lfield.mission.mission import Mission
+    from lfield.text.record import Record
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,7 +76,7 @@ def _seconds(word: str) -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until done or stopped; `lfield --help` has the exit statuses."""
+    """Run until done or stopped; the status is of exits.py: 0 if all ended normally."""
     from lfield.text.outlet import never_waiting
 
     with never_waiting("lfield: " if args.all else ""):
@@ -164,7 +164,7 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
 
 def _record(mission: Mission, host: str, args: argparse.Namespace) -> Record | None:
     """Where the host keeps its starts; None under --all, where every start is the first, and on fakes."""
-    from lfield.host.record import FileRecord, record_file
+    from lfield.text.record import FileRecord, record_file
 
     if args.leash or (args.state is None and (args.sim or mission.world == "fakes")):
         return None

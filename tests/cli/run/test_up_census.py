@@ -1,7 +1,8 @@
-"""Real processes whose links are cut, who are killed, or start without a record: what they say and end with."""
+"""Real processes whose links are cut, who are killed, or have no record: what they say and end with."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -79,10 +80,8 @@ class Proxy:
             self._break(end)
 
     def _break(self, end: socket.socket) -> None:
-        try:
+        with contextlib.suppress(OSError):
             end.shutdown(socket.SHUT_RDWR)
-        except OSError:
-            pass
 
 
 @pytest.fixture
