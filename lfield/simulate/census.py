@@ -28,7 +28,7 @@ class Verdict:
 
 
 class UntilDone:
-    """From now on all hosts of a fleet wait until all coordinators have a fate; if they `leave`, they go then.
+    """From now on all hosts of a fleet wait until all coordinators have a fate, and if they `leave`, go then.
 
     `verdicts` are what they have said.
     """

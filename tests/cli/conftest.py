@@ -32,9 +32,9 @@ class Process:
     """A running command; its lines are kept as they come, by stream."""
 
     def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
-        environment = {**os.environ, MARK: mark, **options.pop("env", {})}
         # The starts of hosts that a test starts by hand are on record in its own folder.
-        environment.setdefault("XDG_STATE_HOME", str(options.get("cwd", tempfile.gettempdir())))
+        state = str(options.get("cwd", tempfile.gettempdir()))
+        environment = {**os.environ, "XDG_STATE_HOME": state, MARK: mark, **options.pop("env", {})}
         # Where a test run is unbuffered, the commands are not: Python then loses what a pipe does not take.
         environment.pop("PYTHONUNBUFFERED", None)
         self.mark = mark

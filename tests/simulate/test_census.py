@@ -9,6 +9,8 @@ import pytest
 
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
+from lfield.mobility.fates import Absent
+from lfield.mobility.hearsay import Hearsay
 from lfield.simulate import fleet as simulated
 from lfield.simulate.census import UntilDone, Verdict
 from lfield.simulate.fleet import Watch, Weather
@@ -178,6 +180,21 @@ def test_losses_are_told_in_bad_weather_at_all(tmp_path):
         fleet.run(100.0)
         told |= {verdict.fate.outcome for verdict in fleet.verdicts}
     assert {"lost", "unheard"} <= told
+
+
+def test_a_judge_that_takes_silence_for_a_loss_is_found(tmp_path, monkeypatch):
+    """The invariant can fail: what hosts did before, planted again."""
+
+    def absent(self, answered, now, lost_after, unmet):
+        return Absent(gone=[host for host in HOSTS if host not in answered])
+
+    monkeypatch.setattr(Hearsay, "absent", absent)
+    way = mission(tmp_path, "c&c&c&c&c")
+    fleet = Fleet(way, 0, Honest(), lost_after=4.0)
+    fleet.run(8.0)
+    fleet.cut("alpha", "carol")
+    with pytest.raises(AssertionError, match="lost"):
+        fleet.run(10.0)
 
 
 # Generations
