@@ -189,7 +189,7 @@ class HostCore:
     def _start_when_heard(self) -> None:
         if why := self._starts.why():
             self._say(why)
-        if self._starts.due:
+        if not self._halted and self._starts.due:
             self._starts.learn(self.mobility.knowledge())
             self._effects.append(KeepStart(self._starts.next))
 

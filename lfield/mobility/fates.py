@@ -8,7 +8,7 @@ left who could. A host that is only silent proves nothing: what went there is no
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from lfield.wire.messages import Known
@@ -93,29 +93,23 @@ class _Census:
     def fate(self, home: str) -> Fate | None:
         """What became of it; None while it is alive, or may be, at a host that somebody hears.
 
-        Of several starts one that is alive goes on. Else an ending counts, the latest start's first. Nothing
-        is lost before all of them are.
+        One start that is alive settles it. Else the latest counts, and one before it only when that is lost.
         """
         rows = [row for known in self.records.values() for row in known]
         gave_way = {row.generation for row in rows if row.outcome == "superseded"}
         starts = sorted({row.generation for row in rows} - gave_way, reverse=True)
+        ended = {row.generation: row for row in rows if row.state == "EXITED" and row.outcome != "lost"}
+        if any(
+            row.state in _ALIVE for row in rows if row.generation in starts and row.generation not in ended
+        ):
+            return None
         if not starts:
             return self._never_seen(home, gave_way=bool(gave_way))
-        counted = [row for row in rows if row.generation in starts]
-        ended = [row for row in counted if row.state == "EXITED" and row.outcome != "lost"]
-        over = {row.generation for row in ended}
-        if any(row.state in _ALIVE and row.generation not in over for row in counted):
-            return None
-        if ended:
-            last = max(ended, key=lambda row: row.generation)
-            return Fate(self.agent, last.outcome, last.detail)
-        return self._worst([self._missing(generation) for generation in starts])
+        found = [self._start(generation, ended.get(generation)) for generation in starts]
+        return next((fate for fate in found if fate is None or fate.outcome != "lost"), found[0])
 
-    def _worst(self, found: Iterable[Fate | None]) -> Fate | None:
-        fates = list(found)
-        if None in fates:
-            return None
-        return next((f for f in fates if f and f.outcome == "unheard"), fates[0])
+    def _start(self, generation: int, ended: Known | None) -> Fate | None:
+        return Fate(self.agent, ended.outcome, ended.detail) if ended else self._missing(generation)
 
     def _never_seen(self, home: str, *, gave_way: bool) -> Fate | None:
         """Nobody who answers knows of a start that goes on."""

@@ -149,6 +149,16 @@ def test_an_ending_of_one_start_does_not_count_while_another_is_alive():
     assert fate({"alpha": [ended, again]}).outcome == "died"
 
 
+def test_an_ending_does_not_count_for_a_later_start_that_went_on():
+    """A restarted host hears of the ending of its earlier life, and has sent the new start away already."""
+    ended = row("EXITED", 2, "alpha", generation=1, outcome="done")
+    went = row("MOVED", 1, "bravo", generation=2)
+    assert fate({"alpha": [ended, went]}, elsewhere=["bravo"]) is None
+    assert fate({"alpha": [ended, went]}, unheard=unheard()).outcome == "unheard"
+    # Of two that ran side by side the later one is lost, and the earlier one has ended.
+    assert fate({"alpha": [ended, went]}, gone=("bravo",)).outcome == "done"
+
+
 def test_a_start_that_was_superseded_is_left_out_wherever_it_went():
     stopped = row("EXITED", 0, "alpha", generation=2, outcome="superseded")
     shadow = row("MOVED", 4, "bravo", generation=2)
