@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from msgspec import structs
+
 from lfield.wire.messages import Known
 
 _ALIVE = ("RUN", "FROZEN", "PREPARED")
@@ -62,16 +64,36 @@ class Judge:
 
     A copy under way may be known to its sender as gone and not yet to its receiver. When the next census
     finds the same transfer missing, its receiver has been asked after it had said that it took it.
+
+    It remembers how far each start had come: who told that may have gone since.
     """
 
     def __init__(self, homes: Mapping[str, str]) -> None:
         self._homes = homes
         self._before: Mapping[str, Fate] = {}
+        self._furthest: dict[tuple[str, int], Known] = {}
 
     def judge(self, records: Mapping[str, Records], absent: Absent) -> dict[str, Fate]:
         """The fates that are certain now."""
-        before, self._before = self._before, fates(self._homes, records, absent)
+        remembered = {"": list(self._furthest.values())}
+        before, self._before = self._before, fates(self._homes, {**remembered, **records}, absent)
+        for host, rows in records.items():
+            for row in rows:
+                self._remember(_as_memory(row, host, absent.lives.get(host, 0)))
         return {agent: fate for agent, fate in self._before.items() if _certain(fate, before.get(agent))}
+
+    def _remember(self, row: Known) -> None:
+        key = row.agent, row.generation
+        known = self._furthest.get(key)
+        if known is None or (known.state != "EXITED" and row.sequence >= known.sequence):
+            self._furthest[key] = row
+
+
+def _as_memory(row: Known, host: str, life: int) -> Known:
+    """What a record says later on: of a copy that was alive on a host, that it had come there."""
+    if row.state not in _ALIVE:
+        return row
+    return structs.replace(row, state="MOVED", where=host, receiver_incarnation=life)
 
 
 def _certain(fate: Fate, before: Fate | None) -> bool:
@@ -145,7 +167,7 @@ class _Census:
         if self.absent.elsewhere:
             return None
         if self.absent.unheard:
-            return self._unheard(min(self.absent.unheard), f"{how}, but may have gone on from there, and")
+            return self._unheard(min(self.absent.unheard), f"{how}, but it may have gone on from there, and")
         return Fate(self.agent, "lost", how)
 
     def _unheard(self, host: str, how: str) -> Fate:

@@ -128,7 +128,7 @@ def test_proof_is_none_while_somebody_who_cannot_be_asked_may_have_it(proof):
     assert fate(known, **proof, elsewhere=["carol"]) is None
     found = fate(known, **proof, unheard=unheard(15.0, "carol"))
     assert found.outcome == "unheard"
-    assert found.detail.endswith("but may have gone on from there, and carol has not been heard for 15 s")
+    assert found.detail.endswith("but it may have gone on from there, and carol has not been heard for 15 s")
     assert fate(known | {"carol": []}, **proof).outcome == "lost"
 
 
@@ -190,6 +190,27 @@ def test_silence_counts_when_two_censuses_find_it():
     known = {"alpha": [row("MOVED", 3, "bravo")]}
     assert judge.judge(known, Absent(unheard=unheard(15.0))) == {}
     assert judge.judge(known, Absent(unheard=unheard(15.5)))["tom"].outcome == "unheard"
+
+
+def test_what_a_host_told_counts_when_it_has_gone():
+    judge = Judge(HOMES)
+    judge.judge({"carol": [], "alpha": [row("MOVED", 3, "bravo")]}, Absent(elsewhere=["bravo"]))
+    silent = Absent(gone=["alpha"], unheard=unheard())
+    judge.judge({"carol": []}, silent)
+    found = judge.judge({"carol": []}, silent)["tom"]
+    assert found.detail == "it went to bravo (transfer 3), and bravo has not been heard for 15 s"
+
+
+def test_a_copy_that_was_seen_alive_had_come_that_far():
+    judge = Judge(HOMES)
+    judge.judge({"alpha": [row("MOVED", 3, "bravo")], "bravo": [row("RUN", 3)]}, Absent(lives={"bravo": 7}))
+    silent = Absent(unheard=unheard())
+    judge.judge({}, silent)
+    assert judge.judge({}, silent)["tom"].detail.startswith("it went to bravo (transfer 3)")
+    back = {"bravo": []}
+    assert judge.judge(back, Absent(lives={"bravo": 7})) == {}
+    judge.judge(back, Absent(lives={"bravo": 8}))
+    assert judge.judge(back, Absent(lives={"bravo": 8}))["tom"].outcome == "lost"
 
 
 def test_an_ending_needs_no_second_census():

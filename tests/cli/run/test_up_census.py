@@ -7,7 +7,7 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -35,7 +35,8 @@ class Proxy:
         self._door = socket.create_server(("127.0.0.1", 0))
         self._open: list[socket.socket] = []
         self._cut = False
-        threading.Thread(target=self._serve, daemon=True).start()
+        self._threads: list[threading.Thread] = []
+        self._go_on(self._serve)
 
     @property
     def address(self) -> str:
@@ -49,7 +50,15 @@ class Proxy:
     def close(self) -> None:
         self.cut()
         self._break(self._door)
-        self._door.close()
+        for thread in self._threads:
+            thread.join()
+        for end in (self._door, *self._open):
+            end.close()
+
+    def _go_on(self, work: Callable[..., None], *args: socket.socket) -> None:
+        thread = threading.Thread(target=work, args=args, daemon=True)
+        self._threads.append(thread)
+        thread.start()
 
     def _serve(self) -> None:
         while True:
@@ -66,7 +75,7 @@ class Proxy:
                 continue
             self._open += [near, far]
             for source, target in ((near, far), (far, near)):
-                threading.Thread(target=self._forward, args=(source, target), daemon=True).start()
+                self._go_on(self._forward, source, target)
 
     def _forward(self, source: socket.socket, target: socket.socket) -> None:
         try:
