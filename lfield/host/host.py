@@ -24,7 +24,7 @@ from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
-from lfield.errors import DeviceError, HostFailure, OutputFileError
+from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, Complain, Died, Effect, KeepStart, Say, Write
 from lfield.host.logbook import Logbook
@@ -56,19 +56,22 @@ from lfield.wire.messages import (
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
 CENSUS = 1.5
+#: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
+LOOKING, LAST_LOOK = 3.0, 1.5
 
 
 @dataclass(slots=True)
 class Options:
-    """How a host is run. `listen` is the address to listen on; times are in seconds.
+    """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
 
     `record` has the host's earlier starts, None where none are kept: all hosts are then heard first.
-    `first_start`: somebody says that there were none.
+    `first_start`: somebody says that there were none. Times are in seconds.
     """
 
     listen: str
     dump: Path | None = None
     unreachable_after: float = 10.0
+    door: str = ""
     clock: Clock = field(default_factory=SystemClock)
     dice: random.Random = field(default_factory=random.Random)
     record: Record | None = None
@@ -111,7 +114,9 @@ class Host:
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
         self._due = 0.0
         self._events: deque[Callable[[], None]] = deque()
-        self._entered = self._stopped = False
+        self._entered = self._stopped = self._pressed = False
+        #: When somebody last asked how the devices are.
+        self._looked = -LOOKING
         #: What puts a start on record.
         self._writing: asyncio.Task[None] | None = None
 
@@ -133,6 +138,7 @@ class Host:
         Raises AddressError and DevicesError: then nothing has moved.
         """
         self.address = await self.peers.open(self.options.listen)
+        await self._open_door(self.options.door)
         members = self.team.on(self.core.here)
         devices = self.mission.bindings.of([m.id for m in members])
         await insist(self.guards.lateness.limit, devices, self.clock)
@@ -147,6 +153,14 @@ class Host:
         if self._writing is not None:
             await asyncio.wait([self._writing])
 
+    async def _open_door(self, door: str) -> None:
+        """A host that cannot be asked on this computer runs all the same."""
+        try:
+            if door:
+                await self.peers.open_door(door)
+        except AddressError as error:
+            self.note(f"ps, query and estop need --map to find this host: {error}")
+
     async def stop(self) -> dict[str, str]:
         """Make the devices safe, stay until they are at rest, then close everything.
 
@@ -160,12 +174,18 @@ class Host:
         unsafe = await self.guards.close()
         for name, why in unsafe.items():
             self.note(f"{name}: NOT SAFE: {why}")
+        await self._be_seen()
         self._stopped = True
         if self._timer:
             self._timer.cancel()
         self.peers.close()
         self.logbook.flush()
         return unsafe
+
+    async def _be_seen(self) -> None:
+        """After an emergency stop somebody may be looking at the devices: let them see how that has ended."""
+        if self._pressed and self.clock.monotonic() - self._looked < LOOKING:
+            await asyncio.sleep(LAST_LOOK)
 
     # --- one way in, one way out ----------------------------------------------------------------------
 
@@ -316,6 +336,7 @@ class Host:
     def received(self, host: str, message: Control, link: Link) -> None:
         """A message came; `host` is '' when an observer sent it."""
         if isinstance(message, StatusRequest):
+            self._looked = self.clock.monotonic()
             link.send(self.status())
         elif isinstance(message, Status):
             self.statuses[host] = message
@@ -336,6 +357,7 @@ class Host:
         self._enter(self.core.pass_on)
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
+        self._pressed = not message.lift
         if message.lift:
             self.note("the emergency stop is lifted; programs may release their devices")
             devices = self.guards.lift_stop()

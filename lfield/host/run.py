@@ -32,6 +32,7 @@ async def run_host(
     name: str,
     *,
     listen: str = "",
+    door: str = "",
     dump: Path | None = None,
     unreachable_after: float | None = None,
     lost_after: float | None = None,
@@ -43,6 +44,7 @@ async def run_host(
     """Run a host; returns the exit status (exits.py). `lost_after` None runs until it is stopped.
 
     `record` has its earlier starts; without one it starts its coordinators when it has heard all hosts.
+    `door` is the address where commands of this computer find it.
 
     Raises AddressError and DevicesError when it cannot start.
     """
@@ -50,7 +52,7 @@ async def run_host(
     if not (listen or trust_network):
         await stay_here(name, address)
     bound = unreachable_after or mission.bindings.unreachable_after
-    host_options = Options(address, dump, bound, record=record, first_start=first_start)
+    host_options = Options(address, dump, bound, door, record=record, first_start=first_start)
     logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
     words = StopWords(host.clock)
