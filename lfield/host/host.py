@@ -263,7 +263,7 @@ class Host:
             case Call():
                 self._call(effect)
             case KeepStart():
-                self._keep(effect.generation)
+                self._writing = spawn(self._keep(effect.generation))
             case Died():
                 if self.options.dump:
                     self._dump(effect.agent, self.options.dump)
@@ -280,15 +280,10 @@ class Host:
         except DeviceError as error:
             answered(error)
 
-    def _keep(self, generation: int) -> None:
-        if self.options.record is None:
-            self._enter(partial(self.core.kept, generation))
-        else:
-            self._writing = spawn(self._write(self.options.record, generation))
-
-    async def _write(self, record: Record, generation: int) -> None:
+    async def _keep(self, generation: int) -> None:
         try:
-            await record.write(generation)
+            if self.options.record is not None:
+                await self.options.record.write(generation)
         except OutputFileError as error:
             self._enter(partial(self.core.not_kept, str(error)))
         else:

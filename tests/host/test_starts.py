@@ -139,7 +139,7 @@ def test_a_host_that_was_reaped_is_not_waited_for(fleet):
         await asyncio.sleep(5.0)
         home.host.reaped("nobody we know")
         home.host.reaped("away")
-        assert home.holds("guest")
+        await team.until(lambda: home.holds("guest"))
 
     fleet(story)
 
