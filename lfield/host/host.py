@@ -26,7 +26,7 @@ from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
 from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
-from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
+from lfield.host.effects import Call, Complain, Died, Effect, KeepStart, Say, Write
 from lfield.host.logbook import Logbook
 from lfield.host.status import status_of
 from lfield.loop import spawn
@@ -37,6 +37,7 @@ from lfield.mobility.effects import Send, SendTransfer
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
 from lfield.text.private import write_private
+from lfield.text.record import Record
 from lfield.vm.agent import Agent
 from lfield.vm.contract import Reading
 from lfield.vm.inspect import dump
@@ -63,7 +64,8 @@ LOOKING, LAST_LOOK = 3.0, 1.5
 class Options:
     """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
 
-    Times are in seconds.
+    `record` has the host's earlier starts, None where none are kept: all hosts are then heard first.
+    `first_start`: somebody says that there were none. Times are in seconds.
     """
 
     listen: str
@@ -72,6 +74,8 @@ class Options:
     door: str = ""
     clock: Clock = field(default_factory=SystemClock)
     dice: random.Random = field(default_factory=random.Random)
+    record: Record | None = None
+    first_start: bool = False
 
 
 class Host:
@@ -113,6 +117,8 @@ class Host:
         self._entered = self._stopped = self._pressed = False
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
+        #: What puts a start on record.
+        self._writing: asyncio.Task[None] | None = None
 
     @property
     def machine(self) -> Machine:
@@ -138,11 +144,14 @@ class Host:
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
         self.note(f"{self.name} is up on {self.address}")
-        generation = int(self.clock.time() * 1e9)
-        self._enter(partial(self.core.start_resources, generation))
-        if any(member.kind == "coordinator" for member in members):
-            await self.peers.first_round(CENSUS)
-        self._enter(partial(self.core.start_coordinators, generation))
+        self._enter(self.core.start_resources)
+        if not any(member.kind == "coordinator" for member in members):
+            return
+        record = self.options.record.read() if self.options.record else None
+        await self.peers.first_round(CENSUS)
+        self._enter(partial(self.core.start_coordinators, record, first=self.options.first_start))
+        if self._writing is not None:
+            await asyncio.wait([self._writing])
 
     async def _open_door(self, door: str) -> None:
         """A host that cannot be asked on this computer runs all the same."""
@@ -253,6 +262,8 @@ class Host:
                 self.peers.complain(effect.text)
             case Call():
                 self._call(effect)
+            case KeepStart():
+                self._writing = spawn(self._keep(effect.generation))
             case Died():
                 if self.options.dump:
                     self._dump(effect.agent, self.options.dump)
@@ -268,6 +279,15 @@ class Host:
             self.guards.call(asked.agent.id, call.field, call.instruction, asked.values, answered)
         except DeviceError as error:
             answered(error)
+
+    async def _keep(self, generation: int) -> None:
+        try:
+            if self.options.record is not None:
+                await self.options.record.write(generation)
+        except OutputFileError as error:
+            self._enter(partial(self.core.not_kept, str(error)))
+        else:
+            self._enter(partial(self.core.kept, generation))
 
     def _dump(self, agent: Agent, folder: Path) -> None:
         data = dump.encode(
@@ -315,11 +335,21 @@ class Host:
             link.send(self.status())
         elif isinstance(message, Status):
             self.statuses[host] = message
+            if host:
+                self._enter(partial(self.core.told, host, message.coordinators))
             self.changed.set()
         elif isinstance(message, EmergencyStop) and not host:
             spawn(self._emergency_stop(message, link))
         elif host:
             self._enter(partial(self.core.received, host, message))
+
+    def reaped(self, host: str) -> None:
+        """Whoever started the hosts says that one has ended for good."""
+        self._enter(partial(self.core.reaped, host))
+
+    def pass_on(self) -> None:
+        """This host is about to go: it tells all others of the endings that it knows."""
+        self._enter(self.core.pass_on)
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
         self._pressed = not message.lift

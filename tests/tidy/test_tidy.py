@@ -27,7 +27,7 @@ SMALL = {
     "lfield/driver/binding.py": "one bound device, as it travels",
     "lfield/exits.py": "the statuses of a run",
     "lfield/guard/effects.py": "what the core of a guard asks of its shell",
-    "lfield/host/effects.py": "what the core asks of its shell, and nothing else",
+    "lfield/host/leash.py": "what a host hears from whoever started it",
     "lfield/host/stop_words.py": "what ends a host",
     "lfield/host/logbook.py": "the two streams of a host",
     "lfield/net/control.py": "the door of a fake, from outside",
