@@ -1,10 +1,10 @@
 """Deaths: how soon a device is safe, and at rest, when its host dies, its guard, or both; killed or stopped.
 
-Devices are fakes that go on whatever happens above them, and each time is the device's own: from the signal
-to the line of its log that says so (`lfield sim ... --log`). `own` counts the trials in which the device's own
-watchdog came first: an autopilot's failsafe, a drive's consumer heartbeat, a servo's bus watchdog. It is all
-that is left when both are gone. A device that is not safe, or does not stand, in its time is a failure of its
-case, which is told and makes the run end with a status above 0.
+Devices are fakes that go on whatever happens above them, and each time is the device's own: from the
+signal to the line of its log that says so (`lfield sim ... --log`). `own` counts the trials in which the
+device's own watchdog came first: an autopilot's failsafe, a drive's consumer heartbeat, a servo's bus
+watchdog. It is all that is left when both are gone. A device that is not safe, or does not stand, in its
+time is a failure of its case, which is told and makes the run end with a status above 0.
 
     TRIALS=3          so many of each, quiet and busy (30)
     KEEP=deaths.jsonl also write a line for each trial: all that its device's log said
@@ -156,7 +156,7 @@ FIGURE = Figure(
     own_rows=measured,
     notes=(
         f"{SIDE} fakes of each device side by side; own: the device's own watchdog came first",
-        "every third trial is a long move, the others are setpoints (ODrive: all, Dynamixel: none); copters at 3 m",
+        "every third trial is a long move, others are setpoints (ODrive: all, Dynamixel: none); height 3 m",
         "guards and fakes run with real-time priority where the system allows it, hosts never",
         "make bench ONLY=deaths TRIALS=3 makes fewer, KEEP=FILE writes down every trial",
     ),

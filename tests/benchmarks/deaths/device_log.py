@@ -45,16 +45,19 @@ class DeviceLog:
     """The log of one device, read as it grows."""
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open(encoding="ascii")
-        self._unread = ""
+        self._path, self._place = path, 0
         #: What is so now, and the changes since `forget`.
         self.now: dict[str, str] = {}
         self.changes: list[Change] = []
 
     def read(self) -> None:
         """Take in what was written since."""
-        *lines, self._unread = (self._unread + self._file.read()).split("\n")
-        for line in lines:
+        with self._path.open("rb") as file:
+            file.seek(self._place)
+            data = file.read()
+        whole = data[: data.rfind(b"\n") + 1]
+        self._place += len(whole)
+        for line in whole.decode().splitlines():
             at, _, told = line.split(" ", 2)
             change = Change(float(at), *told.split("=", 1))
             self.changes.append(change)
@@ -65,10 +68,6 @@ class DeviceLog:
         self.read()
         self.changes.clear()
         return dict(self.now)
-
-    def close(self) -> None:
-        """Read no more."""
-        self._file.close()
 
 
 def judge(device: Device, start: Facts, changes: Sequence[Change], death: float) -> Verdict:

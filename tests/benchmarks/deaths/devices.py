@@ -18,9 +18,9 @@ class Device:
     """One kind of device.
 
     `fake` are the words of its fake, `field` its field in the `resource` of moves.L that moves it, `binding`
-    what its binding says beside the endpoint. `safe` compares what is so with what was so when the death came:
-    a new goal is what tells a servo that holds from one that goes on. `own` tells whether its own watchdog has
-    acted.
+    what its binding says beside the endpoint. `safe` compares what was so when the death came with what is
+    so: a new goal is what tells a servo that holds from one that goes on. `own` says whether its own watchdog
+    has acted.
     """
 
     name: str

@@ -9,7 +9,7 @@ import os
 import random
 import signal
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,8 +26,9 @@ LOOK, MOVES_WITHIN, ENDS_WITHIN = 0.02, 30.0, 20.0
 SAFE_WITHIN, REST_WITHIN, WATCHED = 15.0, 30.0, 0.3
 #: Death comes at a random moment in so many seconds after the device was first seen to move.
 EARLIEST, LATEST = 0.3, 2.3
-#: So often a host is started again whose device had stopped before its death came.
-STARTS = 5
+#: So often a host is started whose device does not move, or had stopped before its death came; and how much
+#: of what it said is kept.
+STARTS, LAST_WORDS = 10, 6
 _PROGRAM = Path(__file__).with_name("moves.L").read_text(encoding="utf-8")
 
 
@@ -53,8 +54,8 @@ DEATHS = tuple(
 class Outcome:
     """What became of a trial.
 
-    `why` it failed, '' when it did not; `starts` are those of hosts until death found the device moving; `told`
-    is what the device's log said from then on.
+    `why` it failed, '' when it did not; `starts` of hosts until death found the device moving, `before` what
+    those said that did not keep it moving; `told` is what the device's log said after the death.
     """
 
     device: str
@@ -64,6 +65,7 @@ class Outcome:
     why: str = ""
     starts: int = 0
     told: Sequence[str] = ()
+    before: list[str] = field(default_factory=list)
 
 
 class Subject:
@@ -102,17 +104,34 @@ class Trial:
 
     def begin(self, processes: Processes) -> Iterator[None]:
         """Until the device moves. The host ends with `processes` at the latest."""
+        while not self._gives_up():
+            if (yield from self._moves_by_a_host(processes)):
+                return
+            yield from self.end()
+
+    def _gives_up(self) -> bool:
+        if self.outcome.starts >= STARTS:
+            self.outcome.why = f"no death could be tried on it: {self.outcome.before[-1]}"
+        return bool(self.outcome.why)
+
+    def _moves_by_a_host(self, processes: Processes) -> Generator[None, None, bool]:
+        """Start a host; whether it brought the device to move."""
         self.outcome.starts += 1
         self._told = []
         self._host = self._subject.start_host(processes, self._way)
         start = time.monotonic()
         while not self._moves():
-            late = time.monotonic() > start + MOVES_WITHIN
-            if late or not _born(self._host.pid):
-                last = (self._told or ["without a word"])[-1]
-                self.outcome.why = f"it was not brought to move: {last}"
-                return
+            stopped = any(line.startswith("stopped") for line in self._told) or not _born(self._host.pid)
+            if stopped or time.monotonic() > start + MOVES_WITHIN:
+                self._complain()
+                return False
             yield
+        return True
+
+    def _complain(self) -> None:
+        """Keep why the device does not move: no death can be tried on it."""
+        self._listen()
+        self.outcome.before.append(" | ".join(self._told[-LAST_WORDS:]))
 
     def _moves(self) -> bool:
         """Whether it does as its program wants."""
@@ -154,9 +173,7 @@ class Trial:
                 yield
             if self._moves():
                 return
-            if self.outcome.starts >= STARTS:
-                self.outcome.why = f"it did not keep moving: {self._told[-1]}"
-                return
+            self._complain()
             yield from self.end()
             yield from self.begin(processes)
 
