@@ -42,7 +42,6 @@ class Fleet:
     def __init__(
         self, checkout: Checkout, processes: Processes, devices: Sequence[Device], side: int
     ) -> None:
-        self._checkout = checkout
         self._subjects = {d.name: [Subject(checkout, processes, d) for _ in range(side)] for d in devices}
         self._side, self._dice = side, random.Random(1)
 
@@ -54,7 +53,7 @@ class Fleet:
                 # Each device dies another death: guards that come back shall not wait for one another.
                 turned = [deaths[(number + first + place + n) % len(deaths)] for n in range(self._side)]
                 ways = subjects[0].device.ways
-                way = ways[number % SECOND_WAY == SECOND_WAY - 1 and len(ways) > 1]
+                way = ways[-1] if number % SECOND_WAY == SECOND_WAY - 1 else ways[0]
                 trials += [Trial(*pair, way, self._dice) for pair in zip(subjects, turned, strict=True)]
             yield self._try(trials)
 

@@ -77,7 +77,8 @@ def judge(device: Device, start: Facts, changes: Sequence[Change], death: float)
         if change.at <= death:
             now[change.name] = change.value
     before = dict(now)
-    safe = rest = None
+    safe = death if device.safe(before, before) else None
+    rest = safe if device.at_rest(before) else None
     for change in changes:
         if change.at > death:
             now[change.name] = change.value

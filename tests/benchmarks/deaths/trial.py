@@ -76,10 +76,11 @@ class Subject:
         folder = processes.folder()
         endpoint = checkout.fake(processes, *device.fake, "--log", str(folder / "device.log"))
         self.log = DeviceLog(folder / "device.log")
-        self._bundles = {way: self._built(processes, endpoint, way) for way in device.ways}
+        # Bundles, so that no trial compiles.
+        self._bundles = {way: self._build(processes, endpoint, way) for way in device.ways}
 
-    def _built(self, processes: Processes, endpoint: str, way: str) -> list[str]:
-        """A bundle, so that no trial compiles: the words that run it."""
+    def _build(self, processes: Processes, endpoint: str, way: str) -> list[str]:
+        """The words that run the bundle of one way to move."""
         agents = [f"//{self.device.resource}:a@here?{way}"]
         mission = Mission(processes.folder(), _PROGRAM, agents, self.device.bindings % endpoint)
         self._checkout.lfield(processes, "build", str(mission.deploy), merged=True).wait()
@@ -153,7 +154,12 @@ class Trial:
         if self.outcome.why:
             return
         log, device = self._subject.log, self._subject.device
-        start, death, verdict = log.forget(), self._kill(), Verdict()
+        start, verdict = log.forget(), Verdict()
+        try:
+            death = self._kill()
+        except (ValueError, ProcessLookupError):
+            self.outcome.why = f"somebody was dead before: {self._told[-1]}"
+            return
         while not _over(verdict, time.monotonic() - death):
             yield
             self._listen()
