@@ -155,7 +155,7 @@ FIGURE = Figure(
     own_rows=measured,
     notes=(
         f"{SIDE} fakes of each device side by side; own: the device's own watchdog came first",
-        "every third trial is a long move, others are setpoints (ODrive: all, Dynamixel: none); height 3 m",
+        "every third trial is a long move, others are setpoints (ODrive: all, Dynamixel: none); height 2 m",
         "guards and fakes run with real-time priority where the system allows it, hosts never",
         "make bench ONLY=deaths TRIALS=3 makes fewer, KEEP=FILE writes down every trial",
     ),

@@ -25,7 +25,7 @@ LOOK, MOVES_WITHIN, ENDS_WITHIN = 0.02, 30.0, 20.0
 #: Seconds from a death to the safe state and to rest, at most, and for which the rest is watched.
 SAFE_WITHIN, REST_WITHIN, WATCHED = 15.0, 30.0, 0.3
 #: Death comes at a random moment in so many seconds after the device was first seen to move.
-EARLIEST, LATEST = 0.3, 2.3
+EARLIEST, LATEST = 0.3, 1.8
 #: So often a host is started whose device does not move, or had stopped before its death came; and how much
 #: of what it said is kept.
 STARTS, LAST_WORDS = 10, 6
