@@ -6,10 +6,15 @@ import asyncio
 import contextlib
 import gc
 import os
+import resource
 from collections.abc import Callable, Coroutine
+from pathlib import Path
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+
+#: The capability that lets a process have real-time priority, as a bit of `CapEff`.
+_CAP_SYS_NICE = 1 << 23
 
 
 def run(work: Coroutine[Any, Any, T]) -> T:
@@ -59,6 +64,15 @@ def be_prompt() -> None:
     # What is there now stays: later collections look at new objects only, and are short.
     gc.collect()
     gc.freeze()
+
+
+def may_be_prompt() -> bool:
+    """Whether the system allows a process of this user to be so. Root in a container often may not."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    effective = next((line for line in status.splitlines() if line.startswith("CapEff:")), "CapEff: 0")
+    may_be_nice = bool(int(effective.split()[1], 16) & _CAP_SYS_NICE)
+    return may_be_nice or soft >= 1 or soft == resource.RLIM_INFINITY
 
 
 def _fastest() -> Callable[[], asyncio.AbstractEventLoop] | None:

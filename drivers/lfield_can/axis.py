@@ -37,6 +37,7 @@ class CanAxis(Device):
         self.protocol = PROTOCOLS[binding.option("protocol")](wiring)
         self.malformed = 0
         self._heard_at: float | None = None
+        self._last_velocity: float | None = None
         self._lost = self._quiet = self._opened = False
         self._polled = 0.0
 
@@ -61,6 +62,7 @@ class CanAxis(Device):
             self.malformed += 1
             return
         self._heard_at = self.clock.monotonic()
+        self._last_velocity = self.protocol.state.velocity
         self.heard()
         if values:
             self.publish(**values)
@@ -145,6 +147,19 @@ class CanAxis(Device):
                 break
         self._check_heard()
         raise self.error(f"it does not show the safe state {state} ({self._told()})")
+
+    def _moving(self) -> str:
+        silence, velocity = self._silence(), self._last_velocity
+        known = "its speed is not known" if velocity is None else f"turning at {abs(velocity):.2g} rad/s"
+        if silence > self.protocol.silence:
+            last = f", last seen {known}" if velocity is not None else ""
+            return f"not heard for {silence:.1f} s{last}" if self._heard_at is not None else "not heard yet"
+        if not self._still:
+            return known
+        if not self.protocol.is_safe(self.binding.safe_state, True):
+            # Somebody else on the bus has led it out again, and may turn it at any time.
+            return f"not in {self.binding.safe_state} any more ({self._told()})"
+        return ""
 
     # -- what is known ----------------------------------------------------------------------------------
 

@@ -162,12 +162,26 @@ class CanSignals(Device):
         return at > since and abs(values[term.signal] - term.value) <= term.within
 
     def _why_not(self) -> str:
+        wrong = self._misfits(self.clock.monotonic() - self._patience)
+        return ", ".join(wrong) or "what confirms it came too rarely"
+
+    def _misfits(self, since: float) -> list[str]:
+        """What should confirm the safe state and, as received since then, does not; one text each."""
         wrong = []
         for term in self._confirm:
             _, values = self._received.get(f"{term.message}.{term.signal}", (0.0, {}))
-            if not self._fits(term, self.clock.monotonic() - self._patience):
+            if not self._fits(term, since):
                 wrong.append(f"{term.message}.{term.signal} is {values.get(term.signal, 'not heard')}")
-        return ", ".join(wrong) or "what confirms it came too rarely"
+        return wrong
+
+    def _moving(self) -> str:
+        """A file says nothing of motion: it rests while what confirms its safe state is heard and fits."""
+        if not self._confirm:
+            return ""
+        silence = self._silence()
+        if silence > self._patience:
+            return f"not heard for {silence:.1f} s"
+        return ", ".join(self._misfits(-math.inf))
 
     # -- instructions -----------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ import math
 import time
 
 from lfield.driver import WATCHDOG
-from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused
+from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused, rested
 
 KIT = Kit()
 
@@ -120,6 +120,7 @@ async def ends(bench: Bench) -> str:
     ended = time.monotonic() - last
     if ended > ttl + LATE:
         raise CheckFailed(f"it ended only after {ended:.2f} s")
+    await rested(bench)
     reason = await held(bench, 0.0)
     before = _angles(bench)
     await asyncio.sleep(0.2)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import replace
 from typing import TypeVar
 
 from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
@@ -24,6 +25,8 @@ PROBE = 0.5
 STILL, STOP = 0.1, 2.0
 #: A position that is older than this (s) is not where a silent servo is told to stay.
 FRESH = 0.3
+#: Seconds without a look at a member, as when the bus is gone or quiet, after which it is not heard.
+SILENT = 1.0
 #: Seconds between two looks at a state that is waited for.
 LOOK = 0.02
 
@@ -212,6 +215,29 @@ class Members(Device):
         await self.send({servo: _stay(servo, place) for servo, place in self._places(seen).items()})
         await self.each(self.servos.values(), self._be_still)
 
+    def _moving(self) -> str:
+        told = {number: self._still_does(number) for number in self.servos}
+        alone = len(self.servos) == 1
+        return ", ".join(words if alone else f"servo {n} {words}" for n, words in told.items() if words)
+
+    def _still_does(self, number: int) -> str:
+        """What one member still does in the safe state; '' when it is at rest."""
+        at, seen = self._seen.get(number, (0.0, None))
+        if seen is None:
+            return "does not answer"
+        turns = f"turning at {abs(seen.velocity):.1f} rad/s"
+        silence = self.clock.monotonic() - at
+        if number in self._probe_at or silence > SILENT:
+            last = f", last seen {turns}" if abs(seen.velocity) > STILL else ""
+            return f"not heard for {silence:.1f} s{last}"
+        if abs(seen.velocity) > STILL:
+            return turns
+        known = self.conditions.get(number)
+        if self.binding.safe_state == "torque_off" and known is not None and known.torque:
+            # It was limp: somebody else on the bus has made it stiff again.
+            return "stiff again"
+        return ""
+
     async def go_limp(self, urgency: int) -> None:
         """Switch every torque off by one packet, then see it of each."""
 
@@ -219,6 +245,8 @@ class Members(Device):
             servo.pushing = False
             if await servo.get("torque_enable", urgency=urgency):
                 await servo.put("torque_enable", 0, urgency=urgency)
+            if known := self.conditions.get(servo.node.number):
+                self.conditions[servo.node.number] = replace(known, torque=False)
 
         servos = self.servos.values()
         await self.send({s: (s.item("torque_enable").address, b"\0") for s in servos}, urgency)
@@ -257,10 +285,11 @@ class Members(Device):
                 await servo.put(name, place, urgency=SAFETY)
         deadline, still = self.clock.monotonic() + STOP, 0
         while still < 2:
-            velocity = (await servo.present(urgency=SAFETY)).velocity
-            still = still + 1 if abs(velocity) <= STILL else 0
+            seen = await servo.present(urgency=SAFETY)
+            self._seen[servo.node.number] = (self.clock.monotonic(), seen)
+            still = still + 1 if abs(seen.velocity) <= STILL else 0
             if not still and self.clock.monotonic() > deadline:
-                raise servo.error(f"still turns, at {velocity:.2f} rad/s")
+                raise servo.error(f"still turns, at {seen.velocity:.2f} rad/s")
             await asyncio.sleep(LOOK)
 
     # -- parts ------------------------------------------------------------------------------------------

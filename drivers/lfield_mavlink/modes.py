@@ -21,7 +21,7 @@ class Profile:
 
     `guided` is the mode for our setpoints, `arming` the one to be armed in. `hold`, `land` and `home` are the
     safe states. `own` are modes it enters by itself when it has done what we asked, so they are nobody
-    else's doing.
+    else's doing. `retreats` are modes that its failsafes may choose beside those of the safe states.
     """
 
     autopilot: int
@@ -34,6 +34,7 @@ class Profile:
     land: str
     home: str
     own: frozenset[str] = frozenset()
+    retreats: frozenset[str] = frozenset()
     flies: bool = True
 
     @property
@@ -45,6 +46,11 @@ class Profile:
     def px4(self) -> bool:
         """Whether it is a PX4: parameters byte by byte, NaN for what is not used, streamed setpoints."""
         return self.autopilot == PX4
+
+    @property
+    def fallbacks(self) -> frozenset[str]:
+        """The modes in which it goes down, home or nowhere without anybody: safe states and failsafes."""
+        return self.retreats | {self.hold, self.land, self.home}
 
     def safe(self, state: str) -> str:
         """The mode that is a safe state of the manifest."""
@@ -181,33 +187,43 @@ _PX4_MODES = {
 }
 _PX4_OWN = frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"})
 
+# What the tables of failsafe actions have beside land, return and hold.
+_RETURNS = frozenset({"SMART_RTL", "AUTO_RTL"})
+_PLANE_RETREATS = frozenset({"CIRCLE", "QLAND", "QRTL"})
+_PX4_RETREATS = frozenset({"AUTO.PRECLAND", "TERMINATION"})
+
 
 def _of_px4(kind: str, types: frozenset[int], land: str, *, flies: bool) -> Profile:
     hold, home = "AUTO.LOITER", "AUTO.RTL"
-    return Profile(PX4, kind, types, _PX4_MODES, "OFFBOARD", hold, hold, land, home, _PX4_OWN, flies)
+    return Profile(
+        PX4, kind, types, _PX4_MODES, "OFFBOARD", hold, hold, land, home, _PX4_OWN, _PX4_RETREATS, flies
+    )
+
+
+def _of_ardupilot(
+    kind: str,
+    types: frozenset[int],
+    modes: Mapping[int, str],
+    hold: str,
+    land: str,
+    home: str,
+    *,
+    retreats: frozenset[str] = frozenset(),
+    flies: bool = True,
+) -> Profile:
+    return Profile(
+        ARDUPILOT, kind, types, modes, "GUIDED", "GUIDED", hold, land, home, retreats=retreats, flies=flies
+    )
 
 
 _ALL = (
     # BRAKE and not LOITER: LOITER follows the sticks, and without a radio control there are none.
-    Profile(ARDUPILOT, "copter", _COPTERS, _COPTER_MODES, "GUIDED", "GUIDED", "BRAKE", "LAND", "RTL"),
+    _of_ardupilot("copter", _COPTERS, _COPTER_MODES, "BRAKE", "LAND", "RTL", retreats=_RETURNS),
     # A rover has no landing: it stops.
-    Profile(
-        ARDUPILOT, "rover", _ROVERS, _ROVER_MODES, "GUIDED", "GUIDED", "HOLD", "HOLD", "RTL", flies=False
-    ),
+    _of_ardupilot("rover", _ROVERS, _ROVER_MODES, "HOLD", "HOLD", "RTL", retreats=_RETURNS, flies=False),
     # A plane cannot land without a runway: it returns and circles.
-    Profile(ARDUPILOT, "plane", _PLANES, _PLANE_MODES, "GUIDED", "GUIDED", "LOITER", "RTL", "RTL"),
-    Profile(
-        ARDUPILOT,
-        "submarine",
-        _SUBMARINES,
-        _SUBMARINE_MODES,
-        "GUIDED",
-        "GUIDED",
-        "POSHOLD",
-        "SURFACE",
-        "SURFACE",
-        flies=False,
-    ),
+    _of_ardupilot("plane", _PLANES, _PLANE_MODES, "LOITER", "RTL", "RTL", retreats=_PLANE_RETREATS),
+    _of_ardupilot("submarine", _SUBMARINES, _SUBMARINE_MODES, "POSHOLD", "SURFACE", "SURFACE", flies=False),
     _of_px4("copter", _COPTERS, "AUTO.LAND", flies=True),
     _of_px4("rover", _ROVERS, "AUTO.LOITER", flies=False),
     _of_px4("plane", _PLANES, "AUTO.LAND", flies=True),

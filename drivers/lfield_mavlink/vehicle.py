@@ -18,6 +18,7 @@ from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.missions import Missions
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.payload import Payload
+from lfield_mavlink.parts.rest import Rest
 from lfield_mavlink.parts.storage import Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
 from lfield_mavlink.parts.watchdog import Watchdog
@@ -50,6 +51,7 @@ class MavlinkVehicle(Contact):
         self.watchdog = Watchdog(self, self.parameters)
         limits = Limits(binding, self.error)
         self._flight = Flight(self, self.motion, limits, self.watchdog)
+        self._rest = Rest(self, self.motion)
         self.parts = (
             self._flight,
             Guidance(self, self.motion, limits),
@@ -131,6 +133,9 @@ class MavlinkVehicle(Contact):
 
     async def _make_safe(self, state: str) -> None:
         await self._flight.make_safe(state)
+
+    def _moving(self) -> str:
+        return self._rest.words()
 
     async def do_release(self) -> None:
         """Whatever mode it is in, the program takes the vehicle back."""

@@ -9,10 +9,12 @@ from typing import Any
 
 import msgspec
 
+from lfield import loop
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
 from lfield.devices.fakes import Fake, start_fake
 from lfield.devices.keeper import Answered, Guard, OpenFailed
+from lfield.devices.lateness import Lateness, Limit
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers
 from lfield.driver.sims import sims_of
@@ -42,7 +44,9 @@ class Guards:
         silence: float = SILENCE,
         turned: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._drivers, self._clock, self._note, self._silence = drivers, clock, note, silence
+        self._drivers, self._clock, self._note = drivers, clock, note
+        #: How late the beats for the guards are.
+        self.lateness = Lateness(Limit(silence, loop.may_be_prompt()))
         self._turned = turned
         self._guards: list[Guard] = []
         self._fakes: list[Fake] = []
@@ -67,7 +71,7 @@ class Guards:
             return
         for bus in _by_bus(placed).values():
             driver = self._drivers.by_driver[bus[0].driver]
-            guard = Guard(driver, bus, self._clock, self._note, self._silence, self._turned)
+            guard = Guard(driver, bus, self._clock, self._note, self.lateness, self._turned)
             self._guards.append(guard)
             self._by_device.update(
                 {device.name: (guard, driver.manifests[device.type].device) for device in bus}
@@ -169,9 +173,19 @@ class Guards:
         return {name: "" for guard in self._guards for name in guard.names}
 
     @property
+    def names(self) -> list[str]:
+        """The devices that are open, or were opened."""
+        return list(self._by_device)
+
+    @property
     def latched(self) -> Mapping[str, str]:
         """Why devices are held in their safe states, by device name."""
         return {name: reason for guard in self._guards for name, reason in guard.latched.items()}
+
+    @property
+    def moving(self) -> Mapping[str, str]:
+        """What latched devices still do in their safe states, by device name; '' once one is at rest."""
+        return {name: words for guard in self._guards for name, words in guard.moving.items()}
 
     @property
     def heard(self) -> Mapping[str, float]:
@@ -183,11 +197,25 @@ class Guards:
         """The last values known, by device and quantity."""
         return {name: values for guard in self._guards for name, values in guard.snapshots.telemetry.items()}
 
-    async def close(self) -> None:
-        """Make every device safe, end the guards, then the fakes; bounded."""
-        await asyncio.gather(*(guard.close() for guard in self._guards))
+    async def close(self) -> dict[str, str]:
+        """Make every device safe, end the guards when all are at rest, then the fakes.
+
+        Returns the devices that have not been seen there, by name: each with what was last known of it.
+        Bounded by their `rest_within`; `hurry` makes it short.
+        """
+        ends = await asyncio.gather(*(self._close(guard) for guard in self._guards))
         await asyncio.gather(*(fake.stop() for fake in self._fakes))
         self._guards, self._fakes, self._by_device = [], [], {}
+        return {name: words for end in ends for name, words in end.items()}
+
+    async def _close(self, guard: Guard) -> dict[str, str]:
+        unsafe = await guard.close()
+        return {name: f"{why}; {guard.snapshots.in_words(name)}" for name, why in unsafe.items()}
+
+    def hurry(self) -> None:
+        """Wait for no device any longer; `close` then ends, and tells who is not at rest."""
+        for guard in self._guards:
+            guard.hurry()
 
 
 def _shared_ports(devices: Sequence[DeviceBinding]) -> list[str]:

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
+from lfield.devices.lateness import BEAT, Lateness, Pulse
 from lfield.devices.snapshots import Snapshots
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import KnownDriver
@@ -26,6 +27,7 @@ from lfield.guard.messages import (
     Latched,
     Message,
     MessageReader,
+    Moving,
     Note,
     Open,
     Ready,
@@ -37,27 +39,34 @@ from lfield.guard.messages import (
     Stopped,
     encode,
 )
+from lfield.guard.rest import UNSEEN
 from lfield.loop import spawn, unexpected
 from lfield.manifest import DeviceValue, Instruction
 
-#: Seconds between two signs of life; the guard takes silence over 0.2 s for death.
-BEAT = 0.05
 #: So many beats without a word from the guard, and it hangs. Beats are counted, not seconds: a host that
 #: was stopped itself must not blame its guards.
 UNANSWERED = 60
-#: Seconds for a guard to open its devices, and to end: a little longer than it takes itself.
-OPEN_BOUND, STOP_BOUND = 60.0, 10.0
+#: Seconds for a guard to open its devices; and to end, beyond the time that its devices have for it.
+OPEN_BOUND, STOP_BOUND = 60.0, 5.0
+#: Seconds for a guard to end that shall not wait for its devices any longer.
+AT_ONCE = 1.0
+#: Seconds between two words in the log about a device on its way to rest.
+ON_THE_WAY = 2.0
 #: Seconds before a guard that died is started again: the first time, and at most.
 AGAIN_FIRST, AGAIN_LAST = 0.2, 5.0
+
+#: Why devices are made safe when the host ends in order.
+STOPPING = "the host is stopping"
 
 #: What a caller gets, once: the value, or why it did not happen.
 Answered = Callable[[DeviceValue | DeviceError], None]
 
 
 class Guard(asyncio.SubprocessProtocol):
-    """One bus. `note` takes a line for the log; after `silence` seconds without a beat it goes safe.
+    """One bus. `note` takes a line for the log; after a silence of `lateness.limit` it goes safe.
 
-    A beat is given only when `turned` says that the host has just had its turn.
+    A beat is given only when `turned` says that the host has just had its turn. How late each one was is told
+    to `lateness`.
     """
 
     def __init__(
@@ -66,11 +75,12 @@ class Guard(asyncio.SubprocessProtocol):
         devices: Sequence[DeviceBinding],
         clock: Clock,
         note: Callable[[str], None],
-        silence: float,
+        lateness: Lateness,
         turned: Callable[[], bool],
     ) -> None:
         self._driver = driver.only({device.type for device in devices})
-        self._clock, self._note, self._silence = clock, note, silence
+        self._clock, self._note = clock, note
+        self._silence, self._pulse = lateness.limit.silence, Pulse(lateness)
         self._turned = turned
         self._devices = {device.name: device for device in devices}
         self.snapshots = Snapshots(driver, devices, clock)
@@ -81,18 +91,23 @@ class Guard(asyncio.SubprocessProtocol):
         self._restarting: asyncio.Task[None] | None = None
         self._opening: asyncio.Future[dict[str, str]] | None = None
         self._exited = asyncio.Event()
-        self._ready = self._stopping = False
+        #: Set when this guard has ended for good.
+        self._over = asyncio.Event()
+        self._ready = self._stopping = self._hurried = False
         self._tokens = self._unanswered = 0
         self._calls: dict[int, tuple[DeviceBinding, Instruction, Answered]] = {}
-        self._unsafe: list[str] = []
+        self._unsafe: dict[str, str] | None = None
         self._barred = ""
+        self._told_way: dict[str, float] = {}
         #: Who the devices are, in their driver's words, once they are open.
         self.identities: dict[str, str] = {}
         #: Why a device is held in its safe state, by name; absent while it answers to calls.
         self.latched: dict[str, str] = {}
         #: The latched devices that have been seen in their safe states.
         self.confirmed: set[str] = set()
-        #: Called after every change of the two.
+        #: What a latched device still does in its safe state, in words, by name; '' once it is at rest.
+        self.moving: dict[str, str] = {}
+        #: Called after every change of the three.
         self.on_latch: Callable[[], None] = lambda: None
 
     # -- life -----------------------------------------------------------------------------------------
@@ -105,6 +120,7 @@ class Guard(asyncio.SubprocessProtocol):
         # A session of its own: a Ctrl-C is for the host, which then stops its guards in order.
         await loop.subprocess_exec(lambda: self, *command, stderr=None, start_new_session=True)
         self._send(Open(list(self._devices.values()), latched, self._silence, self._driver))
+        self._pulse.pause()
         self._beat()
         try:
             async with asyncio.timeout(OPEN_BOUND):
@@ -120,23 +136,45 @@ class Guard(asyncio.SubprocessProtocol):
         for name, identity in self.identities.items():
             self._note(f"{name}: {identity} at {self._devices[name].endpoint}")
 
-    async def close(self) -> None:
-        """Make the devices safe and end the process, within STOP_BOUND."""
+    async def close(self) -> dict[str, str]:
+        """Make the devices safe, and end the process when they are at rest.
+
+        Returns those that have not been seen there, each with what is known of it. A guard that dies
+        meanwhile is started again for it. Bounded by `rest_within` of its devices; `hurry` makes it short.
+        """
         self._stopping = True
+        if self._transport is None and self._restarting is None:
+            return {}
+        self._send(Stop(STOPPING))
+        bound = max(d.rest_within for d in self._devices.values()) if self.identities else 0.0
+        try:
+            async with asyncio.timeout(bound + STOP_BOUND):
+                await self._over.wait()
+        except TimeoutError:
+            self._give_up()
+            await self._exited.wait()
+        return self._found_unsafe() if self.identities else {}
+
+    def hurry(self) -> None:
+        """Wait for the devices no longer; who is not at rest will be named."""
+        self._hurried = True
+        self._send(Stop(STOPPING, at_once=True))
+        asyncio.get_running_loop().call_later(AT_ONCE, self._give_up)
+
+    def _give_up(self) -> None:
+        self._hurried = True
         if self._restarting is not None:
             self._restarting.cancel()
+        self.kill()
         if self._transport is None:
-            return
-        self._send(Stop("the host is stopping"))
-        try:
-            async with asyncio.timeout(STOP_BOUND):
-                await self._exited.wait()
-        except TimeoutError:
-            self._unsafe = list(self._devices)
-            self.kill()
-            await self._exited.wait()
-        for name in self._unsafe:
-            self._note(f"{name}: its safe state '{self._devices[name].safe_state}' was NOT confirmed")
+            self._exited.set()
+            self._over.set()
+
+    def _found_unsafe(self) -> dict[str, str]:
+        if self._unsafe is not None:
+            return self._unsafe
+        words = {name: self.moving.get(name, UNSEEN) for name in self._devices}
+        return {name: f"{said}, and its guard has ended" for name, said in words.items() if said}
 
     def kill(self) -> None:
         """End the process by force; unless this end is wanted, the next one makes the devices safe."""
@@ -153,7 +191,10 @@ class Guard(asyncio.SubprocessProtocol):
         if self._ready and self._unanswered > UNANSWERED:
             self._note(f"the guard of {', '.join(self._devices)} hangs")
             self.kill()
-        self._send(Beat(self._clock.monotonic()))
+        now = self._clock.monotonic()
+        if self._ready and (warning := self._pulse.beat(now)):
+            self._note(warning)
+        self._send(Beat(now))
         self._beating = asyncio.get_running_loop().call_later(BEAT, self._beat)
 
     async def _restart(self) -> None:
@@ -163,6 +204,8 @@ class Guard(asyncio.SubprocessProtocol):
             await asyncio.sleep(pause)
             try:
                 await self.open("its guard died and was started again")
+                if self._stopping:
+                    self._send(Stop(STOPPING, at_once=self._hurried))
                 return
             except OpenFailed as error:
                 pause = min(2 * pause, AGAIN_LAST)
@@ -176,6 +219,7 @@ class Guard(asyncio.SubprocessProtocol):
         """Send no beat for so long, as a host that hangs."""
         if self._beating is not None:
             self._beating.cancel()
+        self._pulse.pause()
         await asyncio.sleep(seconds)
         self._beat()
 
@@ -261,14 +305,18 @@ class Guard(asyncio.SubprocessProtocol):
         if self._beating is not None:
             self._beating.cancel()
         was_ready, self._ready = self._ready, False
-        self.confirmed.clear()
         self._exited.set()
         if self._opening is not None and not self._opening.done():
             self._opening.set_exception(OpenFailed([f"the driver's process ended with status {status}"]))
         for binding, instruction, answered in self._take_calls():
             reason = f"{instruction.name}() is lost: the guard ended with status {status}"
             answered(DeviceError(binding.field, reason))
-        if was_ready and not self._stopping:
+        if self._unsafe is not None or self._hurried or not self.identities:
+            self._over.set()
+            return
+        self.confirmed.clear()
+        self.moving = dict.fromkeys(self.latched, UNSEEN)
+        if was_ready:
             self._note(
                 f"the guard of {', '.join(self._devices)} died with status {status}; starting it again"
             )
@@ -291,16 +339,24 @@ class Guard(asyncio.SubprocessProtocol):
             case Refused(token, kind, reason):
                 binding, _, answered = self._calls.pop(token)
                 answered(DeviceError(binding.field, reason, kind=kind))
-            case Latched(device, reason, confirmed):
+            case Latched(device, told, confirmed):
+                fault = self._pulse.explained(told, self._clock.monotonic())
+                reason = self.latched.get(device, told) if confirmed else fault
                 self.latched[device] = reason
                 (self.confirmed.add if confirmed else self.confirmed.discard)(device)
+                self.moving[device] = UNSEEN
                 self.on_latch()
                 state = f"its safe state '{self._devices[device].safe_state}': {reason}"
                 # An ordinary stop is told once, when it is done; anything else at once.
                 if confirmed or not self._stopping:
                     self._note(f"{device}: {'is in' if confirmed else 'goes into'} {state}")
+            case Moving(device, moving):
+                self.moving[device] = moving
+                self.on_latch()
+                self._tell_way(device, moving)
             case Released(device):
                 self.latched.pop(device, None)
+                self.moving.pop(device, None)
                 self.confirmed.discard(device)
                 self._note(f"{device}: released")
             case Note(device, text):
@@ -312,6 +368,15 @@ class Guard(asyncio.SubprocessProtocol):
                 self._opening.set_exception(OpenFailed([self._sentence(*problem) for problem in problems]))
             case Stopped(unsafe):
                 self._unsafe = unsafe
+
+    def _tell_way(self, device: str, moving: str) -> None:
+        """Whoever waits for a stop wants to know what for."""
+        now = self._clock.monotonic()
+        if not moving and self._told_way.pop(device, None) is not None:
+            self._note(f"{device}: is at rest")
+        elif moving and self._stopping and now >= self._told_way.get(device, 0.0) + ON_THE_WAY:
+            self._told_way[device] = now
+            self._note(f"{device}: {moving}")
 
     def _sentence(self, device: str, _: str, reason: str) -> str:
         return f"{device or ', '.join(self._devices)}: {reason}"

@@ -13,6 +13,7 @@ from lfield.driver.values import conform
 from lfield.errors import DeviceError
 from lfield.guard.messages import Snapshot
 from lfield.manifest import DeviceValue, Observation, Quantity
+from lfield.text.values import telemetry_in_words
 from lfield.vm.contract import Reading
 from lfield.vm.memory.values import word_of
 
@@ -98,6 +99,14 @@ class Snapshots:
         value = seen.value
         reading.word = word_of(value) if isinstance(value, float) else int(cast("int", value))
         reading.until = seen.when + self._quantities[key].max_age
+
+    def in_words(self, device: str) -> str:
+        """What was last known of a device: `last heard 0.3 s ago: armed yes, mode LAND`."""
+        if device not in self.heard:
+            return "it was never heard"
+        age = self._clock.monotonic() - self.heard[device]
+        words = telemetry_in_words(self.telemetry[device])
+        return f"last heard {age:.1f} s ago{f': {words}' if words else ''}"
 
     @property
     def telemetry(self) -> dict[str, dict[str, DeviceValue]]:

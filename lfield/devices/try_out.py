@@ -16,6 +16,7 @@ from lfield.driver.kit_checks import KIT
 from lfield.driver.plugins import Installed, Plugins
 from lfield.errors import DeviceError
 from lfield.guard.core import QUIET_BY, SILENCE
+from lfield.guard.rest import UNSEEN
 from lfield.manifest import DeviceValue
 from lfield.vm.world import Pending
 
@@ -63,6 +64,12 @@ class LiveBench:
     def confirmed(self) -> bool:
         """Whether it has been seen there."""
         return self.binding.name in self._guard.confirmed
+
+    @property
+    def moving(self) -> str | None:
+        """What it still does there; '' when it is at rest, None when nobody has said."""
+        told = self._guard.moving.get(self.binding.name)
+        return told if told != UNSEEN else None
 
     async def call(self, instruction: str, *arguments: object) -> Any:
         """Carry an instruction out and return its result. Raises DeviceError."""

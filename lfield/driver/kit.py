@@ -29,7 +29,7 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import Manifest
 from lfield.errors import DeviceError
 
-#: Seconds that one check may take, and a safe state to be confirmed.
+#: Seconds that one check may take beyond `rest_within`, and a safe state to be confirmed.
 BOUND, SAFE = 60.0, 20.0
 
 
@@ -82,6 +82,10 @@ class Bench(Protocol):
     @property
     def confirmed(self) -> bool:
         """Whether it has been seen there."""
+
+    @property
+    def moving(self) -> str | None:
+        """What it still does there, in its driver's words; '' at rest, None when nobody has said."""
 
 
 CheckFunction = Callable[[Bench], Awaitable[str]]
@@ -140,6 +144,26 @@ async def held(bench: Bench, bound: float) -> str:
     return reason
 
 
+async def rested(bench: Bench) -> list[str]:
+    """Wait until the device is at rest in its safe state, at most `rest_within`; what was said on the way.
+
+    Raises CheckFailed.
+    """
+    words, within = list[str](), bench.binding.rest_within
+
+    def at_rest() -> bool:
+        if bench.moving and bench.moving not in words:
+            words.append(bench.moving)
+        return bench.moving == ""
+
+    try:
+        await bench.until(at_rest, within, "it to come to rest")
+    except CheckFailed:
+        last = words[-1] if words else "nothing was said of it"
+        raise CheckFailed(f"it was not at rest within {within:g} s: {last}") from None
+    return words
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """What became of one check on one device: what was seen, or why it failed or did not run."""
@@ -168,12 +192,12 @@ async def run_kit(bench: Bench, checks: Iterable[Check], may_move: bool) -> Asyn
 
 
 async def _run(bench: Bench, check: Check) -> Finding:
-    name = bench.binding.name
+    name, bound = bench.binding.name, BOUND + bench.binding.rest_within
     try:
-        async with asyncio.timeout(BOUND):
+        async with asyncio.timeout(bound):
             return Finding(name, check.name, "passed", await check.run(bench))
     except TimeoutError:
-        return Finding(name, check.name, "failed", f"it was not done within {BOUND:g} s")
+        return Finding(name, check.name, "failed", f"it was not done within {bound:g} s")
     except DeviceError as error:
         return Finding(name, check.name, "failed", error.reason)
     except CheckFailed as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from lfield.driver.contract import WATCHDOG
-from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, held, refused
+from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, held, refused, rested
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
 from lfield.manifest import Instruction, Quantity
@@ -76,6 +76,15 @@ async def latch(bench: Bench) -> str:
     await bench.call("release")
     await bench.until(lambda: not bench.latched, 2.0, "the latch to be off")
     return f"'{bench.binding.safe_state}' confirmed, released"
+
+
+@KIT.check("it comes to rest in its safe state", moves=True)
+async def rest(bench: Bench) -> str:
+    """Within `rest_within` of its binding the driver says that it is still; a stop waits for that."""
+    await bench.make_safe()
+    words = await rested(bench)
+    await bench.call("release")
+    return f"at rest{f' after it was {words[-1]}' if words else ''}"
 
 
 @KIT.check("a guard that dies comes back safe", moves=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import signal
 import sys
 import tempfile
 from collections.abc import Collection, Iterable, Sequence
@@ -42,7 +43,7 @@ class Sim(Protocol):
         """
 
     def run(self, args: argparse.Namespace) -> int:
-        """Serve until SIGTERM, SIGINT or (if asked) the end of stdin; the exit status.
+        """Serve until SIGINT, SIGTERM or, if asked, the end of stdin and nothing less; the exit status.
 
         Prints one line when ready: `ready ENDPOINT words...`, ENDPOINT as a binding would have it.
         """
@@ -131,7 +132,12 @@ def main(arguments: Sequence[str]) -> int:
             sim = load_sim(arguments[0])
             parser = argparse.ArgumentParser(prog=f"lfield sim {sim.name}", description=sim.help)
             sim.add_arguments(parser)
-            return sim.run(parser.parse_args(arguments[1:]))
+            args = parser.parse_args(arguments[1:])
+            if args.until_stdin_closes:
+                # A service manager signals all processes of a service; hardware would not hear it.
+                for number in (signal.SIGTERM, signal.SIGHUP):
+                    signal.signal(number, signal.SIG_IGN)
+            return sim.run(args)
         except LfieldError as error:
             print(error, file=sys.stderr)
             return error.exit_status

@@ -11,6 +11,8 @@ Only `release()` frees it, and only once its safe state is confirmed. On each ch
 actuation runs at a time: a newer one replaces an older one, so that `land()` need not wait for a `goTo()` of
 another thread. A query that asks the device runs beside the others, also while the device is latched.
 
+A stop makes all devices safe and is over when they are at rest (rest.py).
+
 While the host is silent the bus is made quiet, once every safe state is confirmed or QUIET_BY is over: what
 the driver sends by itself would keep the device's own watchdog content for an owner who is gone.
 
@@ -22,13 +24,15 @@ is due and the next question, and what falls in between must not be taken for do
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 from lfield.clock import Clock
 from lfield.driver.contract import RELEASE
-from lfield.guard.messages import Call, Done, Latched, Message, Note, Refused, Released, Stopped
+from lfield.guard.effects import Cancel, Effect, Execute, Exit, Look, MakeSafe, Quiet, Tell
+from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped
+from lfield.guard.rest import Rest
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction
 
 #: How long the host may be silent, in seconds (a beat comes every 50 ms).
@@ -37,10 +41,13 @@ SILENCE = 0.2
 RETRY = 1.0
 #: How long a silent host's devices have to confirm their safe states before their bus is made quiet.
 QUIET_BY = 2.0
-#: How long a stop waits for the safe states to be confirmed.
-STOP_BOUND = 8.0
 
 Way = Literal["ask", "act", "setpoint"]
+
+
+def host_silent(silence: float) -> str:
+    """Why a device goes safe whose host has been silent for so many seconds."""
+    return f"the host was silent for over {silence * 1000:.0f} ms"
 
 
 def way(instruction: Instruction) -> Way:
@@ -48,51 +55,6 @@ def way(instruction: Instruction) -> Way:
     if instruction.only_asks or instruction.name == RELEASE.name:
         return "ask"
     return "setpoint" if instruction.effect == "actuate" and not instruction.blocking else "act"
-
-
-@dataclass(frozen=True, slots=True)
-class Execute:
-    """Effect: have the driver carry out a call."""
-
-    call: Call
-
-
-@dataclass(frozen=True, slots=True)
-class Cancel:
-    """Effect: stop carrying out the call of this token; it has been answered."""
-
-    token: int
-
-
-@dataclass(frozen=True, slots=True)
-class MakeSafe:
-    """Effect: have the driver bring the device into its safe state, before anything else."""
-
-    device: str
-
-
-@dataclass(frozen=True, slots=True)
-class Quiet:
-    """Effect: send nothing that feeds a device's own watchdog from now on (False: do again)."""
-
-    on: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Tell:
-    """Effect: send a message to the host."""
-
-    message: Message
-
-
-@dataclass(frozen=True, slots=True)
-class Exit:
-    """Effect: close the bus and end the process with this status."""
-
-    status: int
-
-
-Effect = Execute | Cancel | MakeSafe | Quiet | Tell | Exit
 
 
 @dataclass(slots=True)
@@ -123,21 +85,21 @@ class _Device:
 
 
 class GuardCore:
-    """The state machine of one guard; `devices` are (name, manifest, ttl)."""
+    """The state machine of one guard; `devices` are (name, manifest, ttl, rest_within)."""
 
     def __init__(
         self,
-        devices: Iterable[tuple[str, DeviceManifest, float]],
+        devices: Sequence[tuple[str, DeviceManifest, float, float]],
         clock: Clock,
         *,
         silence: float = SILENCE,
     ) -> None:
-        self._devices = {name: _Device(name, manifest, ttl) for name, manifest, ttl in devices}
+        self._devices = {name: _Device(name, manifest, ttl) for name, manifest, ttl, _ in devices}
+        self._rest = Rest({name: within for name, _, _, within in devices})
         self._clock = clock
         self._silence = silence
         self._last_beat = clock.monotonic()
-        self._stop_by: float | None = None
-        self._ended = self._quiet = False
+        self._stopping = self._ended = self._quiet = False
 
     # -- events ---------------------------------------------------------------------------------------
 
@@ -227,8 +189,13 @@ class GuardCore:
         effects = self.tick()
         device = self._devices[name]
         device.confirmed, device.retry_at = True, None
-        effects.append(Tell(Latched(name, device.latched, True)))
-        return effects + self._be_quiet(self._clock.monotonic()) + self._end_if_safe()
+        self._rest.confirmed(name, self._clock.monotonic())
+        return [*effects, Tell(Latched(name, device.latched, True)), *self.tick()]
+
+    def looked(self, name: str, moving: str) -> list[Effect]:
+        """What the device still does in its safe state, in the driver's words; '' when it is at rest."""
+        told = self._rest.looked(name, moving, self._clock.monotonic())
+        return [*([Tell(Moving(name, moving))] if told else []), *self.tick()]
 
     def not_safe(self, name: str, reason: str) -> list[Effect]:
         """The driver could not bring the device into its safe state; it is tried again."""
@@ -236,13 +203,27 @@ class GuardCore:
         self._devices[name].retry_at = self._clock.monotonic() + RETRY
         return [*effects, Tell(Note(name, f"its safe state is not confirmed, trying again: {reason}"))]
 
-    def stop(self, reason: str) -> list[Effect]:
-        """The host ends, or has ended: make everything safe, then exit, within STOP_BOUND."""
+    def stop(self, reason: str, *, at_once: bool = False) -> list[Effect]:
+        """The host wants to end: make everything safe, wait until it is at rest, then exit.
+
+        With `at_once` nothing is waited for any longer.
+        """
+        if at_once:
+            self._rest.at_once()
+        return self._stop(reason)
+
+    def gone(self, reason: str) -> list[Effect]:
+        """The host has ended: make everything safe, then exit."""
+        self._rest.alone()
+        return self._stop(reason)
+
+    def _stop(self, reason: str) -> list[Effect]:
         effects = self.tick()
-        if self._stop_by is None and not self._ended:
-            self._stop_by = self._clock.monotonic() + STOP_BOUND
-            effects += self._latch_all(reason) + self._end_if_safe()
-        return effects
+        if not self._stopping:
+            self._stopping = True
+            self._rest.stop(self._clock.monotonic())
+            effects += self._latch_all(reason)
+        return effects + self.tick()
 
     def tick(self) -> list[Effect]:
         """Time has passed: whatever is due."""
@@ -251,7 +232,7 @@ class GuardCore:
         silent = now >= self._silent_at
         for device in self._devices.values():
             if silent and device.moved:
-                effects += self._latch(device, f"the host was silent for over {self._silence * 1000:.0f} ms")
+                effects += self._latch(device, host_silent(self._silence))
             until = self._expiry(device)
             if until is not None and now >= until:
                 effects += self._latch(device, f"the setpoint's time-to-live of {device.ttl:g} s is over")
@@ -259,9 +240,10 @@ class GuardCore:
                 device.retry_at = None
                 effects.append(MakeSafe(device.name))
         effects += self._be_quiet(now)
-        if self._stop_by is not None and now >= self._stop_by:
-            effects += self._end()
-        return effects
+        if self._ended:
+            return effects
+        effects += [Look(name) for name in self._rest.to_look_at(now)]
+        return effects + self._end_if_over(now)
 
     def due(self) -> float | None:
         """When the next tick is needed, on the injected clock; None when nothing can become due."""
@@ -269,7 +251,7 @@ class GuardCore:
             return None
         times = [self._expiry(device) for device in self._devices.values()]
         times += [device.retry_at for device in self._devices.values()]
-        times += [self._stop_by, self._silence_due()]
+        times += [self._rest.due(), self._silence_due()]
         return min((time for time in times if time is not None), default=None)
 
     # -- decisions ------------------------------------------------------------------------------------
@@ -307,7 +289,7 @@ class GuardCore:
         """Let a call in that moves nothing; release() unlatches first, and tells the driver so."""
         effects: list[Effect] = []
         if call.instruction == RELEASE.name:
-            if self._stop_by is not None or self._ended:
+            if self._stopping:
                 return [_refuse(call, "the host is stopping")]
             if device.barred:
                 return [_refuse(call, f"{device.barred}; 'lfield estop --lift' must come first")]
@@ -318,6 +300,7 @@ class GuardCore:
             if device.latched:
                 effects.append(Tell(Released(device.name)))
                 device.latched, device.confirmed, device.moved = "", False, False
+                self._rest.held(device.name)
         device.asking[call.token] = call
         return [*effects, Execute(call)]
 
@@ -329,6 +312,7 @@ class GuardCore:
         if device.latched:
             return []
         device.latched, device.confirmed = reason, False
+        self._rest.held(device.name)
         device.setpoints.clear()
         # The safe state goes out first: it is the effect that cannot wait.
         stopped = [
@@ -371,14 +355,11 @@ class GuardCore:
         ]
         return min(times, default=None)
 
-    def _end_if_safe(self) -> list[Effect]:
-        if self._stop_by is None or not all(device.confirmed for device in self._devices.values()):
+    def _end_if_over(self, now: float) -> list[Effect]:
+        if not self._rest.is_over(now):
             return []
-        return self._end()
-
-    def _end(self) -> list[Effect]:
-        unsafe = [device.name for device in self._devices.values() if not device.confirmed]
-        self._stop_by, self._ended = None, True
+        self._ended = True
+        unsafe = self._rest.unsafe()
         return [Tell(Stopped(unsafe)), Exit(1 if unsafe else 0)]
 
 

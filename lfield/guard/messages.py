@@ -64,9 +64,10 @@ class Safe(Message, frozen=True):
 
 
 class Stop(Message, frozen=True):
-    """Host: make everything safe and end."""
+    """Host: make everything safe and end when it is at rest, or `at_once`."""
 
     reason: str
+    at_once: bool = False
 
 
 class Ready(Message, frozen=True):
@@ -126,13 +127,23 @@ class Note(Message, frozen=True):
 
 
 class Stopped(Message, frozen=True):
-    """Guard: the last message; `unsafe` names the devices whose safe state nobody confirmed."""
+    """Guard: the last message; `unsafe` has the devices that were not seen at rest in their safe states.
 
-    unsafe: list[str]
+    Each with what is known of it.
+    """
+
+    unsafe: dict[str, str]
 
 
 class Allow(Message, frozen=True):
     """Host: the program may release its devices again."""
+
+
+class Moving(Message, frozen=True):
+    """Guard: what a device still does in its safe state, which is confirmed; '' when it is at rest."""
+
+    device: str
+    moving: str
 
 
 #: The kind byte of each message. Order is the protocol: add at the end.
@@ -152,6 +163,7 @@ MESSAGES: tuple[type[Message], ...] = (
     Note,
     Stopped,
     Allow,
+    Moving,
 )
 
 MAX_PAYLOAD = 1 << 20

@@ -1,8 +1,9 @@
 """The guard process of one bus: `python -m lfield.guard.process package:PLUGIN`.
 
 A thin shell around GuardCore: frames come in on stdin, go out on stdout; the log is stderr. It imports the
-driver and never the machine, so a busy program cannot make its timers late. When stdin ends, or on
-SIGTERM, the devices are made safe and the process ends.
+driver and never the machine, so a busy program cannot make its timers late. When stdin ends the devices are
+made safe and the process ends. Signals do not end it: while its host lives only the host knows when the
+devices may be left, and when it is gone only the guard does.
 """
 
 from __future__ import annotations
@@ -20,13 +21,15 @@ from lfield.driver.device import Device, Driver, check_methods
 from lfield.driver.known import KnownDriver
 from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import DeviceError, LfieldError, PluginError, WireError
-from lfield.guard.core import Cancel, Effect, Execute, Exit, GuardCore, MakeSafe, Quiet, Tell
+from lfield.guard.core import GuardCore
+from lfield.guard.effects import Cancel, Effect, Execute, Exit, Look, MakeSafe, Quiet, Tell
 from lfield.guard.endpoint_lock import EndpointLock
 from lfield.guard.messages import (
     Allow,
     Beat,
     Call,
     Failed,
+    Latched,
     Message,
     MessageReader,
     Note,
@@ -34,6 +37,7 @@ from lfield.guard.messages import (
     Ready,
     Safe,
     Stop,
+    Stopped,
     encode,
 )
 from lfield.guard.telemetry import Telemetry
@@ -91,7 +95,7 @@ class Shell(asyncio.Protocol):
     def gone(self, reason: str) -> None:
         """There is nobody left to work for."""
         if self._core is not None:
-            self._run(self._core.stop(reason))
+            self._run(self._core.gone(reason))
         else:
             self._finish(1)
 
@@ -111,7 +115,7 @@ class Shell(asyncio.Protocol):
         elif isinstance(message, Allow):
             self._run(self._core.allow())
         elif isinstance(message, Stop):
-            self._run(self._core.stop(message.reason))
+            self._run(self._core.stop(message.reason, at_once=message.at_once))
 
     def _answer_beat(self) -> None:
         """Now and then, so that the host can tell a guard that hangs from one with nothing to say."""
@@ -123,6 +127,13 @@ class Shell(asyncio.Protocol):
     def _tell(self, message: Message) -> None:
         if not self._output.is_closing():
             self._output.write(encode(message))
+        elif line := _last_words(message):
+            print(line, file=sys.stderr, flush=True)
+
+    def signalled(self, number: int) -> None:
+        """Somebody who means the host has sent its guard a signal too."""
+        name = signal.Signals(number).name
+        self.note("the guard", f"{name} does not end it: it ends with its host, its devices safe")
 
     def _tell_snapshot(self, message: Message) -> None:
         if self._output.get_write_buffer_size() < BACKLOG:
@@ -181,7 +192,7 @@ class Shell(asyncio.Protocol):
             self._finish(1)
             return
         self._core = GuardCore(
-            ((d.binding.name, d.manifest.device, d.binding.ttl) for d in devices),
+            [(d.binding.name, d.manifest.device, d.binding.ttl, d.binding.rest_within) for d in devices],
             self._clock,
             silence=message.silence,
         )
@@ -209,6 +220,8 @@ class Shell(asyncio.Protocol):
                         self._calls[token].cancel()
                 case MakeSafe(device):
                     self._spawn(self._make_safe(device))
+                case Look(device):
+                    self._look(device)
                 case Quiet(on):
                     self._be_quiet(on)
                 case Tell(message):
@@ -226,6 +239,15 @@ class Shell(asyncio.Protocol):
                 self._driver.resume()
         except Exception as error:  # foreign code again
             self.crashed(repr(error))
+
+    def _look(self, name: str) -> None:
+        assert self._core is not None
+        assert self._driver is not None
+        try:
+            moving = self._driver.devices[name].moving()
+        except Exception as error:  # foreign code again; what is not known is not rest
+            moving = f"nobody knows, since the driver failed: {error!r}"
+        self._run(self._core.looked(name, moving))
 
     async def _execute(self, call: Call) -> None:
         core, driver = self._core, self._driver
@@ -304,6 +326,18 @@ def check_same(known: KnownDriver, plugin: Plugin) -> None:
             )
 
 
+def _last_words(message: Message) -> str:
+    """What a guard whose host is gone has to say to whoever reads its log; '' when it is nothing."""
+    match message:
+        case Latched(device, reason, True):
+            return f"{device}: is in its safe state: {reason}"
+        case Stopped(unsafe):
+            return "\n".join(f"{device}: NOT SAFE: {why}" for device, why in unsafe.items())
+        case Note(device, text):
+            return f"{device}: {text}"
+    return ""
+
+
 async def _open_all(devices: Sequence[Device]) -> tuple[dict[str, str], list[tuple[str, str, str]]]:
     """Open every device at once: identities by name, and everything that went wrong."""
     found = await asyncio.gather(*(device.open() for device in devices), return_exceptions=True)
@@ -326,9 +360,10 @@ async def serve(plugin: Plugin, input_fd: int, output_fd: int) -> int:
     # Only now: a vendor library that takes its time to load must not delay the guards of other buses.
     shell = Shell(plugin, output, SystemClock(), loop.be_prompt)
     source, _ = await running.connect_read_pipe(lambda: shell, os.fdopen(input_fd, "rb", 0))
-    running.add_signal_handler(signal.SIGTERM, shell.gone, "the guard was told to end (SIGTERM)")
-    # Ctrl-C reaches the whole process group; the host decides what it means and stops its guards in order.
-    running.add_signal_handler(signal.SIGINT, lambda: None)
+    # A service manager signals every process of its group at once. A guard that obeyed would take its
+    # station's heartbeats away from a vehicle that lands.
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        running.add_signal_handler(number, shell.signalled, number)
     try:
         return await shell.exit
     finally:

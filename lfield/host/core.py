@@ -87,6 +87,7 @@ class HostCore:
         #: Every other host's incarnation as last seen, and the hosts that were restarted meanwhile.
         self._seen: dict[str, int] = {}
         self.restarted: set[str] = set()
+        self._halted = False
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -126,7 +127,7 @@ class HostCore:
             self._due = self.mobility.next_deadline()
         if self.directory.due is not None and now >= self.directory.due:
             self._effects += self.directory.tick(now)
-        pause = self.machine.run()
+        pause = None if self._halted else self.machine.run()
         if self._answers:
             self._answer()
         for due in (self._due, self.directory.due):
@@ -148,6 +149,13 @@ class HostCore:
     def start_coordinators(self, generation: int) -> None:
         """The other hosts had time to say what they know: start the coordinators that are not alive there."""
         self._start_all("coordinator", generation)
+
+    def halt(self) -> None:
+        """The host is stopping: no agent runs any more, and no coordinator is taken in.
+
+        What is under way between hosts goes on, and so does what this host tells of itself.
+        """
+        self._halted = True
 
     def _start_all(self, kind: str, generation: int) -> None:
         for member in self.team.on(self.here):
@@ -270,6 +278,8 @@ class HostCore:
                 self._say(effect.reason)
 
     def _inject(self, header: Transfer, block: Buffer) -> mobile.Refusal | None:
+        if self._halted:
+            return mobile.Refusal("UnreachableResourceException", f"{self.name} is stopping")
         member = self._coordinators.get(header.agent)
         if member is None:
             return mobile.Refusal(

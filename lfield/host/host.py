@@ -23,6 +23,7 @@ from lfield.bytecode.program import DeviceCall
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
+from lfield.devices.measuring import insist
 from lfield.errors import DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
@@ -124,7 +125,9 @@ class Host:
         """
         self.address = await self.peers.open(self.options.listen)
         members = self.team.on(self.core.here)
-        await self.guards.open(self.mission.bindings.of([m.id for m in members]))
+        devices = self.mission.bindings.of([m.id for m in members])
+        await insist(self.guards.lateness.limit, devices, self.clock)
+        await self.guards.open(devices)
         self.note(f"{self.name} is up on {self.address}")
         generation = int(self.clock.time() * 1e9)
         self._enter(partial(self.core.start_resources, generation))
@@ -132,16 +135,25 @@ class Host:
             await self.peers.first_round(CENSUS)
         self._enter(partial(self.core.start_coordinators, generation))
 
-    async def stop(self) -> None:
-        """Make the devices safe, then close everything. Coordinators that are here end with the host."""
+    async def stop(self) -> dict[str, str]:
+        """Make the devices safe, stay until they are at rest, then close everything.
+
+        Meanwhile no agent runs, and who asks gets an answer. Coordinators that are here end with the host.
+        Returns the devices that have not been seen at rest in their safe states, by name, each with what was
+        last known of it. `guards.hurry` cuts the waiting short.
+        """
         if self._stopped:
-            return
+            return {}
+        self.core.halt()
+        unsafe = await self.guards.close()
+        for name, why in unsafe.items():
+            self.note(f"{name}: NOT SAFE: {why}")
         self._stopped = True
         if self._timer:
             self._timer.cancel()
-        await self.guards.close()
         self.peers.close()
         self.logbook.flush()
+        return unsafe
 
     # --- one way in, one way out ----------------------------------------------------------------------
 

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import signal
-import sys
 from pathlib import Path
 from typing import NoReturn
 
+from lfield import exits
 from lfield.errors import UsageError
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
+from lfield.host.stop_words import StopWords, end_with_parent, hear_signals
 from lfield.host.until_done import until_done
 from lfield.mission.mission import Mission
 from lfield.net.local import is_loopback
 from lfield.net.tcp import TcpTransport
+
+#: After so many seconds of a stop it is told what it waits for.
+PATIENCE = 1.0
+WAITING = "waiting for the devices to come to rest; a second Ctrl-C or SIGTERM does not wait for them"
 
 
 async def run_host(
@@ -29,7 +33,7 @@ async def run_host(
     trust_network: bool = False,
     leash: bool = False,
 ) -> int:
-    """Run a host; returns the exit status. `lost_after` None runs until it is stopped.
+    """Run a host; returns the exit status (exits.py). `lost_after` None runs until it is stopped.
 
     Raises AddressError and DevicesError when it cannot start.
     """
@@ -40,23 +44,46 @@ async def run_host(
     host_options = Options(address, dump, bound)
     logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
-    stopping = _stop_signals()
+    words = StopWords(host.clock)
+    hear_signals(words)
     if leash:
-        _end_with_parent(stopping)
+        end_with_parent(words)
     asyncio.get_running_loop().set_exception_handler(host.unhandled)
     life = asyncio.ensure_future(_live(host, lost_after))
-    stopped = asyncio.ensure_future(stopping.wait())
+    stopped = asyncio.ensure_future(words.first.wait())
     failed = asyncio.ensure_future(host.failed.wait())
     try:
         await asyncio.wait([life, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
-        # Without --until-done there is no other end than to be told to stop.
-        status = life.result() if life.done() else 0 if lost_after is None else 130
     finally:
         for task in (life, stopped, failed):
             task.cancel()
         await asyncio.gather(life, stopped, failed, return_exceptions=True)
-        await host.stop()
-    return status if host.failure is None else host.failure.exit_status
+        unsafe = await _stop(host, words)
+    if unsafe:
+        _tell_why(life, host)
+        return exits.UNSAFE
+    if host.failure is not None:
+        return host.failure.exit_status
+    if life.cancelled():
+        # Without --until-done there is no other end than to be told to stop.
+        return exits.DONE if lost_after is None else exits.INTERRUPTED
+    return life.result()
+
+
+async def _stop(host: Host, words: StopWords) -> dict[str, str]:
+    """Stop the host; the devices that were not seen at rest in their safe states."""
+    words.on_second = host.guards.hurry
+    told = asyncio.get_running_loop().call_later(PATIENCE, host.note, WAITING)
+    try:
+        return await host.stop()
+    finally:
+        told.cancel()
+
+
+def _tell_why(life: asyncio.Future[int], host: Host) -> None:
+    """What else is wrong, when the exit status says that a device is not safe."""
+    if not life.cancelled() and (error := life.exception()) is not None:
+        host.note(str(error))
 
 
 async def stay_here(name: str, address: str) -> None:
@@ -81,29 +108,9 @@ async def _live(host: Host, lost_after: float | None) -> int:
     for fate in fates:
         if fate.outcome == "lost":
             host.note(f"{fate.agent} is lost: {fate.detail}")
-    return 0 if all(fate.outcome == "done" for fate in fates) else 1
+    return exits.DONE if all(fate.outcome == "done" for fate in fates) else exits.FAILED
 
 
 async def _for_ever() -> NoReturn:
     while True:
         await asyncio.get_running_loop().create_future()
-
-
-def _stop_signals() -> asyncio.Event:
-    stopping = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, stopping.set)
-    return stopping
-
-
-def _end_with_parent(stopping: asyncio.Event) -> None:
-    """Stop in order when stdin closes: whoever holds its other end has gone."""
-    loop = asyncio.get_running_loop()
-    descriptor = sys.stdin.fileno()
-
-    def gone() -> None:
-        loop.remove_reader(descriptor)
-        stopping.set()
-
-    loop.add_reader(descriptor, gone)

@@ -41,6 +41,7 @@ _LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
 def status_of(core: HostCore, peers: Peers, guards: Guards, address: str, up: float, clock: Clock) -> Status:
     """The status of a host that has been `up` for so many seconds, to the millisecond."""
     now = clock.monotonic()
+    lateness = guards.lateness if guards.telemetry else None
     return Status(
         host=core.name,
         address=address,
@@ -55,6 +56,8 @@ def status_of(core: HostCore, peers: Peers, guards: Guards, address: str, up: fl
             *(LinkStatus(host, _since(now - since)) for host, since in peers.away.items()),
         ],
         directory=core.directory.told(),
+        late=_since(lateness.last_minute(now)) if lateness else None,
+        silence=lateness.limit.silence if lateness else None,
     )
 
 
@@ -84,13 +87,14 @@ def _busiest(states: list[int]) -> str:
 
 
 def _devices(guards: Guards, now: float) -> list[DeviceStatus]:
-    heard, latched = guards.heard, guards.latched
+    heard, latched, moving = guards.heard, guards.latched, guards.moving
     return [
         DeviceStatus(
             clip(name),
             _telemetry(values),
             _since(now - heard[name]) if name in heard else None,
             clip(latched.get(name, "")),
+            clip(moving.get(name, "")),
         )
         for name, values in guards.telemetry.items()
     ]

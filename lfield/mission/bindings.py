@@ -19,6 +19,10 @@ from lfield.vm.contract import Limits
 #: A heap is addressed by 32-bit offsets; below a page not even an empty agent fits.
 MIN_HEAP, MAX_HEAP = 1 << 12, 1 << 31
 
+#: How long a host with fakes may be silent, in seconds: nothing can be hurt, and a desk is busy. What a
+#: devices file says is for the field.
+SIM_SILENCE = 2.0
+
 #: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
 Needed = Mapping[str, Mapping[str, str]]
 
@@ -60,7 +64,7 @@ def maker_of(drivers: Drivers, device_type: str) -> KnownDriver | None:
 
 
 def on_fakes(bindings: Bindings, needed: Needed, drivers: Drivers) -> Bindings:
-    """Every needed device on a fake, with the limits and options of the file where it has them.
+    """Every needed device on a fake, with the limits and options of the file where it has them; SIM_SILENCE.
 
     Every needed device type has a driver.
     """
@@ -68,7 +72,7 @@ def on_fakes(bindings: Bindings, needed: Needed, drivers: Drivers) -> Bindings:
     for agent, name, device_type in each_needed(needed):
         bound = bindings.devices.get(agent, {}).get(name)
         simulated[agent][name] = _faked(bound) if bound else _fake(agent, name, device_type, drivers)
-    return replace(bindings, devices=simulated)
+    return replace(bindings, devices=simulated, silence=SIM_SILENCE)
 
 
 def _faked(device: DeviceBinding) -> DeviceBinding:

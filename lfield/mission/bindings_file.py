@@ -17,7 +17,7 @@ agents:
         sim: ["battery=0.5"]               # of its fake, with --sim: see `lfield sim fault`
 defaults: {heap: 1 MiB, call_depth: 500}   # limits of every agent
 unreachable_after: 10                      # seconds until UnreachableResourceException
-silence: 0.2                               # seconds without the host after which its devices go safe
+silence: 0.2                               # seconds without the host before its devices go safe (fakes: 2)
 ```
 
 The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `rest_within`,

@@ -1,6 +1,7 @@
 """Looks at a computer as `lfield doctor` does: what stands between it and its devices, and the cure.
 
-Passive: it reads files and asks the system; only `endpoints` opens devices, as a mission would.
+Passive: it reads files, asks the system and measures how late the computer is; only `endpoints` opens
+devices, as a mission would.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ import ctypes
 import grp
 import os
 import pwd
-import resource
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,8 +17,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
+from lfield import loop
 from lfield.clock import Clock
 from lfield.devices.guards import Guards
+from lfield.devices.lateness import Limit
+from lfield.devices.measuring import measured
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import Drivers
 from lfield.driver.plugins import Plugins
@@ -125,14 +128,25 @@ def _clock() -> Finding:
 
 def _promptness() -> Finding:
     """Whether a guard may run before everything else; see lfield.guard.process."""
-    soft, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
-    if os.geteuid() == 0 or soft >= 1 or soft == resource.RLIM_INFINITY:
+    if loop.may_be_prompt():
         return Finding("ok", "guards run with real-time priority")
     return Finding(
         "warning",
         "guards may not have real-time priority: on a busy computer their timers can be late",
         "LimitRTPRIO=1 in the service's unit, or '@dialout - rtprio 1' in /etc/security/limits.conf",
     )
+
+
+async def lateness(silence: float, clock: Clock, *, bound: bool) -> Finding:
+    """Whether this computer, as busy as it is now, keeps a silence of so many seconds; takes about one.
+
+    Not to keep what the bindings of hardware say is a problem (`bound`): a host would not start.
+    """
+    limit = Limit(silence, loop.may_be_prompt())
+    late = await measured(limit, clock)
+    if late <= limit.allowed:
+        return Finding("ok", limit.told(late))
+    return Finding("problem" if bound else "warning", limit.told(late), limit.cure(late))
 
 
 async def endpoints(

@@ -247,7 +247,9 @@ class Told(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
     """The answer: a host that has been `up` for so many seconds, its agents, devices and links.
 
-    `coordinators` are all that it has seen, `directory` is what it knows of the agents of the team.
+    `coordinators` are all that it has seen, `directory` is what it knows of the agents of the team. `late` is
+    by how many seconds its signs of life for its guards were late, the longest of the last minute, and
+    `silence` for how many it may give none; both None without devices.
     """
 
     host: Name
@@ -260,6 +262,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     devices: Annotated[list[DeviceStatus], Meta(max_length=4096)]
     links: Annotated[list[LinkStatus], Meta(max_length=4096)]
     directory: Annotated[list[Told], Meta(max_length=4096)]
+    late: Age | None = None
+    silence: Age | None = None
 
 
 class Ping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=8):

@@ -215,7 +215,7 @@ def test_the_tests_of_a_new_driver_pass(project):
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"],
         cwd=project, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
-    assert "3 passed" in tests.stdout, tests.stdout
+    assert "4 passed" in tests.stdout, tests.stdout
 
 
 def test_the_guide_shows_the_tests_of_a_new_driver(project):

@@ -38,6 +38,13 @@ class Pretended:
         )
         self.manifest, self.notes, self.breaks = MANIFEST, [], breaks
         self.latched, self.confirmed = "", False
+        self.ways = ["", "turning", "turning more slowly", None]
+
+    @property
+    def moving(self):
+        if self.breaks == "rest":
+            return "turning"
+        return self.ways.pop() if len(self.ways) > 1 else self.ways[0]
 
     async def call(self, instruction, *arguments):
         if instruction == "release":
@@ -55,7 +62,7 @@ class Pretended:
         return "north" if quantity == "angle" and self.breaks == "type" else 0.25
 
     async def until(self, condition, bound, what):
-        for _ in range(3):
+        for _ in range(4):
             if condition():
                 return
         raise CheckFailed(f"waited for {what}")
@@ -92,6 +99,7 @@ def test_a_device_that_keeps_its_promises_passes_everything():
         ("nan", "what is no number is refused", "turn(nan) was carried out"),
         ("latch", "the safe state is latched until release", "turn(0.0) was carried out"),
         ("release", "the safe state is latched until release", "waited for the latch to be off"),
+        ("rest", "it comes to rest in its safe state", "it was not at rest within 120 s: turning"),
         ("death", "a guard that dies comes back safe", "waited for 'off' to be confirmed"),
         ("silence", "a host that hangs", "waited for 'off' to be confirmed"),
     ],

@@ -6,11 +6,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from lfield.clock import ManualClock
-from lfield.guard.core import QUIET_BY, Cancel, Execute, Exit, GuardCore, MakeSafe, Quiet, Tell
-from lfield.guard.messages import Call, Done, Latched, Refused, Released, Stopped
+from lfield.guard.core import QUIET_BY, GuardCore
+from lfield.guard.effects import Cancel, Execute, Exit, Look, MakeSafe, Quiet, Tell
+from lfield.guard.messages import Call, Done, Latched, Moving, Refused, Released, Stopped
 from lfield.manifest import DeviceManifest, Instruction, Parameter
 
-TTL, SILENCE = 0.5, 0.2
+TTL, SILENCE, WITHIN = 0.5, 0.2, 120.0
 
 MANIFEST = DeviceManifest(
     "Thing",
@@ -30,7 +31,8 @@ class Rig:
 
     def __init__(self, *devices: str) -> None:
         self.clock = ManualClock()
-        self.core = GuardCore([(d, MANIFEST, TTL) for d in devices or ("a",)], self.clock, silence=SILENCE)
+        made = [(d, MANIFEST, TTL, WITHIN) for d in devices or ("a",)]
+        self.core = GuardCore(made, self.clock, silence=SILENCE)
         self.core.opened("")
         self.token = 0
 
@@ -188,25 +190,95 @@ def test_a_safe_state_that_fails_is_tried_again():
     assert made_safe(rig.wait(0.1)) == ["a"]
 
 
-def test_stop_ends_when_all_is_safe_or_its_time_is_over():
+def looks(effects):
+    return [e.device for e in effects if isinstance(e, Look)]
+
+
+def exits(effects):
+    return [e.status for e in effects if isinstance(e, Exit)]
+
+
+def test_a_stop_ends_when_all_is_safe_and_at_rest():
     rig = Rig("a", "b")
     assert made_safe(rig.core.stop("bye")) == ["a", "b"]
-    assert [e for e in rig.core.made_safe("a") if isinstance(e, Exit)] == []
-    effects = rig.core.made_safe("b")
-    assert told(effects, Stopped) == [Stopped([])]
-    assert effects[-1] == Exit(0)
+    assert looks(rig.core.made_safe("a")) == ["a"]
+    assert told(rig.core.looked("a", "4 m up"), Moving) == [Moving("a", "4 m up")]
+    assert looks(rig.core.made_safe("b")) == ["b"]
+    rig.core.looked("b", "")
+    assert set(looks(rig.wait(10.0))) == {"a", "b"}
+    effects = rig.core.looked("a", "")
+    assert told(effects, Stopped) == [Stopped({})]
+    assert exits(effects) == [0]
+    assert exits(rig.wait(200.0)) == []
 
-    rig = Rig("a", "b")
+
+def test_who_is_not_safe_or_not_at_rest_when_the_time_of_a_stop_is_over_is_named():
+    rig = Rig("a", "b", "c")
+    rig.core.stop("bye")
+    for name, moving in (("a", ""), ("c", "4 m up")):
+        rig.core.made_safe(name)
+        rig.core.looked(name, moving)
+    effects = rig.wait(WITHIN - 0.1)
+    assert exits(effects) == []
+    effects = rig.wait(0.2)
+    assert told(effects, Stopped) == [
+        Stopped(
+            {
+                "b": "its safe state was not seen",
+                "c": "it is in its safe state and not at rest: 4 m up",
+            }
+        )
+    ]
+    assert exits(effects) == [1]
+
+
+def test_a_second_word_ends_a_stop_at_once():
+    rig = Rig()
     rig.core.stop("bye")
     rig.core.made_safe("a")
-    effects = rig.wait(9.0)
-    assert told(effects, Stopped) == [Stopped(["b"])]
-    assert Exit(1) in effects
+    rig.core.looked("a", "4 m up")
+    effects = rig.core.stop("now", at_once=True)
+    assert told(effects, Stopped) == [Stopped({"a": "it is in its safe state and not at rest: 4 m up"})]
+    effects = Rig().core.stop("now", at_once=True)
+    assert made_safe(effects) == ["a"], "also who is in a hurry makes everything safe"
+    assert told(effects, Stopped) == [Stopped({"a": "its safe state was not seen"})]
+
+
+def test_without_a_host_a_guard_stays_until_the_safe_states_are_confirmed():
+    rig = Rig()
+    assert made_safe(rig.core.gone("the host is gone")) == ["a"]
+    assert exits(rig.wait(30.0, beating=False)) == []
+    assert exits(rig.core.made_safe("a")) == [0]
+
+
+def test_a_host_that_goes_during_a_stop_need_not_be_waited_for():
+    rig = Rig()
+    rig.core.stop("bye")
+    rig.core.made_safe("a")
+    assert exits(rig.core.looked("a", "4 m up")) == []
+    assert exits(rig.core.gone("the host is gone")) == [0]
+
+
+def test_what_is_held_is_looked_at_until_it_is_released_and_told_when_it_changes():
+    rig = Rig()
+    rig.core.safe("", "asked to")
+    assert looks(rig.wait(1.0)) == [], "not confirmed: there is nothing to look at yet"
+    assert looks(rig.core.made_safe("a")) == ["a"]
+    assert told(rig.core.looked("a", "4 m up"), Moving)
+    assert told(rig.core.looked("a", "4 m up"), Moving) == []
+    rig.wait(0.25)
+    assert told(rig.core.looked("a", "3 m up"), Moving) == [], "twice a second is enough"
+    rig.wait(0.3)
+    assert told(rig.core.looked("a", "2 m up"), Moving) == [Moving("a", "2 m up")]
+    assert told(rig.core.looked("a", ""), Moving) == [Moving("a", "")], "the end is told at once"
+    assert told(rig.call("release"), Released)
+    assert looks(rig.wait(2.0)) == []
+    assert told(rig.core.looked("a", "2 m up"), Moving) == [], "an answer that comes too late"
 
 
 def test_a_restarted_guard_brings_its_devices_back_safe():
     clock = ManualClock()
-    core = GuardCore([("a", MANIFEST, TTL)], clock)
+    core = GuardCore([("a", MANIFEST, TTL, WITHIN)], clock)
     effects = core.opened("its guard died")
     assert made_safe(effects) == ["a"]
     assert told(effects, Latched) == [Latched("a", "its guard died", False)]
@@ -271,7 +343,7 @@ class CreepingClock(ManualClock):
 @pytest.mark.parametrize("event", ["tick", "ask", "beat"])
 def test_a_silence_that_begins_between_two_looks_at_the_clock_is_not_missed(event, early):
     clock = CreepingClock()
-    core = GuardCore([("a", MANIFEST, TTL)], clock, silence=SILENCE)
+    core = GuardCore([("a", MANIFEST, TTL, WITHIN)], clock, silence=SILENCE)
     start = clock.monotonic()
     core.opened("")
     core.call(Call(1, "a", "go", [1.0], start))
@@ -424,6 +496,11 @@ class GuardMachine(RuleBasedStateMachine):
             self.confirmed = True
         else:
             self.see(self.rig.core.not_safe("a", "no answer"))
+
+    @precondition(lambda self: self.confirmed)
+    @rule(moving=st.sampled_from(["", "4 m up"]))
+    def looked(self, moving):
+        self.see(self.rig.core.looked("a", moving))
 
     @rule()
     def asked_to_be_safe(self):

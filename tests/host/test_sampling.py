@@ -10,6 +10,7 @@ from lfield.capability.directory.news import Trouble
 from lfield.capability.model import Attribute, Live
 from lfield.clock import ManualClock
 from lfield.devices.keeper import Guard
+from lfield.devices.lateness import Lateness, Limit
 from lfield.devices.snapshots import LOST_AFTER, Snapshots
 from lfield.driver.plugins import Plugins
 from lfield.guard.messages import Latched, Snapshot
@@ -159,7 +160,7 @@ def test_a_device_is_lost_when_it_is_silent_for_longer_than_its_quickest_value_m
 
 def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
     clock = ManualClock()
-    guard = Guard(installed.by_driver["mavlink"], [bound], clock, lambda text: None, 0.2, lambda: True)
+    guard = Guard(installed.by_driver["mavlink"], [bound], clock, print, Lateness(Limit(0.2)), lambda: True)
     assert guard.trouble("sky.fc") == Trouble("fc: its guard has died and is being started again")
     guard._ready = True
     assert guard.trouble("sky.fc") is None

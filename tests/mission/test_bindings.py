@@ -7,6 +7,7 @@ import pytest
 from lfield.driver.binding import SIMULATED
 from lfield.driver.plugins import Plugins
 from lfield.errors import BindingError, InputFileError
+from lfield.mission.bindings import SIM_SILENCE, on_fakes
 from lfield.mission.bindings_file import read_bindings
 
 NEEDED = {"alpha": {"fc": "Mavlink"}, "beta": {"fc": "Mavlink"}, "tour": {}}
@@ -151,6 +152,17 @@ def test_simulation_keeps_what_the_file_says_but_the_endpoint(written, plugins):
         {"speed": 5.0},
         "hold",
     )
+
+
+def test_a_simulated_host_may_be_silent_for_long_whatever_is_written_for_the_field(written, plugins):
+    field = read_bindings(written(GOOD + "silence: 0.1\n"), NEEDED, plugins)
+    assert field.silence == 0.1
+    assert read_bindings(written(GOOD), NEEDED, plugins).silence == 0.2
+    assert on_fakes(field, NEEDED, plugins).silence == SIM_SILENCE == 2.0
+    assert (
+        read_bindings(written(GOOD + "silence: 9\n"), NEEDED, plugins, simulate=True).silence == SIM_SILENCE
+    )
+    assert read_bindings(None, NEEDED, plugins, simulate=True).silence == SIM_SILENCE
 
 
 def test_no_such_file(plugins, tmp_path):

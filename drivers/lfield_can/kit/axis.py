@@ -6,7 +6,7 @@ import asyncio
 import math
 import time
 
-from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused
+from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused, rested
 
 AXIS = Kit()
 
@@ -97,9 +97,12 @@ async def velocity(bench: Bench) -> str:
     await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
     ended = time.monotonic() - last
     _see(ended <= ttl + LATE, f"it ended only after {ended:.2f} s")
+    words = await rested(bench)
+    seen = abs(bench.query("velocity"))
+    _see(seen <= _standstill(bench), f"it said that it was at rest and turns at {seen:.3f} rad/s")
     reason = await held(bench, 0.0)
-    await _stands(bench)
-    return f"after {ended:.2f} s because {reason}; then it was {bench.query('state')}"
+    way = f", then {words[0]}" if words else ""
+    return f"after {ended:.2f} s because {reason}{way}; then it was {bench.query('state')}"
 
 
 @AXIS.check("a host that hangs while it turns", moves=True, types=_TYPES)

@@ -55,6 +55,10 @@ class VehicleState:
         self.yaw: float | None = None
         self.home: Place | None = None
         self.booted: int | None = None
+        #: m/s over ground and upwards, and when that was told.
+        self.speeds: tuple[float, float] | None = None
+        self.speeds_at = -math.inf
+        self._relative_altitude: float | None = None
         self._local: Vector | None = None
         self._origin: Place | None = None
         self._local_home: Vector | None = None
@@ -73,6 +77,12 @@ class VehicleState:
             return None
         (north, east, down), home = self._local, self.home_offset
         return (north - home[0], east - home[1], down - home[2])
+
+    @property
+    def height(self) -> float | None:
+        """Metres above home."""
+        position = self.position
+        return self._relative_altitude if position is None else -position[2]
 
     @property
     def knows_frames(self) -> bool:
@@ -94,17 +104,19 @@ class VehicleState:
         failsafe = message.system_status in (dialect.MAV_STATE_CRITICAL, dialect.MAV_STATE_EMERGENCY)
         return {"mode": self.mode, "armed": self.armed, "failsafe": failsafe}
 
-    def _on_local_position(self, message: Any, _: float) -> Values:
+    def _on_local_position(self, message: Any, now: float) -> Values:
         numbers = (message.x, message.y, message.z, message.vx, message.vy, message.vz)
         if not all(map(math.isfinite, numbers)):
             return {}
         self._local = numbers[:3]
+        self.speeds, self.speeds_at = (math.hypot(message.vx, message.vy), -message.vz), now
         position = self.position
         assert position is not None
         return {"position": list(position), "velocity": list(numbers[3:]), "altitude": -position[2]}
 
     def _on_global_position(self, message: Any, _: float) -> Values:
         place = Place.scaled(message.lat, message.lon, message.alt)
+        self._relative_altitude = message.relative_alt / 1000.0
         return {"globalPosition": [place.latitude, place.longitude, place.altitude]} if place else {}
 
     def _on_attitude(self, message: Any, _: float) -> Values:
@@ -114,9 +126,10 @@ class VehicleState:
         self.yaw, self.booted = message.yaw, message.time_boot_ms
         return {"attitude": list(angles), "heading": message.yaw % math.tau, "yawRate": message.yawspeed}
 
-    def _on_vfr_hud(self, message: Any, _: float) -> Values:
+    def _on_vfr_hud(self, message: Any, now: float) -> Values:
         if not (math.isfinite(message.groundspeed) and math.isfinite(message.climb)):
             return {}
+        self.speeds, self.speeds_at = (message.groundspeed, message.climb), now
         return {"groundSpeed": message.groundspeed, "climb": message.climb}
 
     def _on_gps(self, message: Any, _: float) -> Values:

@@ -8,7 +8,7 @@ import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused
+from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused, rested
 
 MOTION = Kit()
 
@@ -65,7 +65,7 @@ async def trip(bench: Bench) -> str:
 
 @MOTION.check("a velocity that is not renewed ends", moves=True)
 async def velocity(bench: Bench) -> str:
-    """Past its time-to-live the guard brings it into the safe state, where it does not drive on."""
+    """Past its time-to-live the guard brings it into the safe state, where it comes to rest and says so."""
     async with _under_way(bench):
         last = await _drive(bench, min(SPEED, bench.binding.limits.get("speed", math.inf)))
         ttl = bench.binding.ttl
@@ -73,10 +73,14 @@ async def velocity(bench: Bench) -> str:
         ended = time.monotonic() - last
         _see(ended <= ttl + LATE, f"it ended only after {ended:.2f} s")
         reason = bench.latched
-        await bench.until(lambda: bench.confirmed, SAFE, f"'{bench.binding.safe_state}' to be confirmed")
-        if bench.binding.safe_state != "return":
+        words = await rested(bench)
+        if bench.binding.safe_state == "hold" or _kind(bench) == "rover":
             await _stops(bench)
-        return f"after {ended:.2f} s because {reason}; then it was in {bench.query('mode')}"
+        else:
+            _see(bool(words), "it came down from the air and never said so")
+            await bench.until(lambda: not bench.query("armed"), LATE, "its motors to be off, as it said")
+        way = f", then {words[0]}" if words else ""
+        return f"after {ended:.2f} s because {reason}{way}; then it was in {bench.query('mode')}"
 
 
 @MOTION.check("a host that hangs while it is under way", moves=True)

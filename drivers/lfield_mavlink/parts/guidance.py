@@ -132,12 +132,11 @@ class Guidance:
         """PX4 enters OFFBOARD when it has noticed the setpoints; before that it may just accept it."""
         vehicle = self._vehicle
         guided, start = vehicle.profile.guided, vehicle.clock.monotonic()
-        self._motion.claim(guided)
         values = self._motion.mode_values(guided)
         while self._state.mode != guided:
             answer = await vehicle.exchange.command(dialect.MAV_CMD_DO_SET_MODE, *values, once=True)
             if await vehicle.seen(lambda: self._state.mode == guided, NOTICED):
-                return
+                break
             if vehicle.clock.monotonic() >= until:
                 vehicle.check_link()
                 result = "no answer" if answer.result is None else result_words(answer.result)
@@ -145,6 +144,7 @@ class Guidance:
                     f"{what}: {guided} was not entered within the time-to-live of {vehicle.binding.ttl:g} s "
                     f"({result}){vehicle.reasons(start)}"
                 )
+        self._motion.claim(guided)
 
     def _check_placed(self, what: str) -> None:
         needs_home = self._vehicle.profile.px4

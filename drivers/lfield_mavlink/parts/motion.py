@@ -128,12 +128,14 @@ class Motion:
             await self._parameters.write(name, value)
         if order.mode and self._state.mode != order.mode:
             await self.set_mode(order.mode)
-        self._commanded = order.modes
+        # As in `enter`: until the new order is seen, the mode it is still in is ours too.
+        self._commanded |= order.modes
         if (command := order.command) is not None:
             await self._vehicle.command(
                 what, command.number, *command.values, place=command.place, taken=taken
             )
         await self._vehicle.until(lambda: self._state.mode in order.modes, SHOWS, what)
+        self.claim(*order.modes)
 
     async def travel(self, what: str, order: Order, distance: Callable[[Vector], float], near: float) -> None:
         """Wait until `distance` of the position is at most `near`, as long as it gets less.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,38 +26,45 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when nothing is a problem (warnings are none), 69 otherwise."""
+    from lfield import loop
     from lfield.driver.plugins import discover
     from lfield.operator.doctor import system
 
-    plugins = discover()
-    findings = []
-    for finding in system(plugins):
-        findings.append(finding)
-        _tell(finding)
-    if args.deploy is not None:
-        findings += asyncio.run(_try_devices(args))
-    return 69 if any(finding.state == "problem" for finding in findings) else 0
-
-
-async def _try_devices(args: argparse.Namespace) -> list[Finding]:
-    from lfield.clock import SystemClock
-    from lfield.driver.known import installed_here
-    from lfield.mission.load import open_mission
-    from lfield.operator.doctor import endpoints
-
-    mission = open_mission(args.deploy, devices=args.devices)
-    team = mission.team
-    hosts = [team.number(name) for name in ([team.lookup(args.host)] if args.host else team.hosts)]
-    devices = mission.bindings.of([member.id for host in hosts for member in team.on(host)])
-    drivers = installed_here(mission.drivers, {device.driver for device in devices})
     findings: list[Finding] = []
 
     def told(finding: Finding) -> None:
         findings.append(finding)
         _tell(finding)
 
+    for finding in system(discover()):
+        told(finding)
+    # On the loop of a host: it is its lateness that is measured.
+    loop.run(_look(told) if args.deploy is None else _try_devices(args, told))
+    return 69 if any(finding.state == "problem" for finding in findings) else 0
+
+
+async def _look(told: Callable[[Finding], None]) -> None:
+    """Measure against what bindings say by default."""
+    from lfield.clock import SystemClock
+    from lfield.mission.bindings import Bindings
+    from lfield.operator.doctor import lateness
+
+    told(await lateness(Bindings().silence, SystemClock(), bound=False))
+
+
+async def _try_devices(args: argparse.Namespace, told: Callable[[Finding], None]) -> None:
+    from lfield.clock import SystemClock
+    from lfield.driver.known import installed_here
+    from lfield.mission.load import open_mission
+    from lfield.operator.doctor import endpoints, lateness
+
+    mission = open_mission(args.deploy, devices=args.devices)
+    team = mission.team
+    hosts = [team.number(name) for name in ([team.lookup(args.host)] if args.host else team.hosts)]
+    devices = mission.bindings.of([member.id for host in hosts for member in team.on(host)])
+    drivers = installed_here(mission.drivers, {device.driver for device in devices})
+    told(await lateness(mission.bindings.silence, SystemClock(), bound=mission.world == "hardware"))
     await endpoints(drivers, devices, SystemClock(), told)
-    return findings
 
 
 def _tell(finding: Finding) -> None:

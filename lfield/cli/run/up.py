@@ -67,7 +67,7 @@ def _seconds(word: str) -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until done or stopped: 0 if all ended normally, 1 if a coordinator died or was lost."""
+    """Run until done or stopped; the status is of exits.py: 0 if all ended normally."""
     from lfield.text.outlet import never_waiting
 
     with never_waiting("lfield: " if args.all else ""):

@@ -16,7 +16,10 @@ import sys
 from asyncio.subprocess import PIPE, Process
 from typing import TYPE_CHECKING, TextIO
 
+from lfield import exits
+from lfield.clock import SystemClock
 from lfield.host.run import stay_here
+from lfield.host.stop_words import StopWords, hear_signals
 from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
 from lfield.operator import whereabouts
@@ -31,8 +34,10 @@ if TYPE_CHECKING:
 LOST_AFTER = 3.0
 #: Where a host listens that no --map names: on a free port.
 FREE = "127.0.0.1:0"
-#: How long hosts may take to make their devices safe and end, in seconds, before they are killed.
+#: How long hosts may take to end, in seconds, beyond the time that their devices have to come to rest.
 PATIENCE = 20.0
+#: The statuses of a host that has run; one with any other could not start, or has failed.
+RAN = (exits.DONE, exits.FAILED, exits.UNSAFE, exits.UNHEARD)
 
 
 def run_all(mission: Mission, file: Path, args: argparse.Namespace) -> int:
@@ -44,7 +49,7 @@ def run_all(mission: Mission, file: Path, args: argparse.Namespace) -> int:
     reserved = {host: reserve(mapped.get(host, FREE)) for host in mission.team.hosts}
     addresses = {host: address for host, (_, address) in reserved.items()}
     with whereabouts.published(mission.team.deployment, addresses, _tell):
-        return asyncio.run(_Team(file, args, reserved, addresses).run())
+        return asyncio.run(_Team(mission, file, args, reserved, addresses).run())
 
 
 def _tell(text: str) -> None:
@@ -54,24 +59,24 @@ def _tell(text: str) -> None:
 class _Team:
     def __init__(
         self,
+        mission: Mission,
         file: Path,
         args: argparse.Namespace,
         reserved: dict[str, tuple[socket.socket, str]],
         addresses: dict[str, str],
     ) -> None:
-        self.file, self.args = file, args
+        self.mission, self.file, self.args = mission, file, args
         self.reserved, self.addresses = reserved, addresses
         self.children: dict[str, Process] = {}
         self.width = max(len(host) for host in addresses)
-        self.stopping = asyncio.Event()
+        self.words = StopWords(SystemClock())
         #: The exit status of the first host that could not start.
         self.refused = 0
         self.view: LiveView | None = None
 
     async def run(self) -> int:
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            loop.add_signal_handler(number, self.stopping.set)
+        hear_signals(self.words)
+        self.words.on_second = self.hurry
         if sys.stderr.isatty():
             from lfield.cli.views.live import LiveView
 
@@ -85,7 +90,9 @@ class _Team:
         await asyncio.gather(*readers)
         if self.view:
             await self.view.stop()
-        return 130 if self.stopping.is_set() else self.refused or max(statuses)
+        if self.words.first.is_set():
+            return exits.worst([exits.INTERRUPTED, *(s for s in statuses if s == exits.UNSAFE)])
+        return exits.worst([self.refused, *statuses])
 
     async def start(self, host: str) -> list[asyncio.Task[None]]:
         """Start the process of a host; returns the tasks that pass its lines on."""
@@ -145,26 +152,40 @@ class _Team:
             return await source.read(1 << 16)
 
     async def wait(self, host: str) -> int:
-        """The exit status of a host, 1 when a signal ended it. One that cannot start stops the others."""
+        """The exit status of a host. One that cannot start stops the others."""
         status = await self.children[host].wait()
         if status < 0:
-            name = signal.Signals(-status).name
-            self.show(host, f"ended by {name}", sys.stderr)
-            return 1
-        if status not in (0, 1) and not self.stopping.is_set():
+            return self.ended_by(signal.Signals(-status), host)
+        if status not in RAN and not self.words.first.is_set():
             self.refused = self.refused or status
             self.release()
         return status
 
+    def ended_by(self, number: signal.Signals, host: str) -> int:
+        """The status of a host that a signal ended: nobody has seen what became of its devices."""
+        self.show(host, f"ended by {number.name}", sys.stderr)
+        team = self.mission.team
+        devices = self.mission.bindings.of([member.id for member in team.on(team.number(host))])
+        for device in devices:
+            told = f"{device.name}: NOT SAFE: nobody has seen its safe state '{device.safe_state}'"
+            self.show(host, told, sys.stderr)
+        return exits.UNSAFE if devices else exits.FAILED
+
     async def watch(self) -> None:
         """Stop everything in order when told to, and by force when that takes too long."""
-        await self.stopping.wait()
+        await self.words.first.wait()
         self.release()
-        await asyncio.sleep(PATIENCE)
+        await asyncio.sleep(max((d.rest_within for d in self.mission.bindings.all), default=0.0) + PATIENCE)
         for host, child in self.children.items():
             if child.returncode is None:
                 print(f"{host} does not end: killed", file=sys.stderr)
                 child.kill()
+
+    def hurry(self) -> None:
+        """Say the second word to every host: the first was the end of its leash."""
+        for child in self.children.values():
+            if child.returncode is None:
+                child.terminate()
 
     def release(self) -> None:
         """Close the pipes that the hosts hold on to."""

@@ -12,10 +12,9 @@ from rich.table import Table
 
 from lfield.errors import LfieldError
 from lfield.operator.ask import Answers
-from lfield.wire.messages import DeviceStatus, Known, Status, Telemetry, Told
+from lfield.text.values import telemetry_in_words
+from lfield.wire.messages import DeviceStatus, Known, Status, Told
 
-#: So many quantities of a device are shown, the first of its manifest; `lfield ps --json` has all.
-SHOWN = 8
 #: A device that has not been heard for longer (seconds) is shown as silent: its telemetry is old.
 SILENT = 3.0
 
@@ -26,9 +25,22 @@ def show(answers: Answers[Status]) -> None:
 
 
 def picture(answers: Answers[Status]) -> Group:
-    """The agents of all hosts with the coordinators that have ended or are in doubt, then the devices."""
-    devices = _devices(answers)
-    return Group(_agents(answers), "", devices) if devices.row_count else Group(_agents(answers))
+    """The agents of all hosts with the coordinators that have ended or are in doubt, then the devices.
+
+    Last are the hosts that have devices, with how late each was and how long it may be silent.
+    """
+    further = (table for table in (_devices(answers), _hosts(answers)) if table.row_count)
+    return Group(_agents(answers), *(part for table in further for part in ("", table)))
+
+
+def _hosts(answers: Answers[Status]) -> Table:
+    shown = Table(box=None, pad_edge=False)
+    for column in ("HOST", "LATE", "SILENCE"):
+        shown.add_column(column, justify="left" if column == "HOST" else "right")
+    for host, answer in answers.items():
+        if not isinstance(answer, LfieldError) and answer.late is not None and answer.silence is not None:
+            shown.add_row(host, f"{answer.late:.3f} s", f"{answer.silence:g} s")
+    return shown
 
 
 def _devices(answers: Answers[Status]) -> Table:
@@ -39,29 +51,17 @@ def _devices(answers: Answers[Status]) -> Table:
         if isinstance(answer, LfieldError):
             continue
         for device in answer.devices:
-            values = device.telemetry
-            words = [f"{quantity} {_value(value)}" for quantity, value in list(values.items())[:SHOWN]]
-            words += [f"and {len(values) - SHOWN} more"] if len(values) > SHOWN else []
-            shown.add_row(host, device.name, _device_state(device), ", ".join(words))
+            words = telemetry_in_words(device.telemetry)
+            shown.add_row(host, device.name, _device_state(device), words)
     return shown
 
 
 def _device_state(device: DeviceStatus) -> str:
     if device.silent is not None and device.silent > SILENT:
         return f"silent {device.silent:.0f} s"
-    return "safe" if device.latched else "in use"
-
-
-def _value(value: Telemetry) -> str:
-    match value:
-        case bool():
-            return "yes" if value else "no"
-        case float():
-            return f"{value:.2f}"
-        case list():
-            return f"({' '.join(_value(part) for part in value)})"
-        case _:
-            return str(value)
+    if not device.latched:
+        return "in use"
+    return f"safe: {device.moving}" if device.moving else "safe, at rest"
 
 
 def _agents(answers: Answers[Status]) -> Table:
@@ -113,6 +113,9 @@ def _status(status: Status) -> dict[str, Any]:
         "devices": {device.name: device.telemetry for device in status.devices},
         "silences": {device.name: device.silent for device in status.devices if device.silent is not None},
         "latched": {device.name: device.latched for device in status.devices if device.latched},
+        "late": status.late,
+        "silence": status.silence,
+        "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),
     }
 

@@ -80,7 +80,7 @@ class Autopilot(Pilot):
             return self._deny_arming(f"{self.mode} mode not armable")
         if self.unfit and not force:
             return self._deny_arming(self.unfit)
-        self.armed, self.armed_at, self.landed_at = True, self.now, None
+        self.armed, self.armed_at, self.touched_at = True, self.now, None
         self.home = self.vehicle.place
         self.say(self.flavour.armed)
         return Result.ACCEPTED

@@ -113,6 +113,8 @@ class Flavour:
     needs_stream        the guided mode is entered and kept only while setpoints come, and lifts off by them
     takeoff_mode        takeoff is a mode that is entered even when disarmed; its height is a parameter
     home_item           item 0 of a mission is home
+    settles             seconds that it stands until it says that it has landed
+    landed_text         said when it switches its motors off after a landing
     unsupported         MAV_CMDs that it does not know
     """
 
@@ -131,7 +133,9 @@ class Flavour:
     home_item: bool
     setpoint_timeout: str
     disarm_delay: str
-    land_delay: str
+    land_delay: str | float
+    settles: float
+    landed_text: str
     gcs: GcsRule
     battery: tuple[BatteryLevel, ...]
     fence: FenceRule
@@ -146,7 +150,7 @@ class Kind:
     """A kind of vehicle with its autopilot.
 
     `speeds` are the parameters of the limits of motion with how many of their units make one SI unit;
-    `return_height` likewise; `takeoff_height` is PX4's in metres.
+    `return_height` and `return_pause` likewise; `takeoff_height` is PX4's in metres.
     """
 
     name: str
@@ -158,6 +162,7 @@ class Kind:
     speeds: Mapping[str, tuple[str, float]]
     return_height: tuple[str, float] = ("", 1.0)
     takeoff_height: str = ""
+    return_pause: tuple[str, float] = ("", 1.0)
 
     def mode_name(self, number: int) -> str:
         """The name of a mode number, '' for an unknown one."""

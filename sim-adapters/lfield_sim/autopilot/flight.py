@@ -21,7 +21,7 @@ def fly(pilot: Pilot) -> None:
 
 
 def _return(pilot: Pilot) -> None:
-    """Up to the return height, over to home, down."""
+    """Up to the return height, over to home, a moment there, down."""
     vehicle, home = pilot.vehicle, pilot.home
     north, east, down = vehicle.place
     far = math.dist((north, east), home[:2])
@@ -31,7 +31,9 @@ def _return(pilot: Pilot) -> None:
     elif not vehicle.airborne:
         vehicle.goal = Rest()
     elif far < AT_HEIGHT and math.hypot(*vehicle.velocity[:2]) < 0.5:
-        vehicle.goal = Descend()
+        if pilot.over_home_at is None:
+            pilot.over_home_at = pilot.now
+        vehicle.goal = Descend() if pilot.now - pilot.over_home_at >= pilot.return_pause else Rest()
     elif far > 1.0 and down > height + AT_HEIGHT:
         vehicle.goal = Reach((north, east, height))
     else:
@@ -60,17 +62,27 @@ def disarm_when_idle(pilot: Pilot) -> None:
     if not pilot.flies or not pilot.armed:
         return
     if pilot.vehicle.airborne:
-        pilot.landed_at, pilot.armed_at = math.inf, pilot.now
+        pilot.touched_at, pilot.armed_at = math.inf, pilot.now
         return
-    if pilot.landed_at == math.inf:
-        pilot.landed_at = pilot.now
-    over = pilot.role in (Role.LAND, Role.RETURN)
-    wait = pilot.value(pilot.flavour.land_delay) if pilot.flavour.land_delay else 0.0
+    if pilot.touched_at == math.inf:
+        pilot.touched_at = pilot.now
     delay = pilot.value(pilot.flavour.disarm_delay)
-    landed = over and (pilot.landed_at is None or pilot.now - pilot.landed_at >= wait)
-    forgotten = isinstance(pilot.vehicle.goal, Rest) and 0.0 < delay < pilot.now - pilot.armed_at
-    if landed or forgotten:
+    if _is_over(pilot):
+        pilot.disarm(text=pilot.flavour.landed_text)
+        if pilot.flavour.takeoff_mode:
+            # PX4 leaves a mode that has done what it is for.
+            pilot.fall_back(Role.HOLD)
+    elif isinstance(pilot.vehicle.goal, Rest) and 0.0 < delay < pilot.now - pilot.armed_at:
         pilot.disarm()
+
+
+def _is_over(pilot: Pilot) -> bool:
+    """Whether a landing has ended so long ago that the motors go off."""
+    if pilot.role not in (Role.LAND, Role.RETURN) or not pilot.landed:
+        return False
+    delay = pilot.flavour.land_delay
+    wait = pilot.value(delay) if isinstance(delay, str) else delay
+    return pilot.touched_at is None or pilot.now - pilot.touched_at >= pilot.flavour.settles + wait
 
 
 def suffer(pilot: Pilot) -> None:
@@ -83,7 +95,7 @@ def suffer(pilot: Pilot) -> None:
         vehicle.goal = Rest()
     elif falling and not vehicle.airborne:
         pilot.say("Crash: Disarming", Severity.CRITICAL)
-        pilot.disarm()
+        pilot.disarm(force=True)
     elif vehicle.airborne:
         if not falling:
             pilot.say("Potential Thrust Loss (1)", Severity.CRITICAL)

@@ -126,7 +126,7 @@ def _landed(pilot: Pilot, item: MissionItem) -> bool:
     over = item.place is None or math.dist(vehicle.place[:2], item.place[:2]) < AT_PLACE
     if pilot.flies and over:
         vehicle.goal = Descend()
-    landed = over and not vehicle.airborne
+    landed = over and pilot.landed
     if landed and pilot.flies:
         pilot.disarm()
     return landed

@@ -61,7 +61,8 @@ class Pilot:
     booting_until: float = -1.0
     boots: int = 0
     armed_at: float = 0.0
-    landed_at: float | None = None
+    touched_at: float | None = None
+    over_home_at: float | None = None
     setpoint_at: float = -math.inf
     takeoff_goal: float | None = None
     perform: Callable[[MissionItem], object] = lambda _: None
@@ -84,6 +85,13 @@ class Pilot:
     def flies(self) -> bool:
         """Whether it is a copter."""
         return self.kind.name == "copter"
+
+    @property
+    def landed(self) -> bool:
+        """Whether it stands, and has done so for long enough to say so."""
+        if self.vehicle.airborne:
+            return False
+        return self.touched_at is None or self.now - self.touched_at >= self.flavour.settles
 
     @property
     def role(self) -> Role:
@@ -121,6 +129,12 @@ class Pilot:
         """Metres above home at which it returns."""
         name, scale = self.kind.return_height
         return min(self.value(name) / scale, 1000.0) if name else 0.0
+
+    @property
+    def return_pause(self) -> float:
+        """Seconds that it hovers over home before it comes down."""
+        name, scale = self.kind.return_pause
+        return self.value(name) / scale if name else 0.0
 
     @property
     def takeoff_height(self) -> float:
@@ -174,7 +188,7 @@ class Pilot:
         """Enter a mode, whoever wants it."""
         if name == self.mode:
             return
-        self.mode = name
+        self.mode, self.over_home_at = name, None
         self.apply_parameters()
         vehicle = self.vehicle
         vehicle.yaw_goal = vehicle.yaw_rate_goal = None
@@ -198,12 +212,12 @@ class Pilot:
         """The setpoint is over: stand still where it is."""
         self.vehicle.goal, self.vehicle.yaw_rate_goal = Rest(), None
 
-    def disarm(self, *, force: bool = False) -> Result:
-        """COMPONENT_ARM_DISARM 0: refused in the air unless forced."""
-        if self.vehicle.airborne and not force:
+    def disarm(self, *, force: bool = False, text: str = "") -> Result:
+        """COMPONENT_ARM_DISARM 0: refused until it has landed, unless forced."""
+        if self.armed and not (self.landed or force):
             return self.flavour.refusal
         if self.armed:
-            self.say(self.flavour.disarmed)
+            self.say(text or self.flavour.disarmed)
         self.armed = False
         if self.vehicle.airborne:
             self.vehicle.goal = Fall()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -156,6 +157,35 @@ def test_after_the_safe_state_nothing_of_before_is_sent(rig):
         await pump.make_safe()
         await pump.execute("set", ["Command.valve", 50.0])
         assert carried(b.bus.sent[-1])["speed"] == 0.0
+
+    b.run(mission)
+
+
+def test_a_device_by_file_rests_while_what_confirms_it_fits(rig):
+    b = rig()
+
+    async def mission(device):
+        await device.execute("set", ["Command.speed", 12.5])
+        await device.make_safe()
+        assert device.moving() == ""
+        b.pump.deaf, b.pump.speed = True, 3.0
+        await asyncio.sleep(0.3)
+        assert device.moving() == "Status.speed is 3.0"
+        b.pump.silent = True
+        await asyncio.sleep(3.0)
+        assert re.fullmatch(r"not heard for [23]\.\d s", device.moving()), device.moving()
+
+    b.run(mission)
+
+
+def test_one_whose_binding_waives_the_confirmation_is_at_rest_unheard(rig):
+    b = rig(waivers=("device_watchdog", "no_confirmation"), confirm=[])
+
+    async def mission(device):
+        await device.make_safe()
+        b.pump.silent = True
+        await asyncio.sleep(5.0)
+        assert device.moving() == ""
 
     b.run(mission)
 

@@ -146,8 +146,22 @@ def test_ctrl_c_in_flight_lands_the_copters_before_the_hosts_end(lfield):
     assert team.wait() == 130
     for device in ("lead.fc", "wing.fc"):
         assert f"{device}: is in its safe state 'land': the host is stopping" in team.said
-    assert "NOT confirmed" not in team.said
+    # The other may not have left the ground yet.
+    assert "lead.fc: is at rest" in team.said
+    assert "NOT SAFE" not in team.said
     assert lfield.left() == []
+
+
+def test_a_killed_child_whose_vehicle_nobody_has_seen_since_is_worse_than_any_other_end(lfield):
+    deployment = EXAMPLES / "01-first-flight" / "mission.dL"
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done")
+    team.wait_for("wing: taking off")
+    os.kill(_child(lfield, "bravo"), signal.SIGKILL)
+    assert team.wait() == 3
+    assert "bravo | ended by SIGKILL" in team.err
+    assert "bravo | wing.fc: NOT SAFE: nobody has seen its safe state 'land'" in team.err
+    assert "lead.fc: NOT SAFE" not in team.said
+    assert lfield.all_ended()
 
 
 def test_ctrl_c_to_one_host(lfield):

@@ -6,6 +6,7 @@ import json
 import re
 
 import pytest
+from msgspec.structs import replace
 
 from lfield.cli.views import picture
 from lfield.errors import AddressError
@@ -75,7 +76,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
         [known],
         [
             DeviceStatus("near.fc", {"at": [0.5, 1], "on": True}, 0.25, ""),
-            DeviceStatus("near.arm", {}, None, "lost"),
+            DeviceStatus("near.arm", {}, None, "lost", "4 m up"),
             DeviceStatus("near.eye", {"mode": "hold"}, 4.0, "lost"),
         ],
         [LinkStatus("bravo", None), LinkStatus("carol", 3.5)],
@@ -123,6 +124,9 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             },
             "silences": {"near.fc": 0.25, "near.eye": 4.0},
             "latched": {"near.arm": "lost", "near.eye": "lost"},
+            "late": None,
+            "silence": None,
+            "moving": {"near.arm": "4 m up"},
             "directory": {
                 "near": {
                     "refusal": "",
@@ -142,9 +146,23 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
     ]
     assert rows[6:] == [
         ["alpha", "near.fc", "in", "use", "at", "(0.50", "1),", "on", "yes"],
-        ["alpha", "near.arm", "safe"],
+        ["alpha", "near.arm", "safe:", "4", "m", "up"],
         ["alpha", "near.eye", "silent", "4", "s", "mode", "hold"],
     ]
+
+
+def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
+    idle = Status("carol", "127.0.0.1:3", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [])
+    flying = replace(
+        idle, host="alpha", devices=[DeviceStatus("near.fc", {}, 0.25, "")], late=0.0312, silence=0.2
+    )
+    answers = {"alpha": flying, "bravo": AddressError("127.0.0.1:2", "nobody listens there"), "carol": idle}
+    told = json.loads(picture.as_json(answers))
+    assert (told["alpha"]["late"], told["alpha"]["silence"]) == (0.0312, 0.2)
+    assert (told["carol"]["late"], told["carol"]["silence"]) == (None, None)
+    picture.show(answers)
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert rows[-2:] == [["HOST", "LATE", "SILENCE"], ["alpha", "0.031", "s", "0.2", "s"]]
 
 
 def test_where_nothing_runs(lfield):

@@ -39,7 +39,7 @@ pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(60)]
 LONGEST = 10.0
 #: A nimble vehicle, so that a flight takes seconds.
 QUICK = ["--climb", "10", "--descend", "10", "--land", "8", "--acceleration", "10", "--cruise", "15"]
-SOON_DISARMED = {"ardupilot": [], "px4": ["--param", "COM_DISARM_LAND=0.2"]}
+SOON_DISARMED = {"ardupilot": ["--param", "RTL_LOIT_TIME=0"], "px4": ["--param", "COM_DISARM_LAND=0.2"]}
 TRANSPORTS = {"ardupilot": "udp", "px4": "tcp"}
 BOTH = pytest.mark.parametrize("flavour", list(TRANSPORTS))
 LATITUDE, LONGITUDE, ALTITUDE = 47.3977420, 8.5455940, 488.0

@@ -283,6 +283,7 @@ def test_positions_are_of_home_even_when_home_has_moved(bench):
         await up(fc)
         await fc.execute("goTo", [8.0, 3.0, -5.0])
         await fc.execute("land", [])
+        await fc.execute("disarm", [])
         await up(fc)
         await asyncio.sleep(3.0)
         assert math.dist(b.values["position"], (0.0, 0.0, -5.0)) < 0.7

@@ -133,7 +133,7 @@ def test_a_flight_by_packets():
     c.wait(5.0)
     assert c.autopilot.vehicle.yaw == pytest.approx(-math.pi / 2, abs=0.01)
     assert c.command(LAND) == ACCEPTED
-    c.wait(12.0)
+    c.wait(16.0)
     assert c.place[2] == 0.0
     assert not c.autopilot.armed, "it disarms itself after landing"
 

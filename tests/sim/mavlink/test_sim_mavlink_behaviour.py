@@ -204,7 +204,7 @@ def test_gps_loss():
     assert not c.ask(1).onboard_control_sensors_health & 0x20
     assert c.command(ONCE, 33) == FAILED
     assert c.autopilot.mode == "LAND"
-    c.wait(10.0)
+    c.wait(15.0)
     assert c.command(MODE, 1, GUIDED) == ACCEPTED
     assert c.command(ARM, 1) == FAILED
     assert "Arm: Need Position Estimate" in [

@@ -223,7 +223,7 @@ def test_landing_and_disarming_two_seconds_later():
     c = px4()
     up(c)
     c.command(MODE, 1, *LANDING)
-    while c.autopilot.vehicle.airborne:
+    while not c.autopilot.landed:
         c.wait(0.1)
     c.wait(1.5)
     assert c.autopilot.armed

@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Role
+from lfield_sim.autopilot.vehicle import Descend
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.telemetry.motion import micros, millis
 
@@ -104,9 +105,9 @@ def extended_sys_state(autopilot: Autopilot, _: Place) -> Any:
     """EXTENDED_SYS_STATE 245: the landed state of a copter, undefined for a rover."""
     if not autopilot.flies:
         landed = dialect.MAV_LANDED_STATE_UNDEFINED
-    elif not autopilot.vehicle.airborne:
+    elif autopilot.landed:
         landed = dialect.MAV_LANDED_STATE_ON_GROUND
-    elif autopilot.role is Role.LAND:
+    elif autopilot.role is Role.LAND or isinstance(autopilot.vehicle.goal, Descend):
         landed = dialect.MAV_LANDED_STATE_LANDING
     elif autopilot.role is Role.TAKEOFF:
         landed = dialect.MAV_LANDED_STATE_TAKEOFF

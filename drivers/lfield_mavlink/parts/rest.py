@@ -1,0 +1,163 @@
+"""What a vehicle still does in its safe state: whether it is at rest, and if not, on which way.
+
+Motors off is rest, whatever else is known; what is not known is none. A copter that lands or returns rests
+when its motors are off, in `hold` when it hovers; a rover or a boat when it stands, in `return` at home; a
+submarine at the surface, or in `hold` where it is. A fixed wing never stands in the air: it rests when it
+circles where it was asked to, in `hold` anywhere and under ArduPilot's RTL at home.
+
+A vehicle that a pilot has taken is his. One that a failsafe has taken is nobody's: it is watched down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from lfield_mavlink.contact.contact import LINK_LOST, Contact
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.parts.motion import Motion
+
+#: m/s below which a vehicle stands or hovers: what a gust makes, and what PX4 tells of one on the ground.
+STILL = 0.5
+#: The same of a boat with its motors off: wind and current move it.
+DRIFTS = 1.0
+#: m/s of height that are worth a word.
+LEVEL = 0.1
+#: Metres over ground within which a rover is at home, and a fixed wing circles there (WP_LOITER_RAD is 60).
+AT_HOME, CIRCLES = 5.0, 150.0
+#: Metres below the surface at which a submarine has come up.
+SURFACED = 0.5
+#: Seconds after which a speed is not known any more, as telemetry has it.
+FRESH = 3.0
+
+
+class Rest:
+    """Tells what one vehicle still does, from what it has told last."""
+
+    def __init__(self, vehicle: Contact, motion: Motion) -> None:
+        self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
+
+    def words(self) -> str:
+        """As `Device.moving`: `4.2 m up, sinking at 0.7 m/s`; '' when it is at rest."""
+        vehicle, state = self._vehicle, self._state
+        if self._is_a_pilots:
+            return ""
+        if state.heard is None:
+            return "not heard yet"
+        if vehicle.silence > LINK_LOST:
+            last = ", ".join(self._way()) if state.armed else "with its motors off"
+            return f"not heard for {vehicle.silence:.1f} s, last seen {last}"
+        if not state.armed or self._rests():
+            return ""
+        return ", ".join(self._way())
+
+    @property
+    def _is_a_pilots(self) -> bool:
+        """Whether somebody flies it in a mode that neither this program nor a failsafe chooses."""
+        return not self._motion.ours and self._state.mode not in self._vehicle.profile.fallbacks
+
+    # -- at rest, with its motors on --------------------------------------------------------------------
+
+    def _rests(self) -> bool:
+        """Whether it does no more than its safe state asks for."""
+        mode, profile = self._state.mode, self._vehicle.profile
+        if mode not in profile.fallbacks:
+            # It was led out of its safe state, and may move at any time.
+            return False
+        return _RESTS[profile.kind](self, mode)
+
+    def _copter_rests(self, mode: str) -> bool:
+        return not self._state.landed and self._holds(mode) and self._slower_than(STILL)
+
+    def _plane_rests(self, mode: str) -> bool:
+        profile = self._vehicle.profile
+        if self._state.landed:
+            return False
+        fixed_wing = self._state.type == dialect.MAV_TYPE_FIXED_WING
+        circles_home = fixed_wing and mode == profile.home and not profile.px4
+        return self._holds(mode) or (circles_home and self._within(CIRCLES))
+
+    def _rover_rests(self, mode: str) -> bool:
+        boat = self._state.type == dialect.MAV_TYPE_SURFACE_BOAT
+        arrived = mode != self._vehicle.profile.home or self._within(AT_HOME)
+        return arrived and self._slower_than(DRIFTS if boat else STILL)
+
+    def _submarine_rests(self, mode: str) -> bool:
+        height, up = self._state.height, mode == self._vehicle.profile.land
+        there = height is not None and height >= -SURFACED if up else self._holds(mode)
+        return there and self._slower_than(DRIFTS)
+
+    def _holds(self, mode: str) -> bool:
+        """Whether it is to stay where it is, and is in the mode for that."""
+        return self._vehicle.binding.safe_state == "hold" and mode == self._vehicle.profile.hold
+
+    def _slower_than(self, bound: float) -> bool:
+        speeds = self._speeds
+        return speeds is not None and math.hypot(*speeds) < bound
+
+    def _within(self, metres: float) -> bool:
+        """Whether it is so near to home, over ground."""
+        position = self._state.position
+        return position is not None and math.hypot(*position[:2]) <= metres
+
+    # -- in words ---------------------------------------------------------------------------------------
+
+    @property
+    def _speeds(self) -> tuple[float, float] | None:
+        """Over ground and upwards, None when that is not known any more."""
+        state = self._state
+        known = state.speeds is not None and self._vehicle.clock.monotonic() - state.speeds_at <= FRESH
+        return state.speeds if known else None
+
+    def _way(self) -> list[str]:
+        """Where it is and how it moves; its mode, where that is not the one it was brought into."""
+        state, profile = self._state, self._vehicle.profile
+        words = [self._place(), *self._motions()]
+        if state.mode != profile.safe(self._vehicle.binding.safe_state):
+            words.append(f"in {state.mode}")
+        return words
+
+    def _place(self) -> str:
+        state, kind = self._state, self._vehicle.profile.kind
+        if kind == "rover":
+            return "motors on"
+        if kind == "submarine":
+            return "motors on" if state.height is None else f"{_above_zero(-state.height):.1f} m deep"
+        if state.landed:
+            return "on the ground, motors on"
+        if state.height is None:
+            return "motors on" if state.landed is None else "in the air"
+        return f"{_above_zero(state.height):.1f} m up"
+
+    def _motions(self) -> list[str]:
+        if self._speeds is None:
+            return ["at a speed that is not known"]
+        ground, climb = self._speeds
+        words = []
+        if abs(climb) >= LEVEL and self._vehicle.profile.kind != "rover" and not self._standing:
+            words.append(f"{'climbing' if climb > 0.0 else 'sinking'} at {abs(climb):.1f} m/s")
+        if ground >= STILL:
+            words.append(f"moving at {ground:.1f} m/s")
+        position = self._state.position
+        if position is not None and self._state.mode == self._vehicle.profile.home and not self._standing:
+            far = math.hypot(*position[:2])
+            words += [f"{far:.0f} m from home"] if far > AT_HOME else []
+        return words
+
+    @property
+    def _standing(self) -> bool:
+        """Whether it flies and has landed."""
+        return self._vehicle.profile.flies and bool(self._state.landed)
+
+
+def _above_zero(metres: float) -> float:
+    """An estimate may say that it is below the ground (PX4's by a metre); never -0.0."""
+    return max(metres, 0.0) + 0.0
+
+
+_RESTS: dict[str, Callable[[Rest, str], bool]] = {
+    "copter": Rest._copter_rests,
+    "plane": Rest._plane_rests,
+    "rover": Rest._rover_rests,
+    "submarine": Rest._submarine_rests,
+}

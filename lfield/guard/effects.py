@@ -1,0 +1,59 @@
+"""What the core of a guard asks of its shell: the effects of `GuardCore`, in their order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lfield.guard.messages import Call, Message
+
+
+@dataclass(frozen=True, slots=True)
+class Execute:
+    """Effect: have the driver carry out a call."""
+
+    call: Call
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """Effect: stop carrying out the call of this token; it has been answered."""
+
+    token: int
+
+
+@dataclass(frozen=True, slots=True)
+class MakeSafe:
+    """Effect: have the driver bring the device into its safe state, before anything else."""
+
+    device: str
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Effect: ask the driver what the device still does in its safe state; `looked` gets the answer."""
+
+    device: str
+
+
+@dataclass(frozen=True, slots=True)
+class Quiet:
+    """Effect: send nothing that feeds a device's own watchdog from now on (False: do again)."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Tell:
+    """Effect: send a message to the host."""
+
+    message: Message
+
+
+@dataclass(frozen=True, slots=True)
+class Exit:
+    """Effect: close the bus and end the process with this status."""
+
+    status: int
+
+
+Effect = Execute | Cancel | MakeSafe | Look | Quiet | Tell | Exit

@@ -1,0 +1,30 @@
+"""Values of devices in words, for people: short, and never more exact than anybody can read at a glance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+#: So many quantities of a device are shown, the first of its manifest.
+SHOWN = 8
+
+Shown = bool | int | float | str | Sequence[int | float]
+
+
+def in_words(value: Shown) -> str:
+    """One value: `yes`, `4.20`, `(1.00 2.00)`."""
+    match value:
+        case bool():
+            return "yes" if value else "no"
+        case float():
+            return f"{value:.2f}"
+        case int() | str():
+            return str(value)
+        case _:
+            return f"({' '.join(in_words(part) for part in value)})"
+
+
+def telemetry_in_words(values: Mapping[str, Shown | None]) -> str:
+    """The first SHOWN quantities that have a value, and how many more there are: `armed yes, mode LAND`."""
+    known = [f"{name} {in_words(value)}" for name, value in values.items() if value is not None]
+    more = [f"and {len(known) - SHOWN} more"] if len(known) > SHOWN else []
+    return ", ".join([*known[:SHOWN], *more])

@@ -1,0 +1,177 @@
+"""What an axis still does in its safe state: on fakes with inertia."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import struct
+
+import pytest
+from can_local_drive import LocalDrive
+
+from lfield_can.bus.frames import Frame
+from lfield_sim.can import bus as fake
+from lfield_sim.can.specs import build, parse
+from lfield_sim.can.world import TICK, World
+from lfield_sim.faults import Faults
+
+NODE = 3
+ODRIVE = {"options": {"protocol": "odrive", "node": NODE}, "waivers": ["device_watchdog", "no_homing"]}
+
+
+class FakeBus:
+    """The bus of the fakes with the driver on it, in the time of the loop."""
+
+    def __init__(self, bus, *devices: str) -> None:
+        self.bus = bus
+        specs = [parse(text) for text in devices]
+        self.faults = Faults(fake.FAULTS, {spec.id: spec.name for spec in specs})
+        self.world = World(build(specs, self.faults), self.faults, bitrate=1_000_000)
+        self.port = fake.Port(lambda frame, _: bus.say(frame.identifier, frame.data))
+        self.world.bus.attach(self.port)
+        bus.device = self.on_frame
+
+    def on_frame(self, frame: Frame) -> None:
+        now = asyncio.get_running_loop().time()
+        self.world.bus.send(self.port, fake.Frame(frame.id, frame.data), now)
+
+    async def live(self) -> None:
+        while True:
+            await asyncio.sleep(TICK)
+            self.world.advance(asyncio.get_running_loop().time())
+
+    def command(self, command: int, layout: str, *values) -> None:
+        """A frame of another master, which the driver does not see."""
+        now = asyncio.get_running_loop().time()
+        self.world.bus.send(self.port, fake.Frame(NODE << 5 | command, struct.pack(layout, *values)), now)
+
+
+@pytest.fixture
+def rig(bench, binding, bus):
+    def make(device="odrive:3", **given):
+        given = {**ODRIVE, "limits": {"speed": 50.0}, **given}
+        world = FakeBus(bus, device)
+        b = bench(binding("CanAxis", **given), bus=bus, fakes=[world.live])
+        b.world = world
+        return b
+
+    return make
+
+
+async def turning(axis, speed=20.0):
+    await axis.execute("enable", [])
+    await axis.execute("setVelocity", [speed])
+    await asyncio.sleep(1.0)
+
+
+async def rests(axis, bound):
+    """The words until it is at rest, and how long that took."""
+    words, start = [], asyncio.get_running_loop().time()
+    while told := axis.moving():
+        assert asyncio.get_running_loop().time() - start < bound, told
+        words.append(told)
+        await asyncio.sleep(0.1)
+    return words, asyncio.get_running_loop().time() - start
+
+
+def test_an_axis_whose_torque_is_off_coasts_and_is_told_until_it_stands(rig):
+    b = rig(safe_state="torque_off")
+
+    async def mission(axis):
+        assert axis.moving() == ""
+        await turning(axis)
+        await axis.make_safe()
+        words, seconds = await rests(axis, 60.0)
+        assert re.fullmatch(r"turning at \d\d rad/s", words[0]), words[0]
+        assert words[-1].startswith("turning at 0.05")
+        assert seconds > 10.0  # nothing brakes it but its friction
+
+    b.run(mission)
+
+
+def test_a_load_that_turns_an_axis_without_torque_is_no_rest(rig):
+    b = rig("odrive:3,load=0.05", safe_state="torque_off")
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await asyncio.sleep(0.5)
+        await axis.make_safe()
+        await asyncio.sleep(2.0)
+        assert re.fullmatch(r"turning at [\d.]+ rad/s", axis.moving()), axis.moving()
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("state", ["brake", "torque_hold"])
+def test_an_axis_that_is_braked_is_at_rest_when_that_is_confirmed(rig, state):
+    b = rig(safe_state=state)
+
+    async def mission(axis):
+        await turning(axis)
+        assert axis.moving() == "turning at 20 rad/s"
+        await axis.make_safe()
+        assert axis.moving() == ""
+
+    b.run(mission)
+
+
+def test_one_that_is_not_heard_is_not_at_rest(rig):
+    b = rig(safe_state="torque_off")
+
+    async def mission(axis):
+        await turning(axis)
+        await axis.make_safe()
+        b.bus.cut = True
+        await asyncio.sleep(3.0)
+        assert re.fullmatch(r"not heard for [23]\.\d s, last seen turning at \d\d rad/s", axis.moving())
+
+    b.run(mission)
+
+
+def test_one_that_another_master_leads_out_of_its_safe_state_is_not_at_rest(rig):
+    b = rig(safe_state="torque_off")
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.make_safe()
+        assert axis.moving() == ""
+        b.world.command(0x07, "<I", 8)
+        await asyncio.sleep(0.5)
+        assert axis.moving().startswith("not in torque_off any more (closed loop")
+
+    b.run(mission)
+
+
+class Coasting(LocalDrive):
+    """A drive whose motor is slowed by friction only when the voltage is off."""
+
+    slowing = 0.99
+
+    def move(self) -> None:
+        before = self.velocity
+        super().move()
+        if self.state == 0x0240:
+            self.velocity = before * self.slowing
+            self.position += self.velocity * 0.005
+            self.set(0x606C, round(self.velocity))
+
+
+def test_a_drive_that_coasts(bench, binding, bus):
+    drive = Coasting()
+    drive.bus = bus
+    options = {"protocol": "cia402", "node": 5, "counts": 10_000, "connect": 3.0}
+    bound = binding(
+        "CanAxis", options=options, limits={"speed": 20.0}, waivers=["no_homing"], safe_state="torque_off"
+    )
+    b = bench(bound, bus=bus, fakes=[drive.live])
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("setVelocity", [5.0])
+        await b.until(lambda: b.values["velocity"] > 4.0)
+        await axis.make_safe()
+        assert re.fullmatch(r"turning at [\d.]+ rad/s", axis.moving()), axis.moving()
+        await b.until(lambda: axis.moving() == "")
+        assert abs(drive.velocity) < 0.05 * 10_000
+
+    b.run_real(mission)

@@ -1,0 +1,112 @@
+"""`up` on a computer that is late: fakes fly on, hardware is not even opened."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import pytest
+
+from lfield import loop
+from lfield.clock import SystemClock
+
+PROGRAM = """
+include <mavlink/copter.L>;
+coordinator Pilot {
+    init(string[] arg) {
+        Copter copter = findCopter(arg[1]);
+        copter.takeOff(2.0);
+        print("in the air");
+        copter.land();
+        print("landed");
+    }
+}
+"""
+DEPLOYMENT = "//Copter:lead@alpha\n//Pilot:pilot@bravo?lead\n"
+HARDWARE = """\
+silence: 0.1
+agents:
+  lead:
+    devices:
+      fc: {driver: mavlink, endpoint: "udp:127.0.0.1:9", waivers: [device_watchdog]}
+"""
+
+
+@contextmanager
+def spinning(count):
+    """Processes that keep all processors busy."""
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.process
+def test_a_busy_computer_carries_a_simulated_mission_through(lfield):
+    """The devices file asks for 0.1 s in the field, which a busy desk cannot keep."""
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT, HARDWARE)
+    with spinning(6):
+        team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done")
+        status = team.wait()
+    assert status == 0, team.said
+    assert "pilot: landed" in team.said
+    assert "silent for over" not in team.said
+
+
+@pytest.mark.process
+def test_a_simulated_host_that_gets_no_processor_for_half_a_second_flies_on(lfield):
+    program = PROGRAM.replace("copter.land();", "sleep(3.0); copter.land();")
+    deployment = lfield.mission(program, DEPLOYMENT.replace("bravo", "alpha"), HARDWARE)
+    words = ("--host", "alpha", *lfield.maps(["alpha"]))
+    host = lfield.start("up", "--deploy", deployment, *words, "--sim", "--until-done")
+    host.wait_for("in the air")
+    for _ in range(3):
+        host.signal(signal.SIGSTOP)
+        time.sleep(0.6)
+        host.signal(signal.SIGCONT)
+        time.sleep(0.1)
+    assert host.wait() == 0, host.said
+    assert "silent for over" not in host.said
+
+
+@pytest.fixture
+def late(monkeypatch):
+    """A computer that stands still for 0.12 s again and again."""
+    looks, told = itertools.count(), SystemClock.monotonic
+    monkeypatch.setattr(SystemClock, "monotonic", lambda clock: told(clock) + 0.12 * (next(looks) // 15))
+
+
+@pytest.mark.usefixtures("late")
+def test_a_host_that_cannot_keep_its_bindings_does_not_start(here, lfield, monkeypatch):
+    monkeypatch.setattr(loop, "may_be_prompt", lambda: False)
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT, HARDWARE)
+    up = here("up", "--deploy", deployment, "--host", "alpha", *lfield.maps(["alpha", "bravo"]))
+    assert up.status == 69
+    said, _ = up.err
+    assert said.startswith("this computer cannot keep 'silence: 0.1': it was late by 0.1")
+    assert "free the computer, let its guards have real-time priority" in said
+    assert "or write 'silence: 0." in said
+
+
+@pytest.mark.process
+def test_ps_and_doctor_show_how_late_it_is(lfield):
+    deployment = lfield.mission(PROGRAM.replace("copter.land();", "sleep(1000.0);"), DEPLOYMENT, HARDWARE)
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
+    team.wait_for("in the air")
+    told = json.loads("\n".join(lfield("ps", "--deploy", deployment, "--json").out))
+    assert told["alpha"]["silence"] == 2.0
+    assert 0.0 <= told["alpha"]["late"] < 2.0
+    assert (told["bravo"]["late"], told["bravo"]["silence"]) == (None, None)
+    shown = lfield("ps", "--deploy", deployment).out
+    assert any(line.split() == ["HOST", "LATE", "SILENCE"] for line in shown)
+    doctor = lfield("doctor")
+    said = ("ok      this computer was late by", "warning this computer cannot keep 'silence: 0.2'")
+    assert any(line.startswith(said) for line in doctor.out), doctor.said

@@ -1,0 +1,64 @@
+"""A second MAVLink client that only watches: what a vehicle does, whatever hosts and guards say of it."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+
+class Witness:
+    """Watches system 1 at a fake's UDP endpoint; times are of the monotonic clock, heights in metres."""
+
+    def __init__(self, endpoint: str) -> None:
+        # Not the station that the autopilot listens to: its heartbeats must not keep a failsafe content.
+        self._link = mavutil.mavlink_connection(
+            endpoint.replace("udp:", "udpout:"), source_system=77, source_component=190
+        )
+        self._changed, self._ended = threading.Condition(), False
+        self.mode, self.armed, self.height = "", False, 0.0
+        self.modes: list[tuple[float, str]] = []
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def _watch(self) -> None:
+        greeted = 0.0
+        while not self._ended:
+            if time.monotonic() > greeted + 1.0:
+                greeted = time.monotonic()
+                self._link.mav.heartbeat_send(
+                    dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 0
+                )
+            message = self._link.recv_match(
+                type=["HEARTBEAT", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"], blocking=True, timeout=0.2
+            )
+            if message is not None and message.get_srcSystem() == 1:
+                with self._changed:
+                    self._take(message)
+                    self._changed.notify_all()
+
+    def _take(self, message) -> None:
+        if message.get_type() == "HEARTBEAT":
+            mode = mavutil.mode_mapping_acm.get(message.custom_mode, str(message.custom_mode))
+            if mode != self.mode:
+                self.mode = mode
+                self.modes.append((time.monotonic(), mode))
+            self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+        elif message.get_type() == "LOCAL_POSITION_NED":
+            self.height = -message.z
+        else:
+            self.height = message.relative_alt / 1000.0
+
+    def until(self, condition, bound: float = 60.0) -> None:
+        """Wait until a condition of this witness holds."""
+        with self._changed:
+            seen = self._changed.wait_for(lambda: condition(self), bound)
+        assert seen, f"mode {self.mode}, {'armed' if self.armed else 'not armed'}, {self.height:.1f} m up"
+
+    def close(self) -> None:
+        """Watch no longer."""
+        self._ended = True
+        self._thread.join(5.0)
+        self._link.close()

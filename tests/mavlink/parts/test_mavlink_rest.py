@@ -1,0 +1,340 @@
+"""What a vehicle still does in its safe state: seen on the fakes, and told one by one."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
+from lfield_mavlink.parts.motion import Motion
+from lfield_mavlink.parts.rest import Rest
+from lfield_sim.autopilot.flavours import Result
+
+SINKS = re.compile(r"\d+\.\d m up, sinking at \d\.\d m/s")
+
+
+async def up(fc, height=5.0):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [height])
+
+
+async def watched(fc, seconds=120.0):
+    """Every word until it is at rest, without the numbers, and how long that took."""
+    words, start = [], asyncio.get_running_loop().time()
+    while told := fc.moving():
+        now = asyncio.get_running_loop().time()
+        assert now - start < seconds, told
+        told = re.sub(r"\d+(\.\d+)?", "#", told)
+        if words[-1:] != [told]:
+            words.append(told)
+        await asyncio.sleep(0.2)
+    return words, asyncio.get_running_loop().time() - start
+
+
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_a_copter_that_lands_is_at_rest_when_its_motors_are_off(bench, flavour):
+    b = bench(flavour=flavour, waivers=("device_watchdog",))
+
+    async def mission(fc):
+        assert fc.moving() == ""
+        await up(fc)
+        await fc.make_safe()
+        await asyncio.sleep(2.0)
+        assert SINKS.fullmatch(fc.moving()), fc.moving()
+        words, _ = await watched(fc)
+        assert words[-1] == "on the ground, motors on"
+        assert not b.autopilot.armed
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_a_copter_that_returns_is_told_all_the_way(bench, flavour):
+    b = bench(flavour=flavour, safe_state="return")
+
+    async def mission(fc):
+        await up(fc)
+        await fc.execute("goTo", [30.0, 0.0, -5.0])
+        await fc.make_safe()
+        words, _ = await watched(fc)
+        assert any("moving at # m/s, # m from home" in told for told in words)
+        assert any("sinking" in told for told in words)
+        assert not b.autopilot.armed
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_a_copter_that_is_to_hover_is_at_rest_when_it_hovers(bench, flavour):
+    b = bench(flavour=flavour, safe_state="hold")
+
+    async def mission(fc):
+        await up(fc)
+        for _ in range(8):
+            await fc.execute("setVelocity", [3.0, 0.0, 0.0])
+            await asyncio.sleep(0.2)
+        await fc.make_safe()
+        words, _ = await watched(fc, 10.0)
+        assert words[0] == "# m up, moving at # m/s"
+        assert b.autopilot.vehicle.airborne
+        assert b.autopilot.armed
+
+    b.run(mission)
+
+
+def test_a_vehicle_that_is_not_heard_is_not_at_rest(bench):
+    b = bench()
+
+    async def mission(fc):
+        await up(fc)
+        await fc.make_safe()
+        await asyncio.sleep(1.0)
+        b.cut = True
+        await asyncio.sleep(4.0)
+        assert re.fullmatch(r"not heard for [34]\.\d s, last seen 4\.\d m up, .*", fc.moving()), fc.moving()
+        b.cut = False
+        await watched(fc)
+
+    b.run(mission)
+
+
+def test_one_that_is_not_heard_any_more_is_not_at_rest_although_its_motors_were_off(bench):
+    b = bench()
+
+    async def mission(fc):
+        await fc.make_safe()
+        b.cut = True
+        await asyncio.sleep(4.0)
+        assert re.fullmatch(r"not heard for \d\.\d s, last seen with its motors off", fc.moving())
+
+    b.run(mission)
+
+
+def test_a_pilot_who_takes_it_on_its_way_down_has_it(bench):
+    b = bench()
+
+    async def mission(fc):
+        await up(fc)
+        await fc.make_safe()
+        await asyncio.sleep(2.0)
+        b.autopilot.command_mode("STABILIZE")
+        await asyncio.sleep(2.0)
+        assert fc.moving() == ""
+        b.cut = True
+        await asyncio.sleep(5.0)
+        assert fc.moving() == ""
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("role", ["go_home", "brake"])
+def test_what_a_failsafe_has_taken_is_watched_on(bench, role):
+    """Nobody has it: to leave it would take our heartbeats away, and another failsafe would come."""
+    b = bench()
+
+    async def mission(fc):
+        await up(fc)
+        await fc.make_safe()
+        await asyncio.sleep(2.0)
+        b.autopilot.go_home() if role == "go_home" else b.autopilot.command_mode("BRAKE")
+        await asyncio.sleep(2.0)
+        mode = "RTL" if role == "go_home" else "BRAKE"
+        assert fc.moving().endswith(f", in {mode}"), fc.moving()
+        if role == "go_home":
+            await watched(fc)
+            assert not b.autopilot.armed
+
+    b.run(mission)
+
+
+def test_one_that_a_failsafe_had_before_the_stop_is_watched_too(bench):
+    b = bench()
+
+    async def mission(fc):
+        await up(fc)
+        b.autopilot.go_home()
+        await asyncio.sleep(1.5)
+        await fc.make_safe()
+        assert any("left to them" in note for note in b.notes)
+        assert "in RTL" in fc.moving()
+        await watched(fc)
+
+    b.run(mission)
+
+
+def test_one_that_is_led_out_of_its_safe_state_is_not_at_rest(bench):
+    b = bench(safe_state="hold")
+
+    async def mission(fc):
+        await up(fc)
+        await fc.make_safe()
+        await watched(fc)
+        b.autopilot.command_mode("GUIDED")
+        await asyncio.sleep(2.0)
+        assert re.fullmatch(r"\d\.\d m up, in GUIDED", fc.moving()), fc.moving()
+
+    b.run(mission)
+
+
+def test_a_rover_is_at_rest_when_it_stands(bench):
+    b = bench(kind="rover", safe_state="hold")
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        for _ in range(8):
+            await fc.execute("setVelocity", [2.0, 0.0, 0.0])
+            await asyncio.sleep(0.2)
+        await fc.make_safe()
+        words, seconds = await watched(fc, 10.0)
+        assert words == ["motors on, moving at # m/s"]
+        assert seconds > 0.0
+        assert b.autopilot.armed
+
+    b.run(mission)
+
+
+def test_a_rover_that_returns_is_at_rest_at_home_and_not_before(bench):
+    b = bench(kind="rover", safe_state="return")
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("goTo", [15.0, 0.0, 0.0])
+        await fc.make_safe()
+        assert fc.moving(), "it only begins to drive"
+        await watched(fc)
+        assert math.hypot(*b.autopilot.vehicle.place[:2]) < 6.0
+
+    b.run(mission)
+
+
+# -- what is said of states that the fakes do not have -------------------------------------------------
+
+
+class Known:
+    """What is known of a vehicle, as Rest and Motion look at it."""
+
+    def __init__(self, stack, kind, mode, safe_state="land", **known):
+        self.profile = PROFILES[stack, kind]
+        self.silence = 0.1
+        self.state = self.binding = self.clock = self
+        self.safe_state, self.mode = safe_state, mode
+        self.armed, self.heard, self.landed, self.type = True, 0.0, False, 2
+        self.position, self.height, self.speeds, self.speeds_at = None, None, None, 0.0
+        self.now = 0.0
+        for name, value in known.items():
+            setattr(self, name, value)
+
+    def monotonic(self):
+        return self.now
+
+    def option(self, name):
+        return 0.5
+
+    def send(self, message):
+        pass
+
+    def moving(self, ours=True):
+        motion = Motion(self, None)
+        if ours:
+            motion.claim(self.mode)
+        return Rest(self, motion).words()
+
+
+@pytest.mark.parametrize(
+    ("known", "words"),
+    [
+        # What is not known is not rest, unless the motors are off.
+        (Known(ARDUPILOT, "copter", "LAND", landed=None), "motors on, at a speed that is not known"),
+        (Known(ARDUPILOT, "copter", "LAND", landed=None, armed=False), ""),
+        (Known(ARDUPILOT, "copter", "LAND"), "in the air, at a speed that is not known"),
+        (
+            Known(ARDUPILOT, "copter", "LAND", landed=None, height=0.02, speeds=(0.0, 0.0)),
+            "0.0 m up",
+        ),
+        (
+            Known(PX4, "copter", "AUTO.LAND", height=-1.2, speeds=(0.1, -0.65)),
+            "0.0 m up, sinking at 0.7 m/s",
+        ),
+        (
+            Known(ARDUPILOT, "copter", "BRAKE", "hold", height=8.0, speeds=(0.0, 0.0), now=3.5),
+            "8.0 m up, at a speed that is not known",
+        ),
+        (Known(ARDUPILOT, "copter", "BRAKE", "hold", height=8.0, speeds=(0.3, 0.1)), ""),
+        (Known(ARDUPILOT, "copter", "BRAKE", "hold", landed=True, speeds=(0, 0)), "on the ground, motors on"),
+        (Known(PX4, "copter", "TERMINATION", height=3.0, speeds=(0, -5.0)),
+         "3.0 m up, sinking at 5.0 m/s, in TERMINATION"),
+        # A fixed wing rests when it circles where it was asked to.
+        (
+            Known(ARDUPILOT, "plane", "RTL", "return", type=1, height=80.0, speeds=(18.0, 0.2),
+                  position=(400.0, 300.0, -80.0)),
+            "80.0 m up, climbing at 0.2 m/s, moving at 18.0 m/s, 500 m from home",
+        ),
+        (
+            Known(ARDUPILOT, "plane", "RTL", "return", type=1, height=80.0, speeds=(18.0, 0.0),
+                  position=(40.0, 30.0, -80.0)),
+            "",
+        ),
+        # One that takes off vertically comes down at home, and so does PX4's.
+        (
+            Known(ARDUPILOT, "plane", "RTL", "return", type=22, height=80.0, speeds=(18.0, 0.0),
+                  position=(40.0, 30.0, -80.0)),
+            "80.0 m up, moving at 18.0 m/s, 50 m from home",
+        ),
+        (
+            Known(PX4, "plane", "AUTO.RTL", "return", type=1, height=80.0, speeds=(18.0, 0.0),
+                  position=(40.0, 30.0, -80.0)),
+            "80.0 m up, moving at 18.0 m/s, 50 m from home",
+        ),
+        (Known(ARDUPILOT, "plane", "LOITER", "hold", type=1, height=80.0, speeds=(18.0, 0.0)), ""),
+        # Ground and water.
+        (Known(ARDUPILOT, "rover", "HOLD", landed=True, type=10, speeds=(0.7, 0.0)),
+         "motors on, moving at 0.7 m/s"),
+        (Known(ARDUPILOT, "rover", "HOLD", landed=True, type=11, speeds=(0.7, 0.0)), ""),
+        (Known(ARDUPILOT, "rover", "HOLD", landed=True, type=10), "motors on, at a speed that is not known"),
+        (Known(ARDUPILOT, "submarine", "SURFACE", landed=True, height=-4.2, speeds=(0.0, 0.3)),
+         "4.2 m deep, climbing at 0.3 m/s"),
+        (Known(ARDUPILOT, "submarine", "SURFACE", landed=True, height=-0.2, speeds=(0.1, 0.0)), ""),
+        (Known(ARDUPILOT, "submarine", "POSHOLD", "hold", landed=True, height=-4.2, speeds=(0.1, 0.0)), ""),
+    ],
+)  # fmt: skip
+def test_words(known, words):
+    assert known.moving() == words
+
+
+def test_nothing_heard_at_all():
+    known = Known(ARDUPILOT, "copter", "", heard=None, silence=math.inf, armed=False)
+    assert known.moving() == "not heard yet"
+
+
+@pytest.mark.parametrize("mode", ["LOITER", "STABILIZE", "AUTO", "mode 77"])
+def test_modes_of_others(mode):
+    assert Known(ARDUPILOT, "copter", mode, height=9.0, speeds=(0.0, 0.0)).moving(ours=False) == ""
+
+
+# -- whose landing it is -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [("goTo", [20.0, 0.0, -5.0]), ("setVelocity", [1.0, 0.0, 0.0])])
+def test_an_order_that_px4_refuses_while_it_lands_leaves_the_landing_ours(bench, order, monkeypatch):
+    """Else the next safe state would be left to a pilot whom there is not."""
+    b = bench(flavour="px4", safe_state="hold")
+
+    async def mission(fc):
+        await up(fc)
+        landing = asyncio.create_task(fc.execute("land", []))
+        await asyncio.sleep(2.0)
+        landing.cancel()
+        monkeypatch.setattr(type(b.autopilot), "reposition", lambda *_, **__: Result.TEMPORARILY_REJECTED)
+        b.driver.devices["a1.fc"].motion.stream.start = lambda message, until: None
+        with pytest.raises(DeviceError):
+            await fc.execute(*order)
+        assert b.autopilot.mode == "AUTO.LAND"
+        await fc.make_safe()
+        assert b.autopilot.mode == "AUTO.LOITER"
+        assert not any("left to them" in note for note in b.notes)
+
+    b.run(mission)
