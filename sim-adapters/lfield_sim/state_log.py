@@ -6,7 +6,8 @@ the death of a computer its devices are safe, say. A line for each change, first
     1234.567890 3 mode=LAND
 
 The time is CLOCK_MONOTONIC in seconds, which all processes of a computer share, when the fake had come to it:
-never before it was so, and later by no more than one step of its model (see TICK in the servers).
+never before it was so, and later by no more than one step of its model (see TICK in the servers). What became
+so together has the same time.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ class StateLog:
         self._devices, self._clock = devices, clock
         self._known: dict[tuple[str, str], str] = {}
         try:
-            # A line at a time, so that nothing is lost however the fake ends.
-            self._file = open(path, "w", encoding="utf-8", buffering=1) if path else None  # noqa: SIM115
+            # Written through, so that nothing is lost however the fake ends.
+            self._file = open(path, "wb", buffering=0) if path else None  # noqa: SIM115
         except OSError as error:
             raise OutputFileError(path, error.strerror or str(error)) from None
         self.look()
@@ -43,12 +44,15 @@ class StateLog:
         """Write down what has changed since the last look. To be called whenever something may have."""
         if self._file is None:
             return
-        for device, tell in self._devices.items():
-            for name, value in tell().items():
-                word = _word(value)
-                if self._known.get((device, name)) != word:
-                    self._known[device, name] = word
-                    self._file.write(f"{self._clock():.6f} {device} {name}={word}\n")
+        seen = {
+            (id, name): _word(value) for id, tell in self._devices.items() for name, value in tell().items()
+        }
+        changed = [fact for fact, word in seen.items() if self._known.get(fact) != word]
+        if changed:
+            now = self._clock()
+            lines = "".join(f"{now:.6f} {id} {name}={seen[id, name]}\n" for id, name in changed)
+            self._file.write(lines.encode())
+            self._known.update(seen)
 
     def close(self) -> None:
         """Write no more."""

@@ -16,13 +16,13 @@ from __future__ import annotations
 import json
 import os
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
 from deaths.devices import DEVICES, Device
-from deaths.trial import DEATHS, Death, Outcome, Subject, Trial, together
+from deaths.trial import DEATHS, Outcome, Subject, Trial, Wave, together
 from harness.checkout import Checkout
 from harness.figure import Figure, Row
 from harness.processes import Processes
@@ -32,6 +32,8 @@ from harness.words import COUNT
 TRIALS = int(os.environ.get("TRIALS", "30"))
 SIDE = int(os.environ.get("SIDE", "2"))
 QUIET, BUSY = "quiet", "busy"
+#: Seconds that a host may be silent: what a binding has by default, and what a busy computer can keep.
+SILENCE = {QUIET: 0.2, BUSY: 0.5}
 #: Every so many trials are of the device's second way to move.
 SECOND_WAY = 3
 
@@ -40,34 +42,40 @@ class Fleet:
     """The fakes, `side` of each device, and what became of them."""
 
     def __init__(
-        self, checkout: Checkout, processes: Processes, devices: Sequence[Device], side: int
+        self,
+        checkout: Checkout,
+        processes: Processes,
+        devices: Sequence[Device],
+        side: int,
+        silences: Iterable[float],
     ) -> None:
-        self._subjects = {d.name: [Subject(checkout, processes, d) for _ in range(side)] for d in devices}
+        self._subjects = {
+            d.name: [Subject(checkout, processes, d, silences) for _ in range(side)] for d in devices
+        }
         self._side, self._dice = side, random.Random(1)
 
-    def round(self, number: int, deaths: Sequence[Death] = DEATHS) -> Iterator[list[Outcome]]:
+    def round(self, number: int, silence: float) -> Iterator[list[Outcome]]:
         """Every death of every device once; yields what becomes of those that die side by side."""
-        for first in range(0, len(deaths), self._side):
-            trials = []
-            for place, subjects in enumerate(self._subjects.values()):
-                # Each device dies another death: guards that come back shall not wait for one another.
-                turned = [deaths[(number + first + place + n) % len(deaths)] for n in range(self._side)]
-                ways = subjects[0].device.ways
-                way = ways[-1] if number % SECOND_WAY == SECOND_WAY - 1 else ways[0]
-                trials += [Trial(*pair, way, self._dice) for pair in zip(subjects, turned, strict=True)]
-            yield self._try(trials)
+        for first in range(0, len(DEATHS), self._side):
+            with Processes() as processes:
+                yield self._try(number, first, Wave(processes, silence, self._dice))
 
-    def _try(self, trials: Sequence[Trial]) -> list[Outcome]:
-        """All begin before the first dies: what is measured is not disturbed by starts."""
-        with Processes() as processes:
-            try:
-                together(trial.begin(processes) for trial in trials)
-                together(trial.die(processes) for trial in trials)
-                together(trial.end() for trial in trials)
-            finally:
-                for trial in trials:
-                    trial.end_host()
-                    trial.kill_guards()
+    def _try(self, number: int, first: int, wave: Wave) -> list[Outcome]:
+        """Some deaths of every device. All begin before the first dies: starts shall not disturb."""
+        trials = []
+        for place, subjects in enumerate(self._subjects.values()):
+            # Each device dies another death: guards that come back shall not wait for one another.
+            deaths = [DEATHS[(number + first + place + n) % len(DEATHS)] for n in range(self._side)]
+            ways = subjects[0].device.ways
+            way = ways[-1] if number % SECOND_WAY == SECOND_WAY - 1 else ways[0]
+            trials += [Trial(*pair, way, wave) for pair in zip(subjects, deaths, strict=True)]
+        try:
+            for phase in (Trial.begin, Trial.die, Trial.end):
+                together(phase(trial) for trial in trials)
+        finally:
+            for trial in trials:
+                trial.end_host()
+                trial.kill_guards()
         return [trial.outcome for trial in trials]
 
 
@@ -96,11 +104,12 @@ def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
 def _measure(checkout: Checkout, rounds: int, tick: Tick, outcomes: dict[str, list[Outcome]]) -> None:
     keep = os.environ.get("KEEP")
     with Processes() as processes:
-        fleet, loads, failed = Fleet(checkout, processes, DEVICES, SIDE), list(outcomes), 0
+        fleet = Fleet(checkout, processes, DEVICES, SIDE, SILENCE.values())
+        loads, failed = list(outcomes), 0
         for number in range(rounds):
             for load in loads:
                 with _load(checkout, load):
-                    for found in fleet.round(number):
+                    for found in fleet.round(number, SILENCE[load]):
                         outcomes[load] += found
                         failed += sum(bool(outcome.why) for outcome in found)
                         done = sum(map(len, outcomes.values()))
@@ -154,7 +163,8 @@ FIGURE = Figure(
     rounds=TRIALS,
     own_rows=measured,
     notes=(
-        f"{SIDE} fakes of each device side by side; own: the device's own watchdog came first",
+        f"{SIDE} fakes of each device side by side; own: the device's own watchdog came first; silence: "
+        + ", ".join(f"{load} {seconds:g} s" for load, seconds in SILENCE.items()),
         "every third trial is a long move, others are setpoints (ODrive: all, Dynamixel: none); height 2 m",
         "guards and fakes run with real-time priority where the system allows it, hosts never",
         "make bench ONLY=deaths TRIALS=3 makes fewer, KEEP=FILE writes down every trial",

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
 from deaths.devices import Device, Facts
-
-#: Lines that are no farther apart were written by one look of the device at itself, in seconds.
-ONE_LOOK = 0.002
 
 
 class Change(NamedTuple):
@@ -72,24 +71,14 @@ class DeviceLog:
 
 def judge(device: Device, start: Facts, changes: Sequence[Change], death: float) -> Verdict:
     """What the changes since `start` say of a death at a time."""
-    now = dict(start)
-    for change in changes:
-        if change.at <= death:
-            now[change.name] = change.value
-    before = dict(now)
+    before = {**start, **{change.name: change.value for change in changes if change.at <= death}}
+    now, own = dict(before), False
     safe = death if device.safe(before, before) else None
     rest = safe if device.at_rest(before) else None
-    for change in changes:
-        if change.at > death:
-            now[change.name] = change.value
-            safe = (safe or change.at) if device.safe(before, now) else None
-            rest = (rest or change.at) if safe and device.at_rest(now) else None
-    if safe is None:
-        return Verdict()
-    return Verdict(safe - death, rest and rest - death, _own(device, start, changes, safe))
-
-
-def _own(device: Device, start: Facts, changes: Sequence[Change], safe: float) -> bool:
-    now = dict(start)
-    now.update({change.name: change.value for change in changes if change.at <= safe + ONE_LOOK})
-    return device.own(now)
+    for at, together in groupby((c for c in changes if c.at > death), key=attrgetter("at")):
+        now.update({change.name: change.value for change in together})
+        was, safe = safe, (safe or at) if device.safe(before, now) else None
+        rest = (rest or at) if safe and device.at_rest(now) else None
+        if safe and not was:
+            own = device.own(now)
+    return Verdict(safe and safe - death, rest and rest - death, own and safe is not None)

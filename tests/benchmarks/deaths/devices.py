@@ -35,24 +35,26 @@ class Device:
 
     @property
     def bindings(self) -> str:
-        """The devices file of the agent `a`, with a place for the endpoint."""
-        return f'agents: {{a: {{devices: {{{self.field}: {{endpoint: "%s", {self.binding}}}}}}}}}\n'
+        """The devices file of the agent `a`, with places for endpoint and silence."""
+        return (
+            f'agents: {{a: {{devices: {{{self.field}: {{endpoint: "%s", {self.binding}}}}}}}}}\nsilence: %g\n'
+        )
 
 
 def _still(now: Facts) -> bool:
     return now["moving"] == "no"
 
 
-def _copter(name: str, flavour: str, land: str, ttl: float) -> Device:
+def _copter(name: str, flavour: str, land: str, ttl: float, *more: str) -> Device:
     # Low and brisk, so that a landing takes no longer than it must; a battery that lasts for all trials.
     words = f"mavlink --listen udp:127.0.0.1:0 --flavour {flavour} --climb 5 --descend 3 --land 2"
     return Device(
         name,
-        f"{words} --acceleration 10 --capacity 900000".split(),
+        [*f"{words} --acceleration 10 --capacity 900000".split(), *more],
         "Copter",
         "fc",
         f"driver: mavlink, safe_state: land, ttl: {ttl}",
-        safe=lambda _, now: now["mode"] == land or now["armed"] == "no",
+        safe=lambda _, now: now["mode"] == land or now["airborne"] == "no",
         at_rest=lambda now: now["armed"] == "no" and now["airborne"] == "no",
         own=lambda now: now["failsafe"] == "yes",
     )
@@ -61,7 +63,8 @@ def _copter(name: str, flavour: str, land: str, ttl: float) -> Device:
 #: With times to live for which each device's own watchdog can be set (an ODrive's is in its configuration).
 DEVICES = (
     _copter("ArduCopter", "ardupilot", "LAND", 1.0),
-    _copter("PX4", "px4", "AUTO.LAND", 0.5),
+    # It is disarmed soon, before its failsafe for the data link makes it hold for 5 s, on the ground as well.
+    _copter("PX4", "px4", "AUTO.LAND", 0.5, "--param", "COM_DISARM_LAND=0.5"),
     Device(
         "CiA 402",
         ("can", "--device", "cia402:5"),

@@ -29,6 +29,8 @@ EARLIEST, LATEST = 0.3, 1.8
 #: So often a host is started whose device does not move, or had stopped before its death came; and how much
 #: of what it said is kept.
 STARTS, LAST_WORDS = 10, 6
+#: So many hosts start at a time.
+STARTING = 2
 _PROGRAM = Path(__file__).with_name("moves.L").read_text(encoding="utf-8")
 
 
@@ -69,33 +71,52 @@ class Outcome:
 
 
 class Subject:
-    """A fake of one device, and what is run on it."""
+    """A fake of one device, and what is run on it, with each of some bounds of the host's silence (s)."""
 
-    def __init__(self, checkout: Checkout, processes: Processes, device: Device) -> None:
+    def __init__(
+        self, checkout: Checkout, processes: Processes, device: Device, silences: Iterable[float]
+    ) -> None:
         self.device, self._checkout = device, checkout
         folder = processes.folder()
         endpoint = checkout.fake(processes, *device.fake, "--log", str(folder / "device.log"))
         self.log = DeviceLog(folder / "device.log")
         # Bundles, so that no trial compiles.
-        self._bundles = {way: self._build(processes, endpoint, way) for way in device.ways}
+        self._bundles = {
+            (way, silence): self._build(processes, way, self.device.bindings % (endpoint, silence))
+            for way in device.ways
+            for silence in set(silences)
+        }
 
-    def _build(self, processes: Processes, endpoint: str, way: str) -> list[str]:
+    def _build(self, processes: Processes, way: str, bindings: str) -> list[str]:
         """The words that run the bundle of one way to move."""
         agents = [f"//{self.device.resource}:a@here?{way}"]
-        mission = Mission(processes.folder(), _PROGRAM, agents, self.device.bindings % endpoint)
+        mission = Mission(processes.folder(), _PROGRAM, agents, bindings)
         self._checkout.lfield(processes, "build", str(mission.deploy), merged=True).wait()
         return [str(mission.deploy.with_suffix(".lfm")), "--host", "here", *mission.words[2:]]
 
-    def start_host(self, processes: Processes, way: str) -> Child:
+    def start_host(self, processes: Processes, way: str, silence: float) -> Child:
         """A host that keeps the device moving."""
-        return self._checkout.lfield(processes, "up", *self._bundles[way], merged=True)
+        return self._checkout.lfield(processes, "up", *self._bundles[way, silence], merged=True)
+
+
+@dataclass
+class Wave:
+    """Trials that go on side by side. Hosts start a few at a time: a crowd makes each of them late.
+
+    The hosts end with `processes` at the latest; each may be silent for `silence` seconds.
+    """
+
+    processes: Processes
+    silence: float
+    dice: random.Random
+    starting: set[int] = field(default_factory=set)
 
 
 class Trial:
     """One death. `begin`, `die` and `end` are to be gone through in this order."""
 
-    def __init__(self, subject: Subject, death: Death, way: str, dice: random.Random) -> None:
-        self._subject, self._death, self._way, self._dice = subject, death, way, dice
+    def __init__(self, subject: Subject, death: Death, way: str, wave: Wave) -> None:
+        self._subject, self._death, self._way, self._wave = subject, death, way, wave
         self._guards: dict[int, str] = {}
         self._host: Child | None = None
         self._told: list[str] = []
@@ -103,10 +124,10 @@ class Trial:
 
     # -- before ---------------------------------------------------------------------------------------
 
-    def begin(self, processes: Processes) -> Iterator[None]:
-        """Until the device moves. The host ends with `processes` at the latest."""
+    def begin(self) -> Iterator[None]:
+        """Until the device moves."""
         while not self._gives_up():
-            if (yield from self._moves_by_a_host(processes)):
+            if (yield from self._moves_by_a_host()):
                 return
             yield from self.end()
 
@@ -115,18 +136,26 @@ class Trial:
             self.outcome.why = f"no death could be tried on it: {self.outcome.before[-1]}"
         return bool(self.outcome.why)
 
-    def _moves_by_a_host(self, processes: Processes) -> Generator[None, None, bool]:
+    def _moves_by_a_host(self) -> Generator[None, None, bool]:
         """Start a host; whether it brought the device to move."""
+        wave = self._wave
+        while len(wave.starting) >= STARTING:
+            yield
         self.outcome.starts += 1
         self._told = []
-        self._host = self._subject.start_host(processes, self._way)
+        self._host = self._subject.start_host(wave.processes, self._way, wave.silence)
         start = time.monotonic()
+        wave.starting.add(id(self))
         while not self._moves():
             stopped = any(line.startswith("stopped") for line in self._told) or not _born(self._host.pid)
             if stopped or time.monotonic() > start + MOVES_WITHIN:
                 self._complain()
+                wave.starting.discard(id(self))
                 return False
+            if any("is up on" in line for line in self._told):
+                wave.starting.discard(id(self))
             yield
+        wave.starting.discard(id(self))
         return True
 
     def _complain(self) -> None:
@@ -148,9 +177,9 @@ class Trial:
 
     # -- the death ------------------------------------------------------------------------------------
 
-    def die(self, processes: Processes) -> Iterator[None]:
+    def die(self) -> Iterator[None]:
         """Until the device has been at rest for a while after the death, or had its time."""
-        yield from self._until_the_moment(processes)
+        yield from self._until_the_moment()
         if self.outcome.why:
             return
         log, device = self._subject.log, self._subject.device
@@ -171,17 +200,17 @@ class Trial:
         elif verdict.rest is None:
             self.outcome.why = f"safe, but not at rest within {REST_WITHIN:g} s"
 
-    def _until_the_moment(self, processes: Processes) -> Iterator[None]:
+    def _until_the_moment(self) -> Iterator[None]:
         """A random while. A device that somebody has stopped meanwhile is made to move again."""
         while not self.outcome.why:
-            moment = time.monotonic() + self._dice.uniform(EARLIEST, LATEST)
+            moment = time.monotonic() + self._wave.dice.uniform(EARLIEST, LATEST)
             while time.monotonic() < moment:
                 yield
             if self._moves():
                 return
             self._complain()
             yield from self.end()
-            yield from self.begin(processes)
+            yield from self.begin()
 
     def _kill(self) -> float:
         """Send the signals; when, on CLOCK_MONOTONIC."""
@@ -189,7 +218,7 @@ class Trial:
         (guard,) = _children(self._host.pid)
         self._guards[guard] = _born(guard)
         victims = [{"host": self._host.pid, "guard": guard}[who] for who in self._death.who]
-        self._dice.shuffle(victims)
+        self._wave.dice.shuffle(victims)
         death = time.monotonic()
         for victim in victims:
             os.kill(victim, self._death.number)
