@@ -8,7 +8,8 @@ time is a failure of its case, which is told and makes the run end with a status
 
     TRIALS=3          so many of each, quiet and busy (30)
     KEEP=deaths.jsonl also write a line for each trial: all that its device's log said
-    SIDE=1            so many fakes of each device, side by side (2)
+    SIDE=1            so many fakes of each device, side by side: 1, 2, 3 or 6 (2)
+    LOADS=quiet       one load only
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import signal
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -34,6 +36,7 @@ SIDE = int(os.environ.get("SIDE", "2"))
 QUIET, BUSY = "quiet", "busy"
 #: Seconds that a host may be silent: what a binding has by default, and what a busy computer can keep.
 SILENCE = {QUIET: 0.2, BUSY: 0.5}
+LOADS = os.environ.get("LOADS", f"{QUIET} {BUSY}").split()
 #: Every so many trials are of the device's second way to move.
 SECOND_WAY = 3
 
@@ -90,30 +93,34 @@ def _load(checkout: Checkout, name: str) -> Iterator[None]:
 
 def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
     """All trials, quiet and busy in turns; the rows of what there is also when it is interrupted."""
-    outcomes: dict[str, list[Outcome]] = {QUIET: [], BUSY: []}
+    outcomes: dict[str, list[Outcome]] = {load: [] for load in LOADS}
     wrong: BaseException | None = None
+    # Told to end, as interrupted: nobody whom a trial has stopped is left behind.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         _measure(checkout, rounds, tick, outcomes)
     except BaseException as error:
         wrong = error
+    finally:
+        signal.signal(signal.SIGTERM, before)
     yield from rows(outcomes)
     if wrong is not None:
         raise wrong
 
 
 def _measure(checkout: Checkout, rounds: int, tick: Tick, outcomes: dict[str, list[Outcome]]) -> None:
-    keep = os.environ.get("KEEP")
+    keep, every = os.environ.get("KEEP"), len(LOADS) * rounds * len(DEVICES) * len(DEATHS)
     with Processes() as processes:
         fleet = Fleet(checkout, processes, DEVICES, SIDE, SILENCE.values())
-        loads, failed = list(outcomes), 0
+        loads, done, failed = list(outcomes), 0, 0
         for number in range(rounds):
             for load in loads:
                 with _load(checkout, load):
                     for found in fleet.round(number, SILENCE[load]):
                         outcomes[load] += found
+                        done += len(found)
                         failed += sum(bool(outcome.why) for outcome in found)
-                        done = sum(map(len, outcomes.values()))
-                        tick(f"{load}, {done} of {2 * rounds * len(DEVICES) * len(DEATHS)}, {failed} failed")
+                        tick(f"{load}, {done} of {every} trials, {failed} failed")
                         if keep:
                             _keep(Path(keep), load, found)
             loads.reverse()
@@ -165,8 +172,8 @@ FIGURE = Figure(
     notes=(
         f"{SIDE} fakes of each device side by side; own: the device's own watchdog came first; silence: "
         + ", ".join(f"{load} {seconds:g} s" for load, seconds in SILENCE.items()),
-        "every third trial is a long move, others are setpoints (ODrive: all, Dynamixel: none); height 2 m",
+        "every third trial is a long move, others are setpoints (ODrive: all, Dynamixel: none); height 1 m",
         "guards and fakes run with real-time priority where the system allows it, hosts never",
-        "make bench ONLY=deaths TRIALS=3 makes fewer, KEEP=FILE writes down every trial",
+        "make bench ONLY=deaths TRIALS=3 LOADS=quiet makes fewer, KEEP=FILE writes down every trial",
     ),
 )

@@ -47,7 +47,7 @@ def _still(now: Facts) -> bool:
 
 def _copter(name: str, flavour: str, land: str, ttl: float, *more: str) -> Device:
     # Low and brisk, so that a landing takes no longer than it must; a battery that lasts for all trials.
-    words = f"mavlink --listen udp:127.0.0.1:0 --flavour {flavour} --climb 5 --descend 3 --land 2"
+    words = f"mavlink --listen udp:127.0.0.1:0 --flavour {flavour} --climb 5 --descend 3 --land 3"
     return Device(
         name,
         [*f"{words} --acceleration 10 --capacity 900000".split(), *more],
@@ -63,8 +63,8 @@ def _copter(name: str, flavour: str, land: str, ttl: float, *more: str) -> Devic
 #: With times to live for which each device's own watchdog can be set (an ODrive's is in its configuration).
 DEVICES = (
     _copter("ArduCopter", "ardupilot", "LAND", 1.0),
-    # It is disarmed soon, before its failsafe for the data link makes it hold for 5 s, on the ground as well.
-    _copter("PX4", "px4", "AUTO.LAND", 0.5, "--param", "COM_DISARM_LAND=0.5"),
+    # Disarmed soon: its failsafe for the data link makes it hold for 5 s, on the ground as well.
+    _copter("PX4", "px4", "AUTO.LAND", 0.5, "--param", "COM_DISARM_LAND=0.1"),
     Device(
         "CiA 402",
         ("can", "--device", "cia402:5"),
