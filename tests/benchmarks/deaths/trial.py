@@ -29,8 +29,8 @@ EARLIEST, LATEST = 0.3, 1.8
 #: So often a host is started whose device does not move, or had stopped before its death came; and how much
 #: of what it said is kept.
 STARTS, LAST_WORDS = 10, 6
-#: So many hosts start at a time.
-STARTING = 2
+#: So many hosts start at a time: most of it is a second in which each measures how late it is.
+STARTING = 5
 _PROGRAM = Path(__file__).with_name("moves.L").read_text(encoding="utf-8")
 
 
