@@ -14,6 +14,8 @@
     ├── WireError                 bytes from a peer that break the protocol                   76
     ├── GreetingError             a peer that must not be talked to                           76
     ├── AddressError              a port in use, an address that is not ours                  69
+    │   └── NobodyListens         an address where no program listens                         69
+    ├── NothingRuns               no mission that a command could be about                    69
     ├── HostFailure               a bug in lfield that ended a host                           70
     └── PluginError               a driver is unknown, broken or lacks its vendor library     69
         └── DeviceError           a device refused, failed or went away
@@ -167,6 +169,19 @@ class AddressError(LfieldError):
     def __init__(self, address: str, reason: str) -> None:
         self.address, self.reason = address, reason
         super().__init__(f"cannot use {address}: {reason}")
+
+
+class NobodyListens(AddressError):
+    """An address at which no program listens: whoever did has ended, or was never there."""
+
+    def __init__(self, address: str) -> None:
+        super().__init__(address, "nobody listens there; is its host up?")
+
+
+class NothingRuns(LfieldError):
+    """No mission runs that a command could be about; the message says where was looked."""
+
+    exit_status = 69
 
 
 class HostFailure(LfieldError):

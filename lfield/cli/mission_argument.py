@@ -1,21 +1,29 @@
-"""The mission that a command is about: a bundle, or a deployment with its files beside it."""
+"""The mission that a command is about: a bundle, or a deployment with its files; or all that run here."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield.errors import NothingRuns, UsageError
+
+if TYPE_CHECKING:
+    from lfield.operator.addressed import Party
+    from lfield.operator.runs import Run
 
 
-def add_mission(parser: argparse.ArgumentParser) -> None:
-    """Declare it: `lfield ps mission.lfm`, or `lfield ps --deploy mission.dL`."""
-    named = parser.add_mutually_exclusive_group(required=True)
+def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
+    """Declare it: `lfield up mission.lfm`, or `lfield up --deploy mission.dL`."""
+    named = parser.add_mutually_exclusive_group(required=required)
     named.add_argument("--deploy", metavar="MISSION", type=Path, help="a deployment (.dL) or bundle (.lfm)")
     named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help="the same")
 
 
 def add_running_mission(parser: argparse.ArgumentParser) -> None:
-    """Declare it, and where its hosts are reached."""
-    add_mission(parser)
+    """Declare it, or the run, and where its hosts are reached; with neither, all that runs here is meant."""
+    add_mission(parser, required=False)
+    parser.add_argument("--run", metavar="ID", default="", help="one run of this computer, as 'ps' names it")
     parser.add_argument(
         "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="where a host is reached"
     )
@@ -23,5 +31,41 @@ def add_running_mission(parser: argparse.ArgumentParser) -> None:
 
 def mission_path(args: argparse.Namespace) -> Path:
     """The file that was named."""
-    path: Path = args.mission or args.deploy
+    path = named_mission(args)
+    assert path is not None
     return path
+
+
+def named_mission(args: argparse.Namespace) -> Path | None:
+    """The same, None when none was."""
+    path: Path | None = args.mission or args.deploy
+    return path
+
+
+def meant_runs(args: argparse.Namespace) -> list[Run]:
+    """The runs that this user may see, or the one that was named. Raises UsageError, NothingRuns."""
+    from lfield.operator.addressed import picked
+    from lfield.operator.runs import runs_here, unseen
+
+    runs = picked(runs_here(), args.run)
+    if named_mission(args) is not None:
+        return runs
+    if args.map:
+        raise UsageError("--map is for the hosts of a mission: name the mission too")
+    if not runs:
+        hidden = unseen()
+        raise NothingRuns(f"no mission runs here{f'; {hidden}' if hidden else ''}")
+    return runs
+
+
+def meant_parties(args: argparse.Namespace, runs: list[Run]) -> list[Party]:
+    """The hosts that were named: of a mission, or of all these runs. Raises UsageError."""
+    from lfield.operator.addressed import open_team, parties_of, parties_of_team
+
+    path = named_mission(args)
+    if path is None:
+        return parties_of(runs)
+    team = open_team(path)
+    if args.run and runs[0].note.deployment != team.deployment.hex():
+        raise UsageError(f"{runs[0].id} is no run of {path}")
+    return parties_of_team(team, runs, args.map)

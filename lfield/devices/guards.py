@@ -49,6 +49,8 @@ class Guards:
         self.lateness = Lateness(Limit(silence, loop.may_be_prompt()))
         self._turned = turned
         self._guards: list[Guard] = []
+        #: One for each emergency stop that is under way: several may be pressed at a time.
+        self._stopping: list[asyncio.Event] = []
         self._fakes: list[Fake] = []
         self._by_device: dict[str, tuple[Guard, DeviceManifest]] = {}
 
@@ -152,19 +154,21 @@ class Guards:
     async def emergency_stop(self, reason: str) -> dict[str, str]:
         """Every device into its safe state: '' for each that confirmed within STOPS_WITHIN, else why not."""
         changed = asyncio.Event()
+        self._stopping.append(changed)
         for guard in self._guards:
-            guard.on_latch = changed.set
+            guard.on_latch = self._latched
             guard.bar(reason)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(STOPS_WITHIN):
                 while any(not guard.confirmed.issuperset(guard.names) for guard in self._guards):
                     changed.clear()
                     await changed.wait()
-        return {
-            name: "" if name in guard.confirmed else f"its safe state was not confirmed in {STOPS_WITHIN:g} s"
-            for guard in self._guards
-            for name in guard.names
-        }
+        self._stopping.remove(changed)
+        return {name: _unconfirmed(guard, name) for guard in self._guards for name in guard.names}
+
+    def _latched(self) -> None:
+        for changed in self._stopping:
+            changed.set()
 
     def lift_stop(self) -> dict[str, str]:
         """The program may release its devices again; the same table, all ''."""
@@ -200,22 +204,33 @@ class Guards:
     async def close(self) -> dict[str, str]:
         """Make every device safe, end the guards when all are at rest, then the fakes.
 
-        Returns the devices that have not been seen there, by name: each with what was last known of it.
+        Returns the devices that have not been seen there, by name: each with what was last known of it. How
+        they were at the end can still be asked.
         Bounded by their `rest_within`; `hurry` makes it short.
         """
         ends = await asyncio.gather(*(self._close(guard) for guard in self._guards))
         await asyncio.gather(*(fake.stop() for fake in self._fakes))
-        self._guards, self._fakes, self._by_device = [], [], {}
+        self._fakes, self._by_device = [], {}
         return {name: words for end in ends for name, words in end.items()}
 
     async def _close(self, guard: Guard) -> dict[str, str]:
         unsafe = await guard.close()
+        guard.moving.update({name: "" for name in guard.names if name not in unsafe})
         return {name: f"{why}; {guard.snapshots.in_words(name)}" for name, why in unsafe.items()}
 
     def hurry(self) -> None:
         """Wait for no device any longer; `close` then ends, and tells who is not at rest."""
         for guard in self._guards:
             guard.hurry()
+
+
+def _unconfirmed(guard: Guard, name: str) -> str:
+    """Why an emergency stop does not know a device safe; '' when it does."""
+    if name not in guard.confirmed:
+        return f"its safe state was not confirmed in {STOPS_WITHIN:g} s"
+    if guard.snapshots.lost_since(name) is not None:
+        return f"it was in its safe state before, and is not heard any more; {guard.snapshots.in_words(name)}"
+    return ""
 
 
 def _shared_ports(devices: Sequence[DeviceBinding]) -> list[str]:

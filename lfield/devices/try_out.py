@@ -24,6 +24,8 @@ from lfield.vm.world import Pending
 LOOK = 0.02
 #: Seconds for a guard to be there again.
 BACK = 60.0
+#: The name of the finding that a device was not left in its safe state and at rest.
+LEFT = "left safe and at rest"
 
 
 class LiveBench:
@@ -143,8 +145,8 @@ async def try_devices(
 ) -> list[Finding]:
     """Run the checks on one device after the other, and show each finding as it is made.
 
-    `silence` is how long this host may be silent, in seconds. Raises DevicesError when a device cannot be
-    opened.
+    The last is of LEFT: each device that was not seen at rest in its safe state in the end. `silence` is how
+    long this host may be silent, in seconds. Raises DevicesError when a device cannot be opened.
     """
     checks, notes, findings = list(checks), list[str](), list[Finding]()
     guards = Guards(plugins, SystemClock(), notes.append, silence=silence)
@@ -157,5 +159,7 @@ async def try_devices(
                 findings.append(finding)
                 show(finding)
     finally:
-        await guards.close()
+        for name, why in (await guards.close()).items():
+            findings.append(Finding(name, LEFT, "failed", why))
+            show(findings[-1])
     return findings

@@ -24,7 +24,7 @@ from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
-from lfield.errors import DeviceError, HostFailure, OutputFileError
+from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
 from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
 from lfield.host.logbook import Logbook
@@ -55,15 +55,21 @@ from lfield.wire.messages import (
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
 CENSUS = 1.5
+#: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
+LOOKING, LAST_LOOK = 3.0, 1.5
 
 
 @dataclass(slots=True)
 class Options:
-    """How a host is run. `listen` is the address to listen on; times are in seconds."""
+    """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
+
+    Times are in seconds.
+    """
 
     listen: str
     dump: Path | None = None
     unreachable_after: float = 10.0
+    door: str = ""
     clock: Clock = field(default_factory=SystemClock)
     dice: random.Random = field(default_factory=random.Random)
 
@@ -104,7 +110,9 @@ class Host:
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
         self._due = 0.0
         self._events: deque[Callable[[], None]] = deque()
-        self._entered = self._stopped = False
+        self._entered = self._stopped = self._pressed = False
+        #: When somebody last asked how the devices are.
+        self._looked = -LOOKING
 
     @property
     def machine(self) -> Machine:
@@ -124,6 +132,7 @@ class Host:
         Raises AddressError and DevicesError: then nothing has moved.
         """
         self.address = await self.peers.open(self.options.listen)
+        await self._open_door(self.options.door)
         members = self.team.on(self.core.here)
         devices = self.mission.bindings.of([m.id for m in members])
         await insist(self.guards.lateness.limit, devices, self.clock)
@@ -134,6 +143,14 @@ class Host:
         if any(member.kind == "coordinator" for member in members):
             await self.peers.first_round(CENSUS)
         self._enter(partial(self.core.start_coordinators, generation))
+
+    async def _open_door(self, door: str) -> None:
+        """A host that cannot be asked on this computer runs all the same."""
+        try:
+            if door:
+                await self.peers.open_door(door)
+        except AddressError as error:
+            self.note(f"ps, query and estop need --map to find this host: {error}")
 
     async def stop(self) -> dict[str, str]:
         """Make the devices safe, stay until they are at rest, then close everything.
@@ -148,12 +165,18 @@ class Host:
         unsafe = await self.guards.close()
         for name, why in unsafe.items():
             self.note(f"{name}: NOT SAFE: {why}")
+        await self._be_seen()
         self._stopped = True
         if self._timer:
             self._timer.cancel()
         self.peers.close()
         self.logbook.flush()
         return unsafe
+
+    async def _be_seen(self) -> None:
+        """After an emergency stop somebody may be looking at the devices: let them see how that has ended."""
+        if self._pressed and self.clock.monotonic() - self._looked < LOOKING:
+            await asyncio.sleep(LAST_LOOK)
 
     # --- one way in, one way out ----------------------------------------------------------------------
 
@@ -288,6 +311,7 @@ class Host:
     def received(self, host: str, message: Control, link: Link) -> None:
         """A message came; `host` is '' when an observer sent it."""
         if isinstance(message, StatusRequest):
+            self._looked = self.clock.monotonic()
             link.send(self.status())
         elif isinstance(message, Status):
             self.statuses[host] = message
@@ -298,6 +322,7 @@ class Host:
             self._enter(partial(self.core.received, host, message))
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
+        self._pressed = not message.lift
         if message.lift:
             self.note("the emergency stop is lifted; programs may release their devices")
             devices = self.guards.lift_stop()

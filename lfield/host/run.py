@@ -27,6 +27,7 @@ async def run_host(
     name: str,
     *,
     listen: str = "",
+    door: str = "",
     dump: Path | None = None,
     unreachable_after: float | None = None,
     lost_after: float | None = None,
@@ -35,13 +36,15 @@ async def run_host(
 ) -> int:
     """Run a host; returns the exit status (exits.py). `lost_after` None runs until it is stopped.
 
+    `door` is the address where commands of this computer find it.
+
     Raises AddressError and DevicesError when it cannot start.
     """
     address = listen or mission.team.addresses[mission.team.number(name)]
     if not (listen or trust_network):
         await stay_here(name, address)
     bound = unreachable_after or mission.bindings.unreachable_after
-    host_options = Options(address, dump, bound)
+    host_options = Options(address, dump, bound, door)
     logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
     words = StopWords(host.clock)

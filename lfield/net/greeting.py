@@ -27,7 +27,8 @@ class Greeting:
     `own` is the Hello this side sends. `hosts` are the names of the deployment, `linked` the hosts that
     have a live link here, by name, with their incarnations (looked at when the peer's Hello comes).
     `dialled` is the name of the host this side called; None on the side that was called. An observer
-    (`own.role`) knows no deployment: it passes no hosts and takes any.
+    (`own.role`) knows no deployment: it passes no hosts and takes any. Where `observers_only`, hosts are
+    refused.
 
     Feed every message to `receive` until `peer` is set. When that raises, send `refusal`, if there is
     one, and let the error close the link.
@@ -40,11 +41,12 @@ class Greeting:
         hosts: Collection[str] = (),
         linked: Mapping[str, int] | None = None,
         dialled: str | None = None,
+        observers_only: bool = False,
     ) -> None:
         self.own = own
         self.peer: Hello | None = None
         self.refusal: Refuse | None = None
-        self._hosts, self._dialled = hosts, dialled
+        self._hosts, self._dialled, self._observers_only = hosts, dialled, observers_only
         self._linked: Mapping[str, int] = {} if linked is None else linked
 
     def receive(self, message: Message) -> Hello:
@@ -58,6 +60,8 @@ class Greeting:
             )
         if not isinstance(message, Hello):
             raise WireError(f"a {type(message).__name__} came before the greeting")
+        if self._observers_only and message.role != "observer":
+            self._refuse(f"{self.own.host} takes hosts at its address; this socket is for commands")
         if "observer" not in (self.own.role, message.role):
             self._check_name(message)
         self._check_hashes(message)

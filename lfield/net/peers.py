@@ -77,7 +77,7 @@ class Peers:
         self._hosts, self._addresses, self._here = hosts, addresses, here
         self._links: dict[str, Session] = {}
         self._tasks: list[asyncio.Task[None]] = []
-        self._listener: Listener | None = None
+        self._listeners: list[Listener] = []
         self._complaints: set[str] = set()
         dice = random.Random()
         self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
@@ -112,7 +112,8 @@ class Peers:
 
     async def open(self, address: str) -> str:
         """Listen, begin to call the others; returns the address with its real port. Raises AddressError."""
-        self._listener = await self._transport.listen(address, self._called)
+        listener = await self._transport.listen(address, self._called)
+        self._listeners.append(listener)
         now = self._clock.monotonic()
         self.away = {host: now for i, host in enumerate(self._hosts) if i != self._here}
         for number in range(self._here + 1, len(self._hosts)):
@@ -120,7 +121,15 @@ class Peers:
         if not self._unheard:
             self._all_heard.set()
         self._tasks.append(spawn(self._keep_alive()))
-        return self._listener.address
+        return listener.address
+
+    async def open_door(self, address: str) -> None:
+        """Listen there too, for observers alone. Raises AddressError."""
+
+        def called(link: Link) -> Session:
+            return self._called(link, observers_only=True)
+
+        self._listeners.append(await self._transport.listen(address, called))
 
     async def first_round(self, bound: float) -> None:
         """Return when every host has greeted or did not answer when called, or after `bound` seconds.
@@ -135,8 +144,8 @@ class Peers:
         """Close the port and every link."""
         for task in self._tasks:
             task.cancel()
-        if self._listener:
-            self._listener.close()
+        for listener in self._listeners:
+            listener.close()
         for session in list(self._links.values()):
             session.link.close()
 
@@ -156,8 +165,8 @@ class Peers:
 
     # --- both directions ------------------------------------------------------------------------------
 
-    def _called(self, link: Link) -> Session:
-        session = Session(self, dialled=None)
+    def _called(self, link: Link, *, observers_only: bool = False) -> Session:
+        session = Session(self, dialled=None, observers_only=observers_only)
         # The transport hands out messages only when this has returned.
         session.greet(link)
         pushed = self._ungreeted.enter(session, session.caller)
@@ -207,9 +216,15 @@ class Peers:
 
     # --- what sessions report -------------------------------------------------------------------------
 
-    def new_greeting(self, dialled: str | None) -> Greeting:
+    def new_greeting(self, dialled: str | None, *, observers_only: bool) -> Greeting:
         """The greeting for a new link."""
-        return Greeting(self._owner.hello(), hosts=self._hosts, linked=self.incarnations, dialled=dialled)
+        return Greeting(
+            self._owner.hello(),
+            hosts=self._hosts,
+            linked=self.incarnations,
+            dialled=dialled,
+            observers_only=observers_only,
+        )
 
     def known(self, session: Session, hello: Hello) -> None:
         """A link has greeted, and its other side has taken ours."""
@@ -280,11 +295,11 @@ class Session:
 
     link: Link
 
-    def __init__(self, peers: Peers, dialled: str | None) -> None:
+    def __init__(self, peers: Peers, dialled: str | None, *, observers_only: bool = False) -> None:
         self._peers = peers
         self.dialled = dialled
         self.connected = self.linked = False
-        self._greeting = peers.new_greeting(dialled)
+        self._greeting = peers.new_greeting(dialled, observers_only=observers_only)
         self.hello: Hello | None = None
         self.heard = 0.0
         self.reason = ""

@@ -1,4 +1,4 @@
-"""Links over TCP, as asyncio protocols: the only sockets in lfield."""
+"""Links over TCP, and over Unix sockets of this computer, as asyncio protocols."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import asyncio
 import errno
 import os
 import socket
+import stat
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from lfield.errors import AddressError, WireError
+from lfield.errors import AddressError, NobodyListens, WireError
 from lfield.net.framed import FramedLink
 from lfield.net.transport import join_address, split_address
 
@@ -23,18 +26,21 @@ _REASONS = {
     errno.EADDRINUSE: "the port is in use; stop the program that has it, or choose another port",
     errno.EADDRNOTAVAIL: "the address is not one of this machine; correct the deployment or map the host",
     errno.EACCES: "this user may not use the port; choose one above 1023",
-    errno.ECONNREFUSED: "nobody listens there; is its host up?",
     errno.EHOSTUNREACH: "there is no way to that machine",
     errno.ENETUNREACH: "there is no way to that network",
 }
 
+#: What the address of a Unix socket begins with; the path follows.
+UNIX = "unix:"
+#: Whoever called at a Unix socket, in sentences: it has no address.
+CALLER = "a command on this computer"
 
 #: Seconds that a peer has to take the last words of a link that is closed.
 LAST_WORDS = 5.0
 
 
 class TcpTransport:
-    """Hosts reached over TCP, inside a running asyncio loop (uvloop's will do).
+    """Hosts reached over TCP or a Unix socket ("unix:PATH"), inside a running loop (uvloop's will do).
 
     `max_block` is the largest block to take and `max_pending` the most bytes to hold for a peer that does
     not read (by default room for four such blocks); a link over it is closed. `connect_timeout` is in
@@ -51,29 +57,42 @@ class TcpTransport:
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> TcpListener:
         """Listen at exactly that address; port 0 takes a free one. Raises AddressError.
 
-        "fd:N" is the listening socket with that file descriptor, inherited from another process.
+        "fd:N" is the listening socket with that file descriptor, inherited from another process. Who may
+        call at "unix:PATH" is for the folder to say: its group may, if it may enter it.
         """
         loop = asyncio.get_running_loop()
+
+        def called() -> _TcpLink:
+            return self._new_link(on_link)
+
         try:
             if address.startswith("fd:"):
-                inherited = socket.socket(fileno=int(address[3:]))
-                server = await loop.create_server(lambda: self._new_link(on_link), sock=inherited)
+                server = await loop.create_server(called, sock=socket.socket(fileno=int(address[3:])))
+            elif address.startswith(UNIX):
+                server = await loop.create_unix_server(called, sock=_bound(_path(address)))
             else:
-                host, port = split_address(address)
-                server = await loop.create_server(lambda: self._new_link(on_link), host, port)
+                server = await loop.create_server(called, *split_address(address))
         except (OSError, UnicodeError) as error:
             raise AddressError(address, refusal(error)) from None
         return TcpListener(server)
 
     async def connect(self, address: str, handler: LinkHandler) -> Link:
-        """A link to whoever listens there. Raises AddressError."""
-        host, port = split_address(address)
+        """A link to whoever listens there. Raises AddressError, NobodyListens if nobody does."""
         loop = asyncio.get_running_loop()
+
+        def calling() -> _TcpLink:
+            return self._new_link(lambda _: handler)
+
         try:
             async with asyncio.timeout(self._connect_timeout):
-                _, link = await loop.create_connection(lambda: self._new_link(lambda _: handler), host, port)
+                if address.startswith(UNIX):
+                    _, link = await loop.create_unix_connection(calling, str(_path(address)))
+                else:
+                    _, link = await loop.create_connection(calling, *split_address(address))
         except TimeoutError:
             raise AddressError(address, f"no answer within {self._connect_timeout:g} s") from None
+        except (ConnectionRefusedError, FileNotFoundError):
+            raise NobodyListens(address) from None
         except (OSError, UnicodeError) as error:
             raise AddressError(address, refusal(error)) from None
         return link
@@ -82,8 +101,27 @@ class TcpTransport:
         return _TcpLink(self._max_block, self._max_pending, on_link)
 
 
+def _path(address: str) -> Path:
+    path = Path(address.removeprefix(UNIX))
+    if not path.is_absolute():
+        raise AddressError(address, "a Unix socket is written unix:/PATH")
+    return path
+
+
+def _bound(path: Path) -> socket.socket:
+    """A socket at a path that is free, for whoever may enter its folder."""
+    made = socket.socket(socket.AF_UNIX)
+    try:
+        made.bind(str(path))
+        path.chmod(0o660 if path.parent.stat().st_mode & stat.S_IXGRP else 0o600)
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
 class TcpListener:
-    """An open TCP port."""
+    """An open TCP port, or Unix socket."""
 
     def __init__(self, server: asyncio.Server) -> None:
         self._server = server
@@ -92,6 +130,9 @@ class TcpListener:
     def close(self) -> None:
         """Take no more links."""
         self._server.close()
+        if self.address.startswith(UNIX):
+            with suppress(FileNotFoundError):
+                _path(self.address).unlink()
 
 
 class _TcpLink(FramedLink, asyncio.Protocol):
@@ -138,7 +179,8 @@ class _TcpLink(FramedLink, asyncio.Protocol):
         self._transport = cast("asyncio.Transport", transport)
         self.peer = _socket_address(transport.get_extra_info("peername"))
         # A hop is one small write that nobody answers: it must not wait to be joined by more.
-        transport.get_extra_info("socket").setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if (made := transport.get_extra_info("socket")).family != socket.AF_UNIX:
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._transport.set_write_buffer_limits(high=self._max_pending)
         self.handler = self._on_link(self)
 
@@ -157,7 +199,9 @@ class _TcpLink(FramedLink, asyncio.Protocol):
         self.finished(AddressError(self.peer, f"the connection was lost: {exc}") if exc else None)
 
 
-def _socket_address(name: tuple[str, int] | tuple[str, int, int, int]) -> str:
+def _socket_address(name: str | tuple[str, int] | tuple[str, int, int, int]) -> str:
+    if isinstance(name, str):
+        return f"{UNIX}{name}" if name else CALLER
     return join_address(name[0], name[1])
 
 

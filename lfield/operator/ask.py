@@ -1,23 +1,18 @@
-"""Asks the hosts of a team for something, as somebody who is no host: their status, or an emergency stop.
-
-A team is asked where it runs: at the addresses of `--map`, else at those that `up --all` has published on
-this computer, else at those of its deployment.
-"""
+"""Asks hosts for something, as somebody who is no host: their status, or an emergency stop."""
 
 from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from lfield.errors import AddressError, GreetingError, LfieldError, WireError
-from lfield.mission.team import Team, parse_maps
+from lfield.errors import AddressError, GreetingError, LfieldError, NobodyListens, WireError
 from lfield.net.greeting import Greeting
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link, Transport
-from lfield.operator import whereabouts
+from lfield.operator.addressed import Party, Place
 from lfield.wire.messages import (
     EmergencyStop,
     EmergencyStopped,
@@ -30,6 +25,7 @@ from lfield.wire.messages import (
 )
 
 T = TypeVar("T", bound=Status | EmergencyStopped)
+K = TypeVar("K", bound=Hashable)
 
 #: For each host by its name what it answered, or the error that stood in the way.
 Answers = Mapping[str, T | LfieldError]
@@ -55,10 +51,20 @@ def emergency_stop(reason: str, *, lift: bool = False) -> Request[EmergencyStopp
     return Request(EmergencyStop(clip(reason), lift), EmergencyStopped, 8.0)
 
 
-def ask_team(team: Team, maps: Sequence[str], request: Request[T]) -> Answers[T]:
-    """What the hosts of a team answer, in its order. `maps` are `NAME=ADDR:PORT`; raises UsageError."""
-    found = whereabouts.find(team.deployment) | parse_maps(maps, team)
-    return asyncio.run(ask_all(observer(), team.at(found).reached, request))
+def ask_parties(parties: Sequence[Party], request: Request[T]) -> dict[Place, T | LfieldError]:
+    """What all hosts of some parties answer, in their order."""
+    places = {place: address for party in parties for place, address in party.places.items()}
+    return asyncio.run(ask_all(observer(), places, request))
+
+
+def by_host(answers: Mapping[Place, T | LfieldError], party: Party) -> Answers[T]:
+    """The answers of one party by host."""
+    return {place.host: answers[place] for place in party.places}
+
+
+def reached(answer: T | LfieldError) -> bool:
+    """Whether somebody was there, whatever came of it."""
+    return not isinstance(answer, NobodyListens)
 
 
 def silent(answers: Answers[T]) -> dict[str, LfieldError]:
@@ -77,8 +83,10 @@ def observer(connect_timeout: float = 2.0) -> TcpTransport:
     return TcpTransport(_MAX_BLOCK, connect_timeout=connect_timeout)
 
 
-async def ask_all(transport: Transport, addresses: Mapping[str, str], request: Request[T]) -> Answers[T]:
-    """The answer of every host by name, all asked at once."""
+async def ask_all(
+    transport: Transport, addresses: Mapping[K, str], request: Request[T]
+) -> dict[K, T | LfieldError]:
+    """The answer of every host by its key, all asked at once."""
 
     async def one(address: str) -> T | LfieldError:
         try:

@@ -11,7 +11,7 @@ from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING
 
-from lfield.errors import AddressError
+from lfield.errors import AddressError, NobodyListens
 from lfield.net.framed import FramedLink
 from lfield.net.transport import join_address, split_address
 
@@ -109,7 +109,7 @@ class MemoryNetwork:
         address = join_address(*split_address(address))
         listener = self._listeners.get(address)
         if listener is None or frozenset((machine, listener.machine)) in self._apart:
-            raise AddressError(address, "nobody listens there; is its host up?")
+            raise NobodyListens(address)
         near = MemoryLink(self, machine, address, self._max_block)
         far = MemoryLink(self, listener.machine, machine, self._max_block)
         near.other, far.other = far, near

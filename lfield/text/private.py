@@ -2,6 +2,9 @@
 
 The folder is held open while it is looked at and used: whoever swaps it in between swaps nothing. What is no
 plain file (a fifo, a device, a link) is neither written nor read, so nothing here can block on one.
+
+A group may be let read, by `mode`; it may write nowhere. What another user has written is believed only of
+the `owners` that the caller names.
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ import errno
 import os
 import secrets
 import stat
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -22,40 +25,69 @@ _WRITABLE = stat.S_IWGRP | stat.S_IWOTH
 
 def private_folder(path: Path) -> Path:
     """Make the folder if there is none, and return it. Raises OutputFileError if others could write to it."""
-    with _opened(path):
+    with _made(path):
         return path
 
 
-def write_private(path: Path, data: bytes) -> None:
+def new_private_folder(path: Path, mode: int = 0o700) -> int:
+    """Make a folder that is not there yet, and return the descriptor that it is open by.
+
+    The one above it is made if there is none. Raises OutputFileError.
+    """
+    with _made(path.parent) as parent:
+        try:
+            os.mkdir(path.name, 0o700, dir_fd=parent)
+            folder = os.open(path.name, _FOLDER, dir_fd=parent)
+            # Not what the umask leaves of it.
+            os.fchmod(folder, mode)
+        except OSError as error:
+            raise OutputFileError(str(path), error.strerror or str(error)) from None
+    return folder
+
+
+def write_private(path: Path, data: bytes, mode: int = 0o600) -> None:
     """Write a whole file, which only this user may read, or leave what was there. Raises OutputFileError.
 
     The folder is made if there is none.
     """
-    with _opened(path.parent) as folder:
+    with _made(path.parent) as folder:
         try:
             _refuse_strange(path, folder)
-            _replace(path.name, data, folder)
+            _replace(path.name, data, mode, folder)
         except OSError as error:
             raise OutputFileError(str(path), error.strerror or str(error)) from None
 
 
-def read_private(path: Path, most: int) -> bytes:
-    """What `write_private` has written; raises OSError.
+@contextmanager
+def private_opened(path: Path, owners: Collection[int] = ()) -> Iterator[int]:
+    """The descriptor of a folder that is there, for the duration; raises OSError.
 
-    Also when others could have written it, or it is larger than `most`.
+    Also when it belongs to nobody of `owners` (user numbers; by default this user) or others may write to it.
     """
-    folder = os.open(path.parent, _FOLDER)
+    folder = os.open(path, _FOLDER)
     try:
-        _check(path.parent, os.fstat(folder))
-        descriptor = os.open(path.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
-    except OutputFileError as error:
-        raise PermissionError(errno.EPERM, error.reason, str(path)) from None
+        try:
+            _check(path, os.fstat(folder), owners or (os.geteuid(),))
+        except OutputFileError as error:
+            raise PermissionError(errno.EPERM, error.reason, str(path)) from None
+        yield folder
     finally:
         os.close(folder)
+
+
+def read_private(path: Path, most: int, owners: Collection[int] = ()) -> bytes:
+    """What `write_private` has written; raises OSError.
+
+    Also when anybody but `owners` could have written it (see `private_opened`), or it is larger than `most`.
+    """
+    with private_opened(path.parent, owners) as folder:
+        descriptor = os.open(path.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
     with open(descriptor, "rb") as file:
         found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
+        if not stat.S_ISREG(found.st_mode) or found.st_uid not in (owners or (os.geteuid(),)):
             raise PermissionError(errno.EPERM, "it is no plain file of this user", str(path))
+        if found.st_mode & _WRITABLE:
+            raise PermissionError(errno.EPERM, "others may write to it", str(path))
         data = file.read(most + 1)
     if len(data) > most:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
@@ -66,15 +98,15 @@ _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[int]:
-    """The folder's descriptor for the duration."""
+def _made(path: Path) -> Iterator[int]:
+    """The folder's descriptor for the duration; it is made if there is none."""
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         folder = os.open(path, _FOLDER)
     except OSError as error:
         raise OutputFileError(str(path), _no_folder(path, error)) from None
     try:
-        _check(path, os.fstat(folder))
+        _check(path, os.fstat(folder), (os.geteuid(),))
         yield folder
     finally:
         os.close(folder)
@@ -88,8 +120,8 @@ def _no_folder(path: Path, error: OSError) -> str:
     return error.strerror or str(error)
 
 
-def _check(path: Path, found: os.stat_result) -> None:
-    if found.st_uid != os.geteuid():
+def _check(path: Path, found: os.stat_result, owners: Collection[int]) -> None:
+    if found.st_uid not in owners:
         raise OutputFileError(
             str(path), f"the folder belongs to another user (number {found.st_uid}); name one of your own"
         )
@@ -105,12 +137,13 @@ def _refuse_strange(path: Path, folder: int) -> None:
             raise OutputFileError(str(path), "it is there and is no plain file; remove it")
 
 
-def _replace(name: str, data: bytes, folder: int) -> None:
+def _replace(name: str, data: bytes, mode: int, folder: int) -> None:
     temporary = f".{secrets.token_hex(8)}"
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
     descriptor = os.open(temporary, flags, 0o600, dir_fd=folder)
     try:
         with open(descriptor, "wb") as file:
+            os.fchmod(descriptor, mode)
             file.write(data)
         os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
     except OSError:

@@ -1,8 +1,9 @@
-"""What a host refuses before any guard is started, and what its bindings say of their fakes."""
+"""What a host refuses before any guard is started, what bindings say of fakes, and stops of all guards."""
 
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -14,6 +15,7 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
 from lfield.mission.bindings_file import read_bindings
+from lfield.simulate.time import run_jumping
 
 SERVO = DeviceBinding(
     agent="arm", field="wrist", type="Dynamixel", driver="dynamixel", endpoint="serial:/dev/ttyUSB0:57600",
@@ -81,3 +83,48 @@ def test_a_device_type_of_a_driver_with_several(plugins, tmp_path):
     path.write_text(f"agents: {{arm: {{devices: {{joints: {device}}}}}}}\n")
     with pytest.raises(Exception, match="'type' is one of DynamixelGroup"):
         read_bindings(path, {"arm": {"joints": "DynamixelGroup"}}, plugins)
+
+
+class LateGuard:
+    """A guard whose device confirms its safe state some seconds after the first stop."""
+
+    names = ("arm.wrist",)
+
+    def __init__(self, seconds: float, *, lost: float | None = None) -> None:
+        self.snapshots = SimpleNamespace(
+            lost_since=lambda name: lost, in_words=lambda name: "last heard 9.0 s ago"
+        )
+        self.confirmed: set[str] = set()
+        self.on_latch = lambda: None
+        self._seconds = seconds
+
+    def bar(self, reason: str) -> None:
+        if reason == "first":
+            asyncio.get_running_loop().call_later(self._seconds, self._confirm)
+
+    def _confirm(self) -> None:
+        self.confirmed.update(self.names)
+        self.on_latch()
+
+
+def test_a_second_stop_does_not_take_the_answer_of_the_first(plugins):
+    async def story() -> float:
+        guards, loop = Guards(plugins, ManualClock(), print), asyncio.get_running_loop()
+        guards._guards = [LateGuard(2.0)]
+        began = loop.time()
+        first, second = (asyncio.ensure_future(guards.emergency_stop(word)) for word in ("first", "second"))
+        assert await first == await second == {"arm.wrist": ""}
+        return loop.time() - began
+
+    assert run_jumping(story()) == pytest.approx(2.0)
+
+
+def test_who_was_safe_before_and_is_not_heard_any_more_is_not_called_safe(plugins):
+    async def story() -> dict[str, str]:
+        guards = Guards(plugins, ManualClock(), print)
+        guards._guards = [LateGuard(0.1, lost=3.0)]
+        return await guards.emergency_stop("first")
+
+    assert run_jumping(story()) == {
+        "arm.wrist": "it was in its safe state before, and is not heard any more; last heard 9.0 s ago"
+    }

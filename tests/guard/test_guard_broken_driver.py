@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+from lfield.devices.try_out import LEFT, try_devices
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
@@ -32,7 +33,13 @@ class Thing(Device):
         return "a thing"
 
     async def _make_safe(self, state):
-        pass
+        if self.binding.endpoint == "stubborn":
+            raise self.error("it does not listen")
+
+    def _moving(self):
+        if self.binding.endpoint == "confused":
+            stumble()
+        return "turning for ever" if self.binding.endpoint == "restless" else ""
 
     async def do_stumble(self):
         asyncio.get_running_loop().call_soon(stumble)
@@ -77,7 +84,7 @@ def plugins(tmp_path, monkeypatch):
 def binding(endpoint: str) -> DeviceBinding:
     return DeviceBinding(
         agent="a", field="t", type="Thing", driver="clumsy", endpoint=endpoint, safe_state="off",
-        waivers=["device_watchdog"],
+        waivers=["device_watchdog"], rest_within=1.0,
     )  # fmt: skip
 
 
@@ -115,3 +122,26 @@ def test_a_callback_that_raises_while_the_device_is_opened(plugins):
 
     with pytest.raises(DevicesError, match=r"the driver failed: RuntimeError\('stumbled'\)"):
         asyncio.run(opening())
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "why"),
+    [
+        ("stubborn", "its safe state was not seen; it was never heard"),
+        ("restless", "it is in its safe state and not at rest: turning for ever; it was never heard"),
+        (
+            "confused",
+            "it is in its safe state and not at rest: nobody knows, since the driver failed: "
+            "RuntimeError('stumbled'); it was never heard",
+        ),
+    ],
+)
+def test_who_was_not_left_safe_and_at_rest_is_the_last_finding_of_a_kit(plugins, endpoint, why):
+    trial = try_devices(plugins, [binding(endpoint)], [], False, lambda finding: None, silence=5.0)
+    (left,) = asyncio.run(trial)
+    assert (left.device, left.check, left.outcome, left.seen) == ("a.t", LEFT, "failed", why)
+
+
+def test_whoever_is_left_safe_and_at_rest_is_no_finding(plugins):
+    trial = try_devices(plugins, [binding("calm")], [], False, lambda finding: None, silence=5.0)
+    assert asyncio.run(trial) == []

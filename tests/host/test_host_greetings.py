@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import asyncio
 
+import msgspec
+
+from lfield.wire.messages import Hello, Refuse, Status, StatusRequest
+
 PROGRAM = """
 resource Echo {
     init(string[] arg) { }
@@ -99,5 +103,57 @@ def test_a_greeting_that_is_read_before_the_caller_gets_its_turn(fleet):
         assert bravo.output == ["here"]
         assert "closed a link" not in alpha.log + bravo.log
         assert team.network.sent["Hello"] == 2
+
+    fleet(story)
+
+
+class Caller:
+    """Whoever calls at a door: says hello, asks for the status, and keeps what comes back."""
+
+    def __init__(self, hello):
+        self.hello, self.heard, self.ends = hello, [], []
+
+    def on_message(self, link, message):
+        link.greeted("host")
+        self.heard.append(message)
+        if self.hello.role == "observer" and isinstance(message, Hello):
+            link.send(StatusRequest())
+
+    def on_closed(self, link, error):
+        self.ends.append(error)
+
+
+async def calls(team, address, hello):
+    caller = Caller(hello)
+    link = await team.network.transport("bravo").connect(address, caller)
+    link.send(hello)
+    await team.until(lambda: caller.ends or any(isinstance(said, Status) for said in caller.heard))
+    link.close()
+    return caller.heard[-1]
+
+
+def test_at_the_door_for_commands_a_host_takes_observers_only(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        (alpha,) = await team.up(mission, "alpha", door="alpha:1")
+        assert isinstance(await calls(team, "alpha:1", Hello("observer", "observer", 0)), Status)
+        known = alpha.host.hello()
+        bravo = msgspec.structs.replace(known, host="bravo", incarnation=7)
+        refused = await calls(team, "alpha:1", bravo)
+        assert isinstance(refused, Refuse)
+        assert refused.reason == "alpha takes hosts at its address; this socket is for commands"
+        assert _told(alpha, "this socket is for commands")
+        assert "bravo" not in alpha.host.peers.incarnations
+
+    fleet(story)
+
+
+def test_a_host_without_its_door_says_so_and_runs(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        await team.up(mission, "bravo")
+        (alpha,) = await team.up(mission, "alpha", door="bravo:8181")
+        assert _told(alpha, "ps, query and estop need --map to find this host: ")
+        assert await team.ended("tom") == "done"
 
     fleet(story)

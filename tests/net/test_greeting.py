@@ -35,6 +35,17 @@ def test_a_host_of_the_deployment_is_let_in():
         machine.admit(Accepted("Tour:one", 1, 1))
 
 
+def test_where_only_observers_are_let_in():
+    machine = Greeting(hello("a", incarnation=1), hosts=HOSTS, observers_only=True)
+    with pytest.raises(GreetingError, match="a takes hosts at its address; this socket is for commands"):
+        machine.receive(hello())
+    assert machine.peer is None
+    assert isinstance(machine.refusal, Refuse)
+    observer = Hello("observer", "observer", 0)
+    machine = Greeting(hello("a", incarnation=1), hosts=HOSTS, observers_only=True)
+    assert machine.receive(observer) == observer
+
+
 def test_the_same_life_may_have_a_second_link():
     assert greeting(linked={"b": 7}).receive(hello()) == hello()
 

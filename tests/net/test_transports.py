@@ -1,8 +1,10 @@
-"""Both transports against the kit, and what is particular to each."""
+"""All transports against the kit, and what is particular to each."""
 
 import asyncio
 import errno
 import socket
+import tempfile
+from pathlib import Path
 
 import pytest
 
@@ -108,6 +110,53 @@ class TestTcp(TransportKit):
     @pytest.fixture
     def bench(self, tcp):
         return tcp
+
+
+class UnixBench(TcpBench):
+    """The same transport at Unix sockets, each with a path of its own."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, folder: Path) -> None:
+        super().__init__(loop)
+        self.folder = folder
+
+    @property
+    def address(self) -> str:
+        return f"unix:{self.folder}/{len(self.listeners)}.sock"
+
+
+@pytest.fixture(params=["asyncio", "uvloop"])
+def unix(request):
+    # Not pytest's folder: the path of a socket may have 107 bytes.
+    with tempfile.TemporaryDirectory(prefix="lf-") as folder:
+        bench = UnixBench(new_loop(request.param), Path(folder))
+        yield bench
+        bench.close()
+        assert list(bench.folder.iterdir()) == []
+
+
+class TestUnix(TransportKit):
+    @pytest.fixture
+    def bench(self, unix):
+        return unix
+
+
+# Unix sockets alone
+
+
+@pytest.mark.parametrize(("folder", "socket_"), [(0o700, 0o600), (0o750, 0o660)])
+def test_whoever_may_enter_the_folder_may_call(unix, folder, socket_):
+    unix.folder.chmod(folder)
+    pair = Pair(unix)
+    (path,) = unix.folder.iterdir()
+    assert path.lstat().st_mode & 0o777 == socket_
+    assert pair.link.peer == pair.listener.address == f"unix:{path}"
+    assert pair.far.link.peer == "a command on this computer"
+
+
+def test_a_path_that_will_not_do(unix):
+    for address, words in [("unix:here", "unix:/PATH"), (f"unix:/{'x' * 200}", "AF_UNIX path too long")]:
+        with pytest.raises(AddressError, match=words):
+            unix.wait(unix.listen(address, lambda link: Recorder()))
 
 
 # TCP alone

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import OutputFileError
-from lfield.text.private import private_folder, read_private, write_private
+from lfield.text.private import new_private_folder, private_folder, read_private, write_private
 
 
 @pytest.fixture
@@ -66,6 +66,44 @@ def test_a_folder_of_somebody_else_is_refused(path, monkeypatch):
     with pytest.raises(PermissionError):
         read_private(path, 10)
     assert path.read_bytes() == b"old"
+
+
+def test_what_another_user_wrote_is_believed_only_of_those_who_are_named(path, monkeypatch):
+    write_private(path, b"data")
+    writer = os.getuid()
+    monkeypatch.setattr(os, "geteuid", lambda: writer + 1)
+    with pytest.raises(PermissionError):
+        read_private(path, 10)
+    with pytest.raises(PermissionError):
+        read_private(path, 10, owners={writer + 2})
+    assert read_private(path, 10, owners={writer}) == b"data"
+
+
+@pytest.mark.parametrize("others", [0o620, 0o602, 0o666])
+def test_a_file_that_others_may_write_to_is_not_read(path, others):
+    write_private(path, b"data")
+    path.chmod(others)
+    with pytest.raises(PermissionError, match="others may write to it"):
+        read_private(path, 10)
+
+
+def test_a_group_may_be_let_read_whatever_the_umask(path):
+    before = os.umask(0o077)
+    try:
+        os.close(new_private_folder(path.parent, 0o750))
+        write_private(path, b"data", 0o640)
+    finally:
+        os.umask(before)
+    assert (mode(path.parent.parent), mode(path.parent), mode(path)) == (0o700, 0o750, 0o640)
+
+
+def test_a_new_folder_is_new(path):
+    private_folder(path.parent)
+    with pytest.raises(OutputFileError, match="folder: File exists"):
+        new_private_folder(path.parent)
+    path.symlink_to(path.parent)
+    with pytest.raises(OutputFileError, match="file: File exists"):
+        new_private_folder(path)
 
 
 def test_a_folder_that_is_none_is_refused(path, tmp_path):

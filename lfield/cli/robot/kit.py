@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield import exits
 from lfield.errors import UsageError
 
 if TYPE_CHECKING:
@@ -53,8 +54,8 @@ def _seconds(text: str) -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when nothing failed, 1 when a check did."""
-    from lfield.devices.try_out import checks_of, try_devices
+    """0 when nothing failed, 1 when a check did, 3 when a device was not left safe and at rest."""
+    from lfield.devices.try_out import LEFT, checks_of, try_devices
     from lfield.driver.plugins import discover
 
     plugins = discover()
@@ -72,7 +73,9 @@ def run(args: argparse.Namespace) -> int:
     if not args.json:
         counts = {outcome: sum(f.outcome == outcome for f in findings) for outcome in _MARKS}
         print(", ".join(f"{count} {outcome}" for outcome, count in counts.items()))
-    return 1 if any(finding.outcome == "failed" for finding in findings) else 0
+    if any(finding.check == LEFT for finding in findings):
+        return exits.UNSAFE
+    return exits.FAILED if any(finding.outcome == "failed" for finding in findings) else exits.DONE
 
 
 def _devices(args: argparse.Namespace, installed: Installed, plugins: Plugins) -> list[DeviceBinding]:

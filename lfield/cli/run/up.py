@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,8 +56,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="listen beyond this machine without keys: whoever reaches the port controls the robots",
     )
-    # For processes that `--all` starts: the listening socket they inherit, and to end with their parent.
+    # For processes that `--all` starts: the listening socket they inherit, the address where commands find
+    # them, and to end with their parent.
     parser.add_argument("--listen-fd", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--door", default="", help=argparse.SUPPRESS)
     parser.add_argument("--leash", action="store_true", help=argparse.SUPPRESS)
 
 
@@ -123,7 +127,7 @@ def _look_at_dumps(folder: Path) -> None:
     try:
         private_folder(folder)
     except OutputFileError as error:
-        print(f"lfield: agents that die will not be dumped: {error}", file=sys.stderr)
+        tell(f"agents that die will not be dumped: {error}")
 
 
 def _run_one(mission: Mission, args: argparse.Namespace) -> int:
@@ -132,18 +136,37 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
     from lfield.net.local import own_host
 
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
-    return loop.run(
-        run_host(
-            _with_own_drivers(mission, name),
-            name,
-            listen=f"fd:{args.listen_fd}" if args.listen_fd is not None else "",
-            dump=args.dump,
-            unreachable_after=args.unreachable_after,
-            lost_after=args.lost_after if args.until_done else None,
-            trust_network=args.trust_network,
-            leash=args.leash,
+    with _door(mission, name, args) as door:
+        return loop.run(
+            run_host(
+                _with_own_drivers(mission, name),
+                name,
+                listen=f"fd:{args.listen_fd}" if args.listen_fd is not None else "",
+                door=door,
+                dump=args.dump,
+                unreachable_after=args.unreachable_after,
+                lost_after=args.lost_after if args.until_done else None,
+                trust_network=args.trust_network,
+                leash=args.leash,
+            )
         )
-    )
+
+
+@contextmanager
+def _door(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[str]:
+    """Where commands of this computer find the host: in its own run, or in that of `--all`."""
+    from lfield.operator.runs import begun, running
+
+    if args.leash:
+        yield args.door
+        return
+    with running(begun(mission, mission_path(args), [host]), tell) as doors:
+        yield doors.addresses.get(host, "")
+
+
+def tell(text: str) -> None:
+    """A line of the command itself."""
+    print(f"lfield: {text}", file=sys.stderr)
 
 
 def _with_own_drivers(mission: Mission, host: str) -> Mission:

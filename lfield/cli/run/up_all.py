@@ -17,12 +17,13 @@ from asyncio.subprocess import PIPE, Process
 from typing import TYPE_CHECKING, TextIO
 
 from lfield import exits
+from lfield.cli.mission_argument import mission_path
 from lfield.clock import SystemClock
 from lfield.host.run import stay_here
 from lfield.host.stop_words import StopWords, hear_signals
 from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
-from lfield.operator import whereabouts
+from lfield.operator.runs import Doors, begun, running
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,8 +49,9 @@ def run_all(mission: Mission, file: Path, args: argparse.Namespace) -> int:
             asyncio.run(stay_here(host, address))
     reserved = {host: reserve(mapped.get(host, FREE)) for host in mission.team.hosts}
     addresses = {host: address for host, (_, address) in reserved.items()}
-    with whereabouts.published(mission.team.deployment, addresses, _tell):
-        return asyncio.run(_Team(mission, file, args, reserved, addresses).run())
+    named = mission_path(args)
+    with running(begun(mission.at(mission.team.at(addresses)), named, addresses), _tell) as doors:
+        return asyncio.run(_Team(mission, file, args, reserved, addresses, doors).run())
 
 
 def _tell(text: str) -> None:
@@ -64,8 +66,9 @@ class _Team:
         args: argparse.Namespace,
         reserved: dict[str, tuple[socket.socket, str]],
         addresses: dict[str, str],
+        doors: Doors,
     ) -> None:
-        self.mission, self.file, self.args = mission, file, args
+        self.mission, self.file, self.args, self.doors = mission, file, args, doors
         self.reserved, self.addresses = reserved, addresses
         self.children: dict[str, Process] = {}
         self.width = max(len(host) for host in addresses)
@@ -102,7 +105,8 @@ class _Team:
             stdin=PIPE,
             stdout=PIPE,
             stderr=PIPE,
-            pass_fds=[listening.fileno()],
+            # With the lock the run lives, for those who look, until its last host has ended.
+            pass_fds=[listening.fileno(), *self.doors.lock],
             # A Ctrl-C of the terminal is for this process; it stops the hosts in order.
             start_new_session=True,
             limit=1 << 20,
@@ -119,7 +123,7 @@ class _Team:
     def command(self, host: str, descriptor: int) -> list[str]:
         args = self.args
         words = [sys.executable, "-m", "lfield", "up", str(self.file), "--host", host, "--leash"]
-        words += ["--listen-fd", str(descriptor)]
+        words += ["--listen-fd", str(descriptor), "--door", self.doors.addresses.get(host, "")]
         for name, address in self.addresses.items():
             words += ["--map", f"{name}={address}"]
         for option in ("dump", "unreachable_after"):

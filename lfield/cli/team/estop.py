@@ -1,16 +1,25 @@
-"""`lfield estop`: every device of a running mission into its safe state, and who did not confirm."""
+"""`lfield estop`: every device into its safe state, who did not confirm that, and the way down of all."""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from lfield.cli.mission_argument import add_running_mission, mission_path
+from lfield import exits
+from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
+from lfield.errors import AddressError
 
 if TYPE_CHECKING:
-    from lfield.operator.ask import Answers
+    from lfield.errors import LfieldError
+    from lfield.operator.addressed import Party, Place
     from lfield.wire.messages import EmergencyStopped
+
+    Stopped = Mapping[Place, EmergencyStopped | LfieldError]
+
+#: How long devices of hosts that no run here is of have to come to rest, in seconds: as most bindings say.
+REST_WITHIN = 120.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,33 +29,92 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lift", action="store_true", help="the emergency is over: programs may release their devices again"
     )
+    parser.add_argument(
+        "--no-wait", action="store_true", help="end when all have confirmed, without looking at the way down"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when every device of every host has confirmed, 69 when one did not or a host was not reached."""
-    from lfield.operator.ask import ask_team, emergency_stop, silent, tell_silent
-    from lfield.operator.whereabouts import open_team
+    """0 when every device has confirmed and was seen at rest, else 3; 69 where nothing runs at all."""
+    from lfield.operator.addressed import names_of
+    from lfield.operator.ask import ask_parties, emergency_stop, reached
 
+    parties = meant_parties(args, meant_runs(args))
+    names = names_of(parties)
+    if named_mission(args) is None:
+        _tell_whom(parties, "lifting" if args.lift else "stopping")
     reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
-    request = emergency_stop(reason, lift=args.lift)
-    answers = ask_team(open_team(mission_path(args)), args.map, request)
-    confirmed = _tell(answers, "may be released" if args.lift else "safe")
-    tell_silent(silent(answers), "NOT REACHED, its devices have not confirmed: ")
-    return 0 if confirmed and not silent(answers) else 69
+    try:
+        answers = ask_parties(parties, emergency_stop(reason, lift=args.lift))
+    except KeyboardInterrupt:
+        _tell("interrupted: not every host has answered; press it again")
+        return exits.UNSAFE
+    confirmed = _confirmed(answers, names, "may be released" if args.lift else "safe")
+    everybody = _reached(answers, names)
+    if not (parties[0].runs or any(reached(answer) for answer in answers.values())):
+        return AddressError.exit_status
+    if args.lift or args.no_wait:
+        return exits.DONE if confirmed and everybody else exits.UNSAFE
+    return exits.worst((exits.DONE if everybody else exits.UNSAFE, _way_down(parties, answers, names)))
 
 
-def _tell(answers: Answers[EmergencyStopped], word: str) -> bool:
+def _tell_whom(parties: Sequence[Party], doing: str) -> None:
+    from lfield.operator.runs import unseen
+
+    for party in parties:
+        print(f"{doing} {party.id}: {', '.join(party.addresses)}")
+    if unseen():
+        _tell(f"lfield: {unseen()}")
+
+
+def _reached(answers: Stopped, names: Mapping[Place, str]) -> bool:
+    """Whether every host has answered; a line on stderr for each that has not."""
+    from lfield.operator.ask import silent, tell_silent
+
+    unreached = silent({names[place]: answer for place, answer in answers.items()})
+    tell_silent(unreached, "NOT REACHED, its devices have not confirmed: ")
+    return not unreached
+
+
+def _confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> bool:
     """A line for each device of the hosts that answered, on stderr what is wrong; whether all is well."""
     well = True
-    for host, answer in answers.items():
+    for place, answer in answers.items():
         if isinstance(answer, Exception):
             continue
         if not answer.devices:
-            print(f"{host}: has no devices")
+            print(f"{names[place]}: has no devices")
         for device, problem in answer.devices.items():
             well = well and not problem
-            print(
-                f"{host}: {device}: {f'NOT CONFIRMED: {problem}' if problem else word}",
-                file=sys.stderr if problem else sys.stdout,
-            )
+            said = f"{names[place]}: {device}: {f'NOT CONFIRMED: {problem}' if problem else word}"
+            print(said, file=sys.stderr if problem else sys.stdout, flush=True)
     return well
+
+
+def _way_down(parties: Sequence[Party], answers: Stopped, names: Mapping[Place, str]) -> int:
+    """Look at the devices until they are at rest, and name those that are not; the status it comes to."""
+    from lfield.cli.views.way_down import watch
+    from lfield.clock import SystemClock
+    from lfield.operator.descent import Descent
+
+    within = max((run.note.rest_within for party in parties for run in party.runs), default=REST_WITHIN)
+    descent = Descent(within, SystemClock().monotonic())
+    for place, answer in answers.items():
+        if not isinstance(answer, Exception):
+            descent.stopped(place, answer)
+    try:
+        watch(descent, {place: at for party in parties for place, at in party.places.items()}, names)
+        interrupted = False
+    except KeyboardInterrupt:
+        _tell("no longer looking: the stop goes on; 'lfield ps' shows how the devices are")
+        interrupted = True
+    wrong = descent.verdicts()
+    for device, sentence in wrong:
+        _tell(f"{names[device.place]}: {device.name}: {sentence}")
+    if interrupted:
+        return exits.INTERRUPTED
+    return exits.UNSAFE if wrong else exits.DONE
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr)

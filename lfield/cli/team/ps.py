@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
-from lfield.cli.mission_argument import add_running_mission, mission_path
+from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,14 +16,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when every host answered, 69 when one or more did not."""
-    from lfield.cli.views import picture
-    from lfield.operator.ask import STATUS, ask_team, silent, tell_silent
-    from lfield.operator.whereabouts import open_team
+    from lfield.cli.views import picture, run_table
+    from lfield.operator.addressed import names_of
+    from lfield.operator.ask import STATUS, ask_parties, by_host, silent, tell_silent
+    from lfield.operator.runs import unseen
 
-    answers = ask_team(open_team(mission_path(args)), args.map, STATUS)
+    runs = meant_runs(args)
+    parties = meant_parties(args, runs)
+    answers = ask_parties(parties, STATUS)
+    names = names_of(parties)
+    named = {names[place]: answer for place, answer in answers.items()}
+    if named_mission(args) is None and unseen():
+        print(f"lfield: {unseen()}", file=sys.stderr)
     if args.json:
-        print(picture.as_json(answers))
-    else:
-        picture.show(answers)
-        tell_silent(silent(answers))
-    return 69 if silent(answers) else 0
+        print(picture.as_json(named) if named_mission(args) else run_table.as_json(parties, answers))
+        return 69 if silent(named) else 0
+    if named_mission(args) is None:
+        run_table.show(runs)
+    for party in parties:
+        if named_mission(args) is None or len(parties) > 1:
+            print(f"\n{party.id}")
+        picture.show(by_host(answers, party))
+    tell_silent(silent(named))
+    return 69 if silent(named) else 0

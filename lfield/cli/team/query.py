@@ -6,12 +6,15 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.cli.mission_argument import add_running_mission, mission_path
+from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
+from lfield.errors import UsageError
+from lfield.text.suggest import listed
 
 if TYPE_CHECKING:
     from lfield.capability.model import Registry
     from lfield.cli.views.query_view import Known
     from lfield.mission.team import Team
+    from lfield.operator.addressed import Party
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,12 +36,12 @@ def run(args: argparse.Namespace) -> int:
     """0 when there are offers, 1 when there are none."""
     from lfield.capability.matching.matcher import Matcher
     from lfield.cli.views import query_view
+    from lfield.operator.addressed import only_mission, open_team
     from lfield.operator.ask import tell_silent
     from lfield.operator.query import mission_registry
     from lfield.operator.question import read_question
-    from lfield.operator.whereabouts import open_team
 
-    path = mission_path(args)
+    path = named_mission(args) or only_mission(meant_runs(args))
     team = open_team(path)
     registry = mission_registry(path, team, args.capabilities)
     question = read_question(args.query, registry)
@@ -65,10 +68,11 @@ def run(args: argparse.Namespace) -> int:
 def _known(args: argparse.Namespace, team: Team, registry: Registry, at: str) -> Known:
     from lfield.cli.views.query_view import Known
     from lfield.errors import AddressError
-    from lfield.operator.ask import STATUS, ask_team, silent
+    from lfield.operator.ask import STATUS, ask_parties, by_host, silent
     from lfield.operator.query import from_files, from_hosts, views_of
 
-    answers = {} if args.files else ask_team(team, args.map, STATUS)
+    party = None if args.files else _only(meant_parties(args, meant_runs(args)))
+    answers = by_host(ask_parties([party], STATUS), party) if party else {}
     views, errors = views_of(answers), silent(answers)
     # Where nobody listens at all nothing runs, which is no problem; anything else is one.
     nobody = not views and all(isinstance(error, AddressError) for error in errors.values())
@@ -76,3 +80,10 @@ def _known(args: argparse.Namespace, team: Team, registry: Registry, at: str) ->
     if not views:
         return Known(from_files(registry, team.deployed, at), silent=told)
     return Known(from_hosts(registry, team.deployed, views, errors.keys(), at), tuple(views), told)
+
+
+def _only(parties: list[Party]) -> Party:
+    if len(parties) > 1:
+        runs = listed([party.id for party in parties])
+        raise UsageError(f"the mission runs here {len(parties)} times, as {runs}: pick one with --run")
+    return parties[0]

@@ -12,11 +12,9 @@ from rich.table import Table
 
 from lfield.errors import LfieldError
 from lfield.operator.ask import Answers
+from lfield.operator.descent import SILENT
 from lfield.text.values import telemetry_in_words
 from lfield.wire.messages import DeviceStatus, Known, Status, Told
-
-#: A device that has not been heard for longer (seconds) is shown as silent: its telemetry is old.
-SILENT = 3.0
 
 
 def show(answers: Answers[Status]) -> None:
@@ -46,7 +44,8 @@ def _hosts(answers: Answers[Status]) -> Table:
 def _devices(answers: Answers[Status]) -> Table:
     shown = Table(box=None, pad_edge=False)
     for column in ("HOST", "DEVICE", "STATE", "TELEMETRY"):
-        shown.add_column(column)
+        # How it stands with a vehicle is read at a glance; its telemetry takes the lines it needs.
+        shown.add_column(column, no_wrap=column == "STATE")
     for host, answer in answers.items():
         if isinstance(answer, LfieldError):
             continue
@@ -92,11 +91,15 @@ def _size(count: int) -> str:
 
 def as_json(answers: Answers[Status]) -> str:
     """What every host says of itself, or why it says nothing."""
-    whole = {
+    return json.dumps(as_data(answers), indent=2)
+
+
+def as_data(answers: Answers[Status]) -> dict[str, Any]:
+    """The same as data that JSON can hold."""
+    return {
         host: {"error": str(answer)} if isinstance(answer, LfieldError) else _status(answer)
         for host, answer in answers.items()
     }
-    return json.dumps(whole, indent=2)
 
 
 def _status(status: Status) -> dict[str, Any]:

@@ -92,7 +92,7 @@ def test_a_host_whose_output_nobody_reads_flies_on_and_answers(lfield, alone, un
     assert lfield.status(asked) == 0, asked.said
     assert "safe state" not in asked.said
 
-    pressed = lfield("estop", *words, "--reason", "nobody reads", env=alone)
+    pressed = lfield("estop", *words, "--no-wait", "--reason", "nobody reads", env=alone)
     assert lfield.status(pressed) == 0, pressed.said
     assert pressed.out == ["alpha: lead.fc: safe"]
 

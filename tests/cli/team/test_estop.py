@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+import signal
+
 import pytest
 
 pytestmark = pytest.mark.process
@@ -62,7 +65,7 @@ def team(alone, lfield):
 
 
 def test_every_device_is_safe_and_is_not_released_before_the_stop_is_lifted(lfield, team):
-    pressed = lfield("estop", *team.words, "--reason", "a child on the field")
+    pressed = lfield("estop", *team.words, "--no-wait", "--reason", "a child on the field")
     assert lfield.status(pressed) == 0, pressed.said
     assert sorted(pressed.out) == ["alpha: lead.fc: safe", "bravo: wing.fc: safe"]
     for host in team.hosts.values():
@@ -79,16 +82,16 @@ def test_every_device_is_safe_and_is_not_released_before_the_stop_is_lifted(lfie
 def test_who_does_not_confirm_and_who_is_not_reached_is_named(lfield, team, alone):
     silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
     assert lfield.status(silenced) == 0, silenced.said
-    pressed = lfield("estop", *team.words)
-    assert lfield.status(pressed) == 69, pressed.said
+    pressed = lfield("estop", *team.words, "--no-wait")
+    assert lfield.status(pressed) == 3, pressed.said
     assert pressed.out == ["alpha: lead.fc: safe"]
     assert pressed.err == [
         "bravo: wing.fc: NOT CONFIRMED: its safe state was not confirmed in 5 s",
     ]
     team.hosts["bravo"].popen.kill()
     team.hosts["bravo"].popen.wait()
-    again = lfield("estop", *team.words)
-    assert lfield.status(again) == 69, again.said
+    again = lfield("estop", *team.words, "--no-wait")
+    assert lfield.status(again) == 3, again.said
     assert again.out == ["alpha: lead.fc: safe"]
     (line,) = again.err
     assert line.startswith("bravo: NOT REACHED, its devices have not confirmed: ")
@@ -100,3 +103,66 @@ def test_a_mission_that_does_not_run_is_not_reached(lfield):
     assert lfield.status(pressed) == 69
     assert len(pressed.err) == 2
     assert all("NOT REACHED" in line for line in pressed.err)
+
+
+def lines_of(process, device: str) -> list[str]:
+    return [line.partition(f"{device}: ")[2] for line in process.out if device in line]
+
+
+def test_the_way_down_is_shown_until_all_are_at_rest_and_what_does_not_come_down_is_named(lfield, own):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES.replace("waivers", "rest_within: 8, waivers"))
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim", env=own)
+    for host in ("alpha", "bravo"):
+        team.wait_for(rf"{host} +\| flies")
+    first, second = (lfield.start("estop", env=own) for _ in range(2))
+    for pressed in (first, second):
+        assert pressed.wait() == 0, pressed.said
+        assert pressed.out[0].startswith("stopping mission-")
+        for device in ("lead.fc", "wing.fc"):
+            assert lines_of(pressed, device)[0] == "safe"
+            assert lines_of(pressed, device)[-1] == "at rest"
+    silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=own)
+    assert lfield.status(silenced) == 0, silenced.said
+    looking = lfield.start("estop", env=own)
+    looking.wait_for("wing.fc: not heard any more")
+    looking.signal(signal.SIGINT)
+    assert looking.wait() in (3, 130), looking.said
+    told = "\n".join(looking.err)
+    assert "no longer looking: the stop goes on; 'lfield ps' shows how the devices are" in told
+    assert re.search("bravo: wing.fc: NOT .*; last seen: ", told)
+    assert "lead.fc" not in told
+    looking = lfield("estop", env=own)
+    assert lfield.status(looking) == 3, looking.said
+    assert re.search("bravo: wing.fc: NOT .*; last seen: ", looking.err[-1])
+
+
+def test_a_host_that_ends_by_the_stop_is_seen_at_rest_first(lfield, own):
+    """Its program dies of the stop, and it ends as soon as its vehicle is down."""
+    program = """
+    resource Copter {
+        Mavlink fc;
+        init(string[] arg) { }
+        portal fly() { fc.arm(); fc.takeoff(2.0); write("flies\\n"); while (true) { sleep(0.2); fc.hold(); } }
+    }
+    coordinator Pilot { init(string[] arg) { findCopter("lead").fly(); } }
+    """
+    devices = "silence: 2.0\nagents: {lead: {devices: {fc: {" + COPTER + "}}}}\n"
+    deployment = lfield.mission(program, "//Copter:lead@alpha\n//Pilot:one@alpha\n", devices)
+    run = lfield.start(
+        "up",
+        "--deploy",
+        deployment,
+        "--host",
+        "alpha",
+        "--sim",
+        "--until-done",
+        *lfield.maps(["alpha"]),
+        env=own,
+    )
+    run.wait_for("flies")
+    pressed = lfield("estop", env=own)
+    assert lfield.status(pressed) == 0, pressed.said
+    words = lines_of(pressed, "lead.fc")
+    assert (words[0], words[-1]) == ("safe", "at rest")
+    assert len(words) > 2
+    assert run.wait() == 1

@@ -1,0 +1,289 @@
+"""What runs on this computer: each `lfield up` has a private folder of its own, which commands find.
+
+    <base>/<mission>-<8 hex digits>/
+        note.json     what runs: the mission, who started it and when, where its hosts are (Note)
+        alpha.sock    the Unix socket of each host that runs here, for ps, query and estop
+
+The base is `/run/lfield` where a service manager has made that, then readable by its group; else `lfield` in
+the user's runtime folder, or one in the temporary folder. A run lives as long as a process of it holds the
+lock of its folder: a number of a process may be another's tomorrow, a lock goes with whoever held it. What is
+left of a run that was killed is tidied up by the next command of its user.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pwd
+import re
+import secrets
+import tempfile
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from lfield.errors import OutputFileError
+from lfield.mission.mission import Mission
+from lfield.net.tcp import UNIX
+from lfield.text.private import new_private_folder, private_opened, read_private, write_private
+from lfield.wire.messages import Label, Name
+
+#: Where the unit of deploy/ has its runs.
+SERVICE = Path("/run/lfield")
+#: So long the path of a Unix socket may be, in bytes.
+_MAX_SOCKET = 107
+#: A larger note is none.
+_MAX_NOTE = 4 << 20
+_NOTE = "note.json"
+_ID = re.compile(r"[\w.+-]{1,24}-[0-9a-f]{8}", re.ASCII)
+#: A run that is being made; nobody takes so many seconds for it.
+_UNFINISHED, _UNFINISHED_FOR = re.compile(r"\.[0-9a-f]{16}"), 60.0
+
+
+class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a run says of itself, in JSON.
+
+    `mission` is the file it was started from and `deployment` the digest of its team, in hex; `started` is in
+    seconds since 1970; of its devices none has longer than `rest_within` seconds to come to rest. `addresses`
+    has the "address:port" of every host of the team, `doors` the name of the socket of those that run here.
+    """
+
+    mission: Annotated[str, Meta(max_length=4096)]
+    deployment: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
+    user: Annotated[str, Meta(max_length=256)]
+    pid: Annotated[int, Meta(gt=0, lt=2**31)]
+    started: Annotated[float, Meta(ge=0.0, le=1e11)]
+    rest_within: Annotated[float, Meta(ge=0.0, le=1e6)]
+    addresses: Annotated[dict[Name, Label], Meta(max_length=4096)]
+    doors: Annotated[
+        dict[Name, Annotated[str, Meta(pattern=r"^[A-Za-z0-9_+][A-Za-z0-9_.+-]{0,40}$")]],
+        Meta(max_length=4096),
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A run that somebody has begun; `id` is the name of its folder."""
+
+    folder: Path
+    note: Note
+
+    @property
+    def id(self) -> str:
+        """What it is called, here and by `--run`."""
+        return self.folder.name
+
+    def door(self, host: str) -> str:
+        """The address of a host of the team for commands here, '' for one that this run does not run."""
+        name = self.note.doors.get(host)
+        return f"{UNIX}{self.folder / name}" if name else ""
+
+
+# --- beginning one ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Doors:
+    """Where the hosts of a run listen for commands, by name, and the open lock that keeps the run alive.
+
+    Processes that inherit `lock` keep it alive too. Both are empty where the run has no folder.
+    """
+
+    addresses: Mapping[str, str]
+    lock: tuple[int, ...] = ()
+
+
+def begun(mission: Mission, file: Path, here: Iterable[str]) -> Note:
+    """What a run tells of itself that this process begins: the hosts `here` of a mission from a file."""
+    return Note(
+        mission=str(file.absolute()),
+        deployment=mission.team.deployment.hex(),
+        user=_user_name(),
+        pid=os.getpid(),
+        started=time.time(),
+        rest_within=max((device.rest_within for device in mission.bindings.all), default=0.0),
+        addresses=mission.team.reached,
+        doors={host: _door_name(number, host) for number, host in enumerate(here)},
+    )
+
+
+@contextmanager
+def running(note: Note, tell: Callable[[str], None]) -> Iterator[Doors]:
+    """Let commands on this computer find a run for the duration.
+
+    Where that cannot be, or others could change what is said of it, it goes on unfound; `tell` hears why.
+    """
+    try:
+        run, lock = _begin(note)
+    except OutputFileError as error:
+        tell(f"ps, query and estop need --map to find these hosts: {error}")
+        yield Doors({})
+        return
+    try:
+        yield Doors({host: run.door(host) for host in run.note.doors}, (lock,))
+    finally:
+        _remove(run.folder)
+        os.close(lock)
+
+
+def _begin(note: Note) -> tuple[Run, int]:
+    """The folder of a new run, and its lock. It appears to others whole and locked, or not at all."""
+    base, for_group = _base()
+    _tidy(base)
+    name = re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(note.mission).stem)[:24].lstrip(".") or "run"
+    run = Run(base / f"{name}-{secrets.token_hex(4)}", note)
+    for door in run.note.doors:
+        if len(os.fsencode(run.door(door))) > len(UNIX) + _MAX_SOCKET:
+            raise OutputFileError(run.door(door), "the path is too long for a socket; set XDG_RUNTIME_DIR")
+    unfinished = base / f".{secrets.token_hex(8)}"
+    lock = new_private_folder(unfinished, 0o750 if for_group else 0o700)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        write_private(unfinished / _NOTE, msgspec.json.encode(run.note), 0o640 if for_group else 0o600)
+        os.rename(unfinished, run.folder)
+    except OSError as error:
+        os.close(lock)
+        _remove(unfinished)
+        raise OutputFileError(str(run.folder), error.strerror or str(error)) from None
+    except OutputFileError:
+        os.close(lock)
+        _remove(unfinished)
+        raise
+    return run, lock
+
+
+def _door_name(number: int, host: str) -> str:
+    """The name of a host's socket: its own where that will do for a file."""
+    fits = re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,30}", host)
+    return f"{host}.sock" if fits else f"+{number}.sock"
+
+
+def _user_name() -> str:
+    try:
+        return pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return str(os.geteuid())
+
+
+# --- finding them -------------------------------------------------------------------------------------------
+
+
+def runs_here() -> list[Run]:
+    """All runs on this computer that live and that this user may see, the oldest first."""
+    found = [run for base, owners in _bases() for run in _runs_in(base, owners)]
+    return sorted(found, key=lambda run: (run.note.started, run.id))
+
+
+def unseen() -> str:
+    """What to do for a service's runs that this user may not see; '' when there can be none."""
+    service = _service() or SERVICE
+    if not service.exists() or os.access(service, os.R_OK | os.X_OK):
+        return ""
+    return f"what runs in {service} this user may not see: use sudo, or join the group of that folder"
+
+
+def _runs_in(base: Path, owners: Collection[int]) -> Iterator[Run]:
+    if os.geteuid() in owners:
+        _tidy(base)
+    for name in _names_in(base, owners):
+        folder = base / name
+        if _ID.fullmatch(name) and _is_locked(folder):
+            with suppress(OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+                yield Run(
+                    folder, msgspec.json.decode(read_private(folder / _NOTE, _MAX_NOTE, owners), type=Note)
+                )
+
+
+def _names_in(base: Path, owners: Collection[int]) -> list[str]:
+    try:
+        with private_opened(base, owners) as folder:
+            return sorted(os.listdir(folder))
+    except OSError:
+        return []
+
+
+def _is_locked(folder: Path) -> bool:
+    """Whether a process lives that belongs to the run with that folder."""
+    try:
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(lock)
+    return False
+
+
+def _tidy(base: Path) -> None:
+    """Remove what is left in a folder of this user of runs that were killed."""
+    for name in _names_in(base, ()):
+        folder = base / name
+        if _is_abandoned(folder, name) and not _is_locked(folder):
+            _remove(folder)
+
+
+def _is_abandoned(folder: Path, name: str) -> bool:
+    """Whether what is there was a run, unless it is locked. One that is being made is not locked at first."""
+    if _ID.fullmatch(name):
+        return True
+    try:
+        return bool(_UNFINISHED.fullmatch(name)) and time.time() - folder.stat().st_mtime > _UNFINISHED_FOR
+    except OSError:
+        return False
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder of this user with the files in it. Another process may be at it, too."""
+    with suppress(OSError), private_opened(folder) as opened:
+        for name in os.listdir(opened):
+            with suppress(FileNotFoundError):
+                os.unlink(name, dir_fd=opened)
+        folder.rmdir()
+
+
+# --- where --------------------------------------------------------------------------------------------------
+
+
+def _base() -> tuple[Path, bool]:
+    """Where this process has its run, and whether its group may see that: in a service's folder."""
+    service = _service()
+    if service is not None and service.is_dir():
+        return service, True
+    return _own()[0], False
+
+
+def _bases() -> Iterator[tuple[Path, Collection[int]]]:
+    """Where runs can be, with the users who are believed there."""
+    service = _service() or SERVICE
+    # Where only root may write, the service manager has made it: whoever it belongs to is the service.
+    with suppress(OSError), private_opened(service.parent, (0, os.geteuid())):
+        yield service, {0, service.lstat().st_uid}
+    yield from ((base, {os.geteuid()}) for base in _own() if base != service)
+
+
+def _service() -> Path | None:
+    """What systemd's `RuntimeDirectory=lfield` has made for this process."""
+    folders = os.environ.get("RUNTIME_DIRECTORY", "").split(":")
+    return next((Path(folder) for folder in folders if Path(folder).name == "lfield"), None)
+
+
+def _own() -> list[Path]:
+    """The folders of this user for this, the best first."""
+    temporary = Path(tempfile.gettempdir()) / f"lfield-{os.geteuid()}"
+    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
+    with suppress(OSError):
+        # After `su` it may still be another user's.
+        if runtime and os.stat(runtime).st_uid == os.geteuid():
+            return [Path(runtime) / "lfield", temporary]
+    return [temporary]

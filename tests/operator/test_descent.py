@@ -1,0 +1,153 @@
+"""The way down after an emergency stop: what is told of each device, and what it comes to."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.errors import AddressError, NobodyListens
+from lfield.operator.addressed import Place
+from lfield.operator.descent import Descent
+from lfield.wire.messages import DeviceStatus, EmergencyStopped, Status
+
+ALPHA, BRAVO = Place("tour-1", "alpha"), Place("tour-1", "bravo")
+
+
+def status(moving: str = "", *, latched: str = "stopped", silent: float | None = 0.1, name="fc") -> Status:
+    """What a host tells of its one device."""
+    device = DeviceStatus(name, {"height": 2.5}, silent, latched, moving)
+    return Status("alpha", "", 1.0, b"", b"", [], [], [device], [], [])
+
+
+def descent(problem: str = "") -> Descent:
+    """One device of one host, ten seconds before its time is up."""
+    made = Descent(10.0, 100.0)
+    made.stopped(ALPHA, EmergencyStopped({"fc": problem}))
+    return made
+
+
+def look(made: Descent, at: float, answer, place=ALPHA) -> list[str]:
+    """One look; the lines it gives."""
+    made.at(at)
+    made.told(place, answer)
+    return [device.words for device in made.news()]
+
+
+def wrong(made: Descent) -> list[str]:
+    return [sentence for _, sentence in made.verdicts()]
+
+
+def test_a_device_is_looked_at_until_it_is_at_rest():
+    made = descent()
+    assert look(made, 100.5, status("descends, 5 m")) == ["descends, 5 m"]
+    assert not made.over
+    assert look(made, 102.0, status()) == ["at rest"]
+    assert made.over
+    assert wrong(made) == []
+
+
+def test_words_are_told_when_they_change_and_once_in_a_second():
+    made = descent()
+    assert look(made, 100.5, status("5 m")) == ["5 m"]
+    assert look(made, 101.0, status("4 m")) == []
+    assert look(made, 101.5, status("3 m")) == ["3 m"]
+    assert look(made, 102.5, status("3 m")) == []
+    assert look(made, 103.0, status("2 m")) == ["2 m"]
+    assert look(made, 103.5, status()) == ["at rest"]
+    assert look(made, 109.0, status()) == []
+
+
+def test_a_device_that_does_not_come_to_rest_in_its_time():
+    made = descent()
+    look(made, 109.0, status("descends"))
+    assert not made.over
+    look(made, 110.0, status("descends"))
+    assert made.over
+    assert wrong(made) == ["NOT AT REST after 10 s; last seen: descends"]
+
+
+def test_a_device_that_was_not_confirmed_in_time_is_well_once_it_is_seen_at_rest():
+    made = descent("its safe state was not confirmed in 5 s")
+    assert wrong(made) == ["NOT CONFIRMED: its safe state was not confirmed in 5 s; last seen: never"]
+    look(made, 101.0, status())
+    assert made.over
+    assert wrong(made) == []
+
+
+@pytest.mark.parametrize("moving", ["", "descends"])
+def test_what_a_silent_device_was_heard_doing_is_not_what_it_does(moving):
+    made = descent()
+    look(made, 101.0, status("descends"))
+    assert look(made, 104.5, status(moving, silent=3.5)) == ["not heard any more"]
+    assert not made.over
+    look(made, 110.0, status(moving, silent=9.0))
+    assert wrong(made) == ["NOT AT REST after 10 s: not heard any more; last seen: descends"]
+
+
+def test_what_was_heard_before_the_stop_is_no_news_of_it():
+    made = descent()
+    assert look(made, 100.0, status(silent=0.1)) == []
+    assert look(made, 100.5, status(silent=0.5)) == []
+    assert not made.over
+    assert look(made, 101.0, status(silent=0.2)) == ["at rest"]
+    never_told = descent()
+    assert look(never_told, 100.0, status(silent=None)) == ["at rest"]
+
+
+def test_a_device_in_use_is_not_at_rest():
+    """Its host was restarted, or somebody has lifted the stop and released it."""
+    made = descent()
+    assert look(made, 101.0, status(latched="")) == ["NOT in its safe state"]
+    assert not made.over
+    look(made, 102.0, status())
+    look(made, 103.0, status("takes off", latched=""))
+    assert not made.over
+
+
+def test_a_host_that_ends_before_its_devices_were_seen_at_rest():
+    made = descent()
+    look(made, 101.0, status("descends"))
+    assert look(made, 102.0, NobodyListens("10.0.0.1:1")) == ["its host has ended"]
+    assert made.over
+    assert made.places == set()
+    assert wrong(made) == ["NOT SEEN AT REST: its host has ended before; last seen: descends"]
+
+
+def test_a_host_that_ends_after_they_were():
+    made = descent()
+    made.stopped(BRAVO, EmergencyStopped({"fc": ""}))
+    look(made, 101.0, status())
+    assert not made.over
+    assert look(made, 102.0, NobodyListens("10.0.0.1:1")) == []
+    look(made, 103.0, status(), BRAVO)
+    assert made.over
+    assert wrong(made) == []
+
+
+def test_a_host_that_does_not_answer_is_asked_again():
+    made = descent()
+    look(made, 101.0, status("descends"))
+    late = AddressError("10.0.0.1:1", "no answer within 2 s")
+    assert look(made, 103.0, late) == [f"its host does not answer: {late}"]
+    assert made.places == {ALPHA}
+    assert look(made, 103.0, late) == []
+    look(made, 110.0, late)
+    assert wrong(made) == [
+        "NOT AT REST after 10 s: its host does not answer: cannot use 10.0.0.1:1: no answer within 2 s; "
+        "last seen: descends"
+    ]
+    look(made, 110.5, status())
+    assert wrong(made) == []
+
+
+def test_a_device_that_its_host_says_nothing_of():
+    made = descent()
+    look(made, 110.0, status(name="other"))
+    assert wrong(made) == ["NOT AT REST after 10 s; last seen: never"]
+
+
+def test_hosts_without_devices_are_not_waited_for():
+    made = Descent(10.0, 100.0)
+    made.stopped(ALPHA, EmergencyStopped({}))
+    assert made.over
+    assert made.places == set()
+    assert wrong(made) == []

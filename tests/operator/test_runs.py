@@ -1,0 +1,298 @@
+"""The folders of runs: who finds them, what is not believed, and what is left of runs that were killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from lfield.operator import runs
+from lfield.operator.runs import Note, running, runs_here, unseen
+
+DEPLOYMENT = b"d" * 32
+ADDRESSES = {"alpha": "127.0.0.1:4001", "bravo": "127.0.0.1:4002"}
+NOTE = Note("/m/tour.dL", DEPLOYMENT.hex(), "ann", 7, 10.5, 120.0, ADDRESSES, {"alpha": "alpha.sock"})
+
+
+@pytest.fixture
+def tmp_path():
+    """Not pytest's folder: the path of a socket may have 107 bytes."""
+    with tempfile.TemporaryDirectory(prefix="lf-") as path:
+        yield Path(path)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """Where this user's runs are."""
+    for name in ("temporary", "run"):
+        (tmp_path / name).mkdir(mode=0o700)
+    monkeypatch.setattr(runs.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    monkeypatch.setattr(runs, "SERVICE", tmp_path / "run" / "lfield")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    return tmp_path / "lfield"
+
+
+@pytest.fixture
+def service(tmp_path, monkeypatch):
+    """The folder that a service manager has made."""
+    made = tmp_path / "run" / "lfield"
+    made.mkdir(mode=0o750)
+    monkeypatch.setenv("RUNTIME_DIRECTORY", f"/run/other:{made}")
+    return made
+
+
+def begun(note: Note = NOTE, tell=pytest.fail):
+    return running(note, tell)
+
+
+def mode(path: Path) -> int:
+    return path.lstat().st_mode & 0o777
+
+
+def changed(**fields) -> Note:
+    return msgspec.structs.replace(NOTE, **fields)
+
+
+def test_a_run_is_found_for_as_long_as_it_lives():
+    assert runs_here() == []
+    with begun() as doors:
+        (run,) = runs_here()
+        assert run.note == NOTE
+        assert re.fullmatch("tour-[0-9a-f]{8}", run.id)
+        assert dict(doors.addresses) == {"alpha": f"unix:{run.folder}/alpha.sock"}
+        assert (run.door("alpha"), run.door("bravo")) == (doors.addresses["alpha"], "")
+    assert runs_here() == []
+
+
+def test_only_its_user_can_read_it_and_nothing_is_left_behind(folder):
+    with begun():
+        (run,) = folder.iterdir()
+        (note,) = run.iterdir()
+        assert (mode(folder), mode(run), mode(note)) == (0o700, 0o700, 0o600)
+        (run / "alpha.sock").touch()
+    assert list(folder.iterdir()) == []
+
+
+def test_two_runs_of_one_mission_do_not_touch_each_other():
+    with begun() as first:
+        with begun(changed(started=11.0)) as second:
+            assert [run.note.started for run in runs_here()] == [10.5, 11.0]
+            assert first.addresses != second.addresses
+        assert [run.note.started for run in runs_here()] == [10.5]
+
+
+def test_where_no_folder_can_be_made_it_goes_on(folder):
+    folder.write_text("a file, not a folder")
+    told = []
+    with begun(tell=told.append) as doors:
+        assert (runs_here(), dict(doors.addresses), doors.lock) == ([], {}, ())
+    assert told == [
+        f"ps, query and estop need --map to find these hosts: cannot write {folder}: it is not a folder"
+    ]
+
+
+def test_a_folder_that_somebody_else_made_ready_is_not_used(folder, tmp_path):
+    """In /tmp anybody can make it first, or a link in its place."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir(mode=0o700)
+    folder.symlink_to(elsewhere)
+    told = []
+    with begun(tell=told.append):
+        assert list(elsewhere.iterdir()) == []
+    assert len(told) == 1
+    folder.unlink()
+    with begun():
+        folder.chmod(0o777)
+        assert runs_here() == []
+        folder.chmod(0o700)
+        assert len(runs_here()) == 1
+
+
+def test_what_others_could_have_changed_is_not_believed(folder):
+    with begun():
+        (run,) = folder.iterdir()
+        for path in (folder, run, run / "note.json"):
+            usual = mode(path)
+            path.chmod(usual | 0o020)
+            assert runs_here() == []
+            path.chmod(usual)
+        assert len(runs_here()) == 1
+
+
+def test_a_link_in_the_place_of_a_note_or_run_is_not_believed(folder, tmp_path):
+    with begun():
+        (run,) = folder.iterdir()
+        (run / "note.json").rename(tmp_path / "note.json")
+        (run / "note.json").symlink_to(tmp_path / "note.json")
+        assert runs_here() == []
+        (run / "note.json").unlink()
+        (tmp_path / "note.json").rename(run / "note.json")
+        (folder / "tour-00000000").symlink_to(run)
+        assert [found.folder for found in runs_here()] == [run]
+
+
+def test_what_is_left_of_a_killed_run_is_tidied_up(folder):
+    """A socket and note are left, the lock is not."""
+    left = folder / "tour-0123abcd"
+    left.mkdir(mode=0o700, parents=True)
+    folder.chmod(0o700)
+    (left / "note.json").write_bytes(msgspec.json.encode(changed(pid=os.getpid())))
+    (left / "alpha.sock").touch()
+    unfinished, beginning = folder / f".{'0' * 16}", folder / f".{'1' * 16}"
+    for path in (unfinished, beginning):
+        path.mkdir()
+    os.utime(unfinished, (time.time() - 3600, time.time() - 3600))
+    (folder / "of-somebody-else").mkdir()
+    assert runs_here() == []
+    assert {path.name for path in folder.iterdir()} == {beginning.name, "of-somebody-else"}
+
+
+def test_a_run_lives_while_a_process_that_inherited_its_lock_does(folder):
+    """As hosts of `up --all` whose parent was killed: they land their vehicles and answer."""
+    run, lock = runs._begin(NOTE)
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[lock])
+    os.close(lock)
+    assert [found.folder for found in runs_here()] == [run.folder]
+    child.communicate(b"\n")
+    assert runs_here() == []
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("mission.dL", "mission"),
+        ("/a/.hidden.lfm", "hidden"),
+        ("a b/ü ;$(x).dL", "_____x_"),
+        ("x" * 200 + ".dL", "x" * 24),
+        ("....dL", "run"),
+    ],
+)
+def test_names_of_missions_that_are_no_names_of_folders(file, name):
+    with begun(changed(mission=file)):
+        (run,) = runs_here()
+        assert run.id.rpartition("-")[0] == name
+        assert run.note.mission == file
+
+
+@dataclass
+class Mission:
+    """What of a mission a run tells."""
+
+    hosts: dict[str, str]
+    bindings: object = field(default_factory=lambda: type("Bindings", (), {"all": []}))
+
+    @property
+    def team(self):
+        return type("Team", (), {"deployment": DEPLOYMENT, "reached": self.hosts})
+
+
+def test_odd_hosts_have_odd_doors():
+    hosts = ["alpha", "10.0.0.7", "a/../b", "fe80::1", "x" * 64, "-"]
+    note = runs.begun(Mission(dict.fromkeys(hosts, "h:1")), Path("tour.dL"), hosts)
+    assert Path(note.mission).is_absolute()
+    assert list(note.doors.values()) == [
+        "alpha.sock",
+        "10.0.0.7.sock",
+        "+2.sock",
+        "+3.sock",
+        "+4.sock",
+        "+5.sock",
+    ]
+    with begun(note):
+        (run,) = runs_here()
+        assert run.note.doors == note.doors
+
+
+def test_a_folder_too_deep_for_sockets(tmp_path, monkeypatch):
+    deep = tmp_path / ("x" * 90)
+    deep.mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
+    told = []
+    with begun(tell=told.append) as doors:
+        assert not doors.addresses
+    assert told[0].endswith("the path is too long for a socket; set XDG_RUNTIME_DIR")
+    assert list(deep.iterdir()) in ([], [deep / "lfield"])
+
+
+def test_the_folder_of_another_user_is_not_taken_for_ours(folder, tmp_path, monkeypatch):
+    """XDG_RUNTIME_DIR may be left from before `su`."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/proc/1" if os.geteuid() else str(tmp_path / "gone"))
+    with begun():
+        (run,) = runs_here()
+        assert run.folder.parent == tmp_path / "temporary" / f"lfield-{os.geteuid()}"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with begun():
+        assert [run.folder.parent for run in runs_here()] == [folder]
+
+
+def test_a_service_shows_its_runs_to_its_group(service, folder):
+    with begun(), begun(changed(started=11.0)):
+        assert not folder.exists()
+        assert [run.folder.parent for run in runs_here()] == [service, service]
+        (first, _) = service.iterdir()
+        assert (mode(first), mode(first / "note.json")) == (0o750, 0o640)
+    assert list(service.iterdir()) == []
+
+
+def test_a_command_finds_the_runs_of_the_service_and_its_own(service, monkeypatch):
+    with begun():
+        monkeypatch.delenv("RUNTIME_DIRECTORY")
+        with begun(changed(started=11.0)):
+            assert [run.note.started for run in runs_here()] == [10.5, 11.0]
+        service.parent.chmod(0o777)
+        assert runs_here() == []
+
+
+def test_a_service_that_this_user_may_not_look_at_is_told(service, monkeypatch):
+    assert unseen() == ""
+    monkeypatch.setattr(os, "access", lambda path, how: False)
+    assert unseen().startswith(f"what runs in {service} this user may not see: use sudo")
+    service.rmdir()
+    assert unseen() == ""
+
+
+@pytest.mark.parametrize(
+    "note",
+    [
+        "",
+        "{",
+        "[]",
+        '{"pid": 7}',
+        "\xff",
+        "[" * 100_000,
+        *(
+            json.dumps(msgspec.to_builtins(NOTE) | wrong)
+            for wrong in (
+                {"pid": 0},
+                {"pid": "7"},
+                {"pid": 10**20},
+                {"started": float("1e300")},
+                {"deployment": "d"},
+                {"addresses": ["127.0.0.1:1"]},
+                {"addresses": {"alpha": 1}},
+                {"addresses": {"": "127.0.0.1:1"}},
+                {"addresses": {"alpha": "1" * 300}},
+                {"doors": {"alpha": "../alpha.sock"}},
+                {"doors": {"alpha": "/alpha.sock"}},
+                {"doors": {"alpha": ".."}},
+                {"more": 1},
+            )
+        ),
+    ],
+)
+def test_what_is_no_note_is_not_believed(folder, note):
+    with begun():
+        (run,) = folder.iterdir()
+        (run / "note.json").write_text(note, encoding="latin-1")
+        assert runs_here() == []
