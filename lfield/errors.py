@@ -185,10 +185,13 @@ class NothingRuns(LfieldError):
 
 
 class HostFailure(LfieldError):
-    """A bug in lfield that ended a host: `cause` is what was raised, its traceback with it."""
+    """A bug in lfield, or want of memory, that ended a host: `cause` was raised, its traceback with it."""
 
     def __init__(self, host: str, cause: BaseException) -> None:
         self.host, self.cause = host, cause
+        if isinstance(cause, MemoryError):
+            super().__init__(f"{host} ends because there is no memory left; its devices are made safe")
+            return
         frames = cause.__traceback__
         while frames is not None and frames.tb_next is not None:
             frames = frames.tb_next

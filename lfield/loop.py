@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import gc
 import os
 import resource
@@ -32,6 +33,33 @@ def unexpected(error: BaseException) -> None:
     context = {"message": "a task or callback has failed", "exception": error}
     asyncio.get_running_loop().call_exception_handler(context)
 
+
+def spare_descriptors(count: int) -> bool:
+    """Whether this process could open so many more files or sockets now."""
+    held: list[int] = []
+    try:
+        while len(held) < count:
+            held.append(os.open(os.sep, os.O_RDONLY | os.O_CLOEXEC))
+    except OSError:
+        return False
+    finally:
+        for descriptor in held:
+            os.close(descriptor)
+    return True
+
+
+async def start_process(protocol: asyncio.SubprocessProtocol, *command: str) -> None:
+    """Start a process with pipes for stdin and stdout, in a session of its own. Raises OSError."""
+    # A Ctrl-C is for whoever starts it. Asked first: uvloop loses descriptors where there are too few.
+    if not spare_descriptors(_FOR_A_PROCESS):
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+    await asyncio.get_running_loop().subprocess_exec(
+        lambda: protocol, *command, stderr=None, start_new_session=True
+    )
+
+
+#: What the loops take to start a process, with some to spare.
+_FOR_A_PROCESS = 12
 
 #: Tasks that nobody else holds: without a reference a task may be collected before it ends.
 _tasks: set[asyncio.Task[Any]] = set()

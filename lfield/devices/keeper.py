@@ -40,7 +40,7 @@ from lfield.guard.messages import (
     encode,
 )
 from lfield.guard.rest import UNSEEN
-from lfield.loop import spawn, unexpected
+from lfield.loop import spawn, start_process, unexpected
 from lfield.manifest import DeviceValue, Instruction
 
 #: So many beats without a word from the guard, and it hangs. Beats are counted, not seconds: a host that
@@ -83,6 +83,7 @@ class Guard(asyncio.SubprocessProtocol):
         self._silence, self._pulse = lateness.limit.silence, Pulse(lateness)
         self._turned = turned
         self._devices = {device.name: device for device in devices}
+        self._who = ", ".join(self._devices)
         self.snapshots = Snapshots(driver, devices, clock)
         self._reader = MessageReader()
         self._transport: asyncio.SubprocessTransport | None = None
@@ -116,9 +117,10 @@ class Guard(asyncio.SubprocessProtocol):
         """Start the process and open the devices. Raises OpenFailed with all that is wrong."""
         loop = asyncio.get_running_loop()
         self._opening, self._exited, self._reader = loop.create_future(), asyncio.Event(), MessageReader()
-        command = (sys.executable, "-m", "lfield.guard.process", self._driver.reference)
-        # A session of its own: a Ctrl-C is for the host, which then stops its guards in order.
-        await loop.subprocess_exec(lambda: self, *command, stderr=None, start_new_session=True)
+        try:
+            await start_process(self, sys.executable, "-m", "lfield.guard.process", self._driver.reference)
+        except OSError as error:
+            raise OpenFailed([f"the driver's process does not start: {error.strerror or error}"]) from None
         self._send(Open(list(self._devices.values()), latched, self._silence, self._driver))
         self._pulse.pause()
         self._beat()
@@ -178,8 +180,7 @@ class Guard(asyncio.SubprocessProtocol):
 
     def kill(self) -> None:
         """End the process by force; unless this end is wanted, the next one makes the devices safe."""
-        running = self._transport is not None and self._transport.get_returncode() is None
-        if running and self.pid:
+        if self._transport is not None and self._transport.get_returncode() is None and self.pid:
             # Not by the transport: it would reap a process that has just ended, behind the loop's back.
             with suppress(ProcessLookupError):
                 os.kill(self.pid, signal.SIGKILL)
@@ -189,7 +190,7 @@ class Guard(asyncio.SubprocessProtocol):
             return
         self._unanswered += 1
         if self._ready and self._unanswered > UNANSWERED:
-            self._note(f"the guard of {', '.join(self._devices)} hangs")
+            self._note(f"the guard of {self._who} hangs")
             self.kill()
         now = self._clock.monotonic()
         if self._ready and (warning := self._pulse.beat(now)):
@@ -305,6 +306,8 @@ class Guard(asyncio.SubprocessProtocol):
         if self._beating is not None:
             self._beating.cancel()
         was_ready, self._ready = self._ready, False
+        if was_ready and self._stopping and status == 0:
+            self._unsafe = {}  # Its last words may be lost, when there is no memory for them.
         self._exited.set()
         if self._opening is not None and not self._opening.done():
             self._opening.set_exception(OpenFailed([f"the driver's process ended with status {status}"]))
@@ -317,9 +320,7 @@ class Guard(asyncio.SubprocessProtocol):
         self.confirmed.clear()
         self.moving = dict.fromkeys(self.latched, UNSEEN)
         if was_ready:
-            self._note(
-                f"the guard of {', '.join(self._devices)} died with status {status}; starting it again"
-            )
+            self._note(f"the guard of {self._who} died with status {status}; starting it again")
             self._restarting = spawn(self._restart())
 
     def _take_calls(self) -> list[tuple[DeviceBinding, Instruction, Answered]]:
@@ -379,7 +380,7 @@ class Guard(asyncio.SubprocessProtocol):
             self._note(f"{device}: {moving}")
 
     def _sentence(self, device: str, _: str, reason: str) -> str:
-        return f"{device or ', '.join(self._devices)}: {reason}"
+        return f"{device or self._who}: {reason}"
 
     def _on_done(self, token: int, value: Any) -> None:
         binding, instruction, answered = self._calls.pop(token)

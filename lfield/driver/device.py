@@ -36,8 +36,8 @@ class Reports(Protocol):
     def note(self, device: str, text: str) -> None:
         """One sentence for the log of the host."""
 
-    def crashed(self, reason: str) -> None:
-        """Something in the driver has broken: every device goes safe."""
+    def crashed(self, reason: str | BaseException) -> None:
+        """Something in the driver has broken, or this was raised in it: every device goes safe."""
 
 
 class _Call(NamedTuple):
@@ -212,8 +212,8 @@ class Driver:
 
     def _ended(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
-        if not task.cancelled() and task.exception() is not None:
-            self.reports.crashed(repr(task.exception()))
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self.reports.crashed(error)
 
     def _set_up(self) -> None:
         """Make what the devices share, before they are made."""

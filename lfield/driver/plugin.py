@@ -17,6 +17,7 @@ from lfield.errors import PluginError
 if TYPE_CHECKING:
     from lfield.driver.contract import Manifest
     from lfield.driver.device import Driver
+    from lfield.driver.known import KnownDriver
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,3 +120,14 @@ def load_plugin(reference: str) -> Plugin:
     if not isinstance(plugin, Plugin):
         raise PluginError(f"the driver plugin '{reference}' is not a lfield.driver.Plugin")
     return plugin
+
+
+def check_same(known: KnownDriver, plugin: Plugin) -> None:
+    """Raise PluginError unless the installed driver promises what the mission was built with."""
+    for file in known.files.values():
+        if plugin.manifest_digest(file.name) != file.digest:
+            raise PluginError(
+                f"the driver '{known.name}' that is installed here is not the one the mission was built with "
+                f"({file.name} differs): install {known.to_install} here, or build the mission again with "
+                "the driver that its robots have"
+            )

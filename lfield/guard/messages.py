@@ -192,3 +192,15 @@ class MessageReader:
                 yield _DECODERS[kind].decode(payload)
             except (msgspec.DecodeError, UnicodeDecodeError) as error:
                 raise WireError(f"not a message of kind {kind}: {error}") from None
+
+
+def last_words(message: Message) -> str:
+    """What a guard whose host is gone has to say to whoever reads its log; '' when it is nothing."""
+    match message:
+        case Latched(device, reason, True):
+            return f"{device}: is in its safe state: {reason}"
+        case Stopped(unsafe):
+            return "\n".join(f"{device}: NOT SAFE: {why}" for device, why in unsafe.items())
+        case Note(device, text):
+            return f"{device}: {text}"
+    return ""

@@ -18,8 +18,7 @@ from typing import Any
 from lfield import loop
 from lfield.clock import Clock, SystemClock
 from lfield.driver.device import Device, Driver, check_methods
-from lfield.driver.known import KnownDriver
-from lfield.driver.plugin import Plugin, load_plugin
+from lfield.driver.plugin import Plugin, check_same, load_plugin
 from lfield.errors import DeviceError, LfieldError, PluginError, WireError
 from lfield.guard.core import GuardCore
 from lfield.guard.effects import Cancel, Effect, Execute, Exit, Look, MakeSafe, Quiet, Tell
@@ -29,7 +28,6 @@ from lfield.guard.messages import (
     Beat,
     Call,
     Failed,
-    Latched,
     Message,
     MessageReader,
     Note,
@@ -37,8 +35,8 @@ from lfield.guard.messages import (
     Ready,
     Safe,
     Stop,
-    Stopped,
     encode,
+    last_words,
 )
 from lfield.guard.telemetry import Telemetry
 from lfield.text.outlet import never_waiting
@@ -47,6 +45,8 @@ from lfield.text.outlet import never_waiting
 BACKLOG = 1 << 18
 #: Seconds between two answers to the host's beats.
 ANSWER = 0.5
+#: Seconds for the safe states to be commanded by a guard that has no memory left.
+LAST_COMMANDS = 0.3
 
 
 class Shell(asyncio.Protocol):
@@ -76,6 +76,7 @@ class Shell(asyncio.Protocol):
         self._timer: asyncio.Handle | None = None
         self._timer_at = 0.0
         self._answered = 0.0
+        self._starved = False
         self.exit: asyncio.Future[int] = self._loop.create_future()
 
     # -- the pipe -------------------------------------------------------------------------------------
@@ -127,7 +128,7 @@ class Shell(asyncio.Protocol):
     def _tell(self, message: Message) -> None:
         if not self._output.is_closing():
             self._output.write(encode(message))
-        elif line := _last_words(message):
+        elif line := last_words(message):
             print(line, file=sys.stderr, flush=True)
 
     def signalled(self, number: int) -> None:
@@ -154,21 +155,47 @@ class Shell(asyncio.Protocol):
         self._tell(Note(device, text))
 
     def _callback_raised(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        reason = repr(context.get("exception") or context.get("message"))
+        reason = context.get("exception") or context.get("message", "")
         if "future" in context or "task" in context:
             # Somebody has stopped waiting for what then failed: no reason to stop a vehicle.
-            self.note("the driver", f"nobody was told of {reason}")
+            self.note("the driver", f"nobody was told of {self._words(reason)}")
         else:
             self.crashed(reason)
 
-    def crashed(self, reason: str) -> None:
+    def crashed(self, reason: str | BaseException) -> None:
         """The driver is broken as a whole."""
-        told = f"the driver failed: {reason}"
+        self._broken(f"the driver failed: {self._words(reason)}")
+
+    def _broken(self, told: str) -> None:
         if self._core is not None:
             self._run(self._core.safe("", told))
         elif not self.exit.done():
             self._tell(Failed([("", "DeviceException", told)]))
             self._finish(1)
+
+    def _words(self, error: str | BaseException) -> str:
+        """What a driver has raised; when it is for want of memory, this guard ends."""
+        if isinstance(error, MemoryError):
+            self._out_of_memory()
+        return error if isinstance(error, str) else repr(error)
+
+    def _out_of_memory(self) -> None:
+        """Command the safe states and end: a guard that hears only half is worse than the next one.
+
+        For a host that is gone nobody would start another: then this one goes on trying.
+        """
+        if self._starved:
+            return
+        self._starved = True
+        try:
+            self._loop.call_later(LAST_COMMANDS, self._make_room)
+            self._broken("there is no memory left for its guard")
+        except MemoryError:
+            self._make_room()
+
+    def _make_room(self) -> None:
+        if not self._output.is_closing():
+            os.kill(os.getpid(), signal.SIGKILL)
 
     # -- opening --------------------------------------------------------------------------------------
 
@@ -238,7 +265,7 @@ class Shell(asyncio.Protocol):
             else:
                 self._driver.resume()
         except Exception as error:  # foreign code again
-            self.crashed(repr(error))
+            self.crashed(error)
 
     def _look(self, name: str) -> None:
         assert self._core is not None
@@ -246,7 +273,7 @@ class Shell(asyncio.Protocol):
         try:
             moving = self._driver.devices[name].moving()
         except Exception as error:  # foreign code again; what is not known is not rest
-            moving = f"nobody knows, since the driver failed: {error!r}"
+            moving = f"nobody knows, since the driver failed: {self._words(error)}"
         self._run(self._core.looked(name, moving))
 
     async def _execute(self, call: Call) -> None:
@@ -263,7 +290,8 @@ class Shell(asyncio.Protocol):
         except ValueError as error:
             self._run(core.refused(call.token, "DeviceException", f"{call.instruction}(): {error}"))
         except Exception as error:  # foreign code again; the device goes safe
-            self._run(core.crashed(call.token, f"the driver failed in {call.instruction}(): {error!r}"))
+            told = f"the driver failed in {call.instruction}(): {self._words(error)}"
+            self._run(core.crashed(call.token, told))
         finally:
             self._calls.pop(call.token, None)
 
@@ -276,7 +304,7 @@ class Shell(asyncio.Protocol):
         except DeviceError as error:
             self._run(core.not_safe(name, error.reason))
         except Exception as error:  # foreign code again; the core tries again
-            self._run(core.not_safe(name, f"the driver failed: {error!r}"))
+            self._run(core.not_safe(name, f"the driver failed: {self._words(error)}"))
         else:
             self._telemetry.flush()
             self._run(core.made_safe(name))
@@ -313,29 +341,6 @@ class Shell(asyncio.Protocol):
         if self._driver is not None:
             await self._driver.close()
         self._lock.release()
-
-
-def check_same(known: KnownDriver, plugin: Plugin) -> None:
-    """Raise PluginError unless the installed driver promises what the mission was built with."""
-    for file in known.files.values():
-        if plugin.manifest_digest(file.name) != file.digest:
-            raise PluginError(
-                f"the driver '{known.name}' that is installed here is not the one the mission was built with "
-                f"({file.name} differs): install {known.to_install} here, or build the mission again with "
-                "the driver that its robots have"
-            )
-
-
-def _last_words(message: Message) -> str:
-    """What a guard whose host is gone has to say to whoever reads its log; '' when it is nothing."""
-    match message:
-        case Latched(device, reason, True):
-            return f"{device}: is in its safe state: {reason}"
-        case Stopped(unsafe):
-            return "\n".join(f"{device}: NOT SAFE: {why}" for device, why in unsafe.items())
-        case Note(device, text):
-            return f"{device}: {text}"
-    return ""
 
 
 async def _open_all(devices: Sequence[Device]) -> tuple[dict[str, str], list[tuple[str, str, str]]]:

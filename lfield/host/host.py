@@ -7,6 +7,7 @@ fails there is a bug of ours: the host stops feeding its guards and ends, its de
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import random
 import secrets
@@ -56,6 +57,10 @@ from lfield.wire.messages import (
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
 CENSUS = 1.5
+#: Bytes for the end of a host for which there is no more memory.
+RESERVE = 4 << 20
+#: What a computer is out of when it refuses a socket.
+SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 #: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
 LOOKING, LAST_LOOK = 3.0, 1.5
 
@@ -107,6 +112,8 @@ class Host:
         #: Set when the host has failed: `failure` says by what.
         self.failed = asyncio.Event()
         self.failure: HostFailure | None = None
+        #: Called first when it fails: whatever is wrong must not keep it from ending.
+        self.on_failure: Callable[[], None] = lambda: None
         self.address = ""
         #: What other hosts have last said of themselves, for whoever asks them.
         self.statuses: dict[str, Status] = {}
@@ -114,6 +121,8 @@ class Host:
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
         self._due = 0.0
         self._events: deque[Callable[[], None]] = deque()
+        # Of a host that has no memory left; until then it is address space only.
+        self._reserve = bytearray(RESERVE)
         self._entered = self._stopped = self._pressed = False
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
@@ -235,6 +244,8 @@ class Host:
         """A bug in the host itself: nothing more is done, no guard is fed, and whoever runs it ends it."""
         if self.failure is not None:
             return
+        self._reserve.clear()
+        self.on_failure()
         self.failure = HostFailure(self.name, error)
         self.failed.set()
         # The bug may be in the log itself: it must not keep the host from ending.
@@ -246,6 +257,10 @@ class Host:
     def unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: what was raised beside the core, in a task or a socket's callback."""
         error = context.get("exception")
+        if isinstance(error, OSError) and error.errno in SCARCE and "socket" in context:
+            # Asyncio's own loop tells so of a caller that it has no descriptor for, and tries again.
+            self.peers.complain(f"nobody else can be let in: {error.strerror}")
+            return
         self.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
 
     def _carry_out(self, effect: Effect) -> None:

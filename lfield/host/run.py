@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import signal
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -24,6 +26,8 @@ from lfield.text.record import Record
 
 #: After so many seconds of a stop it is told what it waits for.
 PATIENCE = 1.0
+#: Seconds beyond those that its devices have, for a host that has failed, to end in order.
+LAST_RESORT = 10.0
 WAITING = "waiting for the devices to come to rest; a second Ctrl-C or SIGTERM does not wait for them"
 
 
@@ -55,6 +59,7 @@ async def run_host(
     host_options = Options(address, dump, bound, door, record=record, first_start=first_start)
     logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
+    host.on_failure = _end_by_force_after(mission)
     words = StopWords(host.clock)
     hear_signals(words)
     if leash:
@@ -79,6 +84,16 @@ async def run_host(
         # Without --until-done there is no other end than to be told to stop.
         return exits.DONE if lost_after is None else exits.INTERRUPTED
     return life.result()
+
+
+def _end_by_force_after(mission: Mission) -> Callable[[], None]:
+    """Have the kernel end this process if it cannot do so in order, as when there is no memory for it."""
+    bound = max((device.rest_within for device in mission.bindings.all), default=0.0) + LAST_RESORT
+
+    def arm() -> None:
+        signal.setitimer(signal.ITIMER_REAL, bound)
+
+    return arm
 
 
 async def _stop(host: Host, words: StopWords) -> dict[str, str]:

@@ -21,9 +21,10 @@ class Guests(Generic[G]):
         self._most, self._dice = most, dice
         self._addresses: dict[G, str] = {}
 
-    def enter(self, guest: G, address: str) -> G | None:
-        """Let one in; who must go for it, or None."""
-        pushed = self._draw() if len(self._addresses) >= self._most else None
+    def enter(self, guest: G, address: str, *, last: bool = False) -> G | None:
+        """Let one in; who must go for it, or None. For the `last` that there is room for, one must go too."""
+        full = last or len(self._addresses) >= self._most
+        pushed = self._draw() if full and self._addresses else None
         if pushed is not None:
             del self._addresses[pushed]
         self._addresses[guest] = address

@@ -15,7 +15,7 @@ from typing import Protocol
 
 from lfield.clock import Clock
 from lfield.errors import AddressError, GreetingError, LfieldError
-from lfield.loop import spawn
+from lfield.loop import spare_descriptors, spawn
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
 from lfield.net.transport import Link, Listener, Transport
@@ -28,10 +28,10 @@ FIRST_RETRY, LAST_RETRY = 0.05, 1.0
 PING_EVERY, SILENT_FOR = 1.0, 3.0
 #: Whoever has not greeted after so many seconds is no host.
 GREETED_WITHIN = 10.0
-
 #: So many links at most that have not greeted, and of observers.
 MOST_UNGREETED, MOST_OBSERVERS = 64, 64
-
+#: So many descriptors are kept for the next callers, one of which may be an emergency stop.
+SPARE, FULL = 4, "this computer lets this host open no more links"
 #: How many different complaints are remembered, so as not to be repeated.
 MOST_COMPLAINTS = 100
 
@@ -169,9 +169,10 @@ class Peers:
         session = Session(self, dialled=None, observers_only=observers_only)
         # The transport hands out messages only when this has returned.
         session.greet(link)
-        pushed = self._ungreeted.enter(session, session.caller)
+        last = not spare_descriptors(SPARE)
+        pushed = self._ungreeted.enter(session, session.caller, last=last)
         if pushed is not None:
-            pushed.turn_away(f"over {MOST_UNGREETED} links to this host have not greeted")
+            pushed.turn_away(FULL if last else f"over {MOST_UNGREETED} links to this host have not greeted")
         return session
 
     async def _keep_calling(self, number: int) -> None:

@@ -35,6 +35,9 @@ UNIX = "unix:"
 #: Whoever called at a Unix socket, in sentences: it has no address.
 CALLER = "a command on this computer"
 
+#: How many callers are let in at once, and how many may wait. Asyncio's own loop takes one number for both:
+#: of a crowd it would take more at once than there are descriptors, before any of them can be shown out.
+AT_ONCE, WAITING = 1, 128
 #: Seconds that a peer has to take the last words of a link that is closed.
 LAST_WORDS = 5.0
 
@@ -67,11 +70,14 @@ class TcpTransport:
 
         try:
             if address.startswith("fd:"):
-                server = await loop.create_server(called, sock=socket.socket(fileno=int(address[3:])))
+                inherited = socket.socket(fileno=int(address[3:]))
+                server = await loop.create_server(called, sock=inherited, backlog=AT_ONCE)
             elif address.startswith(UNIX):
-                server = await loop.create_unix_server(called, sock=_bound(_path(address)))
+                server = await loop.create_unix_server(called, sock=_bound(_path(address)), backlog=AT_ONCE)
             else:
-                server = await loop.create_server(called, *split_address(address))
+                server = await loop.create_server(called, *split_address(address), backlog=AT_ONCE)
+            with server.sockets[0].dup() as listening:
+                listening.listen(WAITING)
         except (OSError, UnicodeError) as error:
             raise AddressError(address, refusal(error)) from None
         return TcpListener(server)

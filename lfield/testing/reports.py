@@ -34,6 +34,6 @@ class KeptReports:
         """One sentence."""
         self.notes.append(text)
 
-    def crashed(self, reason: str) -> None:
+    def crashed(self, reason: str | BaseException) -> None:
         """Something has broken."""
-        self.crashes.append(reason)
+        self.crashes.append(reason if isinstance(reason, str) else repr(reason))

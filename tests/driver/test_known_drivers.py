@@ -8,10 +8,16 @@ from types import SimpleNamespace
 
 import pytest
 
-from lfield.driver.known import GROUP, KnownDriver, KnownDrivers, ManifestFile, installed_here
+from lfield.driver.known import (
+    GROUP,
+    KnownDriver,
+    KnownDrivers,
+    ManifestFile,
+    installed_here,
+)
+from lfield.driver.plugin import check_same
 from lfield.driver.plugins import discover
 from lfield.errors import PluginError
-from lfield.guard.process import check_same
 
 SERVO = KnownDriver("servo", "lfield_servo:PLUGIN", {}, {}, "lfield-servo 1.2")
 KNOWN = KnownDrivers({"servo": SERVO})

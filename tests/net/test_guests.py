@@ -34,3 +34,11 @@ def test_at_the_address_of_a_flood_whoever_calls_again_gets_time_to_greet():
         through += peer not in pushed
         guests.leave(peer)
     assert 150 < through < 250
+
+
+def test_the_last_that_there_is_room_for_pushes_one_out_and_the_only_one_stays():
+    guests = Guests(3, random.Random(1))
+    assert guests.enter("a", "field", last=True) is None
+    assert guests.enter("b", "field", last=True) == "a"
+    assert guests.enter("c", "field") is None
+    assert guests.enter("d", "elsewhere", last=True) in ("b", "c")

@@ -22,7 +22,7 @@ from lfield.cli.mission_argument import mission_path
 from lfield.clock import SystemClock
 from lfield.host import leash
 from lfield.host.run import stay_here
-from lfield.host.stop_words import StopWords, hear_signals
+from lfield.host.stop_words import ECHO, StopWords, hear_signals
 from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
 from lfield.operator.runs import Doors, begun, running
@@ -196,7 +196,15 @@ class _Team:
                 child.kill()
 
     def hurry(self) -> None:
-        """Say the second word to every host: the first was the end of its leash."""
+        """Say the second word to every host: the first was the end of its leash.
+
+        A host may have heard that a little later than this process said it: said again, it is no echo.
+        """
+        self.terminate()
+        asyncio.get_running_loop().call_later(ECHO, self.terminate)
+
+    def terminate(self) -> None:
+        """Send SIGTERM to every host that runs."""
         for child in self.children.values():
             if child.returncode is None:
                 child.terminate()

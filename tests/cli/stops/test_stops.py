@@ -8,89 +8,11 @@ from __future__ import annotations
 import os
 import signal
 import time
-from pathlib import Path
 
 import pytest
-from witness import Witness
+from flight import SLOW, SLOWEST
 
 pytestmark = pytest.mark.process
-
-#: A copter that hovers, and a coordinator that waits.
-PROGRAM = """
-resource Copter {
-    Mavlink fc;
-    init(string[] arg) { fc.arm(); fc.takeoff(3.0); write("flies\\n"); }
-    portal stay(real seconds) { sleep(seconds); }
-}
-coordinator Pilot { init(string[] arg) { findCopter(arg[1]).stay(s2f(arg[2])); } }
-"""
-DEPLOYMENT = "//Copter:lead@alpha\n//Pilot:pilot@alpha?lead&{stay}\n"
-DEVICES = """
-silence: 2.0
-agents:
-  lead:
-    devices:
-      fc:
-        {{driver: mavlink, endpoint: '{endpoint}', system: 1,
-         waivers: [device_watchdog], rest_within: {within}}}
-"""
-CLIMB = ("--climb", "6", "--acceleration", "10")
-#: Three metres at this speed take some seconds.
-SLOW = ("--land", "0.5", "--descend", "0.5")
-SLOWEST = ("--land", "0.25", "--descend", "0.25")
-BRISK = ("--land", "6", "--descend", "6")
-
-
-class Flight:
-    """A copter in the air under one host."""
-
-    def __init__(self, lfield, environment, *, land=BRISK, within=60.0, stay="1000", options=()):
-        self._lfield, self._environment = lfield, environment
-        listen = ("--listen", "udp:127.0.0.1:0", "--until-stdin-closes")
-        self.fake = lfield.start("sim", "mavlink", *listen, *CLIMB, *land, stdin=True, env=environment)
-        endpoint = self.fake.wait_for(r"^ready (\S+)")[1]
-        devices = DEVICES.format(endpoint=endpoint, within=within)
-        deployment = lfield.mission(PROGRAM, DEPLOYMENT.format(stay=stay), devices)
-        self.words = ("--deploy", deployment, *lfield.maps(["alpha"]))
-        self.host = lfield.start("up", *self.words, "--host", "alpha", *options, env=environment)
-        self.host.wait_for("flies")
-        self.witness = Witness(endpoint)
-        self.witness.until(lambda seen: seen.height > 2.0 and seen.armed)
-
-    @property
-    def guard(self) -> int:
-        """The process of its guard."""
-        for pid in self._lfield.left():
-            if b"lfield.guard.process" in Path(f"/proc/{pid}/cmdline").read_bytes():
-                return pid
-        raise AssertionError("there is no guard")
-
-    def fault(self, *settings: str) -> None:
-        told = self._lfield("sim", "fault", "mavlink", *settings, env=self._environment)
-        assert self._lfield.status(told) == 0, told.said
-
-    def is_down(self) -> None:
-        """It stands on the ground now; the word that its motors are off may be a heartbeat late."""
-        assert self.witness.height < 0.3
-        self.landed(3.0)
-
-    def landed(self, bound: float = 60.0) -> None:
-        """Wait until the vehicle says that it is down, its motors off."""
-        self.witness.until(lambda seen: not seen.armed and seen.height < 0.3, bound)
-
-
-@pytest.fixture
-def flight(alone, lfield):
-    made: list[Flight] = []
-
-    def begin(**options) -> Flight:
-        made.append(Flight(lfield, alone, **options))
-        return made[-1]
-
-    yield begin
-    for flown in made:
-        flown.witness.close()
-    lfield.end()
 
 
 @pytest.mark.parametrize("before", [0.0, 0.05, 0.15])

@@ -1,0 +1,46 @@
+"""Control groups of Linux: what a kernel does to processes that may have no more of something."""
+
+from __future__ import annotations
+
+import uuid
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+#: Where a controller's groups are, and the file with its limit: in version 1 and in version 2.
+PLACES = {
+    "memory": (("memory", "memory.limit_in_bytes"), ("", "memory.max")),
+    "pids": (("pids", "pids.max"), ("", "pids.max")),
+}
+
+
+class Group:
+    """A group of a test's own, for processes that it has started; where none may be made it is skipped."""
+
+    def __init__(self, controller: str) -> None:
+        self._folder, self._limit = Path(), ""
+        name, why = f"lfield-test-{uuid.uuid4().hex[:12]}", f"there are no {controller} groups here"
+        for mount, limit in PLACES[controller]:
+            folder = Path("/sys/fs/cgroup") / mount / name
+            try:
+                folder.mkdir()
+            except OSError as error:
+                why = f"no {controller} group may be made: {error}"
+                continue
+            self._folder, self._limit = folder, limit
+            if (folder / limit).exists():
+                return
+            self.remove()
+        pytest.skip(why)
+
+    def bound(self, limit: int, *pids: int) -> None:
+        """Put processes into it, and allow them so much, together; of memory, beyond what they have."""
+        for pid in pids:
+            (self._folder / "cgroup.procs").write_text(str(pid))
+        (self._folder / self._limit).write_text(str(limit))
+
+    def remove(self) -> None:
+        """Remove it when its processes have ended."""
+        with suppress(FileNotFoundError):
+            self._folder.rmdir()

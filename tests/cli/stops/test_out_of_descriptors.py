@@ -1,0 +1,114 @@
+"""A host that may open no more files or start no more processes while its copter flies, and who gets in."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import socket
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+#: Loaded by Python before anything else: the loop that Python brings along, where uvloop is not installed.
+WITHOUT_UVLOOP = "import sys\nsys.modules['uvloop'] = None\n"
+#: Callers that nobody knows.
+STRANGERS = 30
+
+
+@pytest.fixture(params=["uvloop", "asyncio"])
+def starved(request, flight, lfield):
+    """`starved(spare)`: a copter in the air under a host that may open so many files more."""
+
+    def begin(spare: int, **options):
+        if request.param == "asyncio":
+            lfield.write("plain/sitecustomize.py", WITHOUT_UVLOOP)
+            options["env"] = {"PYTHONPATH": str(lfield.folder / "plain")}
+        flown = flight(**options)
+        leave_descriptors(flown.host.pid, spare)
+        return flown
+
+    return begin
+
+
+def leave_descriptors(pid: int, spare: int) -> None:
+    """Let a running process open so many files more, whatever it has open now."""
+    taken = {int(entry.name) for entry in Path(f"/proc/{pid}/fd").iterdir()}
+    free = [number for number in range(len(taken) + spare + 1) if number not in taken]
+    _, hard = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, (free[spare], hard))
+
+
+def knock(stack: ExitStack, address: tuple[str, int], count: int = STRANGERS) -> None:
+    """Call so often, say nothing, and hold the line."""
+    for _ in range(count):
+        stack.enter_context(socket.create_connection(address, timeout=10.0))
+
+
+def flies(flown) -> bool:
+    return flown.witness.armed and flown.witness.mode == "GUIDED" and flown.witness.height > 2.0
+
+
+@pytest.mark.parametrize("spare", [0, 5])
+def test_callers_that_cannot_be_let_in_end_no_flight(starved, spare):
+    flown = starved(spare)
+    with ExitStack() as stack:
+        knock(stack, flown.address)
+        time.sleep(2.0)
+        assert flies(flown), flown.host.said
+        flown.host.signal(signal.SIGTERM)
+        assert flown.host.wait() == 0, flown.host.said
+    flown.is_down()
+
+
+def test_an_emergency_stop_gets_through_a_crowd_of_strangers(starved):
+    flown = starved(8)
+    with ExitStack() as stack:
+        knock(stack, flown.address)
+        pressed = flown.ask("estop", "--reason", "a crowd")
+        assert "alpha: lead.fc: safe" in pressed.said, flown.host.said
+        flown.landed()
+    assert "closed a link from 127.0.0.1: this computer lets this host open no more links" in flown.host.err
+
+
+def test_a_guard_that_cannot_be_started_again_is_tried_again_and_lands(starved):
+    flown = starved(3)
+    died = flown.guard
+    flown.kill_guard()
+    flown.host.wait_for("cannot be started again yet: .* does not start: Too many open files")
+    flown.host.wait_for("cannot be started again yet: .* does not start: Too many open files")
+    assert flown.host.popen.poll() is None
+    leave_descriptors(flown.host.pid, 50)
+    flown.has_a_guard_again(after=died)
+    flown.landed()
+    flown.host.signal(signal.SIGTERM)
+    assert flown.host.wait() == 0, flown.host.said
+
+
+def test_a_guard_that_is_never_started_again_is_named_and_its_vehicle_lands_by_itself(starved):
+    flown = starved(3, within=2.0)
+    flown.kill_guard()
+    flown.host.wait_for("cannot be started again yet")
+    flown.host.signal(signal.SIGTERM)
+    assert flown.host.wait() == 3, flown.host.said
+    (line,) = [line for line in flown.host.err if "NOT SAFE" in line]
+    assert line.startswith("lead.fc: NOT SAFE: its safe state was not seen")
+    # The autopilot's own failsafe: its station is gone.
+    flown.landed()
+
+
+def test_a_guard_for_which_there_is_no_process_left_is_tried_again_and_lands(flight, bounded):
+    flown, group = flight(), bounded("pids")
+    died = flown.guard
+    group.bound(0, flown.host.pid)
+    flown.kill_guard()
+    flown.host.wait_for("cannot be started again yet: .* does not start: ")
+    assert flown.host.popen.poll() is None
+    group.bound(1000)
+    flown.has_a_guard_again(after=died)
+    flown.landed()
+    flown.host.signal(signal.SIGTERM)
+    assert flown.host.wait() == 0, flown.host.said

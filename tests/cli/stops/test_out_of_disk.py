@@ -1,0 +1,85 @@
+"""Nothing can be written any more, to the log, the dumps or the runtime folder: the copter flies on."""
+
+from __future__ import annotations
+
+import resource
+import signal
+
+import pytest
+from flight import DEPLOYMENT, PROGRAM, copter, devices, landed
+from witness import Witness
+
+pytestmark = pytest.mark.process
+
+#: Two that die, the second when somebody has had the time to fill the disk.
+DYING = (
+    PROGRAM
+    + """
+coordinator Careless { init(string[] arg) { sleep(s2f(arg[1])); print(i2s(1 / (arg.length() - 2))); } }
+"""
+)
+AGENTS = "//Careless:tom@alpha?4.0\n"
+
+
+def fill(pid: int) -> None:
+    """From now on a running process finds every disk full; Python ignores the signal that comes with it."""
+    _, hard = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, hard))
+
+
+def full_from_the_start() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
+
+
+def flies(witness: Witness) -> bool:
+    return witness.armed and witness.mode == "GUIDED" and witness.height > 2.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_log_and_output_on_a_full_disk_end_no_flight_and_delay_no_stop(flight, number):
+    with open("/dev/full", "wb") as full:
+        flown = flight(stdout=full, stderr=full)
+    assert flies(flown.witness)
+    asked = flown.ask("ps")
+    assert "lead.fc" in asked.said
+    flown.host.signal(number)
+    assert flown.host.wait() == 0
+    flown.is_down()
+
+
+def test_a_dump_on_a_full_disk_is_told_and_the_flight_goes_on(lfield, flight):
+    words = ("--dump", "dumps")
+    flown = flight(program=DYING, deployment=DEPLOYMENT + AGENTS, options=words)
+    fill(flown.host.pid)
+    flown.host.wait_for("^cannot dump tom to dumps/tom.block: cannot write dumps/tom.block: File too large")
+    assert flies(flown.witness)
+    assert list((lfield.folder / "dumps").iterdir()) == [], "nothing half written is left"
+    flown.host.signal(signal.SIGTERM)
+    assert flown.host.wait() == 0, flown.host.said
+    flown.is_down()
+
+
+def test_a_team_that_can_leave_no_note_of_itself_says_so_and_flies(lfield, alone):
+    endpoint = copter(lfield, alone)
+    file = lfield.mission(PROGRAM, DEPLOYMENT.format(stay="1000"), devices({"lead": endpoint}, 60.0))
+    assert lfield.status(lfield("build", file)) == 0
+    words = ("up", file.with_suffix(".lfm"), "--all")
+    team = lfield.start(*words, env=alone, preexec_fn=full_from_the_start)
+    witness = Witness(endpoint)
+    try:
+        witness.until(flies)
+        assert any("File too large" in line for line in team.err), team.said
+        team.signal(signal.SIGINT)
+        assert team.wait() == 130, team.said
+        landed(witness)
+    finally:
+        witness.close()
+
+
+def test_a_mission_that_cannot_be_built_for_want_of_disk_is_told_in_a_sentence(lfield, alone):
+    file = lfield.mission(PROGRAM + "\n", "//Copter:lead@alpha\n")
+    words = ("up", "--deploy", file, "--sim", "--host", "alpha", *lfield.maps(["alpha"]))
+    refused = lfield(*words, env=alone, preexec_fn=full_from_the_start)
+    assert lfield.status(refused) in (73, 74), refused.said
+    assert "File too large" in refused.said
+    assert "a bug in lfield" not in refused.said

@@ -1,0 +1,161 @@
+"""No memory is left for a host, its guard, or both, while the copter flies: it is safe within seconds.
+
+A thread that is planted into one of the two eats whatever it can get, and everything that is given back.
+"""
+
+from __future__ import annotations
+
+import resource
+import signal
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from flight import DEPLOYMENT, PROGRAM
+
+pytestmark = pytest.mark.process
+
+#: Words in the command lines of the two.
+HOST, GUARD = "up", "lfield.guard.process"
+#: Loaded by Python before anything else. It waits for a file and takes it, so that it happens once.
+LEAK = """
+import os, resource, sys, threading, time
+
+def eat():
+    while True:
+        try:
+            bound = int(open({file!r}).read())
+            os.unlink({file!r})
+            break
+        except (OSError, ValueError):
+            time.sleep(0.05)
+    if bound:
+        size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (size + bound, -1))
+    held, piece = [], 1 << 20
+    while True:
+        try:
+            held.append(bytearray(piece) if bound else bytearray(b"x") * piece)
+        except MemoryError:
+            piece = max(piece // 2, 64)
+            if piece == 64:
+                time.sleep(0.001)
+
+if {victim!r} in sys.orig_argv:
+    threading.Thread(target=eat, daemon=True).start()
+"""
+#: When a file is there, nothing more is to be had for the core of the host.
+REFUSED = """
+import os
+import lfield.host.core as core
+
+going_on = core.HostCore.run
+
+def run(self):
+    if os.path.exists({file!r}):
+        raise MemoryError
+    return going_on(self)
+
+core.HostCore.run = run
+"""
+#: Seconds until the vehicle has been told to land: silence, and what a busy computer adds.
+SOON = 15.0
+MIB = 1 << 20
+
+
+class Leaking:
+    """A copter in the air; `starve` begins a leak in one of its processes."""
+
+    def __init__(self, flight, lfield, victim: str, **options):
+        self._file = lfield.folder / "leak"
+        lfield.write("leaks/sitecustomize.py", LEAK.format(file=str(self._file), victim=victim))
+        self.flown = flight(env={"PYTHONPATH": str(lfield.folder / "leaks")}, **options)
+
+    def starve(self, bound: int) -> None:
+        """Begin, with so many bytes that the process may take in addition; 0 leaves that to others."""
+        whole = self._file.with_suffix(".new")
+        whole.write_text(str(bound))
+        whole.rename(self._file)
+
+    def lands(self) -> None:
+        """Wait until the vehicle lands, which is soon, and has landed."""
+        self.flown.witness.until(lambda seen: seen.mode == "LAND", SOON)
+        self.flown.landed()
+
+
+def test_a_host_that_gets_no_memory_says_so_and_ends_with_70_its_copter_on_the_ground(flight, lfield):
+    lfield.write("broken/sitecustomize.py", REFUSED.format(file=str(lfield.folder / "refuse")))
+    flown = flight(env={"PYTHONPATH": str(lfield.folder / "broken")})
+    lfield.write("refuse", "")
+    assert flown.host.wait() == 70, flown.host.said
+    assert "alpha ends because there is no memory left; its devices are made safe" in flown.host.err
+    flown.is_down()
+
+
+def test_the_copter_of_a_host_whose_memory_is_eaten_lands(flight, lfield):
+    leaking = Leaking(flight, lfield, HOST, within=2.0)
+    leaking.starve(2 * MIB)
+    # Somebody asks, for a host that needs nothing may fly on; the answer takes memory.
+    with suppress(AssertionError):
+        leaking.flown.ask("ps")
+    leaking.flown.host.signal(signal.SIGTERM)
+    leaking.lands()
+    # In order, or where some library does not expect to be refused, or by the kernel in the end.
+    leaking.flown.host.popen.wait(60)
+
+
+def test_a_guard_whose_memory_is_eaten_ends_and_the_next_one_lands_the_copter(flight, lfield):
+    leaking = Leaking(flight, lfield, GUARD)
+    guard = leaking.flown.guard
+    leaking.starve(2 * MIB)
+    leaking.lands()
+    leaking.flown.has_a_guard_again(after=guard)
+    leaking.flown.host.signal(signal.SIGTERM)
+    assert leaking.flown.host.wait() == 0, leaking.flown.host.said
+
+
+#: Each of them takes as much as it may, all at once.
+GREEDY = """
+class Link {
+    public Link next;
+    public Link(Link rest) { next = rest; }
+}
+coordinator Greedy {
+    init(string[] arg) {
+        sleep(s2f(arg[1]));
+        Link all = null;
+        while (true) all = new Link(all);
+    }
+}
+"""
+
+
+def test_agents_that_take_more_than_the_host_may_have_do_not_keep_the_copter_up(flight, lfield):
+    agents = "".join(f"//Greedy:greedy{i}@alpha?4.0\n" for i in range(6))
+    flown = flight(program=PROGRAM + GREEDY, deployment=DEPLOYMENT + agents, heap="16 MiB")
+    size = int(Path(f"/proc/{flown.host.pid}/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.prlimit(flown.host.pid, resource.RLIMIT_AS, (size + 8 * MIB, -1))
+    flown.host.wait_for("greedy[0-9]+ died of")
+    flown.host.signal(signal.SIGTERM)
+    flown.witness.until(lambda seen: seen.mode == "LAND", SOON)
+    flown.landed()
+    assert flown.host.wait() in (0, 70), flown.host.said
+
+
+@pytest.mark.parametrize("victims", ["host", "guard", "host of both"])
+def test_what_the_kernel_kills_for_its_memory_lands_the_copter(flight, lfield, bounded, victims):
+    group = bounded("memory")
+    leaking = Leaking(flight, lfield, GUARD if victims == "guard" else HOST)
+    host, guard = leaking.flown.host, leaking.flown.guard
+    group.bound(24 * MIB, *{"host": [host.pid], "guard": [guard]}.get(victims, [host.pid, guard]))
+    leaking.starve(0)
+    leaking.lands()
+    if victims == "guard":
+        host.wait_for("the guard of lead.fc died with status -9; starting it again")
+        leaking.flown.has_a_guard_again(after=guard)
+        assert "lead.fc" in leaking.flown.ask("ps").said
+        host.signal(signal.SIGTERM)
+        assert host.wait() == 0, host.said
+    else:
+        assert host.wait() == -signal.SIGKILL
+        assert lfield.left() != []

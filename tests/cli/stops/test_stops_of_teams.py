@@ -1,0 +1,203 @@
+"""A team that flies under `up --all`, and every way in which it is ended: what the vehicles do.
+
+The vehicles are fakes of their own that outlive everything, each with a second client that watches it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import termios
+import threading
+import time
+
+import pytest
+from flight import BRISK, SLOW, copter, devices, landed
+from witness import Witness
+
+pytestmark = pytest.mark.process
+
+#: A copter on each of two hosts, and a coordinator that waits.
+PROGRAM = """
+resource Copter {
+    Mavlink fc;
+    init(string[] arg) { fc.arm(); fc.takeoff(3.0); }
+    portal stay(real seconds) { sleep(seconds); }
+}
+coordinator Pilot { init(string[] arg) { findCopter(arg[1]).stay(1000.0); } }
+"""
+DEPLOYMENT = "//Copter:lead@alpha\n//Copter:wing@bravo\n//Pilot:pilot@alpha?wing\n"
+
+
+class Team:
+    """Two copters in the air under `up --all`; `started` is for its process."""
+
+    def __init__(self, lfield, environment, *, land=BRISK, **started):
+        endpoints = {agent: copter(lfield, environment, land) for agent in ("lead", "wing")}
+        file = lfield.mission(PROGRAM, DEPLOYMENT, devices(endpoints, 60.0))
+        words = ("up", "--deploy", file, "--all", "--until-done")
+        self.run = lfield.start(*words, env=environment, **started)
+        self.witnesses = [Witness(endpoint) for endpoint in endpoints.values()]
+        for witness in self.witnesses:
+            witness.until(lambda seen: seen.height > 2.0 and seen.armed)
+
+    def have_landed(self) -> None:
+        """Wait until both say that they landed: they were told to, and are down, their motors off."""
+        for witness in self.witnesses:
+            landed(witness)
+            assert [mode for _, mode in witness.modes][-1] == "LAND"
+
+    def are_down(self) -> None:
+        """They stand on the ground now."""
+        assert all(witness.height < 0.3 for witness in self.witnesses)
+        self.have_landed()
+
+    def land(self) -> None:
+        """Wait until both have been told to land."""
+        for witness in self.witnesses:
+            witness.until(lambda seen: seen.mode == "LAND")
+
+
+@pytest.fixture
+def team(alone, lfield):
+    """`team(**options)`: two copters in the air."""
+    made: list[Team] = []
+
+    def begin(**options) -> Team:
+        made.append(Team(lfield, alone, **options))
+        return made[-1]
+
+    yield begin
+    for flown in made:
+        for witness in flown.witnesses:
+            witness.close()
+    lfield.end()
+
+
+class Terminal:
+    """A terminal of its own; what comes out of it is read and kept until it is closed."""
+
+    def __init__(self) -> None:
+        self._master, self.end = os.openpty()
+        self.said = b""
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        try:
+            while some := os.read(self._master, 4096):
+                self.said += some
+        except OSError:
+            return
+
+    @property
+    def options(self) -> dict[str, object]:
+        """For a process that is to lead a session on this terminal."""
+
+        def controlled() -> None:
+            fcntl.ioctl(self.end, termios.TIOCSCTTY, 0)
+
+        return {"stdout": self.end, "stderr": self.end, "preexec_fn": controlled}
+
+    def let_go(self) -> None:
+        """Leave the user's end to the processes that have it."""
+        os.close(self.end)
+
+    def press(self, keys: bytes) -> None:
+        os.write(self._master, keys)
+
+    def close(self) -> None:
+        """Close the window."""
+        master, self._master = self._master, -1
+        # Woken by this, the reader holds the terminal no longer.
+        os.write(master, b"\n")
+        os.close(master)
+
+
+def test_ctrl_c_lands_the_team_before_it_ends(team):
+    flown = team()
+    flown.run.signal(signal.SIGINT)
+    assert flown.run.wait() == 130, flown.run.said
+    flown.are_down()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_another_signal_lands_the_team_too(team, number):
+    flown = team()
+    flown.run.signal(number)
+    assert flown.run.wait() == 130, flown.run.said
+    flown.are_down()
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_ctrl_c_in_a_hurry_is_one_word(team, times):
+    flown = team(land=SLOW)
+    for _ in range(times):
+        flown.run.signal(signal.SIGINT)
+        time.sleep(0.05)
+    assert flown.run.wait() == 130, flown.run.said
+    flown.are_down()
+
+
+def test_a_later_second_ctrl_c_ends_the_team_and_names_who_is_still_up(team):
+    flown = team(land=("--land", "0.2", "--descend", "0.2"))
+    flown.run.signal(signal.SIGINT)
+    flown.land()
+    for host in ("alpha", "bravo"):
+        flown.run.wait_for(rf"{host} \| waiting for the devices to come to rest; a second Ctrl-C or SIGTERM")
+    flown.run.signal(signal.SIGINT)
+    assert flown.run.wait() == 3, flown.run.said
+    named = [line for line in flown.run.err if "NOT SAFE" in line]
+    assert len(named) == 2
+    for line, device in zip(sorted(named), ("lead.fc", "wing.fc"), strict=True):
+        assert f"{device}: NOT SAFE: it is in its safe state and not at rest: " in line
+    # Their autopilots bring them down by themselves.
+    flown.have_landed()
+
+
+def test_the_team_of_a_killed_parent_lands_and_ends(lfield, team):
+    flown = team(land=SLOW)
+    hosts = set(lfield.left())
+    flown.run.signal(signal.SIGKILL)
+    flown.have_landed()
+    flown.run.popen.wait()
+    _ended(lfield, hosts)
+
+
+def test_the_team_of_a_terminal_that_is_closed_lands(lfield, team):
+    terminal = Terminal()
+    flown = team(land=SLOW, **terminal.options)
+    terminal.let_go()
+    terminal.close()
+    assert flown.run.wait() == 130
+    flown.are_down()
+
+
+def test_ctrl_c_on_a_terminal_is_for_the_team_as_a_whole(team):
+    terminal = Terminal()
+    flown = team(**terminal.options)
+    terminal.let_go()
+    terminal.press(b"\x03")
+    assert flown.run.wait() == 130, terminal.said
+    flown.are_down()
+    assert b"Traceback" not in terminal.said
+    terminal.close()
+
+
+def test_a_host_on_a_terminal_that_is_closed_lands(flight):
+    terminal = Terminal()
+    flown = flight(land=SLOW, **terminal.options)
+    terminal.let_go()
+    terminal.close()
+    assert flown.host.wait() == 0
+    flown.is_down()
+
+
+def _ended(lfield, processes: set[int]) -> None:
+    """Wait until processes have ended, those of the fakes aside."""
+    end = time.monotonic() + 60
+    fakes = {process.pid for process in lfield.started}
+    while left := (processes & set(lfield.left())) - fakes:
+        assert time.monotonic() < end, left
+        time.sleep(0.05)
