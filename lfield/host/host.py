@@ -13,15 +13,13 @@ import random
 import secrets
 import traceback
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lfield.bytecode.program import DeviceCall
-from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
@@ -30,8 +28,9 @@ from lfield.host.core import HostCore
 from lfield.host.effects import Call, Complain, Died, Effect, KeepStart, Say, Write
 from lfield.host.logbook import Logbook
 from lfield.host.status import status_of
+from lfield.host.surroundings import Surroundings
 from lfield.loop import spawn
-from lfield.manifest import DeviceValue, Observation
+from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
@@ -40,10 +39,8 @@ from lfield.net.transport import Link, Transport
 from lfield.text.private import write_private
 from lfield.text.record import Record
 from lfield.vm.agent import Agent
-from lfield.vm.contract import Reading
 from lfield.vm.inspect import dump
 from lfield.vm.machine import Machine
-from lfield.vm.world import Pending
 from lfield.wire.messages import (
     Control,
     EmergencyStop,
@@ -104,7 +101,7 @@ class Host:
             name,
             secrets.randbits(62) + 1,
             self.clock,
-            _Nearby(self.peers, self.guards),
+            Surroundings(self.peers, self.guards),
             options.dice,
             options.unreachable_after,
         )
@@ -386,29 +383,3 @@ class Host:
         """What `lfield ps` shows of this host."""
         up = self.clock.monotonic() - self.started
         return status_of(self.core, self.peers, self.guards, self.address, up, self.clock)
-
-
-class _Nearby:
-    """What the core may look at: telemetry as the guards have told it, and the links as they are."""
-
-    def __init__(self, peers: Peers, guards: Guards) -> None:
-        self._peers, self._guards = peers, guards
-
-    @property
-    def away(self) -> Mapping[str, float]:
-        return self._peers.away
-
-    def last_heard(self, host: str) -> float | None:
-        return self._peers.last_heard(host)
-
-    def last(self, device: str, quantity: str) -> Observation | None:
-        return self._guards.last(device, quantity)
-
-    def trouble(self, device: str) -> Trouble | None:
-        return self._guards.trouble(device)
-
-    def query(self, agent: str, call: DeviceCall) -> DeviceValue | Pending:
-        return self._guards.query(agent, call.field, call.instruction)
-
-    def reading(self, agent: str, call: DeviceCall) -> Reading | None:
-        return self._guards.reading(agent, call.field, call.instruction)

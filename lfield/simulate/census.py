@@ -1,6 +1,6 @@
 """`--until-done` in a simulation: a host asks the others what became of the coordinators, then leaves.
 
-The same as in host/until_done.py, on virtual time.
+The same as in host/process/until_done.py, on virtual time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from lfield.mobility.fates import Absent, Fate, Judge, fates
 from lfield.simulate.fleet import Fleet, Life
 from lfield.wire.messages import Known
 
-#: As in host/until_done.py, in seconds.
+#: As in host/process/until_done.py, in seconds.
 ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
 
 

@@ -9,9 +9,9 @@ from itertools import combinations
 
 import pytest
 
-from lfield.host import leash
-from lfield.host.leash import Leash
-from lfield.host.until_done import until_done
+from lfield.host.process import leash
+from lfield.host.process.leash import Leash
+from lfield.host.process.until_done import until_done
 
 PROGRAM = """
 resource Post {

@@ -8,7 +8,7 @@ import pytest
 
 from lfield.devices.guards import Guards
 from lfield.errors import AddressError, GreetingError
-from lfield.host.until_done import until_done
+from lfield.host.process.until_done import until_done
 from lfield.operator.ask import STATUS, ask, ask_all
 from lfield.wire.codec import decode, encode
 from lfield.wire.framing import HEADER_SIZE

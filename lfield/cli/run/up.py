@@ -146,7 +146,7 @@ def _look_at_dumps(folder: Path) -> None:
 
 def _run_one(mission: Mission, args: argparse.Namespace) -> int:
     from lfield import loop
-    from lfield.host.run import run_host
+    from lfield.host.process.run import run_host
     from lfield.net.local import own_host
 
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)

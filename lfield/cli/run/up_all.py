@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, TextIO
 from lfield import exits
 from lfield.cli.mission_argument import mission_path
 from lfield.clock import SystemClock
-from lfield.host import leash
-from lfield.host.run import stay_here
-from lfield.host.stop_words import ECHO, StopWords, hear_signals
+from lfield.host.process import leash
+from lfield.host.process.run import stay_here
+from lfield.host.process.stop_words import ECHO, StopWords, hear_signals
 from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
 from lfield.operator.runs import Doors, begun, running

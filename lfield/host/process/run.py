@@ -14,10 +14,10 @@ from typing import NoReturn
 from lfield import exits
 from lfield.errors import UsageError
 from lfield.host.host import Host, Options
-from lfield.host.leash import Leash
 from lfield.host.logbook import Logbook
-from lfield.host.stop_words import StopWords, hear_signals
-from lfield.host.until_done import until_done
+from lfield.host.process.leash import Leash
+from lfield.host.process.stop_words import StopWords, hear_signals
+from lfield.host.process.until_done import until_done
 from lfield.mission.mission import Mission
 from lfield.mobility.fates import Fate
 from lfield.net.local import is_loopback
