@@ -15,6 +15,8 @@ settings.load_profile("any computer")
 #: What tests build is kept for this run only, and found in no other.
 _CACHE = tempfile.TemporaryDirectory(prefix="lfield-tests-", ignore_cleanup_errors=True)
 os.environ["XDG_CACHE_HOME"] = _CACHE.name
+#: Nor is what hosts keep of their starts.
+os.environ["XDG_STATE_HOME"] = os.path.join(_CACHE.name, "state")
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

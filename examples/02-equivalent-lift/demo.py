@@ -63,8 +63,8 @@ def fail(failures: tuple[tuple[str, str, str], ...]) -> None:
 def main() -> int:
     """All four runs, until one does not end as it should.
 
-    A device that has failed cannot be seen in its safe state: such a run ends with 3, however well the mission
-    went.
+    A device that has failed cannot be seen in its safe state: such a run ends with 3, however well the
+    mission went.
     """
     for count, (_, _, words) in enumerate(FAILURES, 1):
         print(f"\nRun {count}: {words}", flush=True)

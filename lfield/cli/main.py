@@ -1,7 +1,10 @@
 """The command `lfield`: finds the subcommand, runs it, turns every failure into a sentence and a status.
 
 Exit statuses (after sysexits):
-    0 success   1 the mission failed   64 usage   65 bad program, deployment or data   66 no such input
+    0 success   1 the mission failed: a coordinator died, or is lost for certain
+    3 a device was not seen in its safe state and at rest: look at it
+    4 a host was not heard of for too long: what became of the mission there is not known
+    64 usage   65 bad program, deployment or data   66 no such input
     69 unavailable: a port, driver or device   70 a bug in lfield   73 output cannot be written
     74 input/output error   76 protocol error between hosts   130 interrupted
 """

@@ -14,12 +14,14 @@ from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
 from lfield.errors import BlockError, DeviceError
 from lfield.host.directory import Neighbours, TeamDirectory
-from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Say, Write
+from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, KeepStart, Say, Write
 from lfield.host.offers import Offers
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
 from lfield.mobility.core import Mobility, MobilityMessage
+from lfield.mobility.hearsay import Hearsay
+from lfield.mobility.starts import Starts
 from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Reading
 from lfield.vm.machine import Machine
@@ -27,9 +29,7 @@ from lfield.vm.memory import layout
 from lfield.vm.offers import Found
 from lfield.vm.world import PENDING, Pending
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Control, Ended, EndedAck, Hello, Known, Outcome, Report, Transfer
-
-_ALIVE = ("RUN", "FROZEN", "PREPARED")
+from lfield.wire.messages import Control, Ended, EndedAck, Heard, Hello, Known, Outcome, Report, Transfer
 
 
 class Nearby(Neighbours, Protocol):
@@ -83,10 +83,10 @@ class HostCore:
         #: When mobility may have something to give up. A new deadline is later than those before, so one that
         #: is set stays until it has come.
         self._due: float | None = None
-        self._hellos: dict[str, Hello] = {}
-        #: Every other host's incarnation as last seen, and the hosts that were restarted meanwhile.
-        self._seen: dict[str, int] = {}
-        self.restarted: set[str] = set()
+        self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic())
+        self._own = [member for member in self.team.on(self.here) if member.kind == "coordinator"]
+        others = [host for host in self.team.hosts if host != name]
+        self._starts = Starts([member.id for member in self._own], others)
         self._halted = False
 
     # --- out ------------------------------------------------------------------------------------------
@@ -127,10 +127,13 @@ class HostCore:
             self._due = self.mobility.next_deadline()
         if self.directory.due is not None and now >= self.directory.due:
             self._effects += self.directory.tick(now)
+        if self.hearsay.due is not None and now >= self.hearsay.due:
+            told = self.hearsay.tell(now)
+            self._effects += [mobile.Send(host, told) for host in self.hearsay.links]
         pause = None if self._halted else self.machine.run()
         if self._answers:
             self._answer()
-        for due in (self._due, self.directory.due):
+        for due in (self._due, self.directory.due, self.hearsay.due):
             if due is not None:
                 left = max(0.0, due - now)
                 pause = left if pause is None else min(pause, left)
@@ -138,17 +141,24 @@ class HostCore:
 
     # --- life -----------------------------------------------------------------------------------------
 
-    def start_resources(self, generation: int) -> None:
+    def start_resources(self) -> None:
         """The devices are open: start the resources, and take in the coordinators that came meanwhile."""
-        self._start_all("resource", generation)
+        for member in self.team.on(self.here):
+            if member.kind == "resource":
+                self.machine.start(member, self.mission.bindings.limits(member.id), 0)
         self.directory.open()
         early, self._early = self._early or {}, None
         for host, header, block in early.values():
             self.arrived(host, header, block)
 
-    def start_coordinators(self, generation: int) -> None:
-        """The other hosts had time to say what they know: start the coordinators that are not alive there."""
-        self._start_all("coordinator", generation)
+    def start_coordinators(self, record: int | None, *, first: bool = False) -> None:
+        """The other hosts had time to say what they know: start the coordinators that are not alive there.
+
+        `record` is the last start that this host has on record, None if there is no record; `first` that
+        somebody says there was no earlier start. Without either, all hosts must be heard first.
+        """
+        self._starts.begin(record, first=first)
+        self._start_when_heard()
 
     def halt(self) -> None:
         """The host is stopping: no agent runs any more, and no coordinator is taken in.
@@ -157,42 +167,58 @@ class HostCore:
         """
         self._halted = True
 
-    def _start_all(self, kind: str, generation: int) -> None:
-        for member in self.team.on(self.here):
-            if member.kind == kind and (kind == "resource" or self._may_start(member, generation)):
+    def kept(self, generation: int) -> None:
+        """The start is on record: begin, unless a greeting has told of a later one meanwhile."""
+        known = self.mobility.knowledge()
+        self._starts.learn(known)
+        if self._starts.next > generation:
+            self._effects.append(KeepStart(self._starts.next))
+            return
+        for member in self._own:
+            if self._starts.alive(member.id, known):
+                self._say(f"{member.id} is alive on another host: not started again")
+            else:
+                self.mobility.start(member.id, generation)
                 self.machine.start(member, self.mission.bindings.limits(member.id), generation)
 
-    def _may_start(self, member: Member, generation: int) -> bool:
-        alive_here = any(
-            known.agent == member.id and known.state in (*_ALIVE, "IN DOUBT")
-            for known in self.mobility.knowledge()
-        )
-        if alive_here or self._runs_elsewhere(member.id):
-            self._say(f"{member.id} is alive on another host: not started again")
-            return False
-        self.mobility.start(member.id, generation)
-        return True
+    def not_kept(self, reason: str) -> None:
+        """The record could not be written: a later start could then count as an earlier one."""
+        agents = " and ".join(member.id for member in self._own)
+        self._say(f"not started: {agents}; its start cannot be put on record: {reason}")
 
-    def _runs_elsewhere(self, identity: str) -> bool:
-        return any(
-            known.agent == identity and known.state in _ALIVE
-            for hello in self._hellos.values()
-            for known in hello.coordinators
-        )
+    def _start_when_heard(self) -> None:
+        if why := self._starts.why():
+            self._say(why)
+        if not self._halted and self._starts.due:
+            self._starts.learn(self.mobility.knowledge())
+            self._effects.append(KeepStart(self._starts.next))
+
+    def reaped(self, host: str) -> None:
+        """A host of this team has ended for good: whoever started it says so."""
+        if host in self.team.hosts and host != self.name:
+            self.hearsay.gone.add(host)
+            self._starts.heard(host)
+            self._start_when_heard()
+            self._effects.append(CHANGED)
+
+    def told(self, host: str, records: list[Known]) -> None:
+        """A host that was asked says what it knows of coordinators."""
+        self._carry_out(self.mobility.told(host, records))
+
+    def pass_on(self) -> None:
+        """This host is about to go: whoever can be reached is told of every ending."""
+        self._carry_out(self.mobility.pass_on())
 
     # --- events of links ------------------------------------------------------------------------------
 
     def linked(self, hello: Hello) -> None:
         """A host can be talked to."""
-        if self._seen.get(hello.host, hello.incarnation) != hello.incarnation:
-            self._say(f"linked with {hello.host}, which was restarted")
-            self.restarted.add(hello.host)
-        else:
-            self._say(f"linked with {hello.host}")
-        self._seen[hello.host] = hello.incarnation
-        self._hellos[hello.host] = hello
+        restarted = self.hearsay.linked(hello.host, hello.incarnation)
+        self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
+        self._starts.heard(hello.host, hello.coordinators)
         self._effects += self.directory.linked(hello)
         self._carry_out(self.mobility.linked(hello))
+        self._start_when_heard()
         self._effects.append(CHANGED)
 
     def unlinked(self, host: str) -> None:
@@ -200,7 +226,8 @@ class HostCore:
         self._say(f"lost the link with {host}")
         self.mobility.unlinked(host)
         self.directory.unlinked(host)
-        self._hellos.pop(host, None)
+        self.hearsay.unlinked(host, self._clock.monotonic())
+        self._starts.unlinked(host)
         self._effects.append(CHANGED)
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
@@ -232,6 +259,8 @@ class HostCore:
         if isinstance(message, Report):
             if complaint := self.directory.received(host, message):
                 self._effects.append(Complain(complaint))
+        elif isinstance(message, Heard):
+            self.hearsay.told(message, self._clock.monotonic())
         elif isinstance(message, MobilityMessage):
             self._carry_out(self.mobility.receive(host, message, self._clock.monotonic()))
             if isinstance(message, Ended | EndedAck):

@@ -46,10 +46,16 @@ class Died(Struct, frozen=True):
     agent: Agent
 
 
+class KeepStart(Struct, frozen=True):
+    """Put the number of a start on record, then call `HostCore.kept`: nothing starts before that."""
+
+    generation: int
+
+
 class Changed(Struct, frozen=True):
     """What is known of coordinators has changed: whoever waits for an end looks again."""
 
 
-Effect = Send | SendTransfer | Write | Say | Complain | Call | Died | Changed
+Effect = Send | SendTransfer | Write | Say | Complain | Call | Died | KeepStart | Changed
 
 CHANGED = Changed()

@@ -13,36 +13,34 @@ import random
 import secrets
 import traceback
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from lfield.bytecode.program import DeviceCall
-from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock, SystemClock
 from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
 from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
-from lfield.host.effects import Call, Complain, Died, Effect, Say, Write
+from lfield.host.effects import Call, Complain, Died, Effect, KeepStart, Say, Write
 from lfield.host.logbook import Logbook
 from lfield.host.status import status_of
+from lfield.host.surroundings import Surroundings
 from lfield.loop import spawn
-from lfield.manifest import DeviceValue, Observation
+from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
 from lfield.text.private import write_private
+from lfield.text.record import Record
 from lfield.vm.agent import Agent
-from lfield.vm.contract import Reading
 from lfield.vm.inspect import dump
 from lfield.vm.machine import Machine
-from lfield.vm.world import Pending
 from lfield.wire.messages import (
     Control,
     EmergencyStop,
@@ -68,7 +66,8 @@ LOOKING, LAST_LOOK = 3.0, 1.5
 class Options:
     """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
 
-    Times are in seconds.
+    `record` has the host's earlier starts, None where none are kept: all hosts are then heard first.
+    `first_start`: somebody says that there were none. Times are in seconds.
     """
 
     listen: str
@@ -77,6 +76,8 @@ class Options:
     door: str = ""
     clock: Clock = field(default_factory=SystemClock)
     dice: random.Random = field(default_factory=random.Random)
+    record: Record | None = None
+    first_start: bool = False
 
 
 class Host:
@@ -100,7 +101,7 @@ class Host:
             name,
             secrets.randbits(62) + 1,
             self.clock,
-            _Nearby(self.peers, self.guards),
+            Surroundings(self.peers, self.guards),
             options.dice,
             options.unreachable_after,
         )
@@ -122,6 +123,8 @@ class Host:
         self._entered = self._stopped = self._pressed = False
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
+        #: What puts a start on record.
+        self._writing: asyncio.Task[None] | None = None
 
     @property
     def machine(self) -> Machine:
@@ -147,11 +150,14 @@ class Host:
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
         self.note(f"{self.name} is up on {self.address}")
-        generation = int(self.clock.time() * 1e9)
-        self._enter(partial(self.core.start_resources, generation))
-        if any(member.kind == "coordinator" for member in members):
-            await self.peers.first_round(CENSUS)
-        self._enter(partial(self.core.start_coordinators, generation))
+        self._enter(self.core.start_resources)
+        if not any(member.kind == "coordinator" for member in members):
+            return
+        record = self.options.record.read() if self.options.record else None
+        await self.peers.first_round(CENSUS)
+        self._enter(partial(self.core.start_coordinators, record, first=self.options.first_start))
+        if self._writing is not None:
+            await asyncio.wait([self._writing])
 
     async def _open_door(self, door: str) -> None:
         """A host that cannot be asked on this computer runs all the same."""
@@ -268,6 +274,8 @@ class Host:
                 self.peers.complain(effect.text)
             case Call():
                 self._call(effect)
+            case KeepStart():
+                self._writing = spawn(self._keep(effect.generation))
             case Died():
                 if self.options.dump:
                     self._dump(effect.agent, self.options.dump)
@@ -283,6 +291,15 @@ class Host:
             self.guards.call(asked.agent.id, call.field, call.instruction, asked.values, answered)
         except DeviceError as error:
             answered(error)
+
+    async def _keep(self, generation: int) -> None:
+        try:
+            if self.options.record is not None:
+                await self.options.record.write(generation)
+        except OutputFileError as error:
+            self._enter(partial(self.core.not_kept, str(error)))
+        else:
+            self._enter(partial(self.core.kept, generation))
 
     def _dump(self, agent: Agent, folder: Path) -> None:
         data = dump.encode(
@@ -330,11 +347,21 @@ class Host:
             link.send(self.status())
         elif isinstance(message, Status):
             self.statuses[host] = message
+            if host:
+                self._enter(partial(self.core.told, host, message.coordinators))
             self.changed.set()
         elif isinstance(message, EmergencyStop) and not host:
             spawn(self._emergency_stop(message, link))
         elif host:
             self._enter(partial(self.core.received, host, message))
+
+    def reaped(self, host: str) -> None:
+        """Whoever started the hosts says that one has ended for good."""
+        self._enter(partial(self.core.reaped, host))
+
+    def pass_on(self) -> None:
+        """This host is about to go: it tells all others of the endings that it knows."""
+        self._enter(self.core.pass_on)
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
         self._pressed = not message.lift
@@ -356,29 +383,3 @@ class Host:
         """What `lfield ps` shows of this host."""
         up = self.clock.monotonic() - self.started
         return status_of(self.core, self.peers, self.guards, self.address, up, self.clock)
-
-
-class _Nearby:
-    """What the core may look at: telemetry as the guards have told it, and the links as they are."""
-
-    def __init__(self, peers: Peers, guards: Guards) -> None:
-        self._peers, self._guards = peers, guards
-
-    @property
-    def away(self) -> Mapping[str, float]:
-        return self._peers.away
-
-    def last_heard(self, host: str) -> float | None:
-        return self._peers.last_heard(host)
-
-    def last(self, device: str, quantity: str) -> Observation | None:
-        return self._guards.last(device, quantity)
-
-    def trouble(self, device: str) -> Trouble | None:
-        return self._guards.trouble(device)
-
-    def query(self, agent: str, call: DeviceCall) -> DeviceValue | Pending:
-        return self._guards.query(agent, call.field, call.instruction)
-
-    def reading(self, agent: str, call: DeviceCall) -> Reading | None:
-        return self._guards.reading(agent, call.field, call.instruction)

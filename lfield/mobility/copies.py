@@ -66,14 +66,25 @@ class Copy:
         self.seal = self.block = None
         self.doubt = ""
 
+    def give_way(self) -> None:
+        """Leave the machine in doubt: another start needs its place. The block stays as a shadow."""
+        self.state, self.seal = "MOVED", None
+        self.doubt = f"{self.doubt}; its copy here gave way to a later start"
+
+    @property
+    def gave_way(self) -> bool:
+        """Whether this copy was in doubt when it had to leave the machine, and still is."""
+        return self.state == "MOVED" and bool(self.doubt)
+
     def known(self) -> Known:
         """What other hosts and `lfield ps` are told."""
         state = "IN DOUBT" if self.doubt else self.state
         assert state != "ABSENT"
         where = {"RUN": "", "EXITED": self.ended_on}.get(state, self.target)
         detail = self.doubt or self.detail
+        life = self.incarnation if state in ("PREPARED", "IN DOUBT", "MOVED") else 0
         return Known(
-            self.agent, self.generation, self.sequence, self.hops, state, where, self.outcome, detail
+            self.agent, self.generation, self.sequence, self.hops, state, where, self.outcome, detail, life
         )
 
 

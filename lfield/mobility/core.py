@@ -18,7 +18,7 @@ from lfield.mobility.endings import Endings
 from lfield.wire.messages import Accepted, Ended, EndedAck, Hello, Inquire, Known, Outcome, Refused, Transfer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Iterable
 
     from lfield.mobility.effects import Effect, Refusal
     from lfield.wire.framing import Buffer
@@ -76,7 +76,7 @@ class Mobility:
         raise ValueError(f"{agent} does not run here")
 
     def ended(self, agent: str, generation: int, outcome: Outcome, detail: str = "") -> list[Effect]:
-        """A copy held here has ended: tell every host. 'lost' gives up a copy that is in doubt."""
+        """A copy held here has ended: tell every host. 'lost': somebody gives up a copy in doubt."""
         copy = self._copies.find(agent, generation)
         if copy is None or not (copy.doubt if outcome == "lost" else copy.state in ("RUN", "FROZEN")):
             raise ValueError(f"{agent} of generation {generation} cannot end here as {outcome!r}")
@@ -84,11 +84,20 @@ class Mobility:
 
     def linked(self, peer: Hello) -> list[Effect]:
         """A link to a host is up; `peer` is what it said in its greeting."""
-        effects: list[Effect] = []
-        for known in peer.coordinators:
-            effects += self._learn(peer.host, known)
+        effects = self.told(peer.host, peer.coordinators)
         self._links[peer.host] = peer
         return effects + self._departures.linked(peer) + self._endings.linked(peer.host)
+
+    def told(self, host: str, records: Iterable[Known]) -> list[Effect]:
+        """A host says what it knows, in a greeting or because it was asked."""
+        effects: list[Effect] = []
+        for known in records:
+            effects += self._learn(host, known)
+        return effects
+
+    def pass_on(self) -> list[Effect]:
+        """This host is about to go: tell every host that can be reached of all endings known here."""
+        return self._endings.pass_on()
 
     def unlinked(self, host: str) -> None:
         """The last link to a host is gone. What was on its way may have arrived or not."""

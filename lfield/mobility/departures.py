@@ -43,7 +43,7 @@ class Departures:
         """Go on with the copies that wait for this host."""
         effects: list[Effect] = []
         for copy in self._copies:
-            if copy.target == peer.host and copy.state in ("FROZEN", "PREPARED"):
+            if copy.target == peer.host and (copy.state in ("FROZEN", "PREPARED") or copy.gave_way):
                 effects += self._take_up(copy, peer)
         return effects
 
@@ -56,6 +56,9 @@ class Departures:
         """The receiver has it not, and never will under this number."""
         copy = self._under_way(host, message)
         if copy is None:
+            return []
+        if copy.gave_way:
+            copy.end("lost", f"{host} did not take it, and the copy here had given way", self._own.host)
             return []
         copy.doubt = ""
         if message.kind == SUPERSEDED:
@@ -72,7 +75,7 @@ class Departures:
         Numbers beyond its own are given out only by the copy that it became.
         """
         copy = self._copies.find(known.agent, known.generation)
-        if copy is None or copy.state != "PREPARED":
+        if copy is None or not (copy.state == "PREPARED" or copy.gave_way):
             return []
         arrived = known.sequence == copy.sequence and known.state in ("RUN", "FROZEN")
         return self.moved(copy) if arrived or known.sequence > copy.sequence else []
@@ -128,6 +131,8 @@ class Departures:
             return [
                 Send(peer.host, Inquire(copy.agent, copy.generation, copy.sequence, copy.incarnation)),
             ]
+        if copy.gave_way:
+            return []
         return self._doubt(
             copy,
             f"{peer.host} was restarted before it said whether it took {copy.agent}; "
@@ -147,6 +152,6 @@ class Departures:
     def _under_way(self, host: str, answer: Accepted | Refused) -> Copy | None:
         """The copy that an answer is about, if it still waits for that answer from that host."""
         copy = self._copies.find(answer.agent, answer.generation)
-        if copy is None or copy.state != "PREPARED":
+        if copy is None or not (copy.state == "PREPARED" or copy.gave_way):
             return None
         return copy if copy.sequence == answer.sequence and copy.target == host else None

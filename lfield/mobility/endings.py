@@ -32,6 +32,18 @@ class Endings:
         self._untold[copy.agent, copy.generation] = message, set(self._peers)
         return [Send(host, message) for host in sorted(self._peers & self._links.keys())]
 
+    def pass_on(self) -> list[Effect]:
+        """This host is about to go: tell all it can reach of every ending, wherever that was."""
+        effects: list[Effect] = []
+        for copy in self._copies:
+            if copy.state == "EXITED" and copy.outcome:
+                message = Ended(copy.agent, copy.generation, copy.outcome, copy.detail, copy.ended_on)
+                _, waiting = self._untold.setdefault((copy.agent, copy.generation), (message, set()))
+                more = self._links.keys() - waiting - {copy.ended_on}
+                waiting |= more
+                effects += [Send(host, message) for host in sorted(more)]
+        return effects
+
     def unconfirmed(self, hosts: Collection[str]) -> bool:
         """Whether one of these hosts has yet to confirm an ending."""
         return any(not waiting.isdisjoint(hosts) for _, waiting in self._untold.values())
@@ -90,13 +102,16 @@ class Endings:
         return effects
 
     def replaced(self, arrived: Copy) -> list[Effect]:
-        """A start was injected here: give up an earlier one that is in doubt, since both cannot stay."""
+        """A start was injected here: an earlier one that is in doubt leaves the machine, which has one place.
+
+        That is no proof of a loss: whoever may have taken it is still asked, and told of.
+        """
         effects: list[Effect] = []
         for copy in self._copies.of(arrived.agent):
-            if copy.doubt:
+            if copy.doubt and copy.state == "PREPARED":
                 reason = f"{copy.agent} was in doubt on {self._host} when a later start of it came"
                 effects.append(Supersede(copy.agent, copy.generation, reason))
-                effects += self.end(copy, "lost", reason)
+                copy.give_way()
         return effects
 
     def yields(self, copy: Copy) -> list[Effect]:

@@ -19,7 +19,7 @@ from lfield.capability.directory.news import Trouble
 from lfield.clock import ManualClock
 from lfield.errors import DeviceError
 from lfield.host.core import HostCore
-from lfield.host.effects import Call, Effect, Say, Write
+from lfield.host.effects import Call, Effect, KeepStart, Say, Write
 from lfield.manifest import DeviceValue, Observation
 from lfield.mission.mission import Mission
 from lfield.mobility.effects import Send, SendTransfer
@@ -90,9 +90,14 @@ class Fleet:
         unreachable_after: float = 10.0,
     ) -> None:
         self.mission, self.dice, self._watch = mission, random.Random(seed), watch
-        self._unreachable_after = unreachable_after
+        self.unreachable_after = unreachable_after
+        #: Called for every new life of a host.
+        self.on_boot: Callable[[str, Life], None] = lambda name, life: None
+        #: The record of starts of each host: it stays when the host crashes, and may be lost.
+        self.disks: dict[str, int] = {}
         self.clock = ManualClock(0.0)
         self.lives: dict[str, Life] = {}
+        self.left: set[str] = set()
         #: Every line of program output and of the logs: seconds, host, text.
         self.log: list[tuple[float, str, str]] = []
         #: The pairs that are linked, with the number of the link, and those that cannot be.
@@ -139,14 +144,23 @@ class Fleet:
         nearby = Links(others, self.clock.now)
         dice = random.Random(self.dice.random())
         life = self.dice.getrandbits(62) + 1
-        core = HostCore(self.mission, name, life, self.clock, nearby, dice, self._unreachable_after)
+        core = HostCore(self.mission, name, life, self.clock, nearby, dice, self.unreachable_after)
         started = self.lives[name] = Life(core, nearby)
-        generation = int(self.clock.now * 1e9) + 1
-        self.enter(name, started, partial(core.start_resources, generation))
+        self.enter(name, started, core.start_resources)
         for other in others:
             self._reconnect(name, other)
-        start = partial(core.start_coordinators, generation)
+        start = partial(core.start_coordinators, self.disks.get(name))
         self.later(CENSUS, lambda: self.enter(name, started, start))
+        self.on_boot(name, started)
+
+    def lose_disk(self, name: str) -> None:
+        """A host has no record of its starts any more."""
+        self.disks.pop(name, None)
+
+    def leave(self, name: str) -> None:
+        """A host ends in order, for good."""
+        self.left.add(name)
+        self.crash(name)
 
     def crash(self, name: str) -> None:
         """End a host as a power cut does."""
@@ -181,17 +195,20 @@ class Fleet:
     def _carry_out(self, name: str, life: Life, effect: Effect) -> None:
         match effect:
             case Send():
-                self._send(name, effect.host, partial(self._received, effect.message))
+                self.send(name, effect.host, partial(self._received, effect.message))
             case SendTransfer():
                 self.transfers += 1
                 arrival = partial(self._arrived, effect.header, bytes(effect.block))
-                self._send(name, effect.host, arrival)
+                self.send(name, effect.host, arrival)
             case Write() | Say():
                 if isinstance(effect, Write):
                     life.output.append(effect.text)
                 self.log.append((self.clock.now, name, effect.text))
             case Call():
                 life.core.answered(effect, DeviceError(effect.call.field, "is not simulated"))
+            case KeepStart():
+                self.disks[name] = effect.generation
+                life.core.kept(effect.generation)
             case _:
                 pass
 
@@ -211,7 +228,7 @@ class Fleet:
         """Let all links come about again, and start all hosts that are down."""
         self.apart.clear()
         for name in self.mission.team.hosts:
-            if name not in self.lives:
+            if name not in self.lives.keys() | self.left:
                 self.boot(name)
 
     def _reconnect(self, one: str, other: str) -> None:
@@ -232,7 +249,7 @@ class Fleet:
         self._links += 1
         self.linked[pair] = self._links
         for near, far in ((one, other), (other, one)):
-            self._send(near, far, partial(self._greeted, self.lives[near].core.hello()))
+            self.send(near, far, partial(self._greeted, self.lives[near].core.hello()))
 
     def _lose(self, pair: frozenset[str]) -> None:
         if self.linked.pop(pair, None) is None:
@@ -245,7 +262,7 @@ class Fleet:
                 self.later(0.0, partial(self.enter, near, life, partial(life.core.unlinked, far)))
         self._reconnect(one, other)
 
-    def _send(self, near: str, far: str, arrive: Callable[[str, str], None]) -> None:
+    def send(self, near: str, far: str, arrive: Callable[[str, str], None]) -> None:
         """Put something on its way; when the link breaks meanwhile, it is lost."""
         number = self.linked.get(frozenset((near, far)))
         if number is None:
@@ -307,7 +324,7 @@ class Weather:
 
 
 def _boot_again(fleet: Fleet, name: str) -> None:
-    if name not in fleet.lives:
+    if name not in fleet.lives.keys() | fleet.left:
         fleet.boot(name)
 
 

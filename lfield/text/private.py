@@ -54,15 +54,17 @@ def new_private_folder(path: Path, mode: int = 0o700) -> int:
     return folder
 
 
-def write_private(path: Path, data: bytes, mode: int = 0o600) -> None:
+def write_private(path: Path, data: bytes, mode: int = 0o600, *, durable: bool = False) -> None:
     """Write a whole file, which only this user may read, or leave what was there. Raises OutputFileError.
 
-    The folder is made if there is none.
+    The folder is made if there is none. `durable`: it is on the disk when this returns.
     """
     with _made(path.parent) as folder:
         try:
             _refuse_strange(path, folder)
-            _replace(path.name, data, mode, folder)
+            _replace(path.name, data, mode, folder, durable=durable)
+            if durable:
+                os.fsync(folder)
         except OSError as error:
             raise OutputFileError(str(path), error.strerror or str(error)) from None
 
@@ -146,7 +148,7 @@ def _refuse_strange(path: Path, folder: int) -> None:
             raise OutputFileError(str(path), "it is there and is no plain file; remove it")
 
 
-def _replace(name: str, data: bytes, mode: int, folder: int) -> None:
+def _replace(name: str, data: bytes, mode: int, folder: int, *, durable: bool) -> None:
     temporary = f".{secrets.token_hex(8)}"
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
     descriptor = os.open(temporary, flags, 0o600, dir_fd=folder)
@@ -154,6 +156,9 @@ def _replace(name: str, data: bytes, mode: int, folder: int) -> None:
         with open(descriptor, "wb") as file:
             os.fchmod(descriptor, mode)
             file.write(data)
+            if durable:
+                file.flush()
+                os.fsync(descriptor)
         os.replace(temporary, name, src_dir_fd=folder, dst_dir_fd=folder)
     except OSError:
         os.unlink(temporary, dir_fd=folder)

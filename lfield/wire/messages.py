@@ -74,7 +74,8 @@ class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """What one host knows of one start of a coordinator, for greetings and `lfield ps`.
 
     `sequence` is the highest transfer number of this start that was used or seen here. `where` is the host
-    the copy went or wants to go to (FROZEN, PREPARED, IN DOUBT, MOVED), or the host it ended on (EXITED).
+    the copy went or wants to go to (FROZEN, PREPARED, IN DOUBT, MOVED), or the host it ended on (EXITED), and
+    `receiver_incarnation` the life of that host to which it was sent (PREPARED, IN DOUBT, MOVED).
     `outcome` is set for EXITED, `detail` for EXITED and IN DOUBT.
     """
 
@@ -86,6 +87,7 @@ class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     where: MaybeName = ""
     outcome: Literal["", "done", "died", "lost", "superseded"] = ""
     detail: Text = ""
+    receiver_incarnation: Count = 0
 
 
 class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -333,6 +335,20 @@ class Report(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     agents: Annotated[list[AgentReport], Meta(max_length=4096)]
 
 
+class SignOfLife(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """How often a host has told that it lives; `host` is its place in the deployment."""
+
+    host: Index
+    incarnation: Count
+    count: Count
+
+
+class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=13):
+    """The last signs of life of the sender and of all hosts that it has heard of, from anybody."""
+
+    signs: Annotated[list[SignOfLife], Meta(max_length=4096)]
+
+
 #: Messages that share the control frame.
 Control = (
     Accepted
@@ -347,6 +363,7 @@ Control = (
     | EmergencyStop
     | EmergencyStopped
     | Report
+    | Heard
 )
 
 #: Every message without a block.

@@ -22,6 +22,7 @@ FIGURES = {
     "can": "guards.can_bus",
     "dynamixel": "guards.dynamixel",
     "deadman": "guards.deadman",
+    "deaths": "deaths.deaths",
     "query": "capability.query",
     "find": "capability.find",
     "compositions": "capability.compositions",

@@ -32,7 +32,9 @@ class Process:
     """A running command; its lines are kept as they come, by stream."""
 
     def __init__(self, *words: str, mark: str, stdin: bool = False, **options) -> None:
-        environment = {**os.environ, MARK: mark, **options.pop("env", {})}
+        # The starts of hosts that a test starts by hand are on record in its own folder.
+        state = str(options.get("cwd", tempfile.gettempdir()))
+        environment = {**os.environ, "XDG_STATE_HOME": state, MARK: mark, **options.pop("env", {})}
         # Where a test run is unbuffered, the commands are not: Python then loses what a pipe does not take.
         environment.pop("PYTHONUNBUFFERED", None)
         self.mark = mark
@@ -199,12 +201,9 @@ class Lfield:
         return self.write(f"{name}.dL", deployment)
 
     def hosts(self, deployment: Path, names: list[str], *options: object, **more) -> dict[str, Process]:
-        """One process for each host, on ports of their own, as by hand."""
-        maps = self.maps(names)
-        return {
-            name: self.start("up", "--deploy", deployment, "--host", name, *maps, *options, **more)
-            for name in names
-        }
+        """One process for each host, on ports of their own, as by hand; none waits for another."""
+        words = ("up", "--deploy", deployment, *self.maps(names), "--first-start", *options)
+        return {name: self.start(*words, "--host", name, **more) for name in names}
 
     def maps(self, names: list[str]) -> list[str]:
         """`--map` options that put the hosts on free ports of this machine."""

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from lfield.host.until_done import until_done
+from lfield.host.process.until_done import until_done
 
 PROGRAM = """
 resource Post {

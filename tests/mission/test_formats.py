@@ -14,7 +14,7 @@ from lfield.driver.plugins import discover
 from lfield.errors import BlockError, GreetingError, ProgramFileError
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
-from lfield.host.until_done import until_done
+from lfield.host.process.until_done import until_done
 from lfield.mission.bindings_file import read_bindings
 from lfield.mission.load import load_mission
 from lfield.net.greeting import Greeting

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from lfield.mobility.fates import Fate, fates
+from lfield.mobility.fates import Absent, Fate, Judge, fates
 from lfield.wire.messages import Known
 
 HOMES = {"tom": "alpha"}
 
 
-def row(state, sequence=0, where="", *, generation=1, outcome="", detail="", id="tom"):
-    return Known(id, generation, sequence, sequence, state, where, outcome, detail)
+def row(state, sequence=0, where="", *, generation=1, outcome="", detail="", id="tom", life=1):
+    return Known(id, generation, sequence, sequence, state, where, outcome, detail, life)
 
 
-def fate(records, gone=()):
-    return fates(HOMES, records, gone).get("tom")
+def fate(records, gone=(), **absent):
+    return fates(HOMES, records, Absent(gone, **absent)).get("tom")
 
 
 @pytest.mark.parametrize("outcome", ["done", "died", "lost"])
@@ -88,4 +88,131 @@ def test_one_that_nobody_has_seen_is_lost_with_its_host():
 
 def test_only_coordinators_of_the_team_are_counted():
     strangers = [row("EXITED", outcome="done", id="echo"), row("EXITED", outcome="done", id="stranger")]
-    assert fates(HOMES, {"alpha": strangers}, ()) == {}
+    assert fates(HOMES, {"alpha": strangers}, Absent()) == {}
+
+
+def unheard(seconds=15.0, *hosts):
+    return dict.fromkeys(hosts or ("bravo",), seconds)
+
+
+WAYS = [row("MOVED", 3, "bravo"), row("IN DOUBT", 3, "bravo")]
+
+
+@pytest.mark.parametrize("last", WAYS, ids=lambda row: row.state)
+def test_one_that_went_to_a_silent_host_is_not_heard_of_and_never_lost(last):
+    assert fate({"alpha": [last]}, elsewhere=["bravo"]) is None
+    found = fate({"alpha": [last]}, unheard=unheard())
+    assert found == Fate(
+        "tom", "unheard", "it went to bravo (transfer 3), and bravo has not been heard for 15 s"
+    )
+    assert "lost" not in found.detail
+
+
+def test_one_whose_home_is_silent_is_not_heard_of():
+    found = fate({"bravo": []}, unheard=unheard(12.4, "alpha"))
+    assert found == Fate("tom", "unheard", "it starts on alpha, and alpha has not been heard for 12 s")
+    assert fate({"bravo": []}, elsewhere=["alpha"]) is None
+
+
+def test_a_host_that_came_back_in_another_life_proves_it_and_one_in_the_same_does_not():
+    """In the same life it may still wait there for the devices to open."""
+    went = {"alpha": [row("MOVED", 3, "bravo", life=7)], "bravo": []}
+    assert fate(went, lives={"bravo": 7}) is None
+    assert fate(went, lives={"bravo": 8}).outcome == "lost"
+
+
+@pytest.mark.parametrize("proof", [{"gone": ("bravo",)}, {"lives": {"bravo": 8}}], ids=["gone", "restarted"])
+def test_proof_is_none_while_somebody_who_cannot_be_asked_may_have_it(proof):
+    """From bravo it may have gone on to carol."""
+    known = {"alpha": [row("MOVED", 3, "bravo")]} | ({"bravo": []} if "lives" in proof else {})
+    assert fate(known, **proof, elsewhere=["carol"]) is None
+    found = fate(known, **proof, unheard=unheard(15.0, "carol"))
+    assert found.outcome == "unheard"
+    assert found.detail.endswith("but it may have gone on from there, and carol has not been heard for 15 s")
+    assert fate(known | {"carol": []}, **proof).outcome == "lost"
+
+
+def test_nothing_is_lost_before_all_starts_are():
+    later = row("MOVED", 1, "bravo", generation=2)
+    earlier = row("MOVED", 5, "carol", generation=1)
+    both = {"alpha": [earlier, later]}
+    assert fate(both, gone=("bravo",), elsewhere=["carol"]) is None
+    assert fate(both, gone=("bravo",), unheard=unheard(15.0, "carol")).outcome == "unheard"
+    assert fate(both | {"carol": [row("RUN", 5)]}, gone=("bravo",)) is None
+    assert fate(both, gone=("bravo", "carol")).outcome == "lost"
+
+
+def test_an_ending_of_one_start_does_not_count_while_another_is_alive():
+    ended = row("EXITED", 2, "alpha", generation=1, outcome="done")
+    assert fate({"alpha": [ended, row("RUN", generation=2)]}) is None
+    again = row("EXITED", 0, "alpha", generation=2, outcome="died")
+    assert fate({"alpha": [ended, again]}).outcome == "died"
+
+
+def test_an_ending_does_not_count_for_a_later_start_that_went_on():
+    """A restarted host hears of the ending of its earlier life, and has sent the new start away already."""
+    ended = row("EXITED", 2, "alpha", generation=1, outcome="done")
+    went = row("MOVED", 1, "bravo", generation=2)
+    assert fate({"alpha": [ended, went]}, elsewhere=["bravo"]) is None
+    assert fate({"alpha": [ended, went]}, unheard=unheard()).outcome == "unheard"
+    # Of two that ran side by side the later one is lost, and the earlier one has ended.
+    assert fate({"alpha": [ended, went]}, gone=("bravo",)).outcome == "done"
+
+
+def test_a_start_that_was_superseded_is_left_out_wherever_it_went():
+    stopped = row("EXITED", 0, "alpha", generation=2, outcome="superseded")
+    shadow = row("MOVED", 4, "bravo", generation=2)
+    assert fate({"alpha": [stopped], "carol": [shadow], "bravo": [row("RUN", 1)]}) is None
+    assert fate({"alpha": [stopped], "carol": [shadow]}, elsewhere=["bravo"]) is None
+    assert fate({"alpha": [stopped], "carol": [shadow]}, unheard=unheard()).outcome == "unheard"
+
+
+def test_one_given_up_in_doubt_is_alive_when_anybody_has_it():
+    given_up = row("EXITED", 3, "alpha", outcome="lost", detail="refused")
+    assert fate({"alpha": [given_up], "bravo": [row("RUN", 3)]}) is None
+    assert fate({"alpha": [given_up]}).outcome == "lost"
+
+
+def test_a_loss_is_certain_when_two_censuses_miss_the_same_transfer():
+    judge = Judge(HOMES)
+
+    def lost(sequence):
+        known = {"alpha": [row("MOVED", sequence, "bravo")], "bravo": []}
+        return judge.judge(known, Absent(lives={"bravo": 2}))
+
+    assert lost(3) == {}
+    assert lost(4) == {}
+    assert lost(4)["tom"].outcome == "lost"
+
+
+def test_silence_counts_when_two_censuses_find_it():
+    judge = Judge(HOMES)
+    known = {"alpha": [row("MOVED", 3, "bravo")]}
+    assert judge.judge(known, Absent(unheard=unheard(15.0))) == {}
+    assert judge.judge(known, Absent(unheard=unheard(15.5)))["tom"].outcome == "unheard"
+
+
+def test_what_a_host_told_counts_when_it_has_gone():
+    judge = Judge(HOMES)
+    judge.judge({"carol": [], "alpha": [row("MOVED", 3, "bravo")]}, Absent(elsewhere=["bravo"]))
+    silent = Absent(gone=["alpha"], unheard=unheard())
+    judge.judge({"carol": []}, silent)
+    found = judge.judge({"carol": []}, silent)["tom"]
+    assert found.detail == "it went to bravo (transfer 3), and bravo has not been heard for 15 s"
+
+
+def test_a_copy_that_was_seen_alive_had_come_that_far():
+    judge = Judge(HOMES)
+    judge.judge({"alpha": [row("MOVED", 3, "bravo")], "bravo": [row("RUN", 3)]}, Absent(lives={"bravo": 7}))
+    silent = Absent(unheard=unheard())
+    judge.judge({}, silent)
+    assert judge.judge({}, silent)["tom"].detail.startswith("it went to bravo (transfer 3)")
+    back = {"bravo": []}
+    assert judge.judge(back, Absent(lives={"bravo": 7})) == {}
+    judge.judge(back, Absent(lives={"bravo": 8}))
+    assert judge.judge(back, Absent(lives={"bravo": 8}))["tom"].outcome == "lost"
+
+
+def test_an_ending_needs_no_second_census():
+    done = {"alpha": [row("EXITED", outcome="done")]}
+    assert Judge(HOMES).judge(done, Absent())["tom"].outcome == "done"

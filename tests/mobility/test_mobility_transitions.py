@@ -104,7 +104,7 @@ def test_a_hop_is_one_message_there_and_one_back(a, b):
     assert b.injected == [(1, b"block 1")]
     assert b.known() == Known(TOUR, 1, 1, 1, "RUN")
     assert a.mobility.receive("b", answer.message, 0.1) == [Departed(TOUR, 1, 1, "b")]
-    assert a.known() == Known(TOUR, 1, 1, 0, "MOVED", "b")
+    assert a.known() == Known(TOUR, 1, 1, 0, "MOVED", "b", receiver_incarnation=1)
     assert a.mobility.shadow(TOUR, 1) == b"block 1"
     assert a.mobility.next_deadline() is None
 
@@ -443,10 +443,26 @@ def test_an_earlier_start_that_arrives_ends_the_later(b):
 def test_a_copy_in_doubt_gives_way_to_a_later_start(away):
     """Otherwise it might resume beside the other, on one host."""
     away.mobility.tick(10.0)
-    stop, told, answer = away.mobility.arrive("b", transfer(1, generation=2), b"later")
-    assert (stop.generation, told.message.outcome) == (1, "lost")
+    stop, answer = away.mobility.arrive("b", transfer(1, generation=2), b"later")
+    assert stop.generation == 1
     assert answer.message == Accepted(TOUR, 2, 1)
+    # That is no proof of a loss: b may have it.
+    known = away.known(1)
+    assert (known.state, known.where, known.outcome) == ("IN DOUBT", "b", "")
+    assert known.detail.endswith("its copy here gave way to a later start")
+    assert away.mobility.shadow(TOUR, 1) == b"block 1"
     assert away.mobility.receive("b", Refused(TOUR, 1, 1, NEVER_ARRIVED, ""), 11.0) == []
+    # Now it is one: b will never take it, and here it cannot go on.
+    assert (away.known(1).state, away.known(1).outcome) == ("EXITED", "lost")
+
+
+def test_a_copy_that_gave_way_in_doubt_is_asked_for_again(away, b):
+    away.mobility.tick(10.0)
+    away.mobility.arrive("b", transfer(1, generation=2), b"later")
+    away.mobility.unlinked("b")
+    assert Send("b", Inquire(TOUR, 1, 1, 1)) in away.mobility.linked(b.hello())
+    assert away.mobility.receive("b", Accepted(TOUR, 1, 1), 12.0) == [Departed(TOUR, 1, 1, "b")]
+    assert away.known(1).state == "MOVED"
 
 
 def test_a_copy_in_doubt_does_not_end_a_later_start(away):

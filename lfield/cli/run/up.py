@@ -17,6 +17,7 @@ from lfield.errors import OutputFileError, UsageError
 
 if TYPE_CHECKING:
     from lfield.mission.mission import Mission
+    from lfield.text.record import Record
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +50,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         type=_seconds,
         default=15.0,
-        help="with --until-done: give up a host that is away so long (default 15)",
+        help="with --until-done: end when a host was not heard by anybody for so long (default 15)",
+    )
+    parser.add_argument(
+        "--state", metavar="DIR", type=Path, help="where a host keeps the number of its last start"
+    )
+    parser.add_argument(
+        "--first-start",
+        action="store_true",
+        help="this host has never started its coordinators before, and need not hear all others first",
     )
     parser.add_argument(
         "--trust-network",
@@ -114,6 +123,11 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
     if args.dump is not None and not args.leash:
         _look_at_dumps(args.dump)
     if args.all:
+        for option, given in (("--state", args.state is not None), ("--first-start", args.first_start)):
+            if given:
+                raise UsageError(
+                    f"{option} is for a host on its own: with --all every start is the first one"
+                )
         from lfield.cli.run.up_all import run_all
 
         return run_all(mission, file, args)
@@ -132,7 +146,7 @@ def _look_at_dumps(folder: Path) -> None:
 
 def _run_one(mission: Mission, args: argparse.Namespace) -> int:
     from lfield import loop
-    from lfield.host.run import run_host
+    from lfield.host.process.run import run_host
     from lfield.net.local import own_host
 
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
@@ -148,6 +162,8 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
                 lost_after=args.lost_after if args.until_done else None,
                 trust_network=args.trust_network,
                 leash=args.leash,
+                record=_record(mission, name, args),
+                first_start=args.first_start,
             )
         )
 
@@ -167,6 +183,15 @@ def _door(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[str
 def tell(text: str) -> None:
     """A line of the command itself."""
     print(f"lfield: {text}", file=sys.stderr)
+
+
+def _record(mission: Mission, host: str, args: argparse.Namespace) -> Record | None:
+    """Where the host keeps its starts; None under --all, where every start is the first, and on fakes."""
+    from lfield.text.record import FileRecord, record_file
+
+    if args.leash or (args.state is None and (args.sim or mission.world == "fakes")):
+        return None
+    return FileRecord(record_file(args.state, mission.name, host), tell)
 
 
 def _with_own_drivers(mission: Mission, host: str) -> Mission:

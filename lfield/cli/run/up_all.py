@@ -3,7 +3,8 @@
 All run one bundle; none of them compiles anything.
 
 Each child inherits its listening socket, so no port is taken by somebody else in between, and holds the
-other end of a pipe to this process: when it closes, the child stops in order, its devices made safe.
+other end of a pipe to this process: when it closes, the child stops in order, its devices made safe. A line
+on it tells of another child that was reaped.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ from typing import TYPE_CHECKING, TextIO
 from lfield import exits
 from lfield.cli.mission_argument import mission_path
 from lfield.clock import SystemClock
-from lfield.host.run import stay_here
-from lfield.host.stop_words import ECHO, StopWords, hear_signals
+from lfield.host.process import leash
+from lfield.host.process.run import stay_here
+from lfield.host.process.stop_words import ECHO, StopWords, hear_signals
 from lfield.mission.team import parse_maps
 from lfield.net.local import reserve
 from lfield.operator.runs import Doors, begun, running
@@ -31,7 +33,7 @@ if TYPE_CHECKING:
     from lfield.cli.views.live import LiveView
     from lfield.mission.mission import Mission
 
-#: A host that is gone does not come back under --all: it is given up sooner than in the field.
+#: A host that is silent under --all hangs: it is waited for for less long than in the field.
 LOST_AFTER = 3.0
 #: Where a host listens that no --map names: on a free port.
 FREE = "127.0.0.1:0"
@@ -158,12 +160,20 @@ class _Team:
     async def wait(self, host: str) -> int:
         """The exit status of a host. One that cannot start stops the others."""
         status = await self.children[host].wait()
+        if status:
+            self.tell(host)
         if status < 0:
             return self.ended_by(signal.Signals(-status), host)
         if status not in RAN and not self.words.first.is_set():
             self.refused = self.refused or status
             self.release()
         return status
+
+    def tell(self, reaped: str) -> None:
+        """The other hosts hear of one that has ended before its mission: that is proof, silence is none."""
+        for host, child in self.children.items():
+            if host != reaped and child.returncode is None and child.stdin and not child.stdin.is_closing():
+                child.stdin.write(leash.news(reaped))
 
     def ended_by(self, number: signal.Signals, host: str) -> int:
         """The status of a host that a signal ended: nobody has seen what became of its devices."""

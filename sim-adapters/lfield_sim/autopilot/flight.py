@@ -41,11 +41,12 @@ def _return(pilot: Pilot) -> None:
 
 
 def _take_off(pilot: Pilot) -> None:
-    """PX4's mode: up to MIS_TAKEOFF_ALT, then hold."""
+    """PX4's mode: up to MIS_TAKEOFF_ALT, then hold there."""
     goal = pilot.home[2] - pilot.takeoff_height
     north, east, down = pilot.vehicle.place
     if down <= goal + AT_HEIGHT:
         pilot.fall_back(Role.HOLD)
+        pilot.vehicle.goal = Reach((north, east, goal))
     elif not isinstance(pilot.vehicle.goal, Reach):
         pilot.vehicle.goal = Reach((north, east, goal))
 

@@ -21,9 +21,12 @@ from lfield_sim.autopilot.vehicle import (
     Vector,
     Vehicle,
 )
+from lfield_sim.state_log import Facts
 
 #: Seconds that a restart takes.
 REBOOT = 3.0
+#: A vehicle that is slower stands or hovers, in m/s.
+STILL = 0.05
 #: Texts that are kept until somebody takes them.
 KEPT_TEXTS = 100
 
@@ -104,6 +107,16 @@ class Pilot:
     def booting(self) -> bool:
         """Whether it is restarting: it says nothing and hears nothing."""
         return self.now < self.booting_until
+
+    def facts(self) -> Facts:
+        """What it writes into its log; `failsafe` is that of the state CRITICAL in its heartbeats."""
+        return {
+            "mode": self.mode,
+            "armed": self.armed,
+            "airborne": self.vehicle.airborne,
+            "moving": math.hypot(*self.vehicle.velocity) > STILL,
+            "failsafe": self.critical,
+        }
 
     @property
     def setpoints_over(self) -> bool:

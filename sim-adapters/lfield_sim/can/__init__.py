@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import UsageError
 from lfield_sim.faults import Faults, add_fault_option
+from lfield_sim.state_log import StateLog, add_log_option
 
 #: The kind of door that is a pty (PATH is a link to it); the other kind is `socketcand:HOST:PORT`.
 _PTY = "slcan-pty"
@@ -56,6 +57,7 @@ class CanSim:
             help="cia402:5, odrive:3 or dbc:FILE, as often as wanted",
         )
         parser.add_argument("--bitrate", type=_bitrate, default=1_000_000, metavar="BIT/S", help="(1000000)")
+        add_log_option(parser)
         add_fault_option(parser)
         parser.add_argument(
             "--until-stdin-closes", action="store_true", help="end with the one who started it"
@@ -86,10 +88,12 @@ class CanSim:
             faults.apply(args.fault)
         except ValueError as error:
             raise UsageError(f"--fault: {error}") from None
+        devices = build(specs, faults)
         return run(
             doors,
-            build(specs, faults),
+            devices,
             faults,
+            StateLog(args.log, {device.id: device.facts for device in devices}),
             bitrate=args.bitrate,
             names=names,
             words=" ".join(f"{spec.kind}:{spec.id}" for spec in specs),

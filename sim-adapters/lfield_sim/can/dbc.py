@@ -19,6 +19,7 @@ from cantools.database.can import Message, Signal
 from lfield.errors import UsageError
 from lfield_sim.can.bus import Flaw, Frame
 from lfield_sim.can.motor import AMBIENT, OVERHEATED
+from lfield_sim.state_log import Facts
 
 #: Between two status messages whose file says nothing, in seconds.
 PERIOD = 0.1
@@ -91,6 +92,10 @@ class DbcDevice:
         due = [message for message in self._data.own if self._is_due(message, dt)]
         quiet = self._flaw("lost_tpdo") or self._flaw("lost_heartbeat")
         return [] if quiet else [self._message(message) for message in due]
+
+    def facts(self) -> Facts:
+        """What it was told, in thousandths."""
+        return {f"{m}.{s}": round(1000.0 * value) for (m, s), value in self._commanded.items()}
 
     def _begin(self) -> None:
         self._values = {(m.name, s.name): _initial(s) for m in self._data.own for s in m.signals}

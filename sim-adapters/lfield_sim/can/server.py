@@ -12,12 +12,14 @@ from lfield_sim.can.doors.socketcand_door import SocketcandDoor
 from lfield_sim.can.world import Device
 from lfield_sim.faults import Faults
 from lfield_sim.serving import serve_until_told
+from lfield_sim.state_log import StateLog
 
 
 def run(
     doors: Sequence[tuple[str, str, int]],
     devices: Sequence[Device],
     faults: Faults,
+    log: StateLog,
     *,
     bitrate: int,
     names: Mapping[str, str],
@@ -25,7 +27,7 @@ def run(
     until_stdin_closes: bool,
 ) -> int:
     """Serve devices (`names`: by id) through doors (kind, host, port). Raises AddressError."""
-    serving = _serve(doors, devices, faults, bitrate, names, words, until_stdin_closes)
+    serving = _serve(doors, devices, faults, log, bitrate, names, words, until_stdin_closes)
     # epoll rounds a wait up to a millisecond, which is eight frames; select does not.
     with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
         runner.run(serving)
@@ -36,12 +38,13 @@ async def _serve(
     places: Sequence[tuple[str, str, int]],
     devices: Sequence[Device],
     faults: Faults,
+    log: StateLog,
     bitrate: int,
     names: Mapping[str, str],
     words: str,
     until_stdin_closes: bool,
 ) -> None:
-    hub = Hub(devices, faults, bitrate)
+    hub = Hub(devices, faults, bitrate, log.look)
     doors: list[Door] = []
     try:
         for place in places:
@@ -62,6 +65,7 @@ async def _serve(
         hub.stop()
         for door in doors:
             door.close()
+        log.close()
 
 
 def _plug(doors: Sequence[Door], *, out: bool) -> None:

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from lfield_sim.can.bus import ERROR_BUS_OFF, Bus, Frame, Port
 from lfield_sim.faults import Faults
+from lfield_sim.state_log import Facts
 
 #: Between two steps of the models, in seconds.
 TICK = 0.005
@@ -34,6 +35,9 @@ class Device(Protocol):
 
     def step(self, dt: float) -> list[Frame]:
         """Let time pass, at most TICK seconds; what it then sends."""
+
+    def facts(self) -> Facts:
+        """What it writes into its log."""
 
 
 class World:

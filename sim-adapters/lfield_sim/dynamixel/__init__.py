@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
 from lfield_sim.faults import add_fault_option
+from lfield_sim.state_log import add_log_option
 
 #: What a binding that names no model gets.
 DEFAULT_MODEL, DEFAULT_MODEL_1 = "XM430-W350", "AX-12A"
@@ -49,6 +50,7 @@ class DynamixelSim:
         parser.add_argument(
             "--until-stdin-closes", action="store_true", help="end with the one who started it"
         )
+        add_log_option(parser)
         add_fault_option(parser)
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:

@@ -17,6 +17,7 @@ from lfield_sim.dynamixel.server import Server
 from lfield_sim.dynamixel.servo import Servo
 from lfield_sim.faults import Faults
 from lfield_sim.serving import serve_until_told
+from lfield_sim.state_log import StateLog
 
 
 def run(args: argparse.Namespace, default: str) -> None:
@@ -52,7 +53,8 @@ def _servo(number: int, model: str, args: argparse.Namespace) -> Servo:
 
 
 async def _serve(chain: Chain, path: Path, args: argparse.Namespace, names: Mapping[str, str]) -> None:
-    server = Server(chain, path)
+    log = StateLog(args.log, {str(servo.id): servo.facts for servo in chain.servos})
+    server = Server(chain, path, log.look)
     server.plug()
     moving = asyncio.get_running_loop().create_task(server.run())
     try:
@@ -71,3 +73,4 @@ async def _serve(chain: Chain, path: Path, args: argparse.Namespace, names: Mapp
     finally:
         moving.cancel()
         server.unplug()
+        log.close()

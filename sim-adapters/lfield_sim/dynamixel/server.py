@@ -13,6 +13,7 @@ import os
 import struct
 import time
 import tty
+from collections.abc import Callable
 from pathlib import Path
 
 from lfield.errors import AddressError
@@ -27,10 +28,13 @@ _TCGETS2, _TERMIOS2 = 0x802C542A, struct.Struct("4I20s2I")
 
 
 class Server:
-    """One adapter with its chain. It stays plugged in until `unplug`."""
+    """One adapter with its chain. It stays plugged in until `unplug`.
 
-    def __init__(self, chain: Chain, path: Path) -> None:
-        self._chain, self._path = chain, path
+    `moved` is called whenever a servo may have changed.
+    """
+
+    def __init__(self, chain: Chain, path: Path, moved: Callable[[], None]) -> None:
+        self._chain, self._path, self._moved = chain, path, moved
         self._loop = asyncio.get_running_loop()
         self._ends: tuple[int, int] | None = None
         chain.faults.watch(self._follow)
@@ -88,7 +92,9 @@ class Server:
             data = os.read(self._ends[0], 4096)
         except BlockingIOError:
             return
-        for reply in self._chain.receive(data, self.now, _speed(self._ends[1])):
+        replies = self._chain.receive(data, self.now, _speed(self._ends[1]))
+        self._moved()
+        for reply in replies:
             self._send(reply)
 
     def _send(self, reply: Reply) -> None:
@@ -115,6 +121,7 @@ class Server:
         """Let the servos move, for ever."""
         while True:
             self._chain.advance(self.now)
+            self._moved()
             await asyncio.sleep(TICK)
 
 

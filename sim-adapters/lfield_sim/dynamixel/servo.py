@@ -9,9 +9,12 @@ from lfield.errors import UsageError
 from lfield_sim.dynamixel.model import BAUDS, POSITION, Item, Model
 from lfield_sim.dynamixel.motion import Motion
 from lfield_sim.dynamixel.table import ControlTable, Refusal, Refused
+from lfield_sim.state_log import Facts
 
 #: Its control period while it moves, in seconds, and while nothing changes.
 PERIOD, IDLE_PERIOD = 0.002, 0.1
+#: A servo that is slower stands, in rad/s.
+STILL = 0.02
 #: How long it is silent after a reboot, in seconds.
 BOOT = 0.1
 #: A load is an overload when it takes this share of the stall current for this long, in seconds.
@@ -159,6 +162,16 @@ class Servo:
         found |= VOLTAGE_ERROR if self._starved > VOLTAGE_TIME else 0
         found |= OVERHEATING if motor.temperature > table["temperature_limit"] else 0
         return found | (ENCODER_ERROR if self.encoder_fault else 0)
+
+    def facts(self) -> Facts:
+        """What it writes into its log; `goals` are those of position, velocity and current, in counts."""
+        goals = ("goal_position", "goal_velocity", "goal_current")
+        return {
+            "torque": bool(self.table["torque_enable"]),
+            "goals": ",".join(str(self.table[name]) for name in goals if name in self.table),
+            "moving": abs(self.motion.motor.speed) > STILL,
+            "watchdog_bit": "bus_watchdog" in self.table and self.table["bus_watchdog"] == BITTEN,
+        }
 
     # ---- instructions -------------------------------------------------------------------------------
 

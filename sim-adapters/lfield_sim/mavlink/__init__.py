@@ -23,6 +23,7 @@ from lfield_sim.mavlink.options import (
     vehicle,
     vehicles,
 )
+from lfield_sim.state_log import add_log_option
 
 
 class MavlinkSim:
@@ -48,6 +49,7 @@ class MavlinkSim:
         parser.add_argument(
             "--param", action="append", default=[], metavar="NAME=VALUE", help="any parameter"
         )
+        add_log_option(parser)
         add_fault_option(parser)
         parser.add_argument(
             "--until-stdin-closes", action="store_true", help="end with the one who started it"
@@ -78,7 +80,8 @@ class MavlinkSim:
         except ValueError as error:
             raise UsageError(f"--fault: {error}") from None
         link = setup.link(faults)
-        asyncio.run(serve(link, where, setup, faults, until_stdin_closes=args.until_stdin_closes))
+        log = setup.log(args.log, link)
+        asyncio.run(serve(link, where, setup, faults, log, until_stdin_closes=args.until_stdin_closes))
         return 0
 
 

@@ -16,6 +16,7 @@ from lfield_sim.mavlink.options import VehicleOption
 from lfield_sim.mavlink.protocol import MavlinkFake, MavlinkLink
 from lfield_sim.mavlink.server import Server, open_door
 from lfield_sim.serving import serve_until_told
+from lfield_sim.state_log import StateLog
 
 #: The share of the capacity at which ArduPilot calls the battery low, when the capacity is set.
 LOW = 0.2
@@ -37,6 +38,10 @@ class Setup:
     def devices(self) -> dict[str, str]:
         """System ids with the names of their bindings."""
         return {str(each.system): each.name for each in self.vehicles}
+
+    def log(self, path: str, link: MavlinkLink) -> StateLog:
+        """The vehicles' own log. Raises OutputFileError."""
+        return StateLog(path, {str(each.system): each.autopilot.facts for each in link.vehicles})
 
     def faults(self, texts: Sequence[str]) -> Faults:
         """The faults of these vehicles, with what is wrong from the start. Raises ValueError."""
@@ -83,10 +88,16 @@ class Setup:
 
 
 async def serve(
-    link: MavlinkLink, where: tuple[str, str, int], setup: Setup, faults: Faults, *, until_stdin_closes: bool
+    link: MavlinkLink,
+    where: tuple[str, str, int],
+    setup: Setup,
+    faults: Faults,
+    log: StateLog,
+    *,
+    until_stdin_closes: bool,
 ) -> None:
     """Open the door, say so, and serve until told to end. Raises AddressError."""
-    server = Server(link)
+    server = Server(link, log.look)
     door = await open_door(server, *where)
     ticking = asyncio.get_running_loop().create_task(server.tick())
     try:
@@ -97,3 +108,4 @@ async def serve(
     finally:
         ticking.cancel()
         door.close()
+        log.close()

@@ -26,10 +26,13 @@ Send = Callable[[bytes], None]
 
 
 class Server:
-    """The link and its peers, by whatever tells them apart; a peer is known by how it is sent to."""
+    """The link and its peers, by whatever tells them apart; a peer is known by how it is sent to.
 
-    def __init__(self, link: MavlinkLink) -> None:
-        self._link = link
+    `moved` is called whenever a vehicle may have changed.
+    """
+
+    def __init__(self, link: MavlinkLink, moved: Callable[[], None] = lambda: None) -> None:
+        self._link, self._moved = link, moved
         self._loop = asyncio.get_running_loop()
         self._last = self._loop.time()
         self.peers: dict[Hashable, Send] = {}
@@ -40,7 +43,9 @@ class Server:
         self.peers[peer] = send
         while len(self.peers) > MAX_PEERS:
             del self.peers[next(iter(self.peers))]
-        for packet in self._link.receive(peer, data, local=local):
+        packets = self._link.receive(peer, data, local=local)
+        self._moved()
+        for packet in packets:
             send(packet)
 
     async def tick(self) -> None:
@@ -50,6 +55,7 @@ class Server:
             now = self._loop.time()
             packets = self._link.advance(min(now - self._last, LONGEST_TICK))
             self._last = now
+            self._moved()
             for send in list(self.peers.values()):
                 for packet in packets:
                     send(packet)

@@ -50,9 +50,10 @@ class Checkout:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What its processes run in; nothing that they keep is left behind."""
+        """What its processes run in: nothing that they keep is left behind, and no operator finds them."""
         told = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-        return told | {"PYTHONPYCACHEPREFIX": _KEPT.name, "XDG_CACHE_HOME": _KEPT.name}
+        kept = ("PYTHONPYCACHEPREFIX", "XDG_CACHE_HOME", "XDG_RUNTIME_DIR")
+        return told | dict.fromkeys(kept, _KEPT.name)
 
     @property
     def commit(self) -> str:

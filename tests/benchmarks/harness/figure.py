@@ -13,6 +13,8 @@ from harness.words import SECONDS, TIMES
 
 #: Makes a contender of a checkout ready; what it starts ends with `Processes`.
 Opener = Callable[[Checkout, Processes], Contender]
+#: Measures a checkout in so many rounds.
+OwnRows = Callable[[Checkout, int, Tick], Iterator["Row"]]
 #: What a later version may cost against an earlier one.
 ALLOWED = "1.10x"
 
@@ -43,6 +45,7 @@ class Figure:
 
     `base` names the contenders whose fastest is ratio 1. `units` and `targets` are by case or by contender.
     `between` names the contenders by which two checkouts can be compared: those that use commands only.
+    `own_rows` makes the rows instead of contenders, where what fails is a part of the figure.
     """
 
     title: str
@@ -53,6 +56,7 @@ class Figure:
     targets: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
     between: Sequence[str] = ()
+    own_rows: OwnRows | None = None
 
     def unit(self, case: str, name: str) -> str:
         """Of the samples of a contender in a case."""
@@ -65,6 +69,9 @@ class Figure:
 
 def rows_of(figure: Figure, checkout: Checkout, tick: Tick) -> Iterator[Row]:
     """Measure all contenders."""
+    if figure.own_rows is not None:
+        yield from figure.own_rows(checkout, figure.rounds, tick)
+        return
     with Processes() as processes:
         openers = {name: partial(opener, checkout, processes) for name, opener in figure.contenders.items()}
         samples, errors = in_turns(openers, figure.rounds, tick)

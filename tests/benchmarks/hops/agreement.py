@@ -25,7 +25,7 @@ from harness.words import COUNT
 from lfield.clock import SystemClock
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
-from lfield.host.until_done import until_done
+from lfield.host.process.until_done import until_done
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 from lfield.simulate.network import MemoryNetwork

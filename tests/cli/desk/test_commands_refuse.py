@@ -232,7 +232,7 @@ def test_a_host_named_by_a_loopback_address_is_this_machine(lfield):
         GOOD, "//Bell:bell@127.0.0.1\n//Bell:other@192.0.2.7\n//Ringer:tom@127.0.0.1?bell\n"
     )
     maps = lfield.maps(["127.0.0.1"])
-    done = lfield("up", "--deploy", deployment, *maps, "--until-done")
+    done = lfield("up", "--deploy", deployment, *maps, "--until-done", "--first-start")
     assert (lfield.status(done), done.out) == (0, ["ring"]), done.said
 
 

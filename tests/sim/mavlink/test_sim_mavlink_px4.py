@@ -49,6 +49,12 @@ def offboard(c: Client, seconds=0.0, velocity=(2, 0, 0)) -> int | None:
     return result
 
 
+def test_it_holds_at_the_height_of_its_takeoff():
+    c = px4()
+    up(c, height=2.0)
+    assert c.autopilot.vehicle.place[2] == pytest.approx(-2.0, abs=0.02)
+
+
 def test_it_streams_at_once():
     heard = {m.get_type() for m in px4().wait(3.0)}
     assert {"ATTITUDE", "GLOBAL_POSITION_INT", "SYS_STATUS", "EXTENDED_SYS_STATE", "HOME_POSITION"} <= heard

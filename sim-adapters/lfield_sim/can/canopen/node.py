@@ -108,7 +108,8 @@ class CanopenNode:
         self._since_heartbeat = 0.0
         #: Seconds since the heartbeat that 0x1016 watches was heard; None until it was, and once it is lost.
         self._unheard: float | None = None
-        self._lost = False
+        #: Whether that heartbeat has stopped.
+        self.master_lost = False
 
     def _command(self, data: bytes) -> list[Frame]:
         if len(data) != 2 or data[1] not in (0, self.node):
@@ -152,8 +153,8 @@ class CanopenNode:
         watched = self.objects.get(0x1016, 1)
         if watched & 0xFFFF and watched >> 16 & 0x7F == node:
             self._unheard = 0.0
-            if self._lost:
-                self._lost = False
+            if self.master_lost:
+                self.master_lost = False
                 self.on_heartbeat_back()
 
     def _watch_heartbeat(self, dt: float) -> None:
@@ -161,5 +162,5 @@ class CanopenNode:
             return
         self._unheard += dt
         if self._unheard > (self.objects.get(0x1016, 1) & 0xFFFF) / 1000.0:
-            self._unheard, self._lost = None, True
+            self._unheard, self.master_lost = None, True
             self.on_heartbeat_lost()

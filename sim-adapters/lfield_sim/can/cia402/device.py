@@ -5,10 +5,11 @@ from __future__ import annotations
 from lfield_sim.can.bus import Flaw, Frame
 from lfield_sim.can.canopen.node import COMMUNICATION, HEARTBEAT_LOST, CanopenNode
 from lfield_sim.can.canopen.sdo import ObjectDictionary
-from lfield_sim.can.cia402.axis import OVERCURRENT, Axis
+from lfield_sim.can.cia402.axis import OVERCURRENT, STILL, Axis
 from lfield_sim.can.cia402.drive import FOLLOWING
 from lfield_sim.can.cia402.table import INCREMENTS, entries
 from lfield_sim.can.motor import Motor, MotorData
+from lfield_sim.state_log import Facts
 
 
 class Cia402Device:
@@ -58,3 +59,8 @@ class Cia402Device:
             self.axis.fail(FOLLOWING, lambda: bool(self._flaw("follow_error")))
         self.axis.step(dt)
         return self.node.step(dt)
+
+    def facts(self) -> Facts:
+        """Its state, and `master_lost`: whether the heartbeat that it watches (0x1016) is lost."""
+        moving = abs(self.motor.speed) > STILL
+        return {"state": self.axis.state.name, "moving": moving, "master_lost": self.node.master_lost}

@@ -16,10 +16,15 @@ MOST_WAITING = 64
 
 
 class Hub:
-    """The world on the loop's clock, for doors; wakes when the bus or a model has something to do."""
+    """The world on the loop's clock, for doors; wakes when the bus or a model has something to do.
 
-    def __init__(self, devices: Sequence[Device], faults: Faults, bitrate: int) -> None:
-        self._loop = asyncio.get_running_loop()
+    `moved` is called whenever a device may have changed.
+    """
+
+    def __init__(
+        self, devices: Sequence[Device], faults: Faults, bitrate: int, moved: Callable[[], None]
+    ) -> None:
+        self._loop, self._moved = asyncio.get_running_loop(), moved
         self._day = time.time() - self._loop.time()
         self._faults = faults
         self._world = World(devices, faults, bitrate=bitrate, start=self._loop.time())
@@ -57,6 +62,7 @@ class Hub:
 
     def _run(self) -> None:
         self._world.advance(self._loop.time())
+        self._moved()
         waiting, self._going_on = self._going_on, []
         for go_on in waiting:
             go_on()

@@ -10,11 +10,14 @@ import math
 
 from lfield_sim.can.motor import Motor, Trajectory
 from lfield_sim.can.odrive.table import Control, Error, Input, Result, State
+from lfield_sim.state_log import Facts
 
 #: Gain of the position loop in 1/s, speed of homing in turns/s, seconds of a calibration.
 GAIN, HOMING_SPEED, CALIBRATION = 20.0, 0.5, 1.0
 #: Faster than the limit by this factor is an error; hotter than this in degrees Celsius too.
 TOLERANCE, HOTTEST = 1.2, 100.0
+#: A motor slower than this stands, in rad/s.
+STILL = 0.05
 #: A motor that does not turn at its full torque has spun out after this long, in seconds.
 SPINOUT_AFTER = 0.5
 _CALIBRATIONS = frozenset(
@@ -63,6 +66,21 @@ class OdriveAxis:
     def heartbeat(self) -> tuple[int, int, int, int]:
         """Errors, state, result of the last procedure, whether the trajectory is done."""
         return self.active | self.reason, self.state, self.result, self._done
+
+    def facts(self) -> Facts:
+        """What it writes into its log; `goal` is its input in thousandths, `errors` why it was disarmed."""
+        inputs = {
+            Control.TORQUE: self._torque,
+            Control.VELOCITY: self._velocity,
+            Control.POSITION: self._position,
+        }
+        return {
+            "state": self.state.name,
+            "control": self._control.name,
+            "goal": round(1000.0 * inputs[self._control]),
+            "moving": abs(self._motor.speed) > STILL,
+            "errors": int(self.active | self.reason),
+        }
 
     def request(self, state: int) -> None:
         """Go to a state, if it is one and no error forbids it."""

@@ -12,6 +12,7 @@ from lfield_sim.can.bus import Flaw, Frame
 from lfield_sim.can.motor import Motor, MotorData
 from lfield_sim.can.odrive import table
 from lfield_sim.can.odrive.axis import OdriveAxis
+from lfield_sim.state_log import Facts
 
 VERSION = (2, 4, 4, 58, 0, 6, 9, 0)
 
@@ -66,6 +67,10 @@ class OdriveNode:
             self.axis.fail(table.Error.SPINOUT_DETECTED)
         self.axis.step(dt)
         return [self._message(command) for command in self._due(dt)]
+
+    def facts(self) -> Facts:
+        """Those of its axis."""
+        return self.axis.facts()
 
     def _begin(self) -> None:
         self.axis.reset()

@@ -1,16 +1,18 @@
-"""Waits until every coordinator of a deployment has ended anywhere, or is lost with a host that is gone.
+"""Waits until every coordinator of a deployment has ended anywhere, is lost for certain, or is not heard of.
 
-While nobody is missing, endings are told to every host. When a host has been away too long or was restarted,
-all that can be reached are asked what they know: a census.
+While nobody is missing, endings are told to every host. While a host has no link, was restarted or has ended,
+all that can be reached are asked what they know: a census. It goes on as long as somebody hears whoever is
+missing here.
 """
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 from lfield.host.host import Host
-from lfield.mobility.fates import Fate, fates
+from lfield.mobility.fates import Absent, Fate, Judge, fates
 from lfield.wire.messages import Known, StatusRequest
 
 #: How often the other hosts are asked while one is missing, how long they have to answer, and how long an
@@ -19,47 +21,49 @@ ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
 
 
 async def until_done(host: Host, lost_after: float) -> list[Fate]:
-    """The fates of all coordinators. A host that cannot be reached for `lost_after` seconds is given up.
+    """The fates of all coordinators. A host that nobody has heard for `lost_after` seconds is not waited for.
 
-    One that has not come up yet is not given up before portal calls to it are.
+    One that has not come up yet is waited for as long as portal calls to it are, if that is longer.
     """
     unmet = max(lost_after, host.options.unreachable_after)
     homes = {member.id: host.team.hosts[member.host] for member in host.team.coordinators}
-    wanted = homes.keys()
-    before: dict[str, Fate] = {}
+    judge = Judge(homes)
+    hearsay = host.core.hearsay
     while True:
         host.changed.clear()
-        found = fates(homes, {host.name: host.mobility.knowledge()}, ())
-        gone = host.peers.gone_for(lost_after, unmet)
-        if wanted - found.keys() and (gone or host.core.restarted):
-            now = fates(homes, await _census(host), gone)
-            found = {agent: fate for agent, fate in now.items() if fate.outcome != "lost" or agent in before}
-            before = now
-        if not wanted - found.keys():
+        found = fates(homes, {host.name: host.mobility.knowledge()}, Absent(elsewhere=homes.values()))
+        if homes.keys() - found.keys() and (hearsay.gone or not hearsay.whole):
+            records = await _census(host)
+            now = host.clock.monotonic()
+            found = judge.judge(records, hearsay.absent(records, now, lost_after, unmet))
+        if not homes.keys() - found.keys():
             await _pass_on(host)
-            return [found[agent] for agent in sorted(wanted)]
+            return [found[agent] for agent in sorted(homes)]
         await _news(host, ASK_EVERY)
 
 
 async def _pass_on(host: Host) -> None:
-    """Stay until every host that can be reached has confirmed the endings."""
+    """Tell of the endings, and stay until every host that can be reached has confirmed them."""
+    host.pass_on()
     end = host.clock.monotonic() + LINGER
     while host.mobility.unconfirmed(host.peers.incarnations) and host.clock.monotonic() < end:
         host.changed.clear()
         await _news(host, ASK_EVERY)
 
 
-async def _census(host: Host) -> dict[str, list[Known]]:
+async def _census(host: Host) -> Mapping[str, Sequence[Known]]:
     """The coordinators that this host and every host it can reach know of, by host, asked now."""
     host.statuses.clear()
     asked = set(host.peers.incarnations)
     for other in asked:
         host.peers.send(other, StatusRequest())
     end = host.clock.monotonic() + ANSWER_WITHIN
-    while asked - host.statuses.keys() and host.clock.monotonic() < end:
+    while asked & host.peers.incarnations.keys() - host.statuses.keys() and host.clock.monotonic() < end:
         host.changed.clear()
         await _news(host, ANSWER_WITHIN)
-    answers = {other: status.coordinators for other, status in host.statuses.items()}
+    # Their answers are no news to wait for: what changes from here on is.
+    host.changed.clear()
+    answers = {other: status.coordinators for other, status in host.statuses.items() if other}
     return answers | {host.name: host.mobility.knowledge()}
 
 

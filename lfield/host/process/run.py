@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import gc
 import signal
+import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
@@ -13,11 +15,14 @@ from lfield import exits
 from lfield.errors import UsageError
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
-from lfield.host.stop_words import StopWords, end_with_parent, hear_signals
-from lfield.host.until_done import until_done
+from lfield.host.process.leash import Leash
+from lfield.host.process.stop_words import StopWords, hear_signals
+from lfield.host.process.until_done import until_done
 from lfield.mission.mission import Mission
+from lfield.mobility.fates import Fate
 from lfield.net.local import is_loopback
 from lfield.net.tcp import TcpTransport
+from lfield.text.record import Record
 
 #: After so many seconds of a stop it is told what it waits for.
 PATIENCE = 1.0
@@ -37,9 +42,12 @@ async def run_host(
     lost_after: float | None = None,
     trust_network: bool = False,
     leash: bool = False,
+    record: Record | None = None,
+    first_start: bool = False,
 ) -> int:
     """Run a host; returns the exit status (exits.py). `lost_after` None runs until it is stopped.
 
+    `record` has its earlier starts; without one it starts its coordinators when it has heard all hosts.
     `door` is the address where commands of this computer find it.
 
     Raises AddressError and DevicesError when it cannot start.
@@ -48,14 +56,14 @@ async def run_host(
     if not (listen or trust_network):
         await stay_here(name, address)
     bound = unreachable_after or mission.bindings.unreachable_after
-    host_options = Options(address, dump, bound, door)
+    host_options = Options(address, dump, bound, door, record=record, first_start=first_start)
     logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
     host.on_failure = _end_by_force_after(mission)
     words = StopWords(host.clock)
     hear_signals(words)
     if leash:
-        end_with_parent(words)
+        Leash(sys.stdin.fileno(), host.reaped, partial(words.say, again=False))
     asyncio.get_running_loop().set_exception_handler(host.unhandled)
     life = asyncio.ensure_future(_live(host, lost_after))
     stopped = asyncio.ensure_future(words.first.wait())
@@ -122,11 +130,20 @@ async def _live(host: Host, lost_after: float | None) -> int:
     gc.freeze()
     if lost_after is None:
         await _for_ever()
-    fates = await until_done(host, lost_after)
-    for fate in fates:
-        if fate.outcome == "lost":
+    return exits.worst(_told(host, fate) for fate in await until_done(host, lost_after))
+
+
+def _told(host: Host, fate: Fate) -> int:
+    """The status that a fate ends this host with; what others could not say, its log does."""
+    match fate.outcome:
+        case "done":
+            return exits.DONE
+        case "unheard":
+            host.note(f"{fate.agent} is not heard of: {fate.detail}")
+            return exits.UNHEARD
+        case "lost":
             host.note(f"{fate.agent} is lost: {fate.detail}")
-    return exits.DONE if all(fate.outcome == "done" for fate in fates) else exits.FAILED
+    return exits.FAILED
 
 
 async def _for_ever() -> NoReturn:

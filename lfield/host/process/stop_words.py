@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import signal
-import sys
 from collections.abc import Callable
 
 from lfield.clock import Clock
@@ -43,15 +42,3 @@ def hear_signals(words: StopWords) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, words.say)
     loop.add_signal_handler(signal.SIGHUP, lambda: words.say(again=False))
-
-
-def end_with_parent(words: StopWords) -> None:
-    """Stop in order when stdin closes: whoever holds its other end has gone."""
-    loop = asyncio.get_running_loop()
-    descriptor = sys.stdin.fileno()
-
-    def gone() -> None:
-        loop.remove_reader(descriptor)
-        words.say(again=False)
-
-    loop.add_reader(descriptor, gone)

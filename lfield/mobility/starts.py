@@ -1,0 +1,90 @@
+"""When a host may start its coordinators, and as which generation. Pure.
+
+A generation tells a later start of a coordinator from an earlier one, so it must grow, whatever becomes of
+clocks and disks. It is a counter: one more than this host has on record and than any other host knows. One
+counter serves all coordinators of a host, since they are started together.
+
+A host that has no record may have started them before all the same, with another disk. So it waits until it
+has heard every other host, or is told that there was no earlier start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+from lfield.mobility.copies import LIVE
+from lfield.wire.messages import Known
+
+
+class Starts:
+    """The starts of one host's coordinators; `agents` are those, `others` the other hosts of the team."""
+
+    def __init__(self, agents: Collection[str], others: Collection[str]) -> None:
+        self.agents = agents
+        self._unheard = set(others)
+        #: What the hosts that are linked said when they greeted.
+        self._said: dict[str, list[Known]] = {}
+        self._record: int | None = None
+        self._newest = 0
+        self._waiting = False
+        self._told = ""
+
+    def heard(self, host: str, known: Iterable[Known] = ()) -> None:
+        """A host has greeted; or it has ended for good, and knows nothing any more."""
+        self._said[host] = list(known)
+        self._unheard.discard(host)
+        self.learn(self._said[host])
+
+    def unlinked(self, host: str) -> None:
+        """What a host said may have changed since."""
+        self._said.pop(host, None)
+
+    def learn(self, known: Iterable[Known]) -> None:
+        """Starts that anybody knows of."""
+        self._newest = max(self._newest, *(k.generation for k in known if k.agent in self.agents), 0)
+
+    def begin(self, record: int | None, *, first: bool) -> None:
+        """The others had time to answer. `record` is the last start on record here, None without one.
+
+        `first`: somebody says that there was none.
+        """
+        self._record = 0 if record is None and first else record
+        self._waiting = bool(self.agents)
+
+    @property
+    def due(self) -> bool:
+        """Whether the coordinators are to be started now; once."""
+        now = self._waiting and not self.missing
+        self._waiting = self._waiting and not now
+        return now
+
+    @property
+    def missing(self) -> list[str]:
+        """The hosts that must be heard first."""
+        return sorted(self._unheard) if self._record is None else []
+
+    @property
+    def next(self) -> int:
+        """The generation of a start that is made now; no other host knows one as high."""
+        return max(self._record or 0, self._newest) + 1
+
+    def why(self) -> str:
+        """Why nothing is started yet, for the log: '' when there is nothing new to say."""
+        if not (self._waiting and self.missing):
+            return ""
+        names, verb = " and ".join(sorted(self.agents)), "is" if len(self.agents) == 1 else "are"
+        hosts, was = " and ".join(self.missing), "was" if len(self.missing) == 1 else "were"
+        told, self._told = self._told, (
+            f"{names} {verb} not started before {hosts} {was} heard: this host has no record of earlier "
+            "starts; `--first-start` says that there was none"
+        )  # fmt: skip
+        return "" if told == self._told else self._told
+
+    def alive(self, agent: str, known: Iterable[Known]) -> bool:
+        """Whether a coordinator is alive somewhere, by what is `known` here and what linked hosts said."""
+        here = [record for record in known if record.agent == agent]
+        ended = {record.generation for record in here if record.state == "EXITED"}
+        said = (record for records in self._said.values() for record in records if record.agent == agent)
+        return any(record.state in (*LIVE, "IN DOUBT") for record in here) or any(
+            record.state in LIVE and record.generation not in ended for record in said
+        )

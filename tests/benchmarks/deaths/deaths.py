@@ -1,0 +1,179 @@
+"""Deaths: how soon a device is safe, and at rest, when its host dies, its guard, or both; killed or stopped.
+
+Devices are fakes that go on whatever happens above them, and each time is the device's own: from the
+signal to the line of its log that says so (`lfield sim ... --log`). `own` counts the trials in which the
+device's own watchdog came first: an autopilot's failsafe, a drive's consumer heartbeat, a servo's bus
+watchdog. It is all that is left when both are gone. A device that is not safe, or does not stand, in its
+time is a failure of its case, which is told and makes the run end with a status above 0.
+
+    TRIALS=3          so many of each, quiet and busy (30)
+    KEEP=deaths.jsonl also write a line for each trial: all that its device's log said
+    SIDE=1            so many fakes of each device, side by side: 1, 2, 3 or 6 (2)
+    LOADS=quiet       one load only
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+
+from deaths.devices import DEVICES, Device
+from deaths.trial import DEATHS, Outcome, Subject, Trial, Wave, together
+from harness.checkout import Checkout
+from harness.figure import Figure, Row
+from harness.processes import Processes
+from harness.samples import Tick
+from harness.words import COUNT
+
+TRIALS = int(os.environ.get("TRIALS", "30"))
+SIDE = int(os.environ.get("SIDE", "2"))
+QUIET, BUSY = "quiet", "busy"
+#: Seconds that a host may be silent: what a binding has by default, and what a busy computer can keep.
+SILENCE = {QUIET: 0.2, BUSY: 0.5}
+LOADS = os.environ.get("LOADS", f"{QUIET} {BUSY}").split()
+#: Every so many trials are of the device's second way to move.
+SECOND_WAY = 3
+
+
+class Fleet:
+    """The fakes, `side` of each device, and what became of them."""
+
+    def __init__(
+        self,
+        checkout: Checkout,
+        processes: Processes,
+        devices: Sequence[Device],
+        side: int,
+        silences: Iterable[float],
+    ) -> None:
+        self._subjects = {
+            d.name: [Subject(checkout, processes, d, silences) for _ in range(side)] for d in devices
+        }
+        self._side, self._dice = side, random.Random(1)
+
+    def round(self, number: int, silence: float) -> Iterator[list[Outcome]]:
+        """Every death of every device once; yields what becomes of those that die side by side."""
+        for first in range(0, len(DEATHS), self._side):
+            with Processes() as processes:
+                yield self._try(number, first, Wave(processes, silence, self._dice))
+
+    def _try(self, number: int, first: int, wave: Wave) -> list[Outcome]:
+        """Some deaths of every device. All begin before the first dies: starts shall not disturb."""
+        trials = []
+        for place, subjects in enumerate(self._subjects.values()):
+            # Each device dies another death: guards that come back shall not wait for one another.
+            deaths = [DEATHS[(number + first + place + n) % len(DEATHS)] for n in range(self._side)]
+            ways = subjects[0].device.ways
+            way = ways[-1] if number % SECOND_WAY == SECOND_WAY - 1 else ways[0]
+            trials += [Trial(*pair, way, wave) for pair in zip(subjects, deaths, strict=True)]
+        try:
+            for phase in (Trial.begin, Trial.die, Trial.end):
+                together(phase(trial) for trial in trials)
+        finally:
+            for trial in trials:
+                trial.end_host()
+                trial.kill_guards()
+        return [trial.outcome for trial in trials]
+
+
+@contextmanager
+def _load(checkout: Checkout, name: str) -> Iterator[None]:
+    """A busy machine: a spinning process for each processor."""
+    with Processes() as processes:
+        for _ in range((os.cpu_count() or 1) if name == BUSY else 0):
+            checkout.run(processes, "-c", "while True: pass")
+        yield
+
+
+def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
+    """All trials, quiet and busy in turns; the rows of what there is also when it is interrupted."""
+    outcomes: dict[str, list[Outcome]] = {load: [] for load in LOADS}
+    wrong: BaseException | None = None
+    # Told to end, as interrupted: nobody whom a trial has stopped is left behind.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        _measure(checkout, rounds, tick, outcomes)
+    except BaseException as error:
+        wrong = error
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    yield from rows(outcomes)
+    if wrong is not None:
+        raise wrong
+
+
+def _measure(checkout: Checkout, rounds: int, tick: Tick, outcomes: dict[str, list[Outcome]]) -> None:
+    keep, every = os.environ.get("KEEP"), len(LOADS) * rounds * len(DEVICES) * len(DEATHS)
+    with Processes() as processes:
+        fleet = Fleet(checkout, processes, DEVICES, SIDE, SILENCE.values())
+        loads, done, failed = list(outcomes), 0, 0
+        for number in range(rounds):
+            for load in loads:
+                with _load(checkout, load):
+                    for found in fleet.round(number, SILENCE[load]):
+                        outcomes[load] += found
+                        done += len(found)
+                        failed += sum(bool(outcome.why) for outcome in found)
+                        tick(f"{load}, {done} of {every} trials, {failed} failed")
+                        if keep:
+                            _keep(Path(keep), load, found)
+            loads.reverse()
+
+
+def _keep(path: Path, load: str, outcomes: Sequence[Outcome]) -> None:
+    with path.open("a", encoding="utf-8") as file:
+        for outcome in outcomes:
+            file.write(json.dumps({"load": load, **asdict(outcome)}) + "\n")
+
+
+def rows(outcomes: dict[str, list[Outcome]]) -> Iterator[Row]:
+    """For each device and death, quiet and busy: seconds to the safe state and to rest; and what failed."""
+    for device in DEVICES:
+        for death in map(str, DEATHS):
+            case = f"{device.name}, {death}"
+            of_case = {
+                load: [o for o in found if (o.device, o.death) == (device.name, death)]
+                for load, found in outcomes.items()
+            }
+            yield from _rows_of(case, of_case)
+    for load, of_load in outcomes.items():
+        again = sum(outcome.starts > 1 for outcome in of_load)
+        if again:
+            yield Row("trials whose device had stopped before", load, COUNT, [again])
+
+
+def _rows_of(case: str, outcomes: dict[str, list[Outcome]]) -> Iterator[Row]:
+    shown = case
+    for what in ("safe", "at rest"):
+        for load, found in outcomes.items():
+            samples = [seconds for o in found if (seconds := o.verdict.seconds(what)) is not None]
+            own = f", own {sum(o.verdict.own for o in found)}" if what == "safe" else ""
+            if samples:
+                yield Row(shown, f"{load}: {what} {len(samples)}/{len(found)}{own}", samples=samples)
+                shown = ""
+    for load, found in outcomes.items():
+        why = [f"{o.way}: {o.why}" for o in found if o.why]
+        if why:
+            told = "; ".join(dict.fromkeys(why))
+            yield Row(case, load, error=f"{len(why)} of {len(found)} trials failed: {told}")
+
+
+FIGURE = Figure(
+    "Deaths: seconds from the signal to the safe state and to rest, by the device's own log",
+    {},
+    rounds=TRIALS,
+    own_rows=measured,
+    notes=(
+        f"{SIDE} fakes of each device side by side; own: the device's own watchdog came first; silence: "
+        + ", ".join(f"{load} {seconds:g} s" for load, seconds in SILENCE.items()),
+        "every third trial is a long move, others are setpoints (ODrive: all, Dynamixel: none); height 1 m",
+        "guards and fakes run with real-time priority where the system allows it, hosts never",
+        "make bench ONLY=deaths TRIALS=3 LOADS=quiet makes fewer, KEEP=FILE writes down every trial",
+    ),
+)

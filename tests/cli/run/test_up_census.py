@@ -1,0 +1,195 @@
+"""Real processes whose links are cut, who are killed, or have no record: what they say and end with."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Post {
+    string id;
+    init(string[] arg) { id = arg[0]; }
+    portal stay(real seconds) { write(id + " receives\\n"); sleep(seconds); write(id + " lets go\\n"); }
+}
+coordinator Walker {
+    init(string[] arg) { findPost(arg[1]).stay(s2f(arg[2])); }
+}
+"""
+HOSTS = ["alpha", "bravo", "carol"]
+POSTS = "//Post:a@alpha\n//Post:b@bravo\n//Post:c@carol\n"
+
+
+class Proxy:
+    """Forwards TCP to a port until it is cut: then what is open breaks, and nothing new gets through."""
+
+    def __init__(self, port: int) -> None:
+        self._target = port
+        self._door = socket.create_server(("127.0.0.1", 0))
+        self._open: list[socket.socket] = []
+        self._cut = False
+        self._threads: list[threading.Thread] = []
+        self._go_on(self._serve)
+
+    @property
+    def address(self) -> str:
+        return f"127.0.0.1:{self._door.getsockname()[1]}"
+
+    def cut(self) -> None:
+        self._cut = True
+        for end in self._open:
+            self._break(end)
+
+    def close(self) -> None:
+        self.cut()
+        self._break(self._door)
+        for thread in self._threads:
+            thread.join()
+        for end in (self._door, *self._open):
+            end.close()
+
+    def _go_on(self, work: Callable[..., None], *args: socket.socket) -> None:
+        thread = threading.Thread(target=work, args=args, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                near, _ = self._door.accept()
+            except OSError:
+                return
+            try:
+                far = None if self._cut else socket.create_connection(("127.0.0.1", self._target))
+            except OSError:
+                far = None
+            if far is None:
+                near.close()
+                continue
+            self._open += [near, far]
+            for source, target in ((near, far), (far, near)):
+                self._go_on(self._forward, source, target)
+
+    def _forward(self, source: socket.socket, target: socket.socket) -> None:
+        try:
+            while data := source.recv(65536):
+                if self._cut:
+                    break
+                target.sendall(data)
+        except OSError:
+            pass
+        for end in (source, target):
+            self._break(end)
+
+    def _break(self, end: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            end.shutdown(socket.SHUT_RDWR)
+
+
+@pytest.fixture
+def proxies() -> Iterator[list[Proxy]]:
+    made: list[Proxy] = []
+    yield made
+    for proxy in made:
+        proxy.close()
+
+
+def test_a_cut_link_with_the_coordinator_alive_behind_it_is_no_loss(lfield, proxies):
+    """Of a triangle: alpha calls carol through a proxy, and the walker is on carol, the far side."""
+    deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&12\n")
+    ports = dict(zip(HOSTS, lfield.ports.take(3), strict=True))
+    proxies.append(proxy := Proxy(ports["carol"]))
+    hosts = {}
+    for host in HOSTS:
+        at = {name: f"127.0.0.1:{port}" for name, port in ports.items()}
+        if host == "alpha":
+            at["carol"] = proxy.address
+        maps = [word for name, address in at.items() for word in ("--map", f"{name}={address}")]
+        words = ("up", "--deploy", deployment, "--host", host, *maps, "--until-done", "--lost-after", "4")
+        hosts[host] = lfield.start(*words)
+    hosts["carol"].wait_for("c receives")
+    proxy.cut()
+    hosts["alpha"].wait_for("lost the link with carol")
+    assert [hosts[host].wait() for host in HOSTS] == [0, 0, 0], "\n".join(p.said for p in hosts.values())
+    assert hosts["carol"].out == ["c receives", "c lets go"]
+    for host in HOSTS:
+        assert "is lost" not in hosts[host].said
+
+
+def test_a_child_of_all_that_was_reaped_is_proof(lfield):
+    deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&1000\n")
+    team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
+    team.wait_for(r"carol \| c receives")
+    os.kill(_child(lfield, "carol"), signal.SIGKILL)
+    assert team.wait() == 1
+    for host in ("alpha", "bravo"):
+        assert f"{host} | walker is lost: it went to carol (transfer 1), which is gone" in team.err
+
+
+def test_a_child_of_all_that_hangs_is_not_heard_of(lfield):
+    deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&15\n")
+    team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
+    team.wait_for(r"carol \| c receives")
+    hung = _child(lfield, "carol")
+    os.kill(hung, signal.SIGSTOP)
+    for host in ("alpha", "bravo"):
+        team.wait_for(
+            rf"{host} \| walker is not heard of: it went to carol \(transfer 1\), and carol has not "
+        )
+    os.kill(hung, signal.SIGCONT)
+    assert team.wait() == 4
+    assert "is lost" not in team.said
+
+
+def _child(lfield, host: str) -> int:
+    """The process of a host that `--all` has started."""
+    for pid in lfield.left():
+        with open(f"/proc/{pid}/cmdline", "rb") as stream:
+            words = stream.read().split(b"\0")
+        if b"--host" in words and words[words.index(b"--host") + 1] == host.encode():
+            return pid
+    raise AssertionError(f"no process of {host}")
+
+
+ONE_AWAY = "//Post:a@alpha\n//Post:b@bravo\n//Walker:walker@alpha?a&0.01\n"
+
+
+def test_a_first_start_waits_for_all_and_the_next_one_does_not(lfield):
+    deployment = lfield.mission(PROGRAM, ONE_AWAY)
+    maps = lfield.maps(["alpha", "bravo"])
+    words = ("up", "--deploy", deployment, *maps, "--state", lfield.folder / "disk", "--until-done")
+    alpha = lfield.start(*words, "--host", "alpha")
+    alpha.wait_for("walker is not started before bravo was heard: this host has no record of earlier starts")
+    assert alpha.out == []
+    bravo = lfield.start(*words, "--host", "bravo")
+    assert (alpha.wait(), bravo.wait()) == (0, 0)
+    record = lfield.folder / "disk" / "mission@alpha" / "starts.json"
+    assert b'"starts":1,' in record.read_bytes()
+    again = lfield(*words, "--host", "alpha")
+    assert again.out == ["a receives", "a lets go"]
+    assert b'"starts":2,' in record.read_bytes()
+
+
+def test_somebody_may_say_that_it_is_the_first_start(lfield):
+    deployment = lfield.mission(PROGRAM, ONE_AWAY)
+    maps = lfield.maps(["alpha", "bravo"])
+    first = lfield("up", "--deploy", deployment, *maps, "--host", "alpha", "--until-done", "--first-start")
+    assert lfield.status(first) == 0
+    assert first.out == ["a receives", "a lets go"]
+
+
+@pytest.mark.parametrize("words", [("--state", "here"), ("--first-start",)])
+def test_all_keeps_no_record_and_says_so(lfield, words):
+    deployment = lfield.mission(PROGRAM, ONE_AWAY)
+    refused = lfield("up", "--deploy", deployment, "--all", *words)
+    assert lfield.status(refused) == 64
+    assert f"{words[0]} is for a host on its own: with --all every start is the first one" in refused.err[-1]
+    assert lfield.status(lfield("up", "--deploy", deployment, "--all", "--until-done")) == 0
+    assert not list(lfield.folder.rglob("starts.json"))

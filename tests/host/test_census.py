@@ -1,0 +1,144 @@
+"""Hosts that lose one link, several, or one another: whoever can know how it ends says so, nobody guesses."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+from itertools import combinations
+
+import pytest
+
+from lfield.host.process import leash
+from lfield.host.process.leash import Leash
+from lfield.host.process.until_done import until_done
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal stay(real seconds) { write("arrived\\n"); sleep(seconds); }
+}
+coordinator Guest {
+    init(string[] arg) { for (int i = 1; i < arg.length(); i = i + 1) findPost(arg[i]).stay(10.0); }
+}
+"""
+HOSTS = ("alpha", "bravo", "carol")
+DEPLOYMENT = "//Post:a@alpha\n//Post:b@bravo\n//Post:c@carol\n//Guest:guest@bravo?{way}\n"
+
+
+async def fates_of(running, lost_after: float):
+    """The fates that each host tells; as in a process, it stops then."""
+    (fate,) = await until_done(running.host, lost_after)
+    await running.host.stop()
+    return fate
+
+
+async def all_fates(hosts, lost_after: float = 5.0):
+    async with asyncio.timeout(200.0):
+        return await asyncio.gather(*(fates_of(running, lost_after) for running in hosts))
+
+
+@pytest.mark.parametrize("way", ["c", "a&c", "c&a", "b", "a&c&b"])
+@pytest.mark.parametrize("edge", list(combinations(HOSTS, 2)), ids="-".join)
+def test_one_edge_cut_with_the_coordinator_alive_is_no_loss(fleet, edge, way):
+    async def story(team):
+        hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way=way)), unreachable_after=60.0)
+        await team.until(lambda: any(running.output for running in hosts))
+        team.network.partition(*edge)
+        if "&" in way:
+            # Nobody can be called over the edge that is cut: the link comes back in time.
+            asyncio.get_running_loop().call_later(15.0, team.network.heal, *edge)
+        fates = await all_fates(hosts)
+        assert [fate.outcome for fate in fates] == ["done"] * 3, [running.log for running in hosts]
+
+    fleet(story)
+
+
+@pytest.mark.parametrize("way", ["c", "b"], ids=["on the far side", "on the neighbour"])
+def test_a_host_that_nobody_hears_any_more_is_named_with_the_seconds(fleet, way):
+    async def story(team):
+        hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way=way)))
+        await team.until(lambda: any(running.output for running in hosts))
+        for other in ("bravo", "carol"):
+            team.network.partition("alpha", other)
+        alpha, *others = await all_fates(hosts)
+        assert alpha.outcome == "unheard"
+        assert re.search("bravo has not been heard for [56] s$", alpha.detail)
+        assert [fate.outcome for fate in others] == ["done", "done"]
+
+    fleet(story)
+
+
+def test_a_host_that_was_reaped_is_proof_at_once(fleet):
+    async def story(team):
+        alpha, bravo, carol = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way="c")))
+        await team.until(lambda: carol.output)
+        await carol.host.stop()
+        began = asyncio.get_running_loop().time()
+        for running in (alpha, bravo):
+            running.host.reaped("carol")
+        fates = await all_fates([alpha, bravo], lost_after=1000.0)
+        assert {(fate.outcome, fate.detail) for fate in fates} == {
+            ("lost", "it went to carol (transfer 1), which is gone")
+        }
+        assert asyncio.get_running_loop().time() - began < 5.0
+
+    fleet(story)
+
+
+def test_a_host_that_is_silent_for_a_moment_is_waited_for(fleet):
+    async def story(team):
+        hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way="c")))
+        await team.until(lambda: hosts[2].output)
+        for other in ("alpha", "bravo"):
+            team.network.partition(other, "carol")
+        asyncio.get_running_loop().call_later(4.0, team.network.heal, "bravo", "carol")
+        assert [fate.outcome for fate in await all_fates(hosts, lost_after=10.0)] == ["done"] * 3
+
+    fleet(story)
+
+
+# The leash
+
+
+class Heard:
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.let_go = asyncio.Event()
+
+
+def on_leash(story) -> Heard:
+    async def main() -> Heard:
+        heard = Heard()
+        near, far = os.pipe()
+        try:
+            Leash(near, heard.lines.append, heard.let_go.set)
+            await story(far)
+            async with asyncio.timeout(30.0):
+                await heard.let_go.wait()
+        finally:
+            os.close(near)
+        return heard
+
+    return asyncio.run(main())
+
+
+def test_lines_are_news_and_the_end_means_stop():
+    async def story(far: int) -> None:
+        data = leash.news("bravo") + b"something else\n" + leash.news("cärol")
+        for at in range(len(data)):
+            os.write(far, data[at : at + 1])
+            await asyncio.sleep(0)
+        os.close(far)
+
+    assert on_leash(story).lines == ["bravo", "cärol"]
+
+
+def test_garbage_on_the_leash_is_no_news():
+    async def story(far: int) -> None:
+        for data in (b"\xff\x00" * 1000 + b"\n", b"reaped " + b"x" * 20000, b"\nreaped bravo"):
+            os.write(far, data)
+            await asyncio.sleep(0.01)
+        os.close(far)
+
+    assert len(on_leash(story).lines) <= 1

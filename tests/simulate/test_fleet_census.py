@@ -1,0 +1,259 @@
+"""Triangles with an edge cut, hosts that die, disks that are lost: nobody says lost while a copy lives."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.mobility.fates import Absent
+from lfield.mobility.hearsay import Hearsay
+from lfield.simulate import fleet as simulated
+from lfield.simulate.census import UntilDone, Verdict
+from lfield.simulate.fleet import Watch, Weather
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal stay(real seconds) { sleep(seconds); }
+}
+coordinator Walker {
+    init(string[] arg) {
+        for (int i = 1; i < arg.length(); i = i + 1) {
+            try { findPost(arg[i]).stay(4.0); } catch (UnreachableResourceException gone) { }
+        }
+    }
+}
+"""
+HOSTS = ("alpha", "bravo", "carol")
+EDGES = list(combinations(HOSTS, 2))
+#: A start that is younger than a census is not in it.
+YOUNG = 3.0
+
+
+class Fleet(simulated.Fleet):
+    """A fleet whose hosts say what became of the walker, if there is a `lost_after`."""
+
+    def __init__(
+        self,
+        mission: Mission,
+        seed: int,
+        watch: Watch = lambda fleet: None,
+        unreachable_after: float = 10.0,
+        *,
+        lost_after: float = 0.0,
+        leave: bool = False,
+    ) -> None:
+        super().__init__(mission, seed, watch, unreachable_after)
+        self.verdicts: list[Verdict] = []
+        if lost_after:
+            self.verdicts = UntilDone(self, lost_after, leave=leave).verdicts
+
+
+def mission(folder: Path, way: str, home: str = "alpha", program: str = PROGRAM) -> Mission:
+    lines = [f"//Post:{host[0]}@{host}" for host in HOSTS]
+    (folder / "mission.L").write_text(program)
+    (folder / "mission.dL").write_text("\n".join([*lines, f"//Walker:walker@{home}?{way}", ""]))
+    return load_mission(folder / "mission.dL")
+
+
+class Honest:
+    """Never two copies of one start, and never a loss told while a copy can go on."""
+
+    def __init__(self) -> None:
+        self.told = 0
+        self.since: dict[tuple[str, int], float] = {}
+
+    def __call__(self, fleet: Fleet) -> None:
+        alive = {
+            (known.agent, known.generation)
+            for life in fleet.lives.values()
+            for known in life.core.mobility.knowledge()
+            if known.state in ("RUN", "FROZEN", "PREPARED")
+        }
+        for start in alive:
+            self.since.setdefault(start, fleet.clock.now)
+        for verdict in fleet.verdicts[self.told :]:
+            if verdict.fate.outcome == "lost":
+                old = {s for s in alive if s[0] == verdict.fate.agent and verdict.at - self.since[s] > YOUNG}
+                assert not old, f"{verdict} while {old} live"
+        self.told = len(fleet.verdicts)
+
+
+def outcomes(fleet: Fleet) -> dict[str, str]:
+    return {verdict.host: verdict.fate.outcome for verdict in fleet.verdicts}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("edge", EDGES, ids="-".join)
+@pytest.mark.parametrize("way", ["a&b&c", "c&b&a", "b&b&b"])
+def test_one_edge_of_a_triangle_cut_changes_no_ending(tmp_path, edge, way, seed):
+    fleet = Fleet(mission(tmp_path, way), seed, Honest(), lost_after=5.0, leave=True, unreachable_after=8.0)
+    fleet.run(3.0)
+    fleet.cut(*edge)
+    fleet.run(80.0)
+    assert outcomes(fleet) == dict.fromkeys(HOSTS, "done")
+
+
+@pytest.mark.parametrize("edge", EDGES, ids="-".join)
+def test_an_edge_that_heals_changes_nothing_either(tmp_path, edge):
+    fleet = Fleet(mission(tmp_path, "c&b&a&c"), 1, Honest(), lost_after=3.0, leave=True)
+    for _ in range(6):
+        fleet.run(2.5)
+        fleet.cut(*edge)
+        fleet.run(2.5)
+        fleet.heal(*edge)
+    fleet.run(40.0)
+    assert outcomes(fleet) == dict.fromkeys(HOSTS, "done")
+
+
+@pytest.mark.parametrize(
+    "way", ["c&c&c&c&c&c", "b&b&b&b&b&b", "c&b&c&b&c&b"], ids=["cut off", "near", "both"]
+)
+def test_a_host_that_nobody_hears_is_not_heard_of_wherever_the_walker_was(tmp_path, way):
+    """The same word for all who cannot know; those who have it go on."""
+    fleet = Fleet(mission(tmp_path, way), 2, Honest(), lost_after=4.0, leave=True, unreachable_after=3.0)
+    fleet.run(10.0)
+    for other in ("bravo", "carol"):
+        fleet.cut("alpha", other)
+    fleet.run(80.0)
+    assert outcomes(fleet) == {"alpha": "unheard", "bravo": "done", "carol": "done"}
+    (verdict,) = [verdict for verdict in fleet.verdicts if verdict.host == "alpha"]
+    assert "has not been heard for" in verdict.fate.detail
+
+
+def test_a_chain_of_hosts_tells_of_its_far_end(tmp_path):
+    """Alpha is linked with bravo only, bravo with carol only, carol with dana."""
+    (tmp_path / "mission.L").write_text(PROGRAM)
+    hosts = ["alpha", "bravo", "carol", "dana"]
+    lines = [f"//Post:{host[0]}@{host}" for host in hosts]
+    lines.append("//Walker:walker@alpha?b&c&d&d&d&d&d")
+    (tmp_path / "mission.dL").write_text("\n".join(lines) + "\n")
+    fleet = Fleet(load_mission(tmp_path / "mission.dL"), 3, Honest(), lost_after=4.0, leave=True)
+    for one, other in (("alpha", "carol"), ("alpha", "dana"), ("bravo", "dana")):
+        fleet.later(12.0, lambda one=one, other=other: fleet.cut(one, other))
+    fleet.run(80.0)
+    assert outcomes(fleet) == dict.fromkeys(hosts, "done")
+
+
+def test_a_host_that_came_back_without_the_walker_proves_the_loss(tmp_path):
+    fleet = Fleet(mission(tmp_path, "c&c&c&c&c"), 4, Honest(), lost_after=60.0)
+    fleet.run(8.0)
+    fleet.crash("carol")
+    fleet.boot("carol")
+    fleet.run(5.0)
+    assert outcomes(fleet)["alpha"] == "lost"
+
+
+def test_a_host_that_dies_and_stays_away_proves_nothing(tmp_path):
+    fleet = Fleet(mission(tmp_path, "c&c&c&c&c"), 5, Honest(), lost_after=5.0, leave=True)
+    fleet.run(8.0)
+    fleet.crash("carol")
+    fleet.run(30.0)
+    assert outcomes(fleet) == {"alpha": "unheard", "bravo": "unheard"}
+
+
+ROUND = PROGRAM.replace("int i = 1; i < arg.length(); i = i + 1", "int i = 1; true; i = i % 3 + 1")
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_in_any_weather_nobody_says_lost_while_a_copy_lives(tmp_path, seed):
+    fleet = Fleet(
+        mission(tmp_path, "a&b&c", program=ROUND.replace("4.0", "0.5")), seed, Honest(),
+        unreachable_after=2.0, lost_after=4.0,
+    )  # fmt: skip
+    Weather(cut_every=2.0, crash_every=15.0, lasts=10.0).over(fleet)
+    fleet.run(300.0)
+    assert fleet.transfers > 10
+
+
+def test_losses_are_told_in_bad_weather_at_all(tmp_path):
+    """The judge above has something to judge."""
+    told = set()
+    for seed in range(12):
+        way = mission(tmp_path, "a&b&c", program=ROUND.replace("4.0", "0.5"))
+        fleet = Fleet(way, seed, unreachable_after=2.0, lost_after=4.0)
+        Weather(cut_every=2.0, crash_every=15.0, lasts=10.0).over(fleet)
+        fleet.run(100.0)
+        told |= {verdict.fate.outcome for verdict in fleet.verdicts}
+    assert {"lost", "unheard"} <= told
+
+
+def test_a_judge_that_takes_silence_for_a_loss_is_found(tmp_path, monkeypatch):
+    """The invariant can fail: what hosts did before, planted again."""
+
+    def absent(self, answered, now, lost_after, unmet):
+        return Absent(gone=[host for host in HOSTS if host not in answered])
+
+    monkeypatch.setattr(Hearsay, "absent", absent)
+    way = mission(tmp_path, "c&c&c&c&c")
+    fleet = Fleet(way, 0, Honest(), lost_after=4.0)
+    fleet.run(8.0)
+    fleet.cut("alpha", "carol")
+    with pytest.raises(AssertionError, match="lost"):
+        fleet.run(10.0)
+
+
+# Generations
+
+
+def generations(fleet: Fleet) -> set[int]:
+    return {
+        known.generation
+        for life in fleet.lives.values()
+        for known in life.core.mobility.knowledge()
+        if known.agent == "walker"
+    }
+
+
+def test_a_start_after_a_crash_counts_on_from_the_disk(tmp_path):
+    fleet = Fleet(mission(tmp_path, "a&a&a&a&a&a&a&a"), 6)
+    fleet.run(5.0)
+    assert generations(fleet) == {1}
+    for number in (2, 3):
+        fleet.crash("alpha")
+        fleet.boot("alpha")
+        fleet.run(5.0)
+        assert generations(fleet) == {number}
+
+
+def test_without_its_disk_a_host_waits_for_all_and_counts_on_from_what_they_know(tmp_path):
+    fleet = Fleet(mission(tmp_path, "b&c&a&a&a&a&a&a&a"), 7)
+    fleet.run(5.0)
+    fleet.crash("alpha")
+    fleet.boot("alpha")
+    fleet.crash("bravo")
+    fleet.run(20.0)
+    fleet.crash("alpha")
+    fleet.lose_disk("alpha")
+    fleet.boot("alpha")
+    fleet.run(30.0)
+    assert "walker" not in fleet.lives["alpha"].core.machine.agents
+    why = "walker is not started before bravo was heard: this host has no record of earlier starts"
+    assert [host for _, host, text in fleet.log if text.startswith(why)] == ["alpha"]
+    fleet.boot("bravo")
+    fleet.run(3.0)
+    assert max(generations(fleet)) >= 2
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_generations_only_grow_in_any_weather(tmp_path, seed):
+    highest: dict[str, int] = {}
+    began: list[int] = []
+
+    def watch(fleet: Fleet) -> None:
+        now = fleet.disks.get("alpha", 0)
+        if now > highest.get("alpha", 0):
+            assert now not in generations(fleet) - {now}
+            began.append(now)
+        highest["alpha"] = max(now, highest.get("alpha", 0))
+        assert now == highest["alpha"], "the record went back"
+
+    fleet = Fleet(mission(tmp_path, "a&b&c", program=ROUND), seed, watch)
+    Weather(cut_every=4.0, crash_every=8.0).over(fleet)
+    fleet.run(200.0)
+    assert began == sorted(set(began))
+    assert len(began) > 2
