@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import time
 import uuid
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -41,6 +41,12 @@ class Group:
         (self._folder / self._limit).write_text(str(limit))
 
     def remove(self) -> None:
-        """Remove it when its processes have ended."""
-        with suppress(FileNotFoundError):
-            self._folder.rmdir()
+        """Remove it, as soon as the processes in it that were killed have gone."""
+        end = time.monotonic() + 30
+        while self._folder.is_dir():
+            try:
+                self._folder.rmdir()
+            except OSError:
+                if time.monotonic() > end:
+                    raise
+                time.sleep(0.05)
