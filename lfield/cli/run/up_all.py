@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lfield.cli.views.live import LiveView
+    from lfield.driver.binding import DeviceBinding
     from lfield.mission.mission import Mission
 
 #: A host that is silent under --all hangs: it is waited for for less long than in the field.
@@ -38,7 +39,7 @@ LOST_AFTER = 3.0
 #: Where a host listens that no --map names: on a free port.
 FREE = "127.0.0.1:0"
 #: How long hosts may take to end, in seconds, beyond the time that their devices have to come to rest.
-PATIENCE = 20.0
+PATIENCE = 10.0
 #: The statuses of a host that has run; one with any other could not start, or has failed.
 RAN = (exits.DONE, exits.FAILED, exits.UNSAFE, exits.UNHEARD)
 
@@ -75,6 +76,8 @@ class _Team:
         self.children: dict[str, Process] = {}
         self.width = max(len(host) for host in addresses)
         self.words = StopWords(SystemClock())
+        #: Set when the hosts that still run are to end.
+        self.ending = asyncio.Event()
         #: The exit status of the first host that could not start.
         self.refused = 0
         self.view: LiveView | None = None
@@ -158,7 +161,7 @@ class _Team:
             return await source.read(1 << 16)
 
     async def wait(self, host: str) -> int:
-        """The exit status of a host. One that cannot start stops the others."""
+        """The exit status of a host. One that cannot start, or has not heard of another, stops the others."""
         status = await self.children[host].wait()
         if status:
             self.tell(host)
@@ -166,7 +169,9 @@ class _Team:
             return self.ended_by(signal.Signals(-status), host)
         if status not in RAN and not self.words.first.is_set():
             self.refused = self.refused or status
-            self.release()
+        if status not in RAN or status == exits.UNHEARD:
+            # It has not heard of one that may hang, and would be waited for for ever.
+            self.ending.set()
         return status
 
     def tell(self, reaped: str) -> None:
@@ -178,8 +183,7 @@ class _Team:
     def ended_by(self, number: signal.Signals, host: str) -> int:
         """The status of a host that a signal ended: nobody has seen what became of its devices."""
         self.show(host, f"ended by {number.name}", sys.stderr)
-        team = self.mission.team
-        devices = self.mission.bindings.of([member.id for member in team.on(team.number(host))])
+        devices = self.devices(host)
         for device in devices:
             told = f"{device.name}: NOT SAFE: nobody has seen its safe state '{device.safe_state}'"
             self.show(host, told, sys.stderr)
@@ -187,13 +191,22 @@ class _Team:
 
     async def watch(self) -> None:
         """Stop everything in order when told to, and by force when that takes too long."""
-        await self.words.first.wait()
+        told = asyncio.create_task(self.words.first.wait())
+        told.add_done_callback(lambda _: self.ending.set())
+        await self.ending.wait()
         self.release()
-        await asyncio.sleep(max((d.rest_within for d in self.mission.bindings.all), default=0.0) + PATIENCE)
-        for host, child in self.children.items():
-            if child.returncode is None:
+        left = [host for host, child in self.children.items() if child.returncode is None]
+        devices = [device for host in left for device in self.devices(host)]
+        await asyncio.sleep(max((device.rest_within for device in devices), default=0.0) + PATIENCE)
+        for host in left:
+            if self.children[host].returncode is None:
                 print(f"{host} does not end: killed", file=sys.stderr)
-                child.kill()
+                self.children[host].kill()
+
+    def devices(self, host: str) -> list[DeviceBinding]:
+        """The devices of a host."""
+        team = self.mission.team
+        return self.mission.bindings.of([member.id for member in team.on(team.number(host))])
 
     def hurry(self) -> None:
         """Say the second word to every host: the first was the end of its leash.
