@@ -213,6 +213,14 @@ class Lfield:
     def left(self) -> list[int]:
         return processes_of(self.mark)
 
+    def child(self, host: str) -> int:
+        """The process of a host that `--all` has started."""
+        for pid in self.left():
+            words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+            if b"--host" in words and words[words.index(b"--host") + 1] == host.encode():
+                return pid
+        raise AssertionError(f"no process of {host}")
+
     def all_ended(self) -> bool:
         """Whether all processes have ended, before too long."""
         end = time.monotonic() + PATIENCE

@@ -127,7 +127,7 @@ def test_a_child_of_all_that_was_reaped_is_proof(lfield):
     deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&1000\n")
     team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
     team.wait_for(r"carol \| c receives")
-    os.kill(_child(lfield, "carol"), signal.SIGKILL)
+    os.kill(lfield.child("carol"), signal.SIGKILL)
     assert team.wait() == 1
     for host in ("alpha", "bravo"):
         assert f"{host} | walker is lost: it went to carol (transfer 1), which is gone" in team.err
@@ -137,7 +137,7 @@ def test_a_child_of_all_that_hangs_is_not_heard_of(lfield):
     deployment = lfield.mission(PROGRAM, POSTS + "//Walker:walker@alpha?c&15\n")
     team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
     team.wait_for(r"carol \| c receives")
-    hung = _child(lfield, "carol")
+    hung = lfield.child("carol")
     os.kill(hung, signal.SIGSTOP)
     for host in ("alpha", "bravo"):
         team.wait_for(
@@ -146,16 +146,6 @@ def test_a_child_of_all_that_hangs_is_not_heard_of(lfield):
     assert team.wait() == 4
     assert "carol does not end: killed" in team.err
     assert "is lost" not in team.said
-
-
-def _child(lfield, host: str) -> int:
-    """The process of a host that `--all` has started."""
-    for pid in lfield.left():
-        with open(f"/proc/{pid}/cmdline", "rb") as stream:
-            words = stream.read().split(b"\0")
-        if b"--host" in words and words[words.index(b"--host") + 1] == host.encode():
-            return pid
-    raise AssertionError(f"no process of {host}")
 
 
 ONE_AWAY = "//Post:a@alpha\n//Post:b@bravo\n//Walker:walker@alpha?a&0.01\n"

@@ -69,20 +69,10 @@ def test_a_coordinator_lost_with_a_killed_child_of_all(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))
     team = lfield.start("up", "--deploy", deployment, "--all", "--until-done")
     team.wait_for(r"bravo \| far receives")
-    os.kill(_child(lfield, "bravo"), signal.SIGKILL)
+    os.kill(lfield.child("bravo"), signal.SIGKILL)
     assert team.wait() == 1
     assert "bravo | ended by SIGKILL" in team.err
     assert "alpha | tom is lost: it went to bravo (transfer 1), which is gone" in team.err
-
-
-def _child(lfield, host: str) -> int:
-    """The process of a host that `--all` has started."""
-    for pid in lfield.left():
-        with open(f"/proc/{pid}/cmdline", "rb") as stream:
-            words = stream.read().split(b"\0")
-        if b"--host" in words and words[words.index(b"--host") + 1] == host.encode():
-            return pid
-    raise AssertionError(f"no process of {host}")
 
 
 PREPARED = (
@@ -158,7 +148,7 @@ def test_a_killed_child_whose_vehicle_nobody_has_seen_since_is_worse_than_any_ot
     deployment = EXAMPLES / "01-first-flight" / "mission.dL"
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done")
     team.wait_for("wing: taking off")
-    os.kill(_child(lfield, "bravo"), signal.SIGKILL)
+    os.kill(lfield.child("bravo"), signal.SIGKILL)
     assert team.wait() == 3
     assert "bravo | ended by SIGKILL" in team.err
     assert "bravo | wing.fc: NOT SAFE: nobody has seen its safe state 'land'" in team.err
