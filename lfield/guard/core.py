@@ -13,8 +13,9 @@ another thread. A query that asks the device runs beside the others, also while 
 
 A stop makes all devices safe and is over when they are at rest (rest.py).
 
-While the host is silent the bus is made quiet, once every safe state is confirmed or QUIET_BY is over: what
-the driver sends by itself would keep the device's own watchdog content for an owner who is gone.
+While the host is silent the bus is made quiet, once every device is at rest, or one has not confirmed its safe
+state within QUIET_BY: what the driver sends by itself would keep the device's own watchdog content for an
+owner who is gone. A device on its way to rest is not left to it: another failsafe would take over.
 
 Every event first looks at the clock: what is overdue happens before what has just arrived, so that a beat
 that lay in the pipe while this process was stopped does not excuse the silence. And `due` looks at no clock
@@ -114,8 +115,7 @@ class GuardCore:
         now = self._clock.monotonic()
         self._last_beat = max(self._last_beat, min(sent, now))
         if self._quiet and now < self._silent_at:
-            self._quiet = False
-            effects.append(Quiet(False))
+            effects.append(self._set_quiet(False))
         return effects
 
     def call(self, call: Call) -> list[Effect]:
@@ -276,14 +276,19 @@ class GuardCore:
 
     def _quiet_at(self) -> float:
         """When a silent host's bus is made quiet: at once if nothing is left to be sent for its sake."""
-        settled = all(d.confirmed or not (d.latched or d.moved) for d in self._devices.values())
-        return self._silent_at + (0.0 if settled else QUIET_BY)
+        if all(d.confirmed or not (d.latched or d.moved) for d in self._devices.values()):
+            return max(self._silent_at, self._rest.under_way_until())
+        return self._silent_at + QUIET_BY
 
     def _be_quiet(self, now: float) -> list[Effect]:
         if self._quiet or now < self._quiet_at():
             return []
-        self._quiet = True
-        return [Quiet(True)]
+        return [self._set_quiet(True)]
+
+    def _set_quiet(self, on: bool) -> Quiet:
+        self._quiet = on
+        self._rest.quiet(on)
+        return Quiet(on)
 
     def _ask(self, device: _Device, call: Call) -> list[Effect]:
         """Let a call in that moves nothing; release() unlatches first, and tells the driver so."""

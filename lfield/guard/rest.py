@@ -2,12 +2,13 @@
 
 A safe state that is confirmed is only begun: a vehicle that lands is in the air for a while. It is looked at
 until it is at rest, as long as it is held. A stop is over when every device has been seen at rest, or its
-own time is over, or somebody wants the end now. A host that is gone needs no company on the way down: then
-it is over when the safe states have been confirmed.
+own time is over, or somebody wants the end now; whether the host is there to hear of it changes nothing. Only
+a bus that has been made quiet is not watched any longer: then the end comes with the safe states.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -26,6 +27,7 @@ class _Way:
 
     within: float
     confirmed: bool = False
+    confirmed_at: float = 0.0
     moving: str | None = None
     look_at: float | None = None
     told: str | None = None
@@ -38,7 +40,7 @@ class Rest:
     def __init__(self, within: Mapping[str, float]) -> None:
         self._ways = {name: _Way(seconds) for name, seconds in within.items()}
         self._stopped_at: float | None = None
-        self._alone = self._at_once = False
+        self._alone = self._quiet = self._at_once = False
 
     # --- events ---------------------------------------------------------------------------------------
 
@@ -50,7 +52,7 @@ class Rest:
     def confirmed(self, name: str, now: float) -> None:
         """It has been seen in its safe state."""
         way = self._ways[name]
-        way.confirmed, way.look_at = True, now
+        way.confirmed, way.confirmed_at, way.look_at = True, now, now
 
     def looked(self, name: str, moving: str, now: float) -> bool:
         """What it still does, '' for nothing; whether the host should be told."""
@@ -73,6 +75,10 @@ class Rest:
         """The host is gone."""
         self._alone = True
 
+    def quiet(self, on: bool) -> None:
+        """The bus has been made quiet, or not any more: what is on it may fall silent, too."""
+        self._quiet = on
+
     def at_once(self) -> None:
         """Somebody does not want to wait any longer."""
         self._at_once = True
@@ -92,14 +98,19 @@ class Rest:
             return False
         return self._at_once or all(self._settled(way, now) for way in self._ways.values())
 
+    def under_way_until(self) -> float:
+        """When those that are confirmed and not at rest have had their time; minus infinity without any."""
+        ways = [way for way in self._ways.values() if way.confirmed and way.moving != ""]
+        return max((way.confirmed_at + way.within for way in ways), default=-math.inf)
+
     def unsafe(self) -> dict[str, str]:
         """The devices that have not been seen at rest in their safe states, each with what is known."""
         found = {}
         for name, way in self._ways.items():
             if not way.confirmed:
                 found[name] = UNSEEN
-            elif way.moving and not self._alone:
-                found[name] = f"it is in its safe state and not at rest: {way.moving}"
+            elif not self._rests(way):
+                found[name] = f"it is in its safe state and not at rest: {way.moving or 'not looked at'}"
         return found
 
     def due(self) -> float | None:
@@ -111,7 +122,7 @@ class Rest:
         return min(times, default=None)
 
     def _rests(self, way: _Way) -> bool:
-        return way.confirmed and (way.moving == "" or self._alone)
+        return way.confirmed and (way.moving == "" or (self._alone and self._quiet))
 
     def _settled(self, way: _Way, now: float) -> bool:
         assert self._stopped_at is not None

@@ -244,19 +244,31 @@ def test_a_second_word_ends_a_stop_at_once():
     assert told(effects, Stopped) == [Stopped({"a": "its safe state was not seen"})]
 
 
-def test_without_a_host_a_guard_stays_until_the_safe_states_are_confirmed():
+def test_without_a_host_a_guard_stays_until_its_devices_are_at_rest():
     rig = Rig()
     assert made_safe(rig.core.gone("the host is gone")) == ["a"]
+    assert exits(rig.wait(1.0, beating=False)) == []
+    assert exits(rig.core.made_safe("a")) == []
+    assert exits(rig.core.looked("a", "4 m up")) == []
+    assert exits(rig.wait(30.0, beating=False)) == []
+    assert exits(rig.core.looked("a", "")) == [0]
+
+
+def test_without_a_host_and_on_a_quiet_bus_a_confirmed_safe_state_is_the_end():
+    rig = Rig()
+    rig.core.gone("the host is gone")
+    assert quiets(rig.wait(SILENCE + QUIET_BY + 0.1, beating=False)) == [True]
     assert exits(rig.wait(30.0, beating=False)) == []
     assert exits(rig.core.made_safe("a")) == [0]
 
 
-def test_a_host_that_goes_during_a_stop_need_not_be_waited_for():
+def test_a_host_that_goes_during_a_stop_changes_nothing():
     rig = Rig()
     rig.core.stop("bye")
     rig.core.made_safe("a")
     assert exits(rig.core.looked("a", "4 m up")) == []
-    assert exits(rig.core.gone("the host is gone")) == [0]
+    assert exits(rig.core.gone("the host is gone")) == []
+    assert exits(rig.core.looked("a", "")) == [0]
 
 
 def test_what_is_held_is_looked_at_until_it_is_released_and_told_when_it_changes():
@@ -315,11 +327,24 @@ def test_a_silent_host_makes_the_bus_quiet_and_its_beat_ends_that():
     assert quiets(rig.wait(0.1)) == [False]
 
 
-def test_the_bus_is_not_quiet_before_the_safe_state_is_confirmed():
+def test_the_bus_is_not_quiet_before_the_device_is_at_rest():
     rig = Rig()
     rig.call("go", 1.0)
     assert quiets(rig.wait(SILENCE + 0.5, beating=False)) == []
-    assert quiets(rig.core.made_safe("a")) == [True]
+    assert quiets(rig.core.made_safe("a")) == []
+    assert quiets(rig.core.looked("a", "4 m up")) == []
+    assert quiets(rig.wait(30.0, beating=False)) == []
+    assert quiets(rig.core.looked("a", "")) == [True]
+
+
+def test_the_bus_of_a_device_that_never_rests_is_quiet_when_its_time_is_over():
+    rig = Rig()
+    rig.call("go", 1.0)
+    rig.wait(SILENCE + 0.5, beating=False)
+    rig.core.made_safe("a")
+    rig.core.looked("a", "it circles")
+    assert quiets(rig.wait(WITHIN - 0.1, beating=False)) == []
+    assert quiets(rig.wait(0.2, beating=False)) == [True]
 
 
 def test_a_safe_state_that_nobody_confirms_keeps_no_watchdog_content():

@@ -98,7 +98,7 @@ def test_a_guard_does_not_end_by_signals_while_its_host_lives(flight):
     flown.is_down()
 
 
-def test_a_killed_host_leaves_its_guard_until_the_safe_state_is_confirmed(lfield, flight):
+def test_a_killed_host_leaves_its_guard_until_the_vehicle_is_down(lfield, flight):
     flown = flight()
     guard = flown.guard
     flown.host.signal(signal.SIGKILL)
@@ -110,3 +110,13 @@ def test_a_killed_host_leaves_its_guard_until_the_safe_state_is_confirmed(lfield
     assert guard not in lfield.left()
     flown.host.popen.wait()
     flown.host.wait_for("lead.fc: is in its safe state: ")
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_no_failsafe_takes_over_the_landing_of_a_host_that_is_gone_or_hangs(flight, flavour, number):
+    flown = flight(land=("--flavour", flavour, *SLOWEST))
+    flown.host.signal(number)
+    flown.landed()
+    flight_modes = [mode for height, mode in flown.witness.modes if height > 0.5]
+    assert flight_modes.count(flight_modes[-1]) == 1, f"its landing was taken over: {flown.witness.modes}"

@@ -19,6 +19,7 @@ class Witness:
         )
         self._changed, self._ended = threading.Condition(), False
         self.mode, self.armed, self.height = "", False, 0.0
+        #: Every mode that it was in, and how high it was when that began.
         self.modes: list[tuple[float, str]] = []
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._thread.start()
@@ -44,7 +45,7 @@ class Witness:
             mode = mavutil.mode_mapping_acm.get(message.custom_mode, str(message.custom_mode))
             if mode != self.mode:
                 self.mode = mode
-                self.modes.append((time.monotonic(), mode))
+                self.modes.append((self.height, mode))
             self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         elif message.get_type() == "LOCAL_POSITION_NED":
             self.height = -message.z
