@@ -105,7 +105,7 @@ class Device:
         """What it still does although it is in its safe state, in a few words; '' when it is at rest.
 
         `4.2 m up, sinking at 0.7 m/s`. Called a few times a second, from what is known: it asks nothing of
-        the device and never waits. One that somebody else has taken over is at rest as far as its guard goes.
+        the device and never waits. One that somebody else has taken over is not at rest while he moves it.
         """
         return self._moving()
 
