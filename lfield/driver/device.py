@@ -57,8 +57,8 @@ class Device:
     """One device on a bus.
 
     Authors override `_open`, `_make_safe`, for a device that has one `_set_watchdog`, for one that takes its
-    time to come to rest `_moving`, for one that others may take over `_taken_over` and `_guard_restarted`, and
-    write the `do_...` coroutines.
+    time to come to rest `_moving`, for one that others may take over `_taken_over` and `_guard_restarted`,
+    and write the `do_...` coroutines.
 
     A device that can do much may have `parts`: any objects, made in its constructor, whose `do_...` are
     looked up beside its own. A part takes what it needs (often the device itself, to ask and to publish),
