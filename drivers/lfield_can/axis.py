@@ -138,12 +138,21 @@ class CanAxis(Device):
         return await self.protocol.set_watchdog(longest)
 
     async def _make_safe(self, state: str) -> None:
-        end = self.clock.monotonic() + SAFE_BY
+        begun = self.clock.monotonic()
+        # What it told before says nothing of what it does now.
+        self.protocol.state.velocity = None
+
+        def is_safe() -> bool:
+            heard = self._heard_at is not None and self._heard_at > begun
+            return heard and self.protocol.is_safe(state, self._still)
+
         while True:
             await self.protocol.command_safe(state)
-            if await self._news.seen(lambda: self.protocol.is_safe(state, self._still), SAFE_AGAIN):
+            if await self._news.seen(is_safe, SAFE_AGAIN):
+                # Its speed may come in a frame of its own; `_moving` tells it.
+                await self._news.seen(lambda: self.protocol.state.velocity is not None, SAFE_AGAIN)
                 return
-            if self.clock.monotonic() >= end or self._silence() > self.protocol.silence:
+            if self.clock.monotonic() >= begun + SAFE_BY or self._silence() > self.protocol.silence:
                 break
         self._check_heard()
         raise self.error(f"it does not show the safe state {state} ({self._told()})")

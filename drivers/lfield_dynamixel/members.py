@@ -209,7 +209,11 @@ class Members(Device):
 
     async def _make_safe(self, state: str) -> None:
         if state == "torque_off":
+            begun = self.clock.monotonic()
             await self.go_limp(SAFETY)
+            await self.observe(urgency=SAFETY, alone=False)
+            # What was measured before says nothing of what it does now.
+            self._seen = {number: seen for number, seen in self._seen.items() if seen[0] >= begun}
             return
         seen = await self.observe(urgency=SAFETY, alone=False)
         await self.send({servo: _stay(servo, place) for servo, place in self._places(seen).items()})

@@ -137,6 +137,14 @@ class MavlinkVehicle(Contact):
     def _moving(self) -> str:
         return self._rest.words()
 
+    def _taken_over(self) -> bool:
+        return not self.motion.ours
+
+    def _guard_restarted(self, taken: bool) -> None:
+        if not taken:
+            self.motion.claim(self.state.mode)
+            self._flight.may_be_arming()
+
     async def do_release(self) -> None:
         """Whatever mode it is in, the program takes the vehicle back."""
         self.motion.claim(self.state.mode)

@@ -121,7 +121,8 @@ class Guard(asyncio.SubprocessProtocol):
             await start_process(self, sys.executable, "-m", "lfield.guard.process", self._driver.reference)
         except OSError as error:
             raise OpenFailed([f"the driver's process does not start: {error.strerror or error}"]) from None
-        self._send(Open(list(self._devices.values()), latched, self._silence, self._driver))
+        devices, taken = list(self._devices.values()), sorted(self.snapshots.taken)
+        self._send(Open(devices, latched, self._silence, self._driver, taken))
         self._pulse.pause()
         self._beat()
         try:
@@ -254,8 +255,7 @@ class Guard(asyncio.SubprocessProtocol):
     @property
     def pid(self) -> int:
         """The id of its process, 0 while there is none."""
-        found = self._transport.get_pid() if self._transport is not None else None
-        return found or 0
+        return (self._transport.get_pid() if self._transport is not None else 0) or 0
 
     @property
     def half_open(self) -> bool:

@@ -40,10 +40,13 @@ class Snapshots:
         self._readings: dict[tuple[str, str], Reading] = {}
         #: When each device was last heard, by its name; nothing for one that never was.
         self.heard: dict[str, float] = {}
+        #: The devices that somebody else has, such as a pilot.
+        self.taken: set[str] = set()
 
     def take(self, snapshot: Snapshot) -> None:
         """Take a snapshot in, and keep the readings up to date."""
         self.heard[snapshot.device] = snapshot.heard
+        (self.taken.add if snapshot.taken else self.taken.discard)(snapshot.device)
         for name, seen in snapshot.values.items():
             key = snapshot.device, name
             self._seen[key] = Observation(conform(seen.value, self._quantities[key].type), seen.when)

@@ -57,7 +57,8 @@ class Device:
     """One device on a bus.
 
     Authors override `_open`, `_make_safe`, for a device that has one `_set_watchdog`, for one that takes its
-    time to come to rest `_moving`, and write the `do_...` coroutines.
+    time to come to rest `_moving`, for one that others may take over `_taken_over` and `_guard_restarted`,
+    and write the `do_...` coroutines.
 
     A device that can do much may have `parts`: any objects, made in its constructor, whose `do_...` are
     looked up beside its own. A part takes what it needs (often the device itself, to ask and to publish),
@@ -105,9 +106,20 @@ class Device:
         """What it still does although it is in its safe state, in a few words; '' when it is at rest.
 
         `4.2 m up, sinking at 0.7 m/s`. Called a few times a second, from what is known: it asks nothing of
-        the device and never waits. One that somebody else has taken over is at rest as far as its guard goes.
+        the device and never waits. One that somebody else has taken over is not at rest while he moves it.
         """
         return self._moving()
+
+    def taken_over(self) -> bool:
+        """Whether somebody else moves it, such as a pilot, so that its safe state is left to them."""
+        return self._taken_over()
+
+    def guard_restarted(self, taken: bool) -> None:
+        """It was opened again, after its guard died; its safe state comes next.
+
+        What it does is what the program had it do, unless it is known to have been `taken` over before.
+        """
+        self._guard_restarted(taken)
 
     async def check_watchdog(self) -> None:
         """Set its watchdog: nothing may be commanded unless it stops by itself when this computer is gone.
@@ -157,6 +169,13 @@ class Device:
     def _moving(self) -> str:
         """See `moving`; a device that is still as soon as its safe state is confirmed needs none."""
         return ""
+
+    def _taken_over(self) -> bool:
+        """See `taken_over`; most devices have one master."""
+        return False
+
+    def _guard_restarted(self, taken: bool) -> None:
+        """See `guard_restarted`; for a device that tells by its commands whose doing its motion is."""
 
     async def _set_watchdog(self, longest: float) -> float | None:
         """Set the device's own watchdog to at most `longest` seconds, or to the least it can.
@@ -232,6 +251,21 @@ class Driver:
 
     def _resume(self) -> None:
         """Take them up again."""
+
+
+async def open_all(devices: Sequence[Device]) -> tuple[dict[str, str], list[tuple[str, str, str]]]:
+    """Open devices at once: identities by name, and all that went wrong (name, kind, reason)."""
+    found = await asyncio.gather(*(device.open() for device in devices), return_exceptions=True)
+    identities: dict[str, str] = {}
+    problems: list[tuple[str, str, str]] = []
+    for device, answer in zip(devices, found, strict=True):
+        if isinstance(answer, str):
+            identities[device.binding.name] = answer
+        elif isinstance(answer, DeviceError):
+            problems.append((device.binding.name, answer.kind, answer.reason))
+        else:
+            problems.append((device.binding.name, "DeviceException", f"the driver failed: {answer!r}"))
+    return identities, problems
 
 
 def check_methods(device: type[Device], manifest: Manifest, parts: Iterable[object] = ()) -> None:

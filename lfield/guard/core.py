@@ -11,11 +11,13 @@ Only `release()` frees it, and only once its safe state is confirmed. On each ch
 actuation runs at a time: a newer one replaces an older one, so that `land()` need not wait for a `goTo()` of
 another thread. A query that asks the device runs beside the others, also while the device is latched.
 
+A device that goes on moving in its safe state is commanded again: it may have been led out of it.
+
 A stop makes all devices safe and is over when they are at rest (rest.py).
 
-While the host is silent the bus is made quiet, once every device is at rest, or one has not confirmed its safe
-state within QUIET_BY: what the driver sends by itself would keep the device's own watchdog content for an
-owner who is gone. A device on its way to rest is not left to it: another failsafe would take over.
+While the host is silent the bus is made quiet, once every device is at rest, or one has not confirmed its
+safe state within QUIET_BY: what the driver sends by itself would keep the device's own watchdog content for
+an owner who is gone. A device on its way to rest is not left to it: another failsafe would take over.
 
 Every event first looks at the clock: what is overdue happens before what has just arrived, so that a beat
 that lay in the pipe while this process was stopped does not excuse the silence. And `due` looks at no clock
@@ -31,7 +33,7 @@ from typing import Literal
 
 from lfield.clock import Clock
 from lfield.driver.contract import RELEASE
-from lfield.guard.effects import Cancel, Effect, Execute, Exit, Look, MakeSafe, Quiet, Tell
+from lfield.guard.effects import Cancel, Effect, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
 from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped
 from lfield.guard.rest import Rest
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction
@@ -40,6 +42,8 @@ from lfield.manifest import DeviceManifest, DeviceValue, Instruction
 SILENCE = 0.2
 #: How long after a failed attempt the safe state is commanded again.
 RETRY = 1.0
+#: How long after an attempt it is commanded again for a device that still moves.
+AGAIN = 2.0
 #: How long a silent host's devices have to confirm their safe states before their bus is made quiet.
 QUIET_BY = 2.0
 
@@ -63,6 +67,7 @@ class _Device:
     """What the guard knows of one device. `latched` is the reason, or '' when it is free.
 
     `barred` is why the program may not release it: somebody pressed the emergency stop.
+    `making` says that its safe state is being commanded, `made_at` when that ended last.
     `acting` is what runs on each channel, `setpoints` are the times when the ones in effect are over.
     """
 
@@ -73,6 +78,8 @@ class _Device:
     barred: str = ""
     confirmed: bool = False
     moved: bool = False
+    making: bool = False
+    made_at: float = 0.0
     retry_at: float | None = None
     setpoints: dict[str, float] = field(default_factory=dict)
     acting: dict[str, Call] = field(default_factory=dict)
@@ -126,10 +133,8 @@ class GuardCore:
         if device is None or instruction is None:
             return [*effects, _refuse(call, f"there is no {call.device}.{call.instruction}()")]
         if len(call.arguments) != len(instruction.parameters):
-            return [
-                *effects,
-                _refuse(call, f"{call.instruction}() takes {len(instruction.parameters)} arguments"),
-            ]
+            takes = f"{call.instruction}() takes {len(instruction.parameters)} arguments"
+            return [*effects, _refuse(call, takes)]
         how = way(instruction)
         if how == "ask":
             return effects + self._ask(device, call)
@@ -187,20 +192,32 @@ class GuardCore:
     def made_safe(self, name: str) -> list[Effect]:
         """The driver has seen the device in its safe state."""
         effects = self.tick()
-        device = self._devices[name]
-        device.confirmed, device.retry_at = True, None
-        self._rest.confirmed(name, self._clock.monotonic())
+        device, now = self._devices[name], self._clock.monotonic()
+        device.making, device.made_at = False, now
+        if device.confirmed:
+            return effects
+        device.confirmed = True
+        self._rest.confirmed(name, now)
         return [*effects, Tell(Latched(name, device.latched, True)), *self.tick()]
 
     def looked(self, name: str, moving: str) -> list[Effect]:
         """What the device still does in its safe state, in the driver's words; '' when it is at rest."""
-        told = self._rest.looked(name, moving, self._clock.monotonic())
-        return [*([Tell(Moving(name, moving))] if told else []), *self.tick()]
+        device, now = self._devices[name], self._clock.monotonic()
+        told = self._rest.looked(name, moving, now)
+        effects: list[Effect] = [Tell(Moving(name, moving))] if told else []
+        waits = device.making or self._quiet or now < device.made_at + AGAIN
+        if moving and device.confirmed and not waits:
+            effects.append(_make_safe(device))
+        return effects + self.tick()
 
     def not_safe(self, name: str, reason: str) -> list[Effect]:
         """The driver could not bring the device into its safe state; it is tried again."""
         effects = self.tick()
-        self._devices[name].retry_at = self._clock.monotonic() + RETRY
+        device, now = self._devices[name], self._clock.monotonic()
+        device.making, device.made_at = False, now
+        if device.confirmed:
+            return effects  # What it still does is told, and it is commanded again for that.
+        device.retry_at = now + RETRY
         return [*effects, Tell(Note(name, f"its safe state is not confirmed, trying again: {reason}"))]
 
     def stop(self, reason: str, *, at_once: bool = False) -> list[Effect]:
@@ -238,7 +255,7 @@ class GuardCore:
                 effects += self._latch(device, f"the setpoint's time-to-live of {device.ttl:g} s is over")
             if device.retry_at is not None and now >= device.retry_at:
                 device.retry_at = None
-                effects.append(MakeSafe(device.name))
+                effects.append(_make_safe(device))
         effects += self._be_quiet(now)
         if self._ended:
             return effects
@@ -303,7 +320,8 @@ class GuardCore:
                     _refuse(call, "its safe state is not confirmed yet; call release() again in a moment")
                 ]
             if device.latched:
-                effects.append(Tell(Released(device.name)))
+                effects += [*([LeaveOff(device.name)] if device.making else []), Tell(Released(device.name))]
+                device.making = False
                 device.latched, device.confirmed, device.moved = "", False, False
                 self._rest.held(device.name)
         device.asking[call.token] = call
@@ -326,9 +344,9 @@ class GuardCore:
             for effect in self._abandon(device, channel, f"stopped, since {reason}")
         ]
         return [
-            *_cancels(stopped),
-            MakeSafe(device.name),
-            *_tells(stopped),
+            *_only(Cancel, stopped),
+            _make_safe(device),
+            *_only(Tell, stopped),
             Tell(Latched(device.name, reason, False)),
         ]
 
@@ -368,13 +386,14 @@ class GuardCore:
         return [Tell(Stopped(unsafe)), Exit(1 if unsafe else 0)]
 
 
+def _make_safe(device: _Device) -> MakeSafe:
+    device.making = True
+    return MakeSafe(device.name)
+
+
 def _refuse(call: Call, reason: str) -> Tell:
     return Tell(Refused(call.token, "DeviceException", reason))
 
 
-def _cancels(effects: list[Effect]) -> list[Effect]:
-    return [effect for effect in effects if isinstance(effect, Cancel)]
-
-
-def _tells(effects: list[Effect]) -> list[Effect]:
-    return [effect for effect in effects if isinstance(effect, Tell)]
+def _only(kind: type[Effect], effects: list[Effect]) -> list[Effect]:
+    return [effect for effect in effects if isinstance(effect, kind)]

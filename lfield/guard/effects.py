@@ -29,6 +29,13 @@ class MakeSafe:
 
 
 @dataclass(frozen=True, slots=True)
+class LeaveOff:
+    """Effect: the device is released; do not go on bringing it into its safe state."""
+
+    device: str
+
+
+@dataclass(frozen=True, slots=True)
 class Look:
     """Effect: ask the driver what the device still does in its safe state; `looked` gets the answer."""
 
@@ -56,4 +63,4 @@ class Exit:
     status: int
 
 
-Effect = Execute | Cancel | MakeSafe | Look | Quiet | Tell | Exit
+Effect = Execute | Cancel | MakeSafe | LeaveOff | Look | Quiet | Tell | Exit

@@ -27,13 +27,15 @@ class Open(Message, frozen=True):
     """Host: open these devices, all on one bus. `latched` tells why they must come back safe, or ''.
 
     `silence` is how long the host may be silent, in seconds, before every device goes safe. `driver` has the
-    manifests of the devices: the guard reads none, and refuses when the driver that it runs has others.
+    manifests of the devices: the guard reads none, and refuses when the driver that it runs has others. With
+    `latched`, `taken` has the devices that somebody else had when the guard before this one died.
     """
 
     devices: list[DeviceBinding]
     latched: str
     silence: float
     driver: KnownDriver
+    taken: list[str] = []
 
 
 class Call(Message, frozen=True):
@@ -98,11 +100,15 @@ class Refused(Message, frozen=True):
 
 
 class Snapshot(Message, frozen=True):
-    """Guard: telemetry of one device, by quantity, and when the device itself was last heard."""
+    """Guard: telemetry of one device, by quantity, and when the device itself was last heard.
+
+    `taken` says that somebody else has it, such as a pilot.
+    """
 
     device: str
     values: Mapping[str, Observation]
     heard: float
+    taken: bool = False
 
 
 class Latched(Message, frozen=True):

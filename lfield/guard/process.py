@@ -17,11 +17,11 @@ from typing import Any
 
 from lfield import loop
 from lfield.clock import Clock, SystemClock
-from lfield.driver.device import Device, Driver, check_methods
+from lfield.driver.device import Driver, check_methods, open_all
 from lfield.driver.plugin import Plugin, check_same, load_plugin
 from lfield.errors import DeviceError, LfieldError, PluginError, WireError
 from lfield.guard.core import GuardCore
-from lfield.guard.effects import Cancel, Effect, Execute, Exit, Look, MakeSafe, Quiet, Tell
+from lfield.guard.effects import Cancel, Effect, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
 from lfield.guard.endpoint_lock import EndpointLock
 from lfield.guard.messages import (
     Allow,
@@ -70,8 +70,10 @@ class Shell(asyncio.Protocol):
         self._core: GuardCore | None = None
         self._driver: Driver | None = None
         self._lock = EndpointLock()
-        self._telemetry = Telemetry(clock, self._tell_snapshot)
+        self._telemetry = Telemetry(clock, self._tell_snapshot, self._is_taken)
+        self._taken_before: list[str] = []
         self._calls: dict[int, asyncio.Task[None]] = {}
+        self._making: dict[str, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[Any]] = set()
         self._timer: asyncio.Handle | None = None
         self._timer_at = 0.0
@@ -140,6 +142,15 @@ class Shell(asyncio.Protocol):
         if self._output.get_write_buffer_size() < BACKLOG:
             self._tell(message)
 
+    def _is_taken(self, device: str) -> bool:
+        """Whether somebody else has it; while it is opened, as the guard before this one knew."""
+        if self._core is None or self._driver is None:
+            return device in self._taken_before
+        try:
+            return self._driver.devices[device].taken_over()
+        except Exception:  # foreign code again; what is not known is the program's
+            return False
+
     # -- what a driver can tell (lfield.driver.device.Reports) ------------------------------------------
 
     def publish(self, device: str, values: Mapping[str, Any]) -> None:
@@ -201,13 +212,16 @@ class Shell(asyncio.Protocol):
 
     async def _open(self, message: Open) -> None:
         problems: list[tuple[str, str, str]] = []
+        self._taken_before = message.taken
         try:
             await self._lock.take(message.devices[0].endpoint)
             self._driver = self._make_driver(message)
             self._on_loaded()
             await self._driver.open()
             devices = list(self._driver.devices.values())
-            identities, problems = await _open_all(devices)
+            identities, problems = await open_all(devices)
+            for device in devices if message.latched and not problems else ():
+                device.guard_restarted(device.binding.name in message.taken)
         except DeviceError as error:
             problems = [("", error.kind, error.reason)]
         except PluginError as error:
@@ -246,7 +260,9 @@ class Shell(asyncio.Protocol):
                     if token in self._calls:
                         self._calls[token].cancel()
                 case MakeSafe(device):
-                    self._spawn(self._make_safe(device))
+                    self._making[device] = self._spawn(self._make_safe(device))
+                case LeaveOff(device):
+                    self._making[device].cancel()
                 case Look(device):
                     self._look(device)
                 case Quiet(on):
@@ -341,21 +357,6 @@ class Shell(asyncio.Protocol):
         if self._driver is not None:
             await self._driver.close()
         self._lock.release()
-
-
-async def _open_all(devices: Sequence[Device]) -> tuple[dict[str, str], list[tuple[str, str, str]]]:
-    """Open every device at once: identities by name, and everything that went wrong."""
-    found = await asyncio.gather(*(device.open() for device in devices), return_exceptions=True)
-    identities: dict[str, str] = {}
-    problems: list[tuple[str, str, str]] = []
-    for device, answer in zip(devices, found, strict=True):
-        if isinstance(answer, str):
-            identities[device.binding.name] = answer
-        elif isinstance(answer, DeviceError):
-            problems.append((device.binding.name, answer.kind, answer.reason))
-        else:
-            problems.append((device.binding.name, "DeviceException", f"the driver failed: {answer!r}"))
-    return identities, problems
 
 
 async def serve(plugin: Plugin, input_fd: int, output_fd: int) -> int:

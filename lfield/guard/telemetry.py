@@ -21,13 +21,19 @@ class _Latest:
     values: dict[str, Observation] = field(default_factory=dict)
     heard: float = 0.0
     fresh: bool = False
+    taken: bool = False
 
 
 class Telemetry:
-    """Collects what drivers publish and calls `push` with snapshots, at RATE at most."""
+    """Collects what drivers publish and calls `push` with snapshots, at RATE at most.
 
-    def __init__(self, clock: Clock, push: Callable[[Snapshot], None]) -> None:
-        self._clock, self._push = clock, push
+    `taken` is asked for each whether somebody else has the device.
+    """
+
+    def __init__(
+        self, clock: Clock, push: Callable[[Snapshot], None], taken: Callable[[str], bool] = lambda _: False
+    ) -> None:
+        self._clock, self._push, self._taken = clock, push, taken
         self._devices: dict[str, _Latest] = {}
         self._timer: asyncio.TimerHandle | None = None
 
@@ -42,14 +48,15 @@ class Telemetry:
         self._fresh(device).heard = self._clock.monotonic()
 
     def flush(self) -> None:
-        """Push what is fresh, now."""
+        """Push what is fresh, now; also that a device is in other hands than was told before."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
         for device, latest in self._devices.items():
-            if latest.fresh:
-                self._push(Snapshot(device, latest.values, latest.heard))
-                latest.values, latest.fresh = {}, False
+            taken = self._taken(device)
+            if latest.fresh or taken != latest.taken:
+                self._push(Snapshot(device, latest.values, latest.heard, taken))
+                latest.values, latest.fresh, latest.taken = {}, False, taken
 
     def _fresh(self, device: str) -> _Latest:
         """The record of a device, now with something to push."""

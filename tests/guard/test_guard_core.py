@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from lfield.clock import ManualClock
-from lfield.guard.core import QUIET_BY, GuardCore
-from lfield.guard.effects import Cancel, Execute, Exit, Look, MakeSafe, Quiet, Tell
+from lfield.guard.core import AGAIN, QUIET_BY, GuardCore
+from lfield.guard.effects import Cancel, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
 from lfield.guard.messages import Call, Done, Latched, Moving, Refused, Released, Stopped
 from lfield.manifest import DeviceManifest, Instruction, Parameter
 
@@ -288,6 +288,56 @@ def test_what_is_held_is_looked_at_until_it_is_released_and_told_when_it_changes
     assert told(rig.core.looked("a", "2 m up"), Moving) == [], "an answer that comes too late"
 
 
+def test_what_goes_on_moving_in_its_safe_state_is_commanded_again():
+    rig = Rig()
+    rig.core.safe("", "asked to")
+    rig.core.made_safe("a")
+    rig.wait(AGAIN - 0.1)
+    assert made_safe(rig.core.looked("a", "4 m up")) == []
+    rig.wait(0.2)
+    assert made_safe(rig.core.looked("a", "4 m up")) == ["a"]
+    rig.wait(10.0)
+    assert made_safe(rig.core.looked("a", "4 m up")) == [], "the last one is still under way"
+    assert told(rig.core.made_safe("a"), Latched) == [], "it was told before"
+    assert made_safe(rig.core.looked("a", "4 m up")) == []
+    rig.wait(AGAIN + 0.1)
+    assert made_safe(rig.core.looked("a", "4 m up")) == ["a"]
+    assert [e for e in rig.core.not_safe("a", "no answer") if isinstance(e, Tell)] == []
+    assert made_safe(rig.wait(10.0)) == [], "it is looked at first"
+    assert made_safe(rig.core.looked("a", "")) == []
+    assert made_safe(rig.core.looked("a", "led out")) == ["a"]
+
+
+def test_who_is_released_is_not_brought_into_its_safe_state_any_more():
+    rig = Rig()
+    rig.core.safe("", "asked to")
+    rig.core.made_safe("a")
+    rig.wait(AGAIN + 0.1)
+    assert made_safe(rig.core.looked("a", "4 m up")) == ["a"]
+    effects = rig.call("release")
+    assert [type(e) for e in effects] == [LeaveOff, Tell, Execute]
+    rig.wait(10.0)
+    assert made_safe(rig.core.looked("a", "4 m up")) == []
+    assert made_safe(rig.core.safe("", "asked again")) == ["a"]
+
+
+def test_being_commanded_again_gives_a_silent_host_no_more_time():
+    rig = Rig()
+    rig.call("go", 1.0)
+    rig.wait(SILENCE + 0.5, beating=False)
+    rig.core.made_safe("a")
+    effects = []
+    for _ in range(round(WITHIN + 20)):
+        effects += rig.core.looked("a", "it circles")
+        if made_safe(effects[-1:]):
+            rig.core.made_safe("a")
+        effects += rig.wait(1.0, beating=False)
+    assert quiets(effects) == [True]
+    after = effects[next(n for n, e in enumerate(effects) if isinstance(e, Quiet)) :]
+    assert len(made_safe(effects)) > 10
+    assert made_safe(after) == [], "what feeds its own watchdog"
+
+
 def test_a_restarted_guard_brings_its_devices_back_safe():
     clock = ManualClock()
     core = GuardCore([("a", MANIFEST, TTL, WITHIN)], clock)
@@ -435,6 +485,10 @@ class GuardMachine(RuleBasedStateMachine):
         for effect in effects:
             if isinstance(effect, MakeSafe):
                 self.making += 1
+                assert self.making == 1, "one at a time"
+                assert self.latched or not self.confirmed
+            elif isinstance(effect, LeaveOff):
+                self.making -= 1
             elif isinstance(effect, Cancel):
                 self.running.pop(effect.token)
             elif isinstance(effect, Execute):

@@ -12,6 +12,11 @@ from lfield_mavlink.parts.motion import CLOSER, Motion
 from lfield_mavlink.parts.orders import Order
 from lfield_mavlink.parts.watchdog import Watchdog
 
+#: Seconds for a heartbeat to come that is newer than a stop; one comes every second at least.
+NEWS = 2.5
+#: Seconds for which an arming may be under way after it was sent last.
+UNDER_WAY = 10.0
+
 
 class Flight:
     """What brings a vehicle into the air and down, and what keeps others' hands free."""
@@ -19,6 +24,9 @@ class Flight:
     def __init__(self, vehicle: Contact, motion: Motion, limits: Limits, watchdog: Watchdog) -> None:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
         self._limits, self._watchdog = limits, watchdog
+        self._arming_until = -math.inf
+        # The mode in which it was left to others last, '' when it was not.
+        self._left_in = ""
 
     # -- instructions ---------------------------------------------------------------------------------
 
@@ -31,7 +39,10 @@ class Flight:
         await self._watchdog.check_holds()
         if self._state.mode != vehicle.profile.arming:
             await self._motion.set_mode(vehicle.profile.arming)
-        await vehicle.achieve("arm", lambda: self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+        try:
+            await vehicle.achieve("arm", lambda: self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+        finally:
+            self.may_be_arming()
 
     async def do_disarm(self) -> None:
         """Motors off."""
@@ -99,23 +110,52 @@ class Flight:
 
     # -- the safe state -------------------------------------------------------------------------------
 
+    def may_be_arming(self) -> None:
+        """An order to arm was sent, and may take effect although nobody waits for it any more."""
+        self._arming_until = self._vehicle.clock.monotonic() + UNDER_WAY
+
     async def make_safe(self, state: str) -> None:
         """Into a safe state of the manifest, unless it is at rest or somebody else has it.
 
-        Raises DeviceError.
+        Nothing is believed to be so that was only heard before. Raises DeviceError.
         """
         vehicle = self._vehicle
         self._motion.stream.stop()
         if self._state.heard is not None and vehicle.silence <= LINK_LOST:
+            if self._is_not_to_be_moved:
+                await self._look_again()
             if not self._state.armed:
                 return
             if not self._motion.ours:
-                # A pilot or the autopilot's own failsafe flies it: to take it from them would be less safe.
-                vehicle.note(f"in {self._state.mode}, by a pilot or a failsafe: left to them")
+                self._leave()
                 return
             if self._state.landed and vehicle.profile.flies and await self._disarmed():
                 return
+        self._left_in = ""
         await self._motion.set_mode(vehicle.profile.safe(state))
+
+    @property
+    def _is_not_to_be_moved(self) -> bool:
+        """Whether nothing is to be done, as far as is known: its motors are off, or somebody else has it."""
+        return not (self._state.armed and self._motion.ours)
+
+    async def _look_again(self) -> None:
+        """Hear it anew, after an arming that may be under way was called back. Raises DeviceError."""
+        vehicle = self._vehicle
+        if not self._state.armed and vehicle.clock.monotonic() < self._arming_until:
+            answer = await vehicle.exchange.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+            if answer.result is None:
+                raise vehicle.error("it may be arming, and does not answer a disarm", timeout=True)
+        # An answer may be that to the arming: what is heard after it shows what became of that.
+        since = vehicle.clock.monotonic()
+        if not await vehicle.seen(lambda: (self._state.heard or 0.0) > since, NEWS):
+            raise vehicle.error(f"no heartbeat for {vehicle.silence:.1f} s", timeout=True)
+
+    def _leave(self) -> None:
+        """A pilot or the autopilot's own failsafe flies it: to take it from them would be less safe."""
+        if self._left_in != self._state.mode:
+            self._left_in = self._state.mode
+            self._vehicle.note(f"in {self._state.mode}, by a pilot or a failsafe: left to them")
 
     async def _disarmed(self) -> bool:
         """Try to switch the motors off on the ground; the autopilot refuses if it is not there."""

@@ -5,7 +5,8 @@ when its motors are off, in `hold` when it hovers; a rover or a boat when it sta
 submarine at the surface, or in `hold` where it is. A fixed wing never stands in the air: it rests when it
 circles where it was asked to, in `hold` anywhere and under ArduPilot's RTL at home.
 
-A vehicle that a pilot has taken is his. One that a failsafe has taken is nobody's: it is watched down.
+A vehicle that a pilot has taken is his, and rests when its motors are off. One that a failsafe has taken is
+nobody's: it is watched down.
 """
 
 from __future__ import annotations
@@ -40,14 +41,12 @@ class Rest:
     def words(self) -> str:
         """As `Device.moving`: `4.2 m up, sinking at 0.7 m/s`; '' when it is at rest."""
         vehicle, state = self._vehicle, self._state
-        if self._is_a_pilots:
-            return ""
         if state.heard is None:
             return "not heard yet"
         if vehicle.silence > LINK_LOST:
             last = ", ".join(self._way()) if state.armed else "with its motors off"
             return f"not heard for {vehicle.silence:.1f} s, last seen {last}"
-        if not state.armed or self._rests():
+        if not state.armed or (self._rests() and not self._is_a_pilots):
             return ""
         return ", ".join(self._way())
 
@@ -113,6 +112,8 @@ class Rest:
         """Where it is and how it moves; its mode, where that is not the one it was brought into."""
         state, profile = self._state, self._vehicle.profile
         words = [self._place(), *self._motions()]
+        if self._is_a_pilots:
+            return [f"{'flown' if profile.flies else 'steered'} by a pilot in {state.mode}", *words]
         if state.mode != profile.safe(self._vehicle.binding.safe_state):
             words.append(f"in {state.mode}")
         return words

@@ -9,6 +9,7 @@ import struct
 import pytest
 from can_local_drive import LocalDrive
 
+from lfield.errors import DeviceError
 from lfield_can.bus.frames import Frame
 from lfield_sim.can import bus as fake
 from lfield_sim.can.specs import build, parse
@@ -175,3 +176,32 @@ def test_a_drive_that_coasts(bench, binding, bus):
         assert abs(drive.velocity) < 0.05 * 10_000
 
     b.run_real(mission)
+
+
+@pytest.mark.parametrize("state", ["torque_off", "torque_hold", "brake"])
+def test_an_axis_that_fell_silent_before_a_stop_has_not_been_seen(rig, state):
+    b = rig(safe_state=state)
+
+    async def mission(axis):
+        await axis.make_safe()
+        b.world.faults.apply(["silence=true"])
+        await asyncio.sleep(0.3)
+        with pytest.raises(DeviceError, match="not heard for"):
+            await axis.make_safe()
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("state", ["torque_off", "brake"])
+def test_an_axis_that_began_to_turn_since_it_was_heard_last_is_not_at_rest(rig, state):
+    b = rig(safe_state=state)
+
+    async def mission(axis):
+        await turning(axis)
+        await axis.make_safe()
+        axis.protocol.state.velocity = 0.0  # as it was told before it began to turn
+        await axis.make_safe()
+        words, _ = await rests(axis, 60.0)
+        assert words or state == "brake"
+
+    b.run(mission)

@@ -120,3 +120,14 @@ def test_no_failsafe_takes_over_the_landing_of_a_host_that_is_gone_or_hangs(flig
     flown.landed()
     flight_modes = [mode for height, mode in flown.witness.modes if height > 0.5]
     assert flight_modes.count(flight_modes[-1]) == 1, f"its landing was taken over: {flown.witness.modes}"
+
+
+def test_a_vehicle_in_a_pilots_hands_is_left_to_him_and_named(flight):
+    flown = flight(within=2.0)
+    flown.witness.take("LOITER")
+    flown.host.signal(signal.SIGTERM)
+    assert flown.host.wait() == 3, flown.host.said
+    (line,) = [line for line in flown.host.err if "NOT SAFE" in line]
+    assert "flown by a pilot in LOITER, " in line
+    assert flown.witness.mode == "LOITER"
+    assert flown.witness.height > 2.0

@@ -52,6 +52,12 @@ class Witness:
         else:
             self.height = message.relative_alt / 1000.0
 
+    def take(self, mode: str) -> None:
+        """Take the vehicle over, as a pilot does by choosing a mode."""
+        number = next(number for number, name in mavutil.mode_mapping_acm.items() if name == mode)
+        self._link.mav.set_mode_send(1, dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, number)
+        self.until(lambda seen: seen.mode == mode)
+
     def until(self, condition, bound: float = 60.0) -> None:
         """Wait until a condition of this witness holds."""
         with self._changed:

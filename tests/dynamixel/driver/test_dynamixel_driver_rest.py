@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+from dataclasses import replace
 
 import pytest
 from dynamixel_bench import Bench, call
@@ -103,5 +104,22 @@ def test_an_adapter_that_is_unplugged_leaves_nobody_at_rest():
         bench.port.unplug()
         await asyncio.sleep(3.0)
         assert re.fullmatch(r"not heard for [23]\.\d s", servo.moving()), servo.moving()
+
+    bench.run(story)
+
+
+def test_what_was_measured_before_a_stop_is_no_rest():
+    bench = Bench(safe_state="torque_off")
+
+    async def story(servo):
+        await under_way(servo, 1.5)
+        at, seen = servo._seen[1]
+        servo._seen[1] = (at, replace(seen, velocity=0.0))  # as it was before it set out
+        turned = bench.servos[1].motion.motor.speed
+        await servo.make_safe()
+        told = servo.moving()
+        assert servo._seen[1][0] > at
+        assert turned
+        assert bool(told) == (abs(servo._seen[1][1].velocity) > 0.2), told
 
     bench.run(story)

@@ -114,7 +114,7 @@ def test_one_that_is_not_heard_any_more_is_not_at_rest_although_its_motors_were_
     b.run(mission)
 
 
-def test_a_pilot_who_takes_it_on_its_way_down_has_it(bench):
+def test_a_pilot_who_takes_it_on_its_way_down_has_it_and_it_rests_when_its_motors_are_off(bench):
     b = bench()
 
     async def mission(fc):
@@ -123,9 +123,17 @@ def test_a_pilot_who_takes_it_on_its_way_down_has_it(bench):
         await asyncio.sleep(2.0)
         b.autopilot.command_mode("STABILIZE")
         await asyncio.sleep(2.0)
-        assert fc.moving() == ""
+        assert re.match(r"flown by a pilot in STABILIZE, \d\.\d m up", fc.moving()), fc.moving()
+        for _ in range(3):
+            await fc.make_safe()
+        assert b.autopilot.mode == "STABILIZE"
+        assert sum("left to them" in note for note in b.notes) == 1
         b.cut = True
         await asyncio.sleep(5.0)
+        assert "not heard for" in fc.moving()
+        b.cut = False
+        b.autopilot.disarm(force=True)
+        await asyncio.sleep(2.0)
         assert fc.moving() == ""
 
     b.run(mission)
@@ -312,7 +320,15 @@ def test_nothing_heard_at_all():
 
 @pytest.mark.parametrize("mode", ["LOITER", "STABILIZE", "AUTO", "mode 77"])
 def test_modes_of_others(mode):
-    assert Known(ARDUPILOT, "copter", mode, height=9.0, speeds=(0.0, 0.0)).moving(ours=False) == ""
+    known = Known(ARDUPILOT, "copter", mode, height=9.0, speeds=(0.0, 0.0))
+    assert known.moving(ours=False) == f"flown by a pilot in {mode}, 9.0 m up"
+    known.armed = False
+    assert known.moving(ours=False) == ""
+
+
+def test_a_rover_in_the_hands_of_a_pilot():
+    known = Known(ARDUPILOT, "rover", "MANUAL", landed=True, type=10, speeds=(1.5, 0.0))
+    assert known.moving(ours=False) == "steered by a pilot in MANUAL, motors on, moving at 1.5 m/s"
 
 
 # -- whose landing it is -------------------------------------------------------------------------------
