@@ -258,6 +258,12 @@ class Guard(asyncio.SubprocessProtocol):
         return found or 0
 
     @property
+    def half_open(self) -> bool:
+        """Whether it was told to end while it opened its devices: nobody knows how they are."""
+        opening = self._opening
+        return opening is not None and not self.identities and (opening.cancelled() or not opening.done())
+
+    @property
     def ready(self) -> bool:
         """Whether the devices are open."""
         return self._ready

@@ -372,7 +372,9 @@ class Host:
         else:
             self.note(f"EMERGENCY STOP: {message.reason}")
             devices = await self.guards.emergency_stop(message.reason)
-        link.send(EmergencyStopped(devices))
+        # Whoever pressed it may be gone by now: an impatient finger, a radio that is out of reach.
+        with suppress(AddressError):
+            link.send(EmergencyStopped(devices))
 
     def note(self, text: str) -> None:
         """A line for the log."""

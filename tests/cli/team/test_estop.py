@@ -97,6 +97,19 @@ def test_who_does_not_confirm_and_who_is_not_reached_is_named(lfield, team, alon
     assert line.startswith("bravo: NOT REACHED, its devices have not confirmed: ")
 
 
+def test_whoever_presses_it_may_go_away_before_the_answer(lfield, team, alone):
+    silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
+    assert lfield.status(silenced) == 0, silenced.said
+    pressed = lfield.start("estop", *team.words, "--reason", "and away")
+    team.hosts["bravo"].wait_for("EMERGENCY STOP: .*and away")
+    pressed.popen.kill()
+    pressed.popen.wait()
+    again = lfield("estop", *team.words, "--no-wait")
+    assert "bravo: wing.fc: NOT CONFIRMED" in again.said
+    assert lfield.status(lfield("ps", *team.words)) == 0
+    assert not any("a bug in lfield" in host.said for host in team.hosts.values())
+
+
 def test_a_mission_that_does_not_run_is_not_reached(lfield):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
     pressed = lfield("estop", "--deploy", deployment, *lfield.maps(["alpha", "bravo"]))

@@ -1,0 +1,48 @@
+"""Hosts that end while they open their devices: what nobody has seen safe is named all the same."""
+
+from __future__ import annotations
+
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from flight import PROGRAM, copter, devices
+
+pytestmark = pytest.mark.process
+
+
+def is_guard(pid: int) -> bool:
+    return b"lfield.guard.process" in Path(f"/proc/{pid}/cmdline").read_bytes()
+
+
+def bound_nowhere(lfield, port: int, lead: str = "") -> tuple[object, ...]:
+    """The words of `up` for two copters: one where `lead` says, one where nobody answers."""
+    program = PROGRAM.replace("fc.arm(); fc.takeoff(3.0);", "")
+    nowhere = f"udp:127.0.0.1:{port}"
+    bound = devices({"lead": lead, "wing": nowhere} if lead else {"wing": nowhere}, 2.0)
+    agents = ["//Copter:wing@alpha", *(["//Copter:lead@alpha"] if lead else [])]
+    deployment = lfield.mission(program, "".join(f"{agent}\n" for agent in agents), bound)
+    return ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha")
+
+
+def test_a_device_that_was_still_being_opened_is_named(lfield, alone):
+    (port,) = lfield.ports.take(1)
+    host = lfield.start(*bound_nowhere(lfield, port), env=alone)
+    while not any(map(is_guard, lfield.left())):
+        time.sleep(0.02)
+    host.signal(signal.SIGTERM)
+    assert host.wait() == 3, host.said
+    assert "wing.fc: NOT SAFE: it was still being opened; it was never heard" in host.err
+
+
+def test_a_device_that_fell_silent_while_another_could_not_be_opened_is_named(lfield, alone):
+    endpoint = copter(lfield, alone)
+    (port,) = lfield.ports.take(1)
+    host = lfield.start(*bound_nowhere(lfield, port, endpoint), env=alone)
+    host.wait_for("lead.fc: ArduPilot copter")
+    told = lfield("sim", "fault", "mavlink", "silence=true", env=alone)
+    assert lfield.status(told) == 0, told.said
+    assert host.wait() == 3, host.said
+    assert any(line.startswith("lead.fc: NOT SAFE: ") for line in host.err), host.said
+    assert "no heartbeat from system 1" in host.said
