@@ -17,6 +17,8 @@ _CACHE = tempfile.TemporaryDirectory(prefix="lfield-tests-", ignore_cleanup_erro
 os.environ["XDG_CACHE_HOME"] = _CACHE.name
 #: Nor is what hosts keep of their starts.
 os.environ["XDG_STATE_HOME"] = os.path.join(_CACHE.name, "state")
+#: Nor do the commands of tests find, or stop, what else runs on this computer.
+os.environ["LFIELD_RUNS"] = "here"
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

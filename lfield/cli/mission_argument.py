@@ -45,7 +45,7 @@ def named_mission(args: argparse.Namespace) -> Path | None:
 def meant_runs(args: argparse.Namespace) -> list[Run]:
     """The runs that this user may see, or the one that was named. Raises UsageError, NothingRuns."""
     from lfield.operator.addressed import picked
-    from lfield.operator.runs import runs_here, unseen
+    from lfield.operator.runs import nothing_here, runs_here
 
     runs = picked(runs_here(), args.run)
     if named_mission(args) is not None:
@@ -53,8 +53,7 @@ def meant_runs(args: argparse.Namespace) -> list[Run]:
     if args.map:
         raise UsageError("--map is for the hosts of a mission: name the mission too")
     if not runs:
-        hidden = unseen()
-        raise NothingRuns(f"no mission runs here{f'; {hidden}' if hidden else ''}")
+        raise NothingRuns(f"no mission runs here: {nothing_here()}")
     return runs
 
 

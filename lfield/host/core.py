@@ -20,6 +20,8 @@ from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
 from lfield.mobility.core import Mobility, MobilityMessage
+from lfield.mobility.departures import UNREACHABLE
+from lfield.mobility.fates import Fate
 from lfield.mobility.hearsay import Hearsay
 from lfield.mobility.starts import Starts
 from lfield.vm.agent import Agent, Member
@@ -205,9 +207,9 @@ class HostCore:
         """A host that was asked says what it knows of coordinators."""
         self._carry_out(self.mobility.told(host, records))
 
-    def pass_on(self) -> None:
-        """This host is about to go: whoever can be reached is told of every ending."""
-        self._carry_out(self.mobility.pass_on())
+    def pass_on(self, found: Iterable[Fate]) -> None:
+        """This host is about to go: whoever can be reached is told of all endings, and of what it found."""
+        self._carry_out(self.mobility.pass_on(found))
 
     # --- events of links ------------------------------------------------------------------------------
 
@@ -308,19 +310,15 @@ class HostCore:
 
     def _inject(self, header: Transfer, block: Buffer) -> mobile.Refusal | None:
         if self._halted:
-            return mobile.Refusal("UnreachableResourceException", f"{self.name} is stopping")
+            return mobile.Refusal(UNREACHABLE, f"{self.name} is stopping")
         member = self._coordinators.get(header.agent)
         if member is None:
-            return mobile.Refusal(
-                "UnreachableResourceException", f"{self.name} knows no coordinator {header.agent}"
-            )
+            return mobile.Refusal(UNREACHABLE, f"{self.name} knows no coordinator {header.agent}")
         try:
             self.machine.admit(member, memoryview(block), self.mission.bindings.limits(member.id))
         except BlockError as error:
             self._say(f"refused {header.agent}: {error}")
-            return mobile.Refusal(
-                "UnreachableResourceException", f"{self.name} refused the coordinator: {error}"
-            )
+            return mobile.Refusal(UNREACHABLE, f"{self.name} refused the coordinator: {error}")
         return None
 
     def _held(self, identity: str, generation: int) -> Agent | None:

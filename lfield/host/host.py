@@ -13,7 +13,7 @@ import random
 import secrets
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -34,6 +34,7 @@ from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
+from lfield.mobility.fates import Fate
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
 from lfield.text.private import write_private
@@ -359,9 +360,9 @@ class Host:
         """Whoever started the hosts says that one has ended for good."""
         self._enter(partial(self.core.reaped, host))
 
-    def pass_on(self) -> None:
-        """This host is about to go: it tells all others of the endings that it knows."""
-        self._enter(self.core.pass_on)
+    def pass_on(self, found: Iterable[Fate]) -> None:
+        """This host is about to go: it tells all others of the endings it knows, and what it found."""
+        self._enter(partial(self.core.pass_on, found))
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
         self._pressed = not message.lift

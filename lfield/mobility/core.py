@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
     from lfield.mobility.effects import Effect, Refusal
+    from lfield.mobility.fates import Fate
     from lfield.wire.framing import Buffer
 
 #: The messages for `Mobility.receive`.
@@ -95,9 +96,20 @@ class Mobility:
             effects += self._learn(host, known)
         return effects
 
-    def pass_on(self) -> list[Effect]:
-        """This host is about to go: tell every host that can be reached of all endings known here."""
-        return self._endings.pass_on()
+    def pass_on(self, found: Iterable[Fate]) -> list[Effect]:
+        """This host is about to go: tell every host that can be reached of all endings known here.
+
+        Of losses, only of those that it has proof of now, in `found`.
+        """
+        effects: list[Effect] = []
+        for fate in found:
+            if fate.outcome == "lost":
+                effects += self._endings.lose(fate.agent, fate.starts, fate.detail)
+        return effects + self._endings.pass_on()
+
+    def proven(self, since: float) -> set[str]:
+        """The coordinators that a host which goes has told to be lost, with proof, since then."""
+        return self._endings.proven(since)
 
     def unlinked(self, host: str) -> None:
         """The last link to a host is gone. What was on its way may have arrived or not."""
@@ -121,7 +133,7 @@ class Mobility:
             case Inquire():
                 return self._arrivals.inquire(host, message)
             case Ended():
-                return self._endings.on_ended(host, message)
+                return self._endings.on_ended(host, message, now)
             case EndedAck():
                 return self._endings.on_ack(host, message)
 
@@ -141,6 +153,11 @@ class Mobility:
     def knowledge(self) -> list[Known]:
         """What this host knows of every coordinator, for greetings and `lfield ps`."""
         return [copy.known() for copy in self._copies if copy.state != "ABSENT"]
+
+    @property
+    def lost(self) -> bool:
+        """Whether a start of any coordinator is known here to be lost."""
+        return any(copy.outcome == "lost" for copy in self._copies)
 
     def unconfirmed(self, hosts: Collection[str]) -> bool:
         """Whether one of these hosts has yet to confirm an ending that it was told of."""

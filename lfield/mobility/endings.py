@@ -14,7 +14,7 @@ from lfield.mobility.effects import Effect, Finished, Send, Supersede
 from lfield.wire.messages import Ended, EndedAck, Hello, Known, Outcome, clip
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
 
 class Endings:
@@ -23,6 +23,8 @@ class Endings:
     def __init__(self, host: str, peers: frozenset[str], copies: Copies, links: Mapping[str, Hello]) -> None:
         self._host, self._peers, self._copies, self._links = host, peers, copies, links
         self._untold: dict[tuple[str, int], tuple[Ended, set[str]]] = {}
+        #: The losses that another host, which goes, has told of, and when it did so first: then it was news.
+        self._losses: dict[tuple[str, int], float] = {}
 
     def end(self, copy: Copy, outcome: Outcome, detail: str) -> list[Effect]:
         """End a copy here and tell every host, each until it confirms."""
@@ -32,11 +34,30 @@ class Endings:
         self._untold[copy.agent, copy.generation] = message, set(self._peers)
         return [Send(host, message) for host in sorted(self._peers & self._links.keys())]
 
+    def lose(self, agent: str, generations: Iterable[int], detail: str) -> list[Effect]:
+        """There is proof now that these starts are lost: tell all that can be reached.
+
+        Not those that come later: meanwhile it may have been started again.
+        """
+        effects: list[Effect] = []
+        for generation in generations:
+            copy = self._copies.enter(agent, generation)
+            if copy is None or copy.alive or (copy.state == "EXITED" and copy.outcome != "lost"):
+                continue
+            detail = clip(detail)
+            if copy.state != "EXITED":
+                copy.end("lost", detail, self._host)
+                effects.append(Finished(agent, generation, "lost", detail, self._host))
+            message = Ended(agent, generation, "lost", detail, self._host)
+            self._untold[agent, generation] = message, set(self._links)
+            effects += [Send(host, message) for host in sorted(self._links)]
+        return effects
+
     def pass_on(self) -> list[Effect]:
-        """This host is about to go: tell all it can reach of every ending, wherever that was."""
+        """This host is about to go: tell all it can reach of every ending but losses, wherever that was."""
         effects: list[Effect] = []
         for copy in self._copies:
-            if copy.state == "EXITED" and copy.outcome:
+            if copy.state == "EXITED" and copy.outcome and copy.outcome != "lost":
                 message = Ended(copy.agent, copy.generation, copy.outcome, copy.detail, copy.ended_on)
                 _, waiting = self._untold.setdefault((copy.agent, copy.generation), (message, set()))
                 more = self._links.keys() - waiting - {copy.ended_on}
@@ -52,9 +73,18 @@ class Endings:
         """Tell a host again what it has not confirmed."""
         return [Send(host, message) for message, hosts in self._untold.values() if host in hosts]
 
-    def on_ended(self, host: str, message: Ended) -> list[Effect]:
+    def on_ended(self, host: str, message: Ended, now: float) -> list[Effect]:
         """A host tells of an ending."""
-        return [*self.learn(message), Send(host, EndedAck(message.agent, message.generation))]
+        effects = self.learn(message)
+        key = message.agent, message.generation
+        copy = self._copies.find(*key)
+        if copy is not None and copy.outcome == message.outcome == "lost":
+            self._losses.setdefault(key, now)
+        return [*effects, Send(host, EndedAck(message.agent, message.generation))]
+
+    def proven(self, since: float) -> set[str]:
+        """The coordinators that were told to be lost since then, by hosts that had proof and went."""
+        return {agent for (agent, _), at in self._losses.items() if at >= since}
 
     def on_ack(self, host: str, message: EndedAck) -> list[Effect]:
         """A host confirms that it knows."""
@@ -73,11 +103,18 @@ class Endings:
             return []
         if ended.outcome == "superseded":
             return self.stop(copy, ended.detail, ended.host)
-        # 'lost' is only a presumption; and nothing can have ended while this host still holds it.
-        if copy.state in ("RUN", "FROZEN") or (copy.state == "PREPARED" and ended.outcome == "lost"):
+        # Nothing can have ended while this host still holds it, nor be lost while it may yet go on here.
+        if copy.state in ("RUN", "FROZEN"):
+            return []
+        if copy.state == "PREPARED" and ended.outcome == "lost" and not self._forsaken(copy):
             return []
         copy.end(ended.outcome, ended.detail, ended.host)
         return [Finished(ended.agent, ended.generation, ended.outcome, ended.detail, ended.host)]
+
+    def _forsaken(self, copy: Copy) -> bool:
+        """Whether a copy in doubt waits for an answer from a life that is over: it can never come."""
+        target = self._links.get(copy.target)
+        return bool(copy.doubt) and target is not None and target.incarnation != copy.incarnation
 
     def stop(self, copy: Copy, reason: str, host: str) -> list[Effect]:
         """End a copy because `host` said an earlier start is alive; no need to tell others."""

@@ -9,7 +9,7 @@ left who could. A host that is only silent proves nothing: what went there is no
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from msgspec import structs
 
@@ -20,11 +20,15 @@ _ALIVE = ("RUN", "FROZEN", "PREPARED")
 
 @dataclass(frozen=True, slots=True)
 class Fate:
-    """A coordinator's end: `outcome` is done, died, lost or unheard; `detail` one line."""
+    """A coordinator's end: `outcome` is done, died, lost or unheard; `detail` one line.
+
+    `starts` are the generations that are lost, the latest first.
+    """
 
     agent: str
     outcome: str
     detail: str
+    starts: tuple[int, ...] = field(default=(), compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +61,20 @@ def fates(homes: Mapping[str, str], records: Mapping[str, Records], absent: Abse
         if fate := _Census(agent, by_host, absent).fate(home):
             found[agent] = fate
     return found
+
+
+def known_fates(homes: Mapping[str, str], records: Records, proven: Collection[str]) -> dict[str, Fate]:
+    """The fates that one host knows without asking anybody, from its own records.
+
+    That something was lost says nothing about a later start, so it counts only for the coordinators of which
+    somebody has `proven` it just now.
+    """
+    found = fates(homes, {"": records}, Absent())
+    return {
+        agent: fate
+        for agent, fate in found.items()
+        if fate.outcome in ("done", "died") or (fate.outcome == "lost" and agent in proven)
+    }
 
 
 class Judge:
@@ -99,7 +117,7 @@ def _as_memory(row: Known, host: str, life: int) -> Known:
 def _certain(fate: Fate, before: Fate | None) -> bool:
     match fate.outcome:
         case "lost":
-            return fate == before
+            return before is not None and (fate, fate.starts) == (before, before.starts)
         case "unheard":
             return before is not None and before.outcome == "unheard"
         case _:
@@ -128,7 +146,8 @@ class _Census:
         if not starts:
             return self._never_seen(home, gave_way=bool(gave_way))
         found = [self._start(generation, ended.get(generation)) for generation in starts]
-        return next((fate for fate in found if fate is None or fate.outcome != "lost"), found[0])
+        fate = next((fate for fate in found if fate is None or fate.outcome != "lost"), found[0])
+        return replace(fate, starts=tuple(starts)) if fate and fate.outcome == "lost" else fate
 
     def _start(self, generation: int, ended: Known | None) -> Fate | None:
         return Fate(self.agent, ended.outcome, ended.detail) if ended else self._missing(generation)
@@ -147,7 +166,8 @@ class _Census:
         rows = [row for records in known.values() for row in records]
         for row in rows:
             if row.state == "EXITED":
-                return Fate(self.agent, row.outcome, row.detail)
+                # Of this start there is proof; since then its host may have started it again.
+                return self._nowhere(row.detail)
         last = max(rows, key=lambda row: row.sequence)
         where, way = last.where, f"it went to {last.where} (transfer {last.sequence})"
         if where in self.absent.gone:

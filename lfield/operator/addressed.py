@@ -15,7 +15,7 @@ from lfield.errors import NothingRuns, UsageError
 from lfield.lang.deployment import read_deployment
 from lfield.mission import bundle
 from lfield.mission.team import Team, parse_maps, team_of
-from lfield.operator.runs import Run
+from lfield.operator.runs import Run, nothing_here
 from lfield.text.suggest import listed
 
 
@@ -113,7 +113,7 @@ def picked(runs: Sequence[Run], id: str) -> list[Run]:
     if found or not id:
         return found
     if not runs:
-        raise NothingRuns(f"no mission runs here that this user may see, and no run {id}")
+        raise NothingRuns(f"no mission runs here that this user may see, and no run {id}: {nothing_here()}")
     raise UsageError(f"there is no run {id}: there is {listed([run.id for run in runs])}")
 
 

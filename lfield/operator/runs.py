@@ -8,6 +8,9 @@ The base is `/run/lfield` where a service manager has made that, then readable b
 the user's runtime folder, or one in the temporary folder. A run lives as long as a process of it holds the
 lock of its folder: a number of a process may be another's tomorrow, a lock goes with whoever held it. What is
 left of a run that was killed is tidied up by the next command of its user.
+
+Who looks may have another environment than who started (sudo, su, cron): all folders are looked into that the
+user's runs can be in without anybody having named another, and root looks into those of all users.
 """
 
 from __future__ import annotations
@@ -37,10 +40,13 @@ from lfield.text.private import (
     temporary_folder,
     write_private,
 )
+from lfield.text.suggest import listed
 from lfield.wire.messages import Label, Name
 
 #: Where the unit of deploy/ has its runs.
 SERVICE = Path("/run/lfield")
+#: Where systemd has the runtime folders of users, by number, and where temporary files usually are.
+RUNTIMES, SHARED = Path("/run/user"), Path("/tmp")
 #: So long the path of a Unix socket may be, in bytes.
 _MAX_SOCKET = 107
 #: A larger note is none.
@@ -193,6 +199,20 @@ def unseen() -> str:
     return f"what runs in {service} this user may not see: use sudo, or join the group of that folder"
 
 
+def nothing_here() -> str:
+    """Where a command has looked in vain, and what to do for runs that are elsewhere."""
+    service = _service() or SERVICE
+    places = [service, *_of_user()]
+    if _for_all():
+        places += [RUNTIMES / "*" / "lfield", SHARED / "lfield-*"]
+    looked = listed([str(place) for place in dict.fromkeys(places)])
+    hidden = unseen()
+    return (
+        f"looked into {looked}; a run that was started with another TMPDIR or XDG_RUNTIME_DIR is found "
+        f"with that set the same{f'; {hidden}' if hidden else ''}"
+    )
+
+
 def _runs_in(base: Path, owners: Collection[int]) -> Iterator[Run]:
     if os.geteuid() in owners:
         _tidy(base)
@@ -274,7 +294,12 @@ def _bases() -> Iterator[tuple[Path, Collection[int]]]:
     # Where only root may write, the service manager has made it: whoever it belongs to is the service.
     with suppress(OSError), private_opened(service.parent, (0, os.geteuid())):
         yield service, {0, service.lstat().st_uid}
-    yield from ((base, {os.geteuid()}) for base in _own() if base != service)
+    own = _of_user()
+    yield from ((base, {os.geteuid()}) for base in own if base != service)
+    if _for_all():
+        for base, owner in _of_others():
+            if base not in (service, *own):
+                yield base, {0, owner}
 
 
 def _service() -> Path | None:
@@ -292,3 +317,31 @@ def _own() -> list[Path]:
         if runtime and os.stat(runtime).st_uid == os.geteuid():
             return [Path(runtime) / "lfield", temporary]
     return [temporary]
+
+
+def _elsewhere() -> bool:
+    """Whether commands look where runs of another environment can be: not with LFIELD_RUNS=here."""
+    return os.environ.get("LFIELD_RUNS", "") != "here"
+
+
+def _for_all() -> bool:
+    return os.geteuid() == 0 and _elsewhere()
+
+
+def _of_user() -> list[Path]:
+    """Where runs of this user can be, whatever the environment was that they were started in."""
+    if not _elsewhere():
+        return _own()
+    user = str(os.geteuid())
+    usual = [RUNTIMES / user / "lfield", SHARED / f"lfield-{user}"]
+    return list(dict.fromkeys([*_own(), temporary_folder() / f"lfield-{user}", *usual]))
+
+
+def _of_others() -> Iterator[tuple[Path, int]]:
+    """The folders of all users, each with its owner: it counts only in the name of that user."""
+    for base in sorted([*RUNTIMES.glob("*/lfield"), *SHARED.glob("lfield-*")]):
+        name = base.parent.name if base.name == "lfield" else base.name.removeprefix("lfield-")
+        with suppress(OSError):
+            owner = base.lstat().st_uid
+            if name == str(owner):
+                yield base, owner

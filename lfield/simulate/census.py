@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from functools import partial
 
 from lfield.host.core import HostCore
-from lfield.mobility.fates import Absent, Fate, Judge, fates
+from lfield.mobility.fates import Fate, Judge, known_fates
 from lfield.simulate.fleet import Fleet, Life
 from lfield.wire.messages import Known
 
 #: As in host/process/until_done.py, in seconds.
-ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
+ASK_EVERY, ANSWER_WITHIN, LINGER, FRESH = 0.5, 1.0, 2.0, 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +53,7 @@ class _Watch:
         self._all, self._fleet, self._name, self._life = all, all.fleet, name, life
         self._homes, self._judge = all.homes, Judge(all.homes)
         self._answers: dict[str, Sequence[Known]] = {}
+        self._since = 0.0
         self._later(ASK_EVERY, self._look)
 
     @property
@@ -63,14 +64,17 @@ class _Watch:
         self._fleet.later(seconds, partial(self._fleet.enter, self._name, self._life, event))
 
     def _look(self) -> None:
-        known = {self._name: self._core.mobility.knowledge()}
-        found = fates(self._homes, known, Absent(elsewhere=self._homes.values()))
+        found = self._known(self._since)
+        self._since = self._fleet.clock.now - FRESH
         if self._homes.keys() == found.keys():
             self._over(found)
-        elif self._core.hearsay.whole:
+        elif self._core.hearsay.whole and not self._core.mobility.lost:
             self._later(ASK_EVERY, self._look)
         else:
             self._ask()
+
+    def _known(self, since: float) -> dict[str, Fate]:
+        return known_fates(self._homes, self._core.mobility.knowledge(), self._core.mobility.proven(since))
 
     def _ask(self) -> None:
         self._answers = {}
@@ -91,7 +95,7 @@ class _Watch:
         known = self._answers | {self._name: self._core.mobility.knowledge()}
         bound = max(self._all.lost_after, self._fleet.unreachable_after)
         absent = self._core.hearsay.absent(known, self._fleet.clock.now, self._all.lost_after, bound)
-        found = self._judge.judge(known, absent)
+        found = self._judge.judge(known, absent) | self._known(self._fleet.clock.now - FRESH)
         if self._homes.keys() == found.keys():
             self._over(found)
         else:
@@ -99,7 +103,7 @@ class _Watch:
 
     def _over(self, found: dict[str, Fate]) -> None:
         self._all.verdicts += [Verdict(self._fleet.clock.now, self._name, fate) for fate in found.values()]
-        self._core.pass_on()
+        self._core.pass_on(found.values())
         if self._all.leave:
             self._later(LINGER, partial(self._fleet.leave, self._name))
         else:

@@ -217,7 +217,7 @@ class Lfield:
         """The process of a host that `--all` has started."""
         for pid in self.left():
             words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-            if b"--host" in words and words[words.index(b"--host") + 1] == host.encode():
+            if f"--host={host}".encode() in words:
                 return pid
         raise AssertionError(f"no process of {host}")
 

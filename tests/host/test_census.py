@@ -86,6 +86,26 @@ def test_a_host_that_was_reaped_is_proof_at_once(fleet):
     fleet(story)
 
 
+@pytest.mark.parametrize("moment", [0.0, 0.2, 0.4, 0.6, 0.8, 1.1])
+def test_proof_of_a_loss_is_told_to_all_before_its_finder_goes(fleet, moment):
+    """Carol comes back without the guest. Alpha looks a moment later than bravo does."""
+
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT.format(way="c"))
+        hosts = await team.up(mission)
+        await team.until(lambda: hosts[2].output)
+        await hosts[2].host.stop()
+        (carol,) = await team.up(mission, "carol")
+        tasks = [asyncio.create_task(fates_of(hosts[1], 5.0)), asyncio.create_task(fates_of(carol, 5.0))]
+        await asyncio.sleep(moment)
+        began = asyncio.get_running_loop().time()
+        fates = [await fates_of(hosts[0], 5.0), *[await task for task in tasks]]
+        assert [fate.outcome for fate in fates] == ["lost"] * 3, [running.log for running in hosts]
+        assert asyncio.get_running_loop().time() - began < 5.0
+
+    fleet(story)
+
+
 def test_a_host_that_is_silent_for_a_moment_is_waited_for(fleet):
     async def story(team):
         hosts = await team.up(team.mission(PROGRAM, DEPLOYMENT.format(way="c")))

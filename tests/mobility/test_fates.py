@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lfield.mobility.fates import Absent, Fate, Judge, fates
+from lfield.mobility.fates import Absent, Fate, Judge, fates, known_fates
 from lfield.wire.messages import Known
 
 HOMES = {"tom": "alpha"}
@@ -27,6 +27,22 @@ def test_an_ending_that_anybody_knows_counts(outcome):
 def test_an_ending_keeps_its_detail():
     ended = row("EXITED", outcome="died", detail="NullException: nothing there")
     assert fate({"alpha": [ended]}) == Fate("tom", "died", "NullException: nothing there")
+
+
+def test_a_loss_that_somebody_knows_of_is_none_while_a_host_may_have_started_it_again():
+    known = {"bravo": [row("EXITED", 1, "carol", outcome="lost", detail="it went")]}
+    assert fate(known, elsewhere=["alpha"]) is None
+    assert fate(known, unheard={"alpha": 7.0}).outcome == "unheard"
+    assert fate(known, gone=["alpha"]).starts == (1,)
+
+
+def test_without_asking_a_loss_counts_only_just_after_it_was_proven():
+    lost = [row("EXITED", 1, "carol", outcome="lost", detail="it went")]
+    assert known_fates(HOMES, lost, ()) == {}
+    assert known_fates(HOMES, lost, {"tom"}) == {"tom": Fate("tom", "lost", "it went")}
+    assert known_fates(HOMES, [*lost, row("RUN", 0, generation=2)], {"tom"}) == {}
+    assert known_fates(HOMES, [row("MOVED", 1, "bravo")], {"tom"}) == {}
+    assert known_fates(HOMES, [row("EXITED", 1, outcome="done")], ()) == {"tom": Fate("tom", "done", "")}
 
 
 @pytest.mark.parametrize("state", ["RUN", "FROZEN", "PREPARED"])

@@ -16,7 +16,7 @@ import msgspec
 import pytest
 
 from lfield.operator import runs
-from lfield.operator.runs import Note, running, runs_here, unseen
+from lfield.operator.runs import Note, nothing_here, running, runs_here, unseen
 
 DEPLOYMENT = b"d" * 32
 ADDRESSES = {"alpha": "127.0.0.1:4001", "bravo": "127.0.0.1:4002"}
@@ -37,6 +37,9 @@ def folder(tmp_path, monkeypatch):
         (tmp_path / name).mkdir(mode=0o700)
     monkeypatch.setattr(runs, "temporary_folder", lambda: tmp_path / "temporary")
     monkeypatch.setattr(runs, "SERVICE", tmp_path / "run" / "lfield")
+    monkeypatch.setattr(runs, "RUNTIMES", tmp_path / "run" / "user")
+    monkeypatch.setattr(runs, "SHARED", tmp_path / "shared")
+    monkeypatch.delenv("LFIELD_RUNS", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     return tmp_path / "lfield"
@@ -234,6 +237,74 @@ def test_the_folder_of_another_user_is_not_taken_for_ours(folder, tmp_path, monk
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with begun():
         assert [run.folder.parent for run in runs_here()] == [folder]
+
+
+def test_a_login_with_another_environment_finds_the_run(tmp_path, monkeypatch):
+    """Of cron or sudo: no XDG_RUNTIME_DIR, no TMPDIR."""
+    user = os.geteuid()
+    runtime = tmp_path / "run" / "user" / str(user)
+    (tmp_path / "shared").mkdir()
+    runtime.mkdir(mode=0o700, parents=True)
+    places = {"runtime": runtime / "lfield", "shared": tmp_path / "shared" / f"lfield-{user}"}
+    with monkeypatch.context() as login:
+        login.setenv("XDG_RUNTIME_DIR", str(runtime))
+        in_runtime = begun()
+        in_runtime.__enter__()
+        login.delenv("XDG_RUNTIME_DIR")
+        login.setattr(runs, "temporary_folder", lambda: tmp_path / "shared")
+        in_shared = begun(changed(started=11.0))
+        in_shared.__enter__()
+    try:
+        for name in ("", str(tmp_path)):
+            monkeypatch.setenv("XDG_RUNTIME_DIR", name)
+            assert [run.folder.parent for run in runs_here()] == list(places.values())
+        monkeypatch.setenv("LFIELD_RUNS", "here")
+        assert runs_here() == []
+    finally:
+        in_runtime.__exit__(None, None, None)
+        in_shared.__exit__(None, None, None)
+
+
+def owned(folder: Path, user: int) -> None:
+    for path in (folder, *folder.rglob("*")):
+        os.chown(path, user, user)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to others")
+@pytest.mark.parametrize("place", ["run/user/4242/lfield", "shared/lfield-4242"])
+def test_root_finds_the_runs_of_other_users_in_their_own_name_only(tmp_path, monkeypatch, place):
+    base = tmp_path / place
+    base.parent.mkdir(parents=True)
+    with monkeypatch.context() as login:
+        login.setattr(runs, "_base", lambda: (base, False))
+        run, lock = runs._begin(NOTE)
+    try:
+        owned(base, 4242)
+        assert [found.folder for found in runs_here()] == [run.folder]
+        os.chown(run.folder / "note.json", 4243, 4243)
+        assert runs_here() == []
+        owned(base, 4243)
+        assert runs_here() == []
+        owned(base, 4242)
+        base.chmod(0o777)
+        assert runs_here() == []
+        base.chmod(0o700)
+        monkeypatch.setattr(os, "geteuid", lambda: 4244)
+        assert runs_here() == []
+    finally:
+        os.close(lock)
+
+
+def test_who_finds_nothing_hears_where_was_looked(tmp_path, monkeypatch):
+    said = nothing_here()
+    for place in (
+        tmp_path / "lfield",
+        tmp_path / "run" / "lfield",
+        tmp_path / "shared" / f"lfield-{os.geteuid()}",
+    ):
+        assert str(place) in said
+    assert "another TMPDIR or XDG_RUNTIME_DIR is found with that set the same" in said
+    assert (str(tmp_path / "shared" / "lfield-*") in said) == (os.geteuid() == 0)
 
 
 def test_a_service_shows_its_runs_to_its_group(service, folder):

@@ -148,6 +148,22 @@ def test_a_host_that_came_back_without_the_walker_proves_the_loss(tmp_path):
     assert outcomes(fleet)["alpha"] == "lost"
 
 
+@pytest.mark.parametrize("away", [0.0, 1.0, 2.5])
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("home", ["alpha", "bravo"])
+def test_whoever_has_proof_of_a_loss_tells_the_others_before_it_goes(tmp_path, home, seed, away):
+    """Also the host that came back: no status depends on who looks first."""
+    fleet = Fleet(mission(tmp_path, "c&c&c&c&c", home), seed, Honest(), lost_after=4.0, leave=True)
+    fleet.run(8.0 + seed / 20)
+    fleet.crash("carol")
+    fleet.run(away)
+    fleet.boot("carol")
+    fleet.run(30.0)
+    assert outcomes(fleet) == dict.fromkeys(HOSTS, "lost")
+    times = [verdict.at for verdict in fleet.verdicts]
+    assert max(times) - min(times) < 2.0
+
+
 def test_a_host_that_dies_and_stays_away_proves_nothing(tmp_path):
     fleet = Fleet(mission(tmp_path, "c&c&c&c&c"), 5, Honest(), lost_after=5.0, leave=True)
     fleet.run(8.0)

@@ -127,10 +127,11 @@ class _Team:
 
     def command(self, host: str, descriptor: int) -> list[str]:
         args = self.args
-        words = [sys.executable, "-m", "lfield", "up", str(self.file), "--host", host, "--leash"]
-        words += ["--listen-fd", str(descriptor), "--door", self.doors.addresses.get(host, "")]
+        words = [sys.executable, "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
+        # One word each: what begins with a dash would be taken for another option.
+        words += ["--listen-fd", str(descriptor), f"--door={self.doors.addresses.get(host, '')}"]
         for name, address in self.addresses.items():
-            words += ["--map", f"{name}={address}"]
+            words.append(f"--map={name}={address}")
         for option in ("dump", "unreachable_after"):
             if getattr(args, option) is not None:
                 words += [f"--{option.replace('_', '-')}", str(getattr(args, option))]

@@ -2,22 +2,24 @@
 
 While nobody is missing, endings are told to every host. While a host has no link, was restarted or has ended,
 all that can be reached are asked what they know: a census. It goes on as long as somebody hears whoever is
-missing here.
+missing here. Who has proof of a loss tells the others before it goes: for the moment they are as certain.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 
 from lfield.host.host import Host
-from lfield.mobility.fates import Absent, Fate, Judge, fates
+from lfield.mobility.fates import Fate, Judge, known_fates
 from lfield.wire.messages import Known, StatusRequest
 
 #: How often the other hosts are asked while one is missing, how long they have to answer, and how long an
 #: ending is passed on before this host goes (all in seconds).
 ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
+#: So long a loss that was told is believed without asking, in seconds: its coordinator may be started again.
+FRESH = 1.5
 
 
 async def until_done(host: Host, lost_after: float) -> list[Fate]:
@@ -29,22 +31,26 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
     homes = {member.id: host.team.hosts[member.host] for member in host.team.coordinators}
     judge = Judge(homes)
     hearsay = host.core.hearsay
+    # What was told while this host was starting is news, too.
+    since = 0.0
     while True:
         host.changed.clear()
-        found = fates(homes, {host.name: host.mobility.knowledge()}, Absent(elsewhere=homes.values()))
-        if homes.keys() - found.keys() and (hearsay.gone or not hearsay.whole):
+        found = known_fates(homes, host.mobility.knowledge(), host.mobility.proven(since))
+        if homes.keys() - found.keys() and (hearsay.gone or not hearsay.whole or host.mobility.lost):
             records = await _census(host)
             now = host.clock.monotonic()
             found = judge.judge(records, hearsay.absent(records, now, lost_after, unmet))
+            found |= known_fates(homes, host.mobility.knowledge(), host.mobility.proven(now - FRESH))
         if not homes.keys() - found.keys():
-            await _pass_on(host)
+            await _pass_on(host, found.values())
             return [found[agent] for agent in sorted(homes)]
         await _news(host, ASK_EVERY)
+        since = host.clock.monotonic() - FRESH
 
 
-async def _pass_on(host: Host) -> None:
+async def _pass_on(host: Host, found: Collection[Fate]) -> None:
     """Tell of the endings, and stay until every host that can be reached has confirmed them."""
-    host.pass_on()
+    host.pass_on(found)
     end = host.clock.monotonic() + LINGER
     while host.mobility.unconfirmed(host.peers.incarnations) and host.clock.monotonic() < end:
         host.changed.clear()
