@@ -13,7 +13,7 @@ from lfield import loop
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
 from lfield.devices.fakes import Fake, start_fake
-from lfield.devices.keeper import Answered, Guard, OpenFailed
+from lfield.devices.keeper import Answered, Guard
 from lfield.devices.lateness import Lateness, Limit
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers
@@ -83,7 +83,7 @@ class Guards:
                 {device.name: (guard, driver.manifests[device.type].device) for device in bus}
             )
         for answer in await asyncio.gather(*(g.open() for g in self._guards), return_exceptions=True):
-            if isinstance(answer, OpenFailed):
+            if isinstance(answer, DevicesError):
                 problems.extend(answer.problems)
             elif isinstance(answer, BaseException):
                 raise answer

@@ -17,7 +17,7 @@ from lfield.devices.snapshots import Snapshots
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import KnownDriver
 from lfield.driver.values import conform
-from lfield.errors import DeviceError, WireError
+from lfield.errors import DeviceError, DevicesError, WireError
 from lfield.guard.messages import (
     Allow,
     Beat,
@@ -114,13 +114,13 @@ class Guard(asyncio.SubprocessProtocol):
     # -- life -----------------------------------------------------------------------------------------
 
     async def open(self, latched: str = "") -> None:
-        """Start the process and open the devices. Raises OpenFailed with all that is wrong."""
+        """Start the process and open the devices. Raises DevicesError with all that is wrong."""
         loop = asyncio.get_running_loop()
         self._opening, self._exited, self._reader = loop.create_future(), asyncio.Event(), MessageReader()
         try:
             await start_process(self, sys.executable, "-m", "lfield.guard.process", self._driver.reference)
         except OSError as error:
-            raise OpenFailed([f"the driver's process does not start: {error.strerror or error}"]) from None
+            raise DevicesError([f"the driver's process does not start: {error.strerror or error}"]) from None
         devices, taken = list(self._devices.values()), sorted(self.snapshots.taken)
         self._send(Open(devices, latched, self._silence, self._driver, taken))
         self._pulse.pause()
@@ -128,12 +128,12 @@ class Guard(asyncio.SubprocessProtocol):
         try:
             async with asyncio.timeout(OPEN_BOUND):
                 self.identities = await self._opening
-        except (TimeoutError, OpenFailed) as error:
+        except (TimeoutError, DevicesError) as error:
             self.kill()
             await self._exited.wait()
-            if isinstance(error, OpenFailed):
+            if isinstance(error, DevicesError):
                 raise
-            raise OpenFailed([f"the driver did not open its devices within {OPEN_BOUND:g} s"]) from None
+            raise DevicesError([f"the driver did not open its devices within {OPEN_BOUND:g} s"]) from None
         if self._barred:
             self._send(Safe("", self._barred, barred=True))
         for name, identity in self.identities.items():
@@ -209,7 +209,7 @@ class Guard(asyncio.SubprocessProtocol):
                 if self._stopping:
                     self._send(Stop(STOPPING, at_once=self._hurried))
                 return
-            except OpenFailed as error:
+            except DevicesError as error:
                 pause = min(2 * pause, AGAIN_LAST)
                 self._note(f"the guard cannot be started again yet: {error}")
 
@@ -316,7 +316,7 @@ class Guard(asyncio.SubprocessProtocol):
             self._unsafe = {}  # Its last words may be lost, when there is no memory for them.
         self._exited.set()
         if self._opening is not None and not self._opening.done():
-            self._opening.set_exception(OpenFailed([f"the driver's process ended with status {status}"]))
+            self._opening.set_exception(DevicesError([f"the driver's process ended with status {status}"]))
         for binding, instruction, answered in self._take_calls():
             reason = f"{instruction.name}() is lost: the guard ended with status {status}"
             answered(DeviceError(binding.field, reason))
@@ -372,7 +372,7 @@ class Guard(asyncio.SubprocessProtocol):
                 self._opening.set_result(identities)
                 self._ready = True
             case Failed(problems) if self._opening is not None and not self._opening.done():
-                self._opening.set_exception(OpenFailed([self._sentence(*problem) for problem in problems]))
+                self._opening.set_exception(DevicesError([self._sentence(*problem) for problem in problems]))
             case Stopped(unsafe):
                 self._unsafe = unsafe
 
@@ -396,11 +396,3 @@ class Guard(asyncio.SubprocessProtocol):
             answered(
                 DeviceError(binding.field, f"{instruction.name}() gave no {instruction.result}: {error}")
             )
-
-
-class OpenFailed(Exception):
-    """A guard could not open its devices; `problems` has a sentence for each."""
-
-    def __init__(self, problems: Sequence[str]) -> None:
-        self.problems = tuple(problems)
-        super().__init__("; ".join(problems))
