@@ -26,7 +26,6 @@ SMALL = {
     "lfield/devices/measuring.py": "what is done for lateness to decide",
     "lfield/driver/binding.py": "one bound device, as it travels",
     "lfield/exits.py": "the statuses of a run",
-    "lfield/guard/effects.py": "what the core of a guard asks of its shell",
     "lfield/host/process/leash.py": "what a host hears from whoever started it",
     "lfield/host/process/stop_words.py": "what ends a host",
     "lfield/host/logbook.py": "the two streams of a host",
