@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import os
 import signal
 import socket
 import sys
@@ -40,6 +41,10 @@ LOST_AFTER = 3.0
 FREE = "127.0.0.1:0"
 #: How long hosts may take to end, in seconds, beyond the time that their devices have to come to rest.
 PATIENCE = 10.0
+#: Seconds for what the hosts have said last to come through.
+LAST_WORDS = 3.0
+#: The longest line that is passed on whole, in bytes.
+LONGEST = 1 << 20
 #: The statuses of a host that has run; one with any other could not start, or has failed.
 RAN = (exits.DONE, exits.FAILED, exits.UNSAFE, exits.UNHEARD)
 
@@ -74,6 +79,7 @@ class _Team:
         self.mission, self.file, self.args, self.doors = mission, file, args, doors
         self.reserved, self.addresses = reserved, addresses
         self.children: dict[str, Process] = {}
+        self.pipes: list[asyncio.ReadTransport] = []
         self.width = max(len(host) for host in addresses)
         self.words = StopWords(SystemClock())
         #: Set when the hosts that still run are to end.
@@ -95,7 +101,12 @@ class _Team:
             self.view.start()
         statuses = await asyncio.gather(*(self.wait(host) for host in self.addresses))
         watcher.cancel()
-        await asyncio.gather(*readers)
+        # A guard whose host was killed has the other end too, and stays until its vehicle is down.
+        _, late = await asyncio.wait(readers, timeout=LAST_WORDS)
+        for reader in late:
+            reader.cancel()
+        for pipe in self.pipes:
+            pipe.close()
         if self.view:
             await self.view.stop()
         if self.words.first.is_set():
@@ -105,25 +116,39 @@ class _Team:
     async def start(self, host: str) -> list[asyncio.Task[None]]:
         """Start the process of a host; returns the tasks that pass its lines on."""
         listening = self.reserved[host][0]
+        (out, stdout), (err, stderr) = await self.pipe(), await self.pipe()
         child = await asyncio.create_subprocess_exec(
             *self.command(host, listening.fileno()),
             stdin=PIPE,
-            stdout=PIPE,
-            stderr=PIPE,
+            stdout=stdout,
+            stderr=stderr,
             # With the lock the run lives, for those who look, until its last host has ended.
             pass_fds=[listening.fileno(), *self.doors.lock],
             # A Ctrl-C of the terminal is for this process; it stops the hosts in order.
             start_new_session=True,
-            limit=1 << 20,
         )
         listening.close()
+        os.close(stdout)
+        os.close(stderr)
         self.children[host] = child
-        assert child.stdout
-        assert child.stderr
         return [
-            asyncio.create_task(self.pass_on(host, child.stdout, sys.stdout)),
-            asyncio.create_task(self.pass_on(host, child.stderr, sys.stderr)),
+            asyncio.create_task(self.pass_on(host, out, sys.stdout)),
+            asyncio.create_task(self.pass_on(host, err, sys.stderr)),
         ]
+
+    async def pipe(self) -> tuple[asyncio.StreamReader, int]:
+        """What is read of a child, and the end that it writes to.
+
+        Not asyncio's own: they would have to end before a child counts as ended, and a guard that outlives
+        its host keeps them open.
+        """
+        reading, writing = os.pipe()
+        reader = asyncio.StreamReader(LONGEST)
+        connected = asyncio.get_running_loop().connect_read_pipe(
+            lambda: asyncio.StreamReaderProtocol(reader), os.fdopen(reading, "rb", 0)
+        )
+        self.pipes.append((await connected)[0])
+        return reader, writing
 
     def command(self, host: str, descriptor: int) -> list[str]:
         args = self.args
