@@ -100,6 +100,8 @@ class Guard(asyncio.SubprocessProtocol):
         self._unsafe: dict[str, str] | None = None
         self._barred = ""
         self._told_way: dict[str, float] = {}
+        #: Whether it was told to end while it opened its devices: nobody knows how they are.
+        self.half_open = False
         #: Who the devices are, in their driver's words, once they are open.
         self.identities: dict[str, str] = {}
         #: Why a device is held in its safe state, by name; absent while it answers to calls.
@@ -145,7 +147,9 @@ class Guard(asyncio.SubprocessProtocol):
         Returns those that have not been seen there, each with what is known of it. A guard that dies
         meanwhile is started again for it. Bounded by `rest_within` of its devices; `hurry` makes it short.
         """
-        self._stopping = True
+        self._stopping, opening = True, self._opening
+        if opening is not None and not self.identities and (opening.cancelled() or not opening.done()):
+            self.half_open = True
         if self._transport is None and self._restarting is None:
             return {}
         self._send(Stop(STOPPING))
@@ -256,12 +260,6 @@ class Guard(asyncio.SubprocessProtocol):
     def pid(self) -> int:
         """The id of its process, 0 while there is none."""
         return (self._transport.get_pid() if self._transport is not None else 0) or 0
-
-    @property
-    def half_open(self) -> bool:
-        """Whether it was told to end while it opened its devices: nobody knows how they are."""
-        opening = self._opening
-        return opening is not None and not self.identities and (opening.cancelled() or not opening.done())
 
     @property
     def ready(self) -> bool:
