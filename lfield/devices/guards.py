@@ -181,11 +181,6 @@ class Guards:
         return {name: "" for guard in self._guards for name in guard.names}
 
     @property
-    def names(self) -> list[str]:
-        """The devices that are open, or were opened."""
-        return list(self._by_device)
-
-    @property
     def latched(self) -> Mapping[str, str]:
         """Why devices are held in their safe states, by device name."""
         return {name: reason for guard in self._guards for name, reason in guard.latched.items()}

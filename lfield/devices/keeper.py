@@ -14,7 +14,7 @@ from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
 from lfield.devices.lateness import BEAT, Lateness, Pulse
 from lfield.devices.snapshots import Snapshots
-from lfield.driver.binding import DeviceBinding
+from lfield.driver.binding import DeviceBinding, longest_rest
 from lfield.driver.known import KnownDriver
 from lfield.driver.values import conform
 from lfield.errors import DeviceError, DevicesError, WireError
@@ -153,7 +153,7 @@ class Guard(asyncio.SubprocessProtocol):
         if self._transport is None and self._restarting is None:
             return {}
         self._send(Stop(STOPPING))
-        bound = max(d.rest_within for d in self._devices.values()) if self.identities else 0.0
+        bound = longest_rest(self._devices.values()) if self.identities else 0.0
         try:
             async with asyncio.timeout(bound + STOP_BOUND):
                 await self._over.wait()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -53,3 +54,8 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     def option(self, name: str) -> Any:
         """An option of the manifest; always present, since the loader fills in defaults."""
         return self.options[name]
+
+
+def longest_rest(devices: Iterable[DeviceBinding]) -> float:
+    """How long the slowest of these devices may take to come to rest, in seconds; 0 without any."""
+    return max((device.rest_within for device in devices), default=0.0)

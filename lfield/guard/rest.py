@@ -22,12 +22,12 @@ UNSEEN = "its safe state was not seen"
 class _Way:
     """A device: how long its stop may take, in seconds, and what is known of it.
 
-    `moving` is None before its safe state was confirmed and looked at. `told` is what the host knows.
+    `confirmed_at` is None before its safe state was confirmed, `moving` before it was looked at in it. `told`
+    is what the host knows.
     """
 
     within: float
-    confirmed: bool = False
-    confirmed_at: float = 0.0
+    confirmed_at: float | None = None
     moving: str | None = None
     look_at: float | None = None
     told: str | None = None
@@ -47,17 +47,17 @@ class Rest:
     def held(self, name: str) -> None:
         """A device is on its way into its safe state, or free: nothing is known of it."""
         way = self._ways[name]
-        way.confirmed, way.moving, way.look_at, way.told = False, None, None, None
+        way.confirmed_at, way.moving, way.look_at, way.told = None, None, None, None
 
     def confirmed(self, name: str, now: float) -> None:
         """It has been seen in its safe state."""
         way = self._ways[name]
-        way.confirmed, way.confirmed_at, way.look_at = True, now, now
+        way.confirmed_at, way.look_at = now, now
 
     def looked(self, name: str, moving: str, now: float) -> bool:
         """What it still does, '' for nothing; whether the host should be told."""
         way = self._ways[name]
-        if not way.confirmed:
+        if way.confirmed_at is None:
             return False
         way.moving = moving
         due = way.told is None or not moving or now >= way.told_at + TELL
@@ -100,14 +100,18 @@ class Rest:
 
     def under_way_until(self) -> float:
         """When those that are confirmed and not at rest have had their time; minus infinity without any."""
-        ways = [way for way in self._ways.values() if way.confirmed and way.moving != ""]
-        return max((way.confirmed_at + way.within for way in ways), default=-math.inf)
+        ends = (
+            way.confirmed_at + way.within
+            for way in self._ways.values()
+            if way.confirmed_at is not None and way.moving != ""
+        )
+        return max(ends, default=-math.inf)
 
     def unsafe(self) -> dict[str, str]:
         """The devices that have not been seen at rest in their safe states, each with what is known."""
         found = {}
         for name, way in self._ways.items():
-            if not way.confirmed:
+            if way.confirmed_at is None:
                 found[name] = UNSEEN
             elif not self._rests(way):
                 found[name] = f"it is in its safe state and not at rest: {way.moving or 'not looked at'}"
@@ -122,7 +126,7 @@ class Rest:
         return min(times, default=None)
 
     def _rests(self, way: _Way) -> bool:
-        return way.confirmed and (way.moving == "" or (self._alone and self._quiet))
+        return way.confirmed_at is not None and (way.moving == "" or (self._alone and self._quiet))
 
     def _settled(self, way: _Way, now: float) -> bool:
         assert self._stopped_at is not None

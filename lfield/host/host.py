@@ -146,13 +146,12 @@ class Host:
         """
         self.address = await self.peers.open(self.options.listen)
         await self._open_door(self.options.door)
-        members = self.team.on(self.core.here)
-        devices = self.mission.bindings.of([m.id for m in members])
+        devices = self.mission.devices_of(self.name)
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
         self.note(f"{self.name} is up on {self.address}")
         self._enter(self.core.start_resources)
-        if not any(member.kind == "coordinator" for member in members):
+        if not any(member.kind == "coordinator" for member in self.team.on(self.core.here)):
             return
         record = self.options.record.read() if self.options.record else None
         await self.peers.first_round(CENSUS)

@@ -11,7 +11,7 @@ from typing import Literal
 
 from lfield.bytecode.program import Program
 from lfield.capability.model import Registry
-from lfield.driver.binding import SIMULATED
+from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers, KnownDrivers
 from lfield.mission.bindings import Bindings, Needed, on_fakes
 from lfield.mission.team import Team
@@ -45,6 +45,10 @@ class Mission:
     def needed(self) -> Needed:
         """For each agent its device fields and their device types."""
         return needed_devices(self.program, self.team)
+
+    def devices_of(self, host: str) -> list[DeviceBinding]:
+        """The devices of the agents that the deployment puts on a host."""
+        return self.bindings.of([member.id for member in self.team.on(self.team.number(host))])
 
     @property
     def world(self) -> World:

@@ -30,6 +30,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from lfield.driver.binding import longest_rest
 from lfield.errors import OutputFileError
 from lfield.mission.mission import Mission
 from lfield.net.tcp import UNIX
@@ -118,7 +119,7 @@ def begun(mission: Mission, file: Path, here: Iterable[str]) -> Note:
         user=_user_name(),
         pid=os.getpid(),
         started=time.time(),
-        rest_within=max((device.rest_within for device in mission.bindings.all), default=0.0),
+        rest_within=longest_rest(mission.bindings.all),
         addresses=mission.team.reached,
         doors={host: _door_name(number, host) for number, host in enumerate(here)},
     )

@@ -200,7 +200,5 @@ def _with_own_drivers(mission: Mission, host: str) -> Mission:
 
     from lfield.driver.known import installed_here
 
-    members = mission.team.on(mission.team.number(host))
-    devices = mission.bindings.of([member.id for member in members])
-    names = {device.driver for device in devices}
+    names = {device.driver for device in mission.devices_of(host)}
     return replace(mission, drivers=installed_here(mission.drivers, names))

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, TextIO
 from lfield import exits
 from lfield.cli.mission_argument import mission_path
 from lfield.clock import SystemClock
+from lfield.driver.binding import longest_rest
 from lfield.host.process import leash
 from lfield.host.process.run import stay_here
 from lfield.host.process.stop_words import ECHO, StopWords, hear_signals
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from lfield.cli.views.live import LiveView
-    from lfield.driver.binding import DeviceBinding
     from lfield.mission.mission import Mission
 
 #: A host that is silent under --all hangs: it is waited for for less long than in the field.
@@ -209,7 +209,7 @@ class _Team:
     def ended_by(self, number: signal.Signals, host: str) -> int:
         """The status of a host that a signal ended: nobody has seen what became of its devices."""
         self.show(host, f"ended by {number.name}", sys.stderr)
-        devices = self.devices(host)
+        devices = self.mission.devices_of(host)
         for device in devices:
             told = f"{device.name}: NOT SAFE: nobody has seen its safe state '{device.safe_state}'"
             self.show(host, told, sys.stderr)
@@ -222,17 +222,12 @@ class _Team:
         await self.ending.wait()
         self.release()
         left = [host for host, child in self.children.items() if child.returncode is None]
-        devices = [device for host in left for device in self.devices(host)]
-        await asyncio.sleep(max((device.rest_within for device in devices), default=0.0) + PATIENCE)
+        devices = [device for host in left for device in self.mission.devices_of(host)]
+        await asyncio.sleep(longest_rest(devices) + PATIENCE)
         for host in left:
             if self.children[host].returncode is None:
                 print(f"{host} does not end: killed", file=sys.stderr)
                 self.children[host].kill()
-
-    def devices(self, host: str) -> list[DeviceBinding]:
-        """The devices of a host."""
-        team = self.mission.team
-        return self.mission.bindings.of([member.id for member in team.on(team.number(host))])
 
     def hurry(self) -> None:
         """Say the second word to every host: the first was the end of its leash.

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from lfield import exits
+from lfield.driver.binding import longest_rest
 from lfield.errors import UsageError
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
@@ -88,7 +89,7 @@ async def run_host(
 
 def _end_by_force_after(mission: Mission) -> Callable[[], None]:
     """Have the kernel end this process if it cannot do so in order, as when there is no memory for it."""
-    bound = max((device.rest_within for device in mission.bindings.all), default=0.0) + LAST_RESORT
+    bound = longest_rest(mission.bindings.all) + LAST_RESORT
 
     def arm() -> None:
         signal.setitimer(signal.ITIMER_REAL, bound)
