@@ -1,5 +1,7 @@
 """MAVLink 2 by pymavlink: the one place where the dialect is chosen, and packets are read and made.
 
+It is `all`: ArduPilot's dialect with what PX4 has beside it, such as CURRENT_MODE.
+
 The dialect is imported by its name: `pymavlink.mavutil` would choose one by the environment and by what it
 happens to receive, and its `recv_match` throws away every message it was not asked for.
 """
@@ -9,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 from lfield_mavlink.link.layouts import SHORTEST, Layout
 from lfield_mavlink.link.signing import LinkSigning

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.flavours import Result, Role
 from lfield_sim.autopilot.vehicle import Circle, Vector

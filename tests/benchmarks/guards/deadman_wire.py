@@ -15,7 +15,7 @@ import socket
 import struct
 import sys
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 _TIMESPEC = struct.Struct("@qq")
 _SO_TIMESTAMPNS = 35

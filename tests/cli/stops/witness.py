@@ -6,7 +6,7 @@ import threading
 import time
 
 from pymavlink import mavutil
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 
 class Witness:

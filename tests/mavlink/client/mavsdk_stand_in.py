@@ -34,7 +34,7 @@ from mavsdk.plugins.telemetry_server import (
     VelocityNed,
     VtolState,
 )
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 QUADROTOR, PX4 = 2, 12
 #: Seconds between two rounds of telemetry.

@@ -23,7 +23,7 @@ from mavlink_client import (
     YAW,
     Client,
 )
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.equipment import Battery
 from lfield_sim.mavlink.telemetry.messages import MESSAGES

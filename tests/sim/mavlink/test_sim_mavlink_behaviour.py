@@ -6,7 +6,7 @@ import math
 
 import pytest
 from mavlink_client import ACCEPTED, ARM, DENIED, FAILED, GUIDED, MODE, ONCE, STREAM, UNSUPPORTED, Client
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
 from lfield_sim.mavlink.link.wire import make_faults

@@ -7,7 +7,7 @@ import math
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mavlink_client import ACCEPTED, ARM, GUIDED, MODE, ONCE, TAKEOFF, Client
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS
 from lfield_sim.mavlink.protocol import HANDLERS

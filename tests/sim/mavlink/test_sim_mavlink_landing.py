@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from mavlink_client import ACCEPTED, ARM, FAILED, LAND, MODE, REJECTED, Client
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 LANDING = {"ardupilot": (9.0,), "px4": (4.0, 6.0)}
 RTL = {"ardupilot": (6.0,), "px4": (4.0, 5.0)}

@@ -21,7 +21,7 @@ from mavlink_client import (
     YAW,
     Client,
 )
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 NAN = math.nan
 OFFBOARD, LOITER, LANDING = (6, 0), (4, 3), (4, 6)

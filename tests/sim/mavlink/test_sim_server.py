@@ -10,7 +10,7 @@ import sys
 
 import pytest
 import serial
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.sims import main as run_sim

@@ -1,4 +1,4 @@
-"""MAVLink 2 packets to messages and back, by pymavlink's ardupilotmega dialect."""
+"""MAVLink 2 packets to messages and back, by pymavlink's `all` dialect."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Hashable, Iterator
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 #: The parser keeps what it has read until the buffer is empty, which on a stream may be never.
 KEPT = 4096

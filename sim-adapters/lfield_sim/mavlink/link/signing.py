@@ -12,7 +12,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as dialect
+from pymavlink.dialects.v20 import all as dialect
 
 #: Bytes of a signature block: link id, timestamp (48 bits), signature (48 bits).
 BLOCK, SIGNATURE = 13, 6
