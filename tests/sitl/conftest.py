@@ -36,7 +36,7 @@ OTHERS: Mapping[str, tuple[int, Sequence[str]]] = {
 }
 
 #: `make test` has no simulators: there these files are left alone.
-collect_ignore_glob = [] if os.environ.get("LFIELD_SITL") else ["test_*.py"]
+collect_ignore_glob = [] if os.environ.get("LFIELD_SITL") else ["test_sitl.py"]
 given = [kind for kind in KINDS if os.environ.get(kind.variable)]
 _rows: list[tuple[str, str, str, str]] = []
 

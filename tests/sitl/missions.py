@@ -53,6 +53,11 @@ coordinator Tour {
 }
 """,
 }
+#: Nothing: a host that opens its vehicle and ends.
+OPEN = """
+resource Vehicle { Mavlink fc; init(string[] arg) { } }
+coordinator Nothing { init(string[] arg) { } }
+"""
 #: Up, over and down.
 HOP = """
 include <mavlink/copter.L>;

@@ -7,7 +7,7 @@ import signal
 import time
 
 import pytest
-from missions import ARM, AWAY, HOP, READY, REAL, ROOT, SPEED, TOUR
+from missions import ARM, AWAY, HOP, OPEN, READY, REAL, ROOT, SPEED, TOUR
 from relay import Relay
 
 #: How often arming after opening, and a mission over a bad link, are tried; what share of packets that loses.
@@ -27,9 +27,7 @@ EXAMPLES = ("01-first-flight", "02-equivalent-lift", "03-mixed-team")
 
 def test_set_up(field, figure):
     """It is set up for the bindings used here; nothing but this writes into it. The others need it."""
-    mission = field.mission(HOP, "//Copter:it@here\n//Hop:hop@here?it\n")
-    if field.kind.vehicle == "rover":
-        mission = field.mission(TOUR["rover"], "//Rover:it@here\n//Tour:tour@here?it\n")
+    mission = field.mission(OPEN, "//Vehicle:it@here\n//Nothing:nothing@here\n")
     refused = field.up(mission, "--until-done")
     status = refused.wait(READY)
     if status:
