@@ -78,11 +78,15 @@ PaceMaker = Callable[[Callable[[], float], Callable[[], float]], Pace]
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """A flight mode: HEARTBEAT.custom_mode, what it does, and whether one may arm in it."""
+    """A flight mode: HEARTBEAT.custom_mode, what it does, and whether one may arm in it.
+
+    `by_hand` needs a transmitter: without one the throttle counts as down, and it sinks.
+    """
 
     number: int
     role: Role
     armable: bool = True
+    by_hand: bool = False
 
 
 Actions = Mapping[int, Role]
@@ -132,7 +136,11 @@ class BatteryLevel:
 class FenceRule:
     """The fence failsafe; the texts are for circle, ceiling and what was uploaded.
 
-    `blind_text` is why nobody arms behind a fence without a position ('' where that has no text of its own).
+    `avoid` is the parameter by which it stays inside (`margin` m from the edge), '' where it has none.
+    `refuses` says that it does not set out for a goal beyond, which is told with `outside_text`.
+    `recovery_text` is said with each change of mode outside, `repeats` that the breach is told again and
+    again; `pause` is the parameter for seconds of hold before the action. `blind_text` is why nobody arms
+    behind a fence without a position ('' where that has no text of its own).
     """
 
     enable: str
@@ -144,6 +152,13 @@ class FenceRule:
     ceiling_text: str
     shape_text: str
     blind_text: str = ""
+    avoid: str = ""
+    margin: str = ""
+    refuses: bool = True
+    outside_text: str = ""
+    recovery_text: str = ""
+    repeats: bool = False
+    pause: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +201,8 @@ class Flavour:
     setpoint_text       said when a setpoint is too old
     mute                seconds without a ground station after which it says no texts; they come later
     tells_modes         a heartbeat goes out with each change of mode, not only once a second
+    no_mission          said when there is no mission to fly
+    airborne_text       said when it is not disarmed because it flies
     idle_text           said when it disarms because nothing follows an arming
     drifts              home's height moves with GNSS while it flies
     """
@@ -226,6 +243,8 @@ class Flavour:
     mute: float = math.inf
     tells_modes: bool = False
     idle_text: str = ""
+    no_mission: tuple[str, ...] = ()
+    airborne_text: str = ""
     drifts: bool = False
 
 
@@ -236,7 +255,8 @@ class Kind:
     `speeds` are the parameters of the limits of motion with how many of their units make one SI unit;
     `return_height` and `return_pause` likewise; `takeoff_height` is PX4's in metres. `limits` are those that
     no parameter sets, `pace` how fast it goes to a place, `turning_radius` that of a rover (0: on the spot),
-    `home_altitude` the height above mean sea level that it takes for home's, wherever that is.
+    `home_altitude` the height above mean sea level that it takes for home's, wherever that is; `lands` says
+    that it knows takeoff, landing and being landed.
     """
 
     name: str
@@ -251,6 +271,7 @@ class Kind:
     limits: Limits = field(default_factory=Limits)
     turning_radius: float = 0.0
     home_altitude: float | None = None
+    lands: bool = True
     return_height: tuple[str, float] = ("", 1.0)
     takeoff_height: str = ""
     return_pause: tuple[str, float] = ("", 1.0)

@@ -46,10 +46,14 @@ def _takeoff(sender: Sender, command: Command) -> Answer:
 
 
 def _land(sender: Sender, _: Command) -> Answer:
+    if sender.autopilot.flavour.submodes:
+        sender.autopilot.say("Landing at current position\t")
     return sender.autopilot.command_role(Role.LAND), []
 
 
 def _return(sender: Sender, _: Command) -> Answer:
+    if sender.autopilot.flavour.submodes:
+        sender.autopilot.say("Returning to launch\t")
     return sender.autopilot.go_home(), []
 
 
@@ -114,7 +118,9 @@ def _reboot(sender: Sender, command: Command) -> Answer:
 
 
 def _terminate(sender: Sender, command: Command) -> Answer:
-    return (sender.autopilot.terminate() if command.value(1) > 0.5 else Result.ACCEPTED), []
+    if command.value(1) > 0.5:
+        return sender.autopilot.terminate(), []
+    return (Result.DENIED if sender.autopilot.flavour.submodes else Result.FAILED), []
 
 
 def _set_interval(sender: Sender, command: Command) -> Answer:

@@ -77,8 +77,8 @@ def test_every_message_can_be_asked_for_once(kind):
     ("prepare", "number", "values", "result", "text"),
     [
         ("", 31337, (), UNSUPPORTED, ""),
-        ("", TAKEOFF, (0, 0, 0, 0, 0, 0, 5), FAILED, "Takeoff: not armed"),
-        ("arm", TAKEOFF, (0, 0, 0, 0, 0, 0, 5), FAILED, "Takeoff: not possible in STABILIZE"),
+        ("", TAKEOFF, (0, 0, 0, 0, 0, 0, 5), FAILED, ""),
+        ("arm", TAKEOFF, (0, 0, 0, 0, 0, 0, 5), FAILED, ""),
         ("up", TAKEOFF, (0, 0, 0, 0, 0, 0, 5), FAILED, ""),
         ("up", ARM, (1,), ACCEPTED, ""),
         ("up", ARM, (0,), FAILED, ""),

@@ -166,25 +166,6 @@ def test_a_rover_holds_when_the_station_is_lost():
     assert "Radio Failsafe" in c.texts()
 
 
-def test_the_circle_fence():
-    c = Client()
-    c.autopilot.parameters.update({"FENCE_ENABLE": 1, "FENCE_RADIUS": 40})
-    c.up()
-    c.target(POSITION, place=(60, 0, -5))
-    far = 0.0
-    while c.autopilot.mode == "GUIDED" and far < 60:
-        c.wait(0.02)
-        far = c.place[0]
-    assert far == pytest.approx(40.0, abs=0.3)
-    assert c.autopilot.mode == "RTL"
-    c.wait(0.1)
-    assert "Circle fence breached" in c.texts()
-    status = c.ask(162)
-    assert (status.breach_status, status.breach_type, status.breach_count) == (1, 3, 1)
-    c.wait(30.0)
-    assert c.ask(162).breach_status == 0
-
-
 def test_a_low_battery_returns():
     c = Client()
     c.autopilot.parameters["BATT_FS_LOW_ACT"] = 2

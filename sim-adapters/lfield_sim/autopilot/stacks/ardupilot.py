@@ -79,6 +79,9 @@ COPTER_FLAVOUR = Flavour(
         ceiling_text="Max Alt fence breached",
         shape_text="Polygon fence breached",
         blind_text="Fence enabled, need position estimate",
+        avoid="AVOID_ENABLE",
+        margin="FENCE_MARGIN",
+        recovery_text="Manual recovery started",
     ),
     position_lost="EKF Failsafe: changed to LAND Mode",
     capacity="BATT_CAPACITY",
@@ -88,12 +91,14 @@ COPTER_FLAVOUR = Flavour(
     lacks=frozenset({105, 230, 331, 436}),
     tells_modes=True,
     idle_text="Disarming motors",
+    no_mission=("Mode change to AUTO failed: init failed",),
 )  # fmt: skip
 ROVER_FLAVOUR = replace(
     COPTER_FLAVOUR,
     armed="Throttle armed",
     disarmed="Throttle disarmed",
     unarmable="Mode not armable",
+    no_mission=("No Mission. Can't set AUTO.", "Flight mode change failed"),
     setpoint_timeout="",
     setpoint_text="target not received last 3secs, stopping",
     # NAV_LAND, NAV_TAKEOFF, CONDITION_YAW, DO_FLIGHTTERMINATION, NAV_SET_YAW_SPEED
@@ -113,6 +118,8 @@ ROVER_FLAVOUR = replace(
         COPTER_FLAVOUR.fence,
         actions={1: Role.RETURN, 2: Role.HOLD, 3: Role.RETURN, 4: Role.RETURN},
         ceiling="",
+        circle_text="",
+        refuses=False,
     ),
     position_lost="EKF failsafe",
 )
@@ -157,6 +164,7 @@ COMMON: Mapping[str, float] = {
     "AVOID_ENABLE": 3,
     "FENCE_ACTION": 1,
     "FENCE_ENABLE": 0,
+    "FENCE_MARGIN": 2,
     "FENCE_RADIUS": 300,
     "FENCE_TOTAL": 0,
     "FENCE_TYPE": 7,
@@ -218,6 +226,7 @@ ACKERMANN = Kind(
     Limits(braking=1.0, jerk=2.0, velocity_response=Response(1.22)),
     turning_radius=1.4,
     home_altitude=0.19,
+    lands=False,
 )
 
 KINDS = {
@@ -226,18 +235,18 @@ KINDS = {
         2,
         COPTER_FLAVOUR,
         {
-            "STABILIZE": Mode(0, Role.MANUAL),
-            "ACRO": Mode(1, Role.MANUAL),
-            "ALT_HOLD": Mode(2, Role.MANUAL),
+            "STABILIZE": Mode(0, Role.MANUAL, by_hand=True),
+            "ACRO": Mode(1, Role.MANUAL, by_hand=True),
+            "ALT_HOLD": Mode(2, Role.MANUAL, by_hand=True),
             "AUTO": Mode(3, Role.MISSION, armable=False),
             "GUIDED": Mode(4, Role.GUIDED),
             # Before LOITER: it is what ArduCopter falls back to when it is to hold.
             "BRAKE": Mode(17, Role.HOLD, armable=False),
-            "LOITER": Mode(5, Role.HOLD),
+            "LOITER": Mode(5, Role.HOLD, by_hand=True),
             "RTL": Mode(6, Role.RETURN, armable=False),
             "CIRCLE": Mode(7, Role.ORBIT, armable=False),
             "LAND": Mode(9, Role.LAND, armable=False),
-            "POSHOLD": Mode(16, Role.HOLD),
+            "POSHOLD": Mode(16, Role.HOLD, by_hand=True),
         },
         "STABILIZE",
         COPTER_PARAMETERS,
@@ -251,7 +260,7 @@ KINDS = {
         },
         CopterPace,
         COPTER_WARMING,
-        Limits(braking=2.5, jerk=5.0),
+        Limits(braking=2.5, jerk=5.0, spool=2.4, lift=1.0, takeoff=2.5),
         return_height=("RTL_ALT", 100.0),
         return_pause=("RTL_LOIT_TIME", 1000.0),
     ),
