@@ -36,6 +36,9 @@ class Reports(Protocol):
     def note(self, device: str, text: str) -> None:
         """One sentence for the log of the host."""
 
+    def breach(self, device: str, reason: str) -> None:
+        """The device is beyond a limit of its binding and cannot be corrected: it alone goes safe."""
+
     def crashed(self, reason: str | BaseException) -> None:
         """Something in the driver has broken, or this was raised in it: every device goes safe."""
 
@@ -151,6 +154,13 @@ class Device:
     def note(self, text: str) -> None:
         """One sentence for the log of the host."""
         self._reports.note(self.binding.name, text)
+
+    def breach(self, reason: str) -> None:
+        """It is beyond a limit and nothing that was tried has helped: have the guard hold it safe.
+
+        Until then, and while it is latched already, nothing changes; the first reason is kept.
+        """
+        self._reports.breach(self.binding.name, reason)
 
     def error(self, reason: str, *, timeout: bool = False) -> DeviceError:
         """The exception to raise when the device refused (or, with `timeout`, did not answer)."""
