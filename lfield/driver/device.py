@@ -59,9 +59,9 @@ def method_name(instruction: str) -> str:
 class Device:
     """One device on a bus.
 
-    Authors override `_open`, `_make_safe`, for a device that has one `_set_watchdog`, for one that takes its
-    time to come to rest `_moving`, for one that others may take over `_taken_over` and `_guard_restarted`,
-    and write the `do_...` coroutines.
+    Authors override `_open`, `_make_safe` (but for a pure sensor), for a device that has one `_set_watchdog`,
+    for one that takes its time to come to rest `_moving`, for one that others may take over `_taken_over` and
+    `_guard_restarted`, and write the `do_...` coroutines.
 
     A device that can do much may have `parts`: any objects, made in its constructor, whose `do_...` are
     looked up beside its own. A part takes what it needs (often the device itself, to ask and to publish),
@@ -128,8 +128,10 @@ class Device:
         """Set its watchdog: nothing may be commanded unless it stops by itself when this computer is gone.
 
         Its own time may be twice the guard's; where that cannot be, the binding must say so by name.
-        Raises DeviceError.
+        A sensor does nothing that would have to be stopped. Raises DeviceError.
         """
+        if self.binding.is_sensor:
+            return
         longest = 2.0 * self.binding.ttl
         seconds = await self._set_watchdog(longest)
         if seconds is not None and seconds <= longest * (1.0 + 1e-9):
