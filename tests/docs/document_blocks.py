@@ -2,9 +2,9 @@
 
 The words behind the fence say what a block is, so that whoever reads the page's source sees it:
 
-    java FILE.L            a whole program; the file's name may be left out; `wrong` behind it: with mistakes
-    java statements        of a method; `of TYPE NAME` gives it a device, as in `java statements of Mavlink fc`
-    text FILE.dL           a deployment
+    java FILE.L            a whole program; the file's name may be left out; `wrong` behind it: bad
+    java statements        of a method; `of TYPE NAME` gives it a device: `java statements of Mavlink fc`
+    text FILE.dL           a deployment, `of PROGRAM.L` if it is not that of the same name
     yaml FILE.SUFFIX       a devices file (`.devices.yaml`) or a registry; without a name the keys tell which
     yaml device DRIVER     devices of an agent; `yaml options DRIVER`: keys of one device
     sh                     lines for a shell; each ends with 0, or as its comment says: `# status 65`
@@ -24,7 +24,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 
-_OPENING = re.compile(r"^([ >]*)(`{3,}|~{3,})([^`]*)$")
+_OPENING = re.compile(r"^((?:[ >]|[-*+] |[0-9]+[.)] )*)(`{3,}|~{3,})([^`]*)$")
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Block:
 
 
 def blocks_of(page: str, text: str) -> Iterator[Block]:
-    """Every fenced block of a page, in order. One that is never closed ends with the page, as CommonMark has it."""
+    """Every fenced block of a page, in order. One that is never closed ends with the page."""
     lines = iter(enumerate(text.splitlines(), 1))
     for number, line in lines:
         opening = _OPENING.match(line)
@@ -75,10 +75,8 @@ def blocks_of(page: str, text: str) -> Iterator[Block]:
 
 
 def _without(margin: str, line: str) -> str:
-    """A line without the indentation of its fence, as far as it has it."""
-    if line.startswith(margin):
-        return line[len(margin) :]
-    return line.lstrip(" ") if not line[: len(margin)].strip(" >") else line
+    """A line without the margin of its fence, as far as it has it."""
+    return line[: len(margin)].lstrip(" >") + line[len(margin) :]
 
 
 def pages() -> list[str]:
@@ -99,3 +97,8 @@ def shell_lines(text: str) -> list[str]:
     """The command lines of a block: continued ones joined, without comments of their own and prompts."""
     lines = text.replace("\\\n", " ").splitlines()
     return [line.removeprefix("$ ") for line in lines if line.strip() and not line.lstrip().startswith("#")]
+
+
+def without_comment(line: str) -> str:
+    """A command line without what is said about it."""
+    return re.sub(r"\s+#.*", "", line)

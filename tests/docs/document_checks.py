@@ -69,7 +69,9 @@ def program(block: Block, folder: Path) -> Problems:
 
 def _around(block: Block) -> str:
     """Statements as a program: in a resource with the device they name, else in a coordinator."""
-    kind, field = ("resource", f"{' '.join(block.words[2:])};") if block.words[1:2] == ["of"] else ("coordinator", "")
+    kind, field = (
+        ("resource", f"{' '.join(block.words[2:])};") if block.words[1:2] == ["of"] else ("coordinator", "")
+    )
     return f"{kind} Page {{ {field} init(string[] arg) {{\n{block.text}}} }}\n"
 
 
@@ -77,8 +79,9 @@ def plain_text(block: Block, folder: Path) -> Problems:
     """A deployment; what a program prints is compared where it is run."""
     if block.file.endswith(".dL"):
         path = folder / block.file
-        if path.with_suffix(".L").exists():
-            return sentences(lambda: load_mission(path, simulate=True))
+        program = folder / block.words[2] if block.words[1:2] == ["of"] else path.with_suffix(".L")
+        if program.exists():
+            return sentences(lambda: load_mission(path, program, simulate=True))
         return sentences(lambda: read_deployment(path, None))
     if block.words not in (["output"], ["drawing"]):
         return [f"there is no rule for '{block.info}': write text FILE.dL, text output or text drawing"]
@@ -86,7 +89,7 @@ def plain_text(block: Block, folder: Path) -> Problems:
 
 
 def yaml(block: Block, folder: Path) -> Problems:
-    """A registry or bindings, read as a mission reads them; devices that are bound are opened on their fakes."""
+    """A registry or bindings, read as a mission reads them; bound devices are opened on their fakes."""
     words, text = block.words, block.text
     if words[:1] == ["device"]:
         text = "agents:\n  page:\n    devices:\n" + textwrap.indent(textwrap.dedent(text), " " * 6)
@@ -105,13 +108,17 @@ def yaml(block: Block, folder: Path) -> Problems:
 
 
 def _bound(path: Path) -> list[DeviceBinding]:
-    """The devices of a bindings file on their fakes: for its mission, else for devices as it says they are."""
+    """The devices of a bindings file on their fakes: for its mission, else as it says itself."""
     deployment = path.with_name(path.name.removesuffix(".devices.yaml") + ".dL")
     plugins = discover()
     if deployment.exists():
         mission = load_mission(deployment, devices=path, simulate=True)
         written = path.read_text(encoding="utf-8")
-        return [device for device in mission.bindings.all if re.search(rf"^  {device.agent}:", written, re.MULTILINE)]
+        return [
+            device
+            for device in mission.bindings.all
+            if re.search(rf"^  {device.agent}:", written, re.MULTILINE)
+        ]
     drivers = sorted(set(re.findall(r"driver: *(\w+)", path.read_text(encoding="utf-8"))))
     found = [d for name in drivers for d in devices_in_file(path, plugins.by_driver[name], plugins, "")]
     return [structs.replace(device, endpoint=f"{SIMULATED}{device.name}") for device in found]
@@ -143,7 +150,7 @@ def python(block: Block, folder: Path) -> Problems:
 
 
 def grammar(block: Block, folder: Path) -> Problems:
-    """Rules that name only rules that there are; below them are those of characters, in capitals, half in words."""
+    """Rules that name only rules that there are; those of characters, in capitals, are half in words."""
     text = re.sub(r"\(\*.*?\*\)|'[^']*'|\"[^\"]+\"", "", block.text)
     text = re.split(r"^[A-Z]+ ", text, maxsplit=1, flags=re.MULTILINE)[0]
     rules = dict(re.findall(r"^(\w+)\s+=((?:.|\n(?!\w))*)", text, re.MULTILINE))
@@ -155,13 +162,21 @@ def diagram(block: Block, folder: Path) -> Problems:
     """A state diagram of arrows with a word each."""
     head, *lines = block.text.splitlines()
     problems = [] if head == "stateDiagram-v2" else [f"there is no rule for a '{head}'"]
-    return problems + [f"no arrow: {line}" for line in lines if not re.fullmatch(r"\s+(\w+|\[\*\]) --> (\w+|\[\*\]): .+", line)]
+    return problems + [
+        f"no arrow: {line}"
+        for line in lines
+        if not re.fullmatch(r"\s+(\w+|\[\*\]) --> (\w+|\[\*\]): .+", line)
+    ]
 
 
 def udev(block: Block, folder: Path) -> Problems:
     """Rules of udev: matches and assignments."""
     rule = re.compile(r'[A-Z]+(\{\w+\})?(==|=|\+=)"[^"]*"')
-    return [f"no rule: {line}" for line in block.text.splitlines() if not all(map(rule.fullmatch, line.split(", ")))]
+    return [
+        f"no rule: {line}"
+        for line in block.text.splitlines()
+        if not all(map(rule.fullmatch, line.split(", ")))
+    ]
 
 
 def shell(block: Block, folder: Path) -> Problems:
@@ -224,6 +239,9 @@ def problems_of(block: Block, folder: Path) -> Problems:
     check = CHECKS.get(block.language)
     if check is None:
         return [f"{block.place}: there is no rule for a block of '{block.info}'"]
+    if block.file:
+        (folder / block.file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / block.file).write_text(block.text, encoding="utf-8")
     return [f"{block.place}: {problem}" for problem in check(block, folder)]
 
 
@@ -231,9 +249,12 @@ def missing_lines(wanted: str, said: str) -> Problems:
     """The lines of a block of output, figures aside, that were not said."""
     heard = {_plain(line) for line in said.splitlines()}
     lines = [line for line in wanted.splitlines() if line.strip() and line.strip() != "..."]
-    return [f"was not printed: {line}" for line in lines if not line.startswith("$ ") and _plain(line) not in heard]
+    return [
+        f"was not printed: {line}"
+        for line in lines
+        if not line.startswith("$ ") and _plain(line) not in heard
+    ]
 
 
 def _plain(line: str) -> str:
     return re.sub(r"[0-9]+(\.[0-9]+)?|(?<==)[0-9a-f]{8,}", "#", re.sub(r" +", " ", line.strip()))
-
