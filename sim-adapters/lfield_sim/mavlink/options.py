@@ -95,17 +95,19 @@ def parse_listen(text: str) -> tuple[str, str, int]:
     return transport, host, int(port)
 
 
-def settings(args: argparse.Namespace) -> dict[str, float]:
-    """`--param NAME=VALUE` as names and values. Raises UsageError."""
-    found = {}
+def settings(args: argparse.Namespace) -> dict[int, dict[str, float]]:
+    """`--param NAME[@SYSTEM]=VALUE` as names and values by system, 0 for all of them. Raises UsageError."""
+    found: dict[int, dict[str, float]] = {}
     for text in args.param:
-        name, _, value = text.partition("=")
+        names, _, value = text.partition("=")
+        name, at, number = names.partition("@")
         try:
-            found[name] = float(value)
+            setting, owner = float(value), int(number) if at else 0
         except ValueError:
-            raise UsageError(f"--param {text}: write NAME=NUMBER") from None
-        if not abs(found[name]) < LARGEST:
+            raise UsageError(f"--param {text}: write NAME=NUMBER, or NAME@SYSTEM=NUMBER") from None
+        if not abs(setting) < LARGEST:
             raise UsageError(f"--param {text}: no parameter can hold that")
+        found.setdefault(owner, {})[name] = setting
     return found
 
 
