@@ -17,7 +17,7 @@ from lfield_sim.autopilot.missions import why_no_mission
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.readiness import Unfit, why_unfit
 from lfield_sim.autopilot.stacks import ardupilot, px4
-from lfield_sim.autopilot.vehicle import ZERO, Circle, Goal, Keep, Reach, Vector
+from lfield_sim.autopilot.vehicle import ZERO, Circle, Goal, Keep, Lean, Reach, Vector
 from lfield_sim.autopilot.watch.failsafes import Failsafes
 
 #: Every vehicle there is, by flavour and kind.
@@ -73,6 +73,8 @@ class Autopilot(Pilot):
         rule = self.flavour.gcs
         if rule.forbids and self.failsafes.station_lost:
             return Unfit((rule.refusal,) if rule.refusal else None)
+        if self.failsafes.fences.breach and self.flavour.submodes:
+            return Unfit(())
         return why_unfit(self)
 
     def arm(self, *, force: bool = False, text: str = "") -> Result:
@@ -232,6 +234,9 @@ class Autopilot(Pilot):
         # An ArduCopter on the ground follows no setpoint: it takes a takeoff to leave it.
         lifted = self.vehicle.airborne or not self.flies or self.flavour.needs_stream
         if self.role is not Role.GUIDED or not self.armed or not lifted:
+            return
+        if isinstance(setpoint.goal, Lean) and self.flavour.ignored_text:
+            self.say(self.flavour.ignored_text)
             return
         if setpoint.goal is None and not self.flavour.needs_stream:
             if self.flies:

@@ -26,7 +26,8 @@ def _return(pilot: Pilot) -> None:
     vehicle, home = pilot.vehicle, pilot.home
     north, east, down = vehicle.place
     far = math.dist((north, east), home[:2])
-    height = home[2] - pilot.return_height
+    cone = pilot.flavour.return_cone
+    height = home[2] - min(pilot.return_height, cone * far if cone else pilot.return_height)
     if not pilot.flies:
         vehicle.goal = Reach(home)
     elif not vehicle.airborne:
@@ -54,7 +55,14 @@ def _take_off(pilot: Pilot) -> None:
         begin_takeoff(pilot, goal)
 
 
+def _land(pilot: Pilot) -> None:
+    """Down where it is, when it is to go down."""
+    if pilot.flies and isinstance(pilot.vehicle.goal, Rest) and pilot.now >= pilot.sinks_at:
+        pilot.vehicle.goal = Descend()
+
+
 _MODES: Mapping[Role, Callable[[Pilot], None]] = {
+    Role.LAND: _land,
     Role.RETURN: _return,
     Role.TAKEOFF: _take_off,
     Role.MISSION: fly_mission,

@@ -50,7 +50,10 @@ def _has_lifted(pilot: Pilot) -> bool:
 def begin_takeoff(pilot: Pilot, down: float) -> None:
     """Up to a height, straight from where it is, when the motors are up to it."""
     pilot.pace.enter(guided=True)
-    pilot.lifts_at = pilot.now + (0.0 if pilot.vehicle.airborne else pilot.kind.limits.spool)
+    pilot.lifts_at = pilot.now
+    if not pilot.vehicle.airborne:
+        limits = pilot.kind.limits
+        pilot.lifts_at = max(pilot.now + limits.spool, pilot.armed_first + limits.awake)
     pilot.lift_goal = down
     pilot.vehicle.goal = Rest()
 

@@ -35,6 +35,8 @@ STILL = 0.05
 SETPOINT_TIMEOUT = 3.0
 #: PX4's rover: metres from home at which its return is over, seconds after arming until it counts as aloft.
 AT_HOME, ROLLS = 0.5, 0.55
+#: Seconds that an ArduCopter stands still before it lands for a failsafe.
+LANDING_PAUSE = 4.0
 #: Texts that are kept until somebody takes them.
 KEPT_TEXTS = 100
 
@@ -50,6 +52,7 @@ class Pilot:
     setpoint_at          when the last setpoint came; stream_at the first of those without a pause
     takeoff_goal         the height in m that a takeoff of PX4 was given
     lifts_at, lift_goal  when the motors are up for a takeoff under way, and how far down it leads
+    sinks_at             when a landing goes down: ArduCopter's failsafes stand still for a while first
     stood                what was last said about standing
     intended             the mode that somebody commanded, whatever a failsafe made of it
     station_at           when a ground station was heard
@@ -85,6 +88,7 @@ class Pilot:
     touched_at: float | None = None
     stood: bool = True
     lifts_at: float | None = None
+    sinks_at: float = 0.0
     lift_goal: float = 0.0
     over_home_at: float | None = None
     setpoint_at: float = -math.inf
@@ -302,6 +306,8 @@ class Pilot:
             self.terminate()
         else:
             self.enter(self.kind.mode_for(role) or self.kind.mode_for(Role.HOLD))
+        if self.role is Role.LAND and self.kind.lands and not self.flavour.takeoff_mode:
+            self.vehicle.goal, self.sinks_at = Rest(), self.now + LANDING_PAUSE
 
     def stop_moving(self) -> None:
         """The setpoint is over: stand still where it is."""

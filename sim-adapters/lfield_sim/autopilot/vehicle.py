@@ -37,10 +37,11 @@ class Response:
 class Limits:
     """Speeds in m/s, accelerations in m/s2, jerk in m/s3, yaw rate in rad/s.
 
-    `cruise` bounds the way to a place, `top` everything over ground. `braking` is how hard it slows down
-    before a place. `spool` are the seconds that motors need before they lift it, `lift` is how it leaves the
-    ground (m/s2), `takeoff` how fast it climbs then. What is flown is never quite what was asked:
-    `goal_response` and `velocity_response` say how a speed asked for comes out, for places and velocities.
+    `cruise` bounds the way to a place, `top` everything over ground; `braking` is how hard it slows down
+    before a place. `spool` are the seconds that motors need before they lift it, `awake` those from arming,
+    `lift` is how it leaves the ground (m/s2), `takeoff` how fast it climbs then. `nose_follows` turns the
+    nose along a velocity. What is flown is never quite what was asked: `goal_response` and
+    `velocity_response` say how a speed asked for comes out, for places and velocities.
     """
 
     cruise: float = 5.0
@@ -53,9 +54,11 @@ class Limits:
     braking: float = 2.5
     jerk: float = 5.0
     spool: float = 0.0
+    awake: float = 0.0
     lift: float = 2.5
     takeoff: float = 2.5
     yaw_rate: float = math.radians(60.0)
+    nose_follows: bool = True
     goal_response: Response = Response()
     velocity_response: Response = Response()
 
@@ -174,9 +177,8 @@ class Vehicle:
         """Let `dt` seconds pass."""
         before, limits = self.velocity, self.limits
         north, east, down = self._kept_in(self._wanted())
-        lean = _eased(
-            self.acceleration[:2], (north - before[0], east - before[1]), limits.acceleration, limits.jerk, dt
-        )
+        missing = (north - before[0], east - before[1])
+        lean = _eased(self.acceleration[:2], missing, self._strongest, limits.jerk, dt)
         vertical = _towards(before[2], down, self._vertical(down) * dt)
         self.velocity = (before[0] + lean[0] * dt, before[1] + lean[1] * dt, vertical)
         self._move(dt)
@@ -211,6 +213,13 @@ class Vehicle:
             case Fall():
                 return (self.velocity[0], self.velocity[1], 50.0)
         return ZERO
+
+    @property
+    def _strongest(self) -> float:
+        """How hard it may be sped up or slowed down over ground now."""
+        if isinstance(self.goal, Lean):
+            return math.hypot(self.goal.north, self.goal.east)
+        return self.limits.acceleration
 
     def _vertical(self, down: float) -> float:
         """How hard its speed up or down is changed; gently until it has left the ground at its speed."""
@@ -276,7 +285,8 @@ class Vehicle:
             self.yaw = wrap(self.yaw + rate * dt)
             return
         goal = self.yaw_goal
-        if goal is None and math.hypot(*self.velocity[:2]) > 0.5 and self.airborne:
+        follows = self.limits.nose_follows or isinstance(self.goal, Reach)
+        if goal is None and follows and math.hypot(*self.velocity[:2]) > 0.5 and self.airborne:
             goal = math.atan2(self.velocity[1], self.velocity[0])
         if goal is not None:
             error = wrap(goal - self.yaw)

@@ -128,6 +128,8 @@ def _set_interval(sender: Sender, command: Command) -> Answer:
     flavour = sender.autopilot.flavour
     if not sender.can_send(kind) or kind in flavour.unasked_only:
         return (Result.FAILED if flavour.submodes else Result.DENIED), []
+    if micros > 0 and 1e6 / micros > flavour.fastest:
+        return Result.DENIED, []
     # -1 stops the stream; 0 asks for the default rate, which on ArduPilot is none.
     sender.stream(kind, 1e6 / micros if micros > 0 else sender.default_rate(kind) if micros == 0 else 0.0)
     return Result.ACCEPTED, []
@@ -143,7 +145,8 @@ def _get_interval(sender: Sender, command: Command) -> Answer:
 
 def _request_message(sender: Sender, command: Command) -> Answer:
     kind = command.whole(1)
-    if not sender.can_send(kind) or sender.withholds(kind):
+    streamed_only = kind in sender.autopilot.flavour.streamed_only
+    if not sender.can_send(kind) or sender.withholds(kind) or streamed_only:
         return (Result.DENIED if sender.autopilot.flavour.submodes else Result.FAILED), []
     return Result.ACCEPTED, [sender.build(kind)]
 

@@ -188,7 +188,10 @@ def test_gps_loss():
     assert not c.ask(1).onboard_control_sensors_health & 0x20
     assert c.command(ONCE, 33) == FAILED
     assert c.autopilot.mode == "LAND"
-    c.wait(15.0)
+    before = c.place[2]
+    c.wait(2.5)
+    assert c.place[2] == before, "a failsafe's landing stands still for a while first"
+    c.wait(17.0)
     assert c.command(MODE, 1, GUIDED) == ACCEPTED
     assert c.command(ARM, 1) == FAILED
     assert "Arm: Need Position Estimate" in [

@@ -100,6 +100,10 @@ ROVER_FLAVOUR = replace(
     unarmable="Mode not armable",
     no_mission=("No Mission. Can't set AUTO.", "Flight mode change failed"),
     setpoint_timeout="",
+    # It streams every group once a second, and nothing faster than half its loop of 50 Hz.
+    streams=dict.fromkeys((1, 2, 24, 30, 32, 33, 36, 42, 65, 74, 147, 193), 1.0),
+    fastest=49.0,
+    ignored_text="Ignoring SET_POSITION_TARGET_LOCAL_NED; set ACC_IGNORE in mask",
     setpoint_text="target not received last 3secs, stopping",
     # NAV_LAND, NAV_TAKEOFF, CONDITION_YAW, DO_FLIGHTTERMINATION, NAV_SET_YAW_SPEED
     unsupported=COPTER_FLAVOUR.unsupported | {21, 22, 115, 185, 213},
@@ -128,6 +132,7 @@ _UNLEVEL = ("Need Alt Estimate", "Accels inconsistent", "EKF attitude is bad", "
 COPTER_WARMING = Warming(
     fix=0.237,
     home=0.47,
+    origin=0.47,
     position=0.98,
     estimate=0.985,
     reasons=(
@@ -142,6 +147,7 @@ COPTER_WARMING = Warming(
 ROVER_WARMING = Warming(
     fix=0.237,
     home=0.244,
+    origin=0.5,
     position=0.247,
     estimate=1.0,
     reasons=(
@@ -260,7 +266,7 @@ KINDS = {
         },
         CopterPace,
         COPTER_WARMING,
-        Limits(braking=2.5, jerk=5.0, spool=2.4, lift=1.0, takeoff=2.5),
+        Limits(braking=2.5, jerk=5.0, spool=0.6, awake=3.3, lift=1.0, takeoff=2.5),
         return_height=("RTL_ALT", 100.0),
         return_pause=("RTL_LOIT_TIME", 1000.0),
     ),

@@ -80,7 +80,11 @@ class Failsafes:
         late = pilot.value(rule.late) if isinstance(rule.late, str) else rule.late
         if pilot.now - self.gcs_seen <= pilot.value(rule.timeout) + late:
             return
+        if rule.stands and pilot.role in (Role.HOLD, Role.RETURN):
+            return
         self.gcs_lost, self._clears_at = True, None
+        for text in () if pilot.armed else rule.lost_texts:
+            pilot.say(text, Severity.WARNING)
         if pilot.armed or rule.stands:
             self._lose_gcs(rule.actions.get(action))
         elif not rule.pause:
@@ -92,7 +96,9 @@ class Failsafes:
         pilot, rule = self._pilot, self._rules.gcs
         if self._clears_at is None or pilot.now < self._clears_at:
             return
-        self.gcs_lost = pilot.critical = False
+        # What PX4 did about it stays a failsafe until somebody commands a mode.
+        pilot.critical = pilot.critical and bool(rule.pause) and pilot.mode != pilot.intended
+        self.gcs_lost = False
         self._clears_at = self._later = None
         pilot.say(rule.cleared, Severity.WARNING)
 
@@ -101,8 +107,7 @@ class Failsafes:
         pilot.critical = True
         pause = pilot.value(rule.pause) if rule.pause else 0.0
         lands_on = self._lands_on()
-        text = rule.goes_on if lands_on else rule.text.format(pause=pause)
-        pilot.say(text, Severity.WARNING)
+        pilot.say(rule.goes_on if lands_on else rule.text, Severity.WARNING)
         if role is not None and not lands_on:
             self._act_after(pause, role)
 
@@ -115,8 +120,7 @@ class Failsafes:
             return
         pilot.critical = True
         pause = 0.0 if role is Role.HOLD else pilot.value(rule.pause)
-        held = self._rules.gcs.text.format(pause=pause)
-        pilot.say(held if pause else FAILSAFE, Severity.CRITICAL)
+        pilot.say(rule.hold_text.format(pause=pause) if pause else FAILSAFE, Severity.CRITICAL)
         self._act_after(pause, role)
 
     def _act_after(self, pause: float, role: Role) -> None:

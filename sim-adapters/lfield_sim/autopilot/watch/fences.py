@@ -14,7 +14,7 @@ from lfield_sim.autopilot.vehicle import Corral, Reach, Vector
 
 #: Seconds from crossing the edge until it is noticed, and from then until something is done about it.
 NOTICED, ACTED = 0.1, 0.04
-#: Seconds between two texts about a breach that lasts, of PX4.
+#: Seconds after which PX4 tells a breach once more.
 AGAIN = 2.06
 
 
@@ -26,7 +26,7 @@ class Fences:
         self._rule = pilot.flavour.fence
         self._since: float | None = None
         self._acts_at: float | None = None
-        self._says_at = 0.0
+        self._says_at: float | None = None
         self.breach = NO_BREACH
         self.breaches = 0
         self.breached_at = 0.0
@@ -56,7 +56,7 @@ class Fences:
         if breach != self.breach and pilot.now - self._since >= NOTICED:
             self._begin(breach)
         if self._acts_at is None or pilot.now < self._acts_at:
-            self._repeat(text)
+            self._say_again(text)
             return None
         self._acts_at = None
         self._say(text)
@@ -69,13 +69,14 @@ class Fences:
         self.breaches = min(self.breaches + 1, 0xFFFF)
         self._acts_at = self._pilot.now + ACTED
 
-    def _repeat(self, text: str) -> None:
-        """PX4 says it again and again."""
-        if self.breach and self._rule.repeats and self._acts_at is None and self._pilot.now >= self._says_at:
-            self._say(text)
+    def _say_again(self, text: str) -> None:
+        """PX4 says it once more."""
+        if self._says_at is not None and self._pilot.now >= self._says_at:
+            self._says_at = None
+            self._pilot.say(text, Severity.CRITICAL)
 
     def _say(self, text: str) -> None:
-        self._says_at = self._pilot.now + AGAIN
+        self._says_at = self._pilot.now + AGAIN if self._rule.hold_text else None
         if text:
             self._pilot.say(text, Severity.WARNING)
 

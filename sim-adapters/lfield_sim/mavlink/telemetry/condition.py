@@ -9,11 +9,13 @@ from pymavlink.dialects.v20 import all as dialect
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.lifting import landed_state
-from lfield_sim.autopilot.readiness import has_fix, trusts_position
+from lfield_sim.autopilot.readiness import has_fix, trusts_position, warmth
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.telemetry.motion import micros, millis
 
 NO_VALUE_16 = 0xFFFF
+#: The share of a cold start that ArduPilot calls booting.
+BOOTED = 0.07
 #: Seconds since 1970 when the fake's GPS clock begins: 2026-11-01, so that runs are alike.
 EPOCH = 1_793_491_200
 #: MAV_SYS_STATUS_SENSOR: inertial, magnetic, pressure, GPS, control, motors, battery, pre-arm checks.
@@ -48,6 +50,8 @@ def _state(autopilot: Autopilot) -> int:
     """MAV_STATE: an ArduCopter is active in the air, a rover unless it holds, PX4 when it is armed."""
     if autopilot.critical:
         return int(dialect.MAV_STATE_CRITICAL)
+    if warmth(autopilot) < BOOTED and not autopilot.flavour.submodes:
+        return int(dialect.MAV_STATE_BOOT if autopilot.flies else dialect.MAV_STATE_CALIBRATING)
     if autopilot.flavour.submodes:
         if not autopilot.armed and autopilot.unfit:
             return int(dialect.MAV_STATE_UNINIT)
