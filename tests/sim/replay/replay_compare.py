@@ -85,7 +85,8 @@ def _acknowledgements(real: Trace, played: Played) -> Iterator[Difference]:
 
 
 def _acks(trace: Trace, line: Line, end: float) -> list[Line]:
-    acks = trace.between(line.t, end, "COMMAND_ACK")
+    # The fake's clock moves in steps of 0.02 s: what it says to an input may be a step older than that.
+    acks = trace.between(line.t - 0.021, end - 0.021, "COMMAND_ACK")
     return [ack for ack in acks if ack.fields["command"] == line.fields["command"]]
 
 

@@ -67,7 +67,7 @@ def make_fake(trace: Trace) -> MavlinkFake:
     """The fake of this vehicle, standing where it stood, with its warm-up."""
     kinds = FLAVOURS["px4" if trace.px4 else "ardupilot"]
     name = str(trace.header["vehicle"])
-    name = f"{name}-skid" if "skid" in trace.name and f"{name}-skid" in kinds else name
+    name = f"{name}_skid" if "skid" in trace.name else name
     origin = (trace.out("GPS_GLOBAL_ORIGIN") or trace.out("HOME_POSITION") or [None])[0]
     place = Place()
     if origin is not None:

@@ -77,7 +77,8 @@ def sys_status(autopilot: Autopilot, _: Place) -> Any:
     health = SENSORS
     if not has_fix(autopilot):
         health &= ~GPS
-    if autopilot.unfit and not autopilot.armed:
+    # PX4 takes the bit away in flight as well.
+    if autopilot.unfit and (autopilot.flavour.submodes or not autopilot.armed):
         health &= ~PREARM
     if autopilot.failsafes.fences.breach:
         health &= ~FENCE
