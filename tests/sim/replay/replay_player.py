@@ -164,6 +164,10 @@ class _Player:
         return any(_armed(beat) for beat in self.trace.between(since, t, "HEARTBEAT"))
 
     def _is_to_be_ready(self, t: float) -> bool:
+        beat = self.trace.last("HEARTBEAT", t)
+        if beat is not None and _armed(beat):
+            # Whoever flies is not waited for: its bit comes and goes.
+            return False
         real, own = self.trace.last("SYS_STATUS", t), self.newest.get("SYS_STATUS")
         return real is not None and own is not None and _fit(real) and not _fit(own)
 
