@@ -64,8 +64,8 @@ class Autopilot(Pilot):
     @property
     def unfit(self) -> str:
         """Why it cannot be armed now, '' when it can."""
-        if self.refuse_arming:
-            return self.refuse_arming
+        if self.refuse_arming or self.ailing:
+            return self.refuse_arming or self.ailing
         if self.gps_lost:
             fence = self.flavour.fence
             fenced = fence.blind_text and self.parameters[fence.enable]
@@ -74,7 +74,7 @@ class Autopilot(Pilot):
 
     def arm(self, *, force: bool = False) -> Result:
         """COMPONENT_ARM_DISARM 1: accepted too when it is armed already."""
-        if self.armed:
+        if self.armed or self.deaf_to_arming:
             return Result.ACCEPTED
         if not self.kind.modes[self.mode].armable:
             return self._deny_arming(f"{self.mode} mode not armable")

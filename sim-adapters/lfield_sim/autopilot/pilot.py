@@ -38,7 +38,8 @@ class Pilot:
     Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `motor_failed`; `warm_up`
     are the seconds after a start in which it is not healthy yet. `setpoint_at` is when the last setpoint
     came; `takeoff_goal` the height in m that a takeoff of PX4 was given. `perform` carries out what a
-    mission has beside places.
+    mission has beside places. `ailing` is why a calibration keeps it from being armed, or ''; after a motor
+    test while armed it is `deaf_to_arming`: it says yes and stays disarmed, until it is restarted.
     """
 
     kind: Kind
@@ -66,6 +67,9 @@ class Pilot:
     setpoint_at: float = -math.inf
     takeoff_goal: float | None = None
     perform: Callable[[MissionItem], object] = lambda _: None
+    ailing: str = ""
+    calibrating: bool = False
+    deaf_to_arming: bool = False
     _texts: list[tuple[Severity, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -234,11 +238,16 @@ class Pilot:
         """Begin again: silent for a moment, then as after a start; parameters and plans are kept."""
         self.booting_until = self.booted = self.now + REBOOT
         self.boots += 1
-        self.payload, self.critical = Payload(), False
+        self.payload, self.critical = Payload(self.payload.fitted), False
+        self.ailing, self.calibrating, self.deaf_to_arming = "", False, False
         self.mission.jump(0)
         self.mode, self.home = self.kind.start, ZERO
         self._texts, self.setpoint_at = [], -math.inf
         self.apply_parameters()
+
+    def switch_off(self) -> None:
+        """Silent for ever."""
+        self.booting_until = math.inf
 
     def _circle_ahead(self) -> Circle:
         """ArduCopter's CIRCLE: the centre is a radius (cm) ahead; CIRCLE_RATE is in degrees per second."""

@@ -37,8 +37,18 @@ class Sender:
         return kind in MESSAGES or any(kind in service.messages for service in self._services)
 
     def withholds(self, kind: int) -> bool:
-        """Whether it cannot tell this now: positions without GPS."""
-        return self.autopilot.gps_lost and kind in POSITIONS
+        """Whether it cannot tell this now: positions without GPS, a fence that is off."""
+        pilot = self.autopilot
+        if kind == dialect.MAVLINK_MSG_ID_FENCE_STATUS and not pilot.parameters[pilot.flavour.fence.enable]:
+            return True
+        return pilot.gps_lost and kind in POSITIONS
+
+    def find(self, kind: int) -> list[Any] | None:
+        """What answers a request for a message, which may be nothing; None when it is refused."""
+        for service in self._services:
+            if kind in service.requests:
+                return service.requests[kind]()
+        return [self.build(kind)] if self.can_send(kind) and not self.withholds(kind) else None
 
     def build(self, kind: int) -> Any:
         """A message as it is now. KeyError when there is no such message."""

@@ -18,6 +18,7 @@ from replay_inputs import inputs
 from replay_trace import PRE_ARM, Line, Trace
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.autopilot.equipment import Payload
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.link.wire import make_faults
 from lfield_sim.mavlink.protocol import MavlinkFake
@@ -76,9 +77,12 @@ def make_fake(trace: Trace) -> MavlinkFake:
     system = next(
         (int(line.get("target_system")) for line in trace.inputs if "target_system" in line.fields), 1
     )
+    # One that was not ready when its recording ended was not ready in all of it.
     ready = trace.first("SYS_STATUS", lambda s: bool(int(s.get("onboard_control_sensors_health")) & PRE_ARM))
-    faults = make_faults(*([f"warm_up={max(0.0, ready - 1.0)}"] if ready else []), systems=(system,))
-    return MavlinkFake(Autopilot(kinds[name]), system=system, place=place, faults=faults)
+    warm_up = trace.end if ready is None else max(0.0, ready - 1.0)
+    faults = make_faults(f"warm_up={min(warm_up, 600.0)}", systems=(system,))
+    bare = Autopilot(kinds[name], payload=Payload(frozenset()))
+    return MavlinkFake(bare, system=system, place=place, faults=faults)
 
 
 @dataclass
@@ -101,6 +105,7 @@ class _Player:
         self.closed = False
         self.started_mission = 0.0
         self.moved_at = 0.0
+        self.reached: set[float] = set()
 
     def feed(self, line: Line) -> None:
         """One input at its time, or when the fake is where the real one was."""
@@ -122,6 +127,7 @@ class _Player:
             step = min(TICK, t - self.now)
             self.now += step
             self._take(self.fake.advance(step))
+        self.now = max(self.now, t)
 
     # -- waiting for the fake -------------------------------------------------------------------------
 
@@ -183,8 +189,7 @@ class _Player:
         real = {
             line.get("seq") for line in self.trace.between(self.started_mission, t, "MISSION_ITEM_REACHED")
         }
-        own = {line.get("seq") for line in self.said if line.type == "MISSION_ITEM_REACHED"}
-        return bool(real) and self.started_mission > 0.0 and max(real) not in own
+        return bool(real) and self.started_mission > 0.0 and max(real) not in self.reached
 
     # -- packets --------------------------------------------------------------------------------------
 
@@ -211,6 +216,8 @@ class _Player:
             line = Line(self.now, "out", name, _fields(message))
             self.said.append(line)
             self.newest[name] = line
+            if name == "MISSION_ITEM_REACHED":
+                self.reached.add(line.get("seq"))
 
 
 def is_motion(line: Line) -> bool:
