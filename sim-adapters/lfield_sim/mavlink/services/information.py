@@ -43,7 +43,7 @@ class Information(Service):
         self.messages = {} if self._px4 else {dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: self._navigation}
         self.requests = {dialect.MAVLINK_MSG_ID_AVAILABLE_MODES: self._modes}
         if self._px4:
-            self.requests |= {kind: list for kind in UNREAD}
+            self.requests |= dict.fromkeys(UNREAD, list)
         else:
             self.requests[dialect.MAVLINK_MSG_ID_MISSION_ITEM_REACHED] = self._last_reached
             self.requests[dialect.MAVLINK_MSG_ID_FENCE_STATUS] = self._fence

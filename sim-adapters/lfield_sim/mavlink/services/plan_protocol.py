@@ -1,9 +1,9 @@
 """Plans by the mission protocol: missions, fences and rally points are sent, fetched and cleared alike.
 
-The vehicle leads an upload: it asks for item after item, asks again when one does not come, and gives up
-in the end. PX4 changes a plan only when all of a new one has come and is right. ArduPilot writes a mission over
-the old one item by item: one that fails leaves the new items that came, and of the old ones as many as the new
-count says. Pure: messages in, messages out.
+The vehicle leads an upload: it asks for item after item, asks again when one does not come, and gives up in
+the end. PX4 changes a plan only when all of a new one has come and is right. ArduPilot writes a mission over
+the old one item by item: one that fails leaves the new items that came, and of the old ones as many as the
+new count says. Pure: messages in, messages out.
 
 Protocol: https://mavlink.io/en/services/mission.html; what the two autopilots do with it was measured.
 """
@@ -39,10 +39,10 @@ class PlanStyle:
     """How an autopilot speaks the protocol.
 
     `home_first`: item 0 of a mission is home, whatever was uploaded, and is there before anything was.
-    `old_request`: asks by the deprecated MISSION_REQUEST 40. `refuses_disorder`: an item out of turn ends the
-    upload, instead of being asked for again. `writes_at_once`: see above. `needs_list`: who did not ask for
-    the list gets no item. `cancels`: an upload that is given up gets an acknowledgement. `frames`: which frame
-    is read back instead of which. `texts`: what is said when something else happens (`timeout`, `received`,
+    `old_request`: asks by the deprecated MISSION_REQUEST 40. `refuses_disorder`: an item out of turn ends
+    the upload, instead of being asked for again. `writes_at_once`: see above. `needs_list`: who did not ask
+    for the list gets no item. `cancels`: an upload that is given up gets an acknowledgement. `frames`: which
+    frame is read back instead of which. `texts`: what is said of what happens (`timeout`, `received`,
     `fence`, `invalid`, `polygon`, `old`). Times in seconds.
     """
 
@@ -198,7 +198,8 @@ class PlanProtocol:
         if result is PlanResult.ACCEPTED and self._style.needs_list and is_too_small(item):
             result = PlanResult.ERROR
         if result is not PlanResult.ACCEPTED:
-            self._say("invalid")
+            if kind is PlanType.MISSION:
+                self._say("invalid")
             return self._end(upload, result)
         upload.items.append(item)
         if self._style.writes_at_once and kind is PlanType.MISSION:
@@ -284,6 +285,8 @@ class PlanProtocol:
         return []
 
     def _on_clear_all(self, message: Any, kind: PlanType, _: float) -> list[Any]:
+        if kind is PlanType.FENCE:
+            self._say("fence")
         return self._clear(_peer(message), [kind], kind)
 
     def _clear(self, peer: Peer, kinds: list[PlanType], told: int) -> list[Any]:

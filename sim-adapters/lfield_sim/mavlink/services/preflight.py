@@ -1,8 +1,8 @@
 """Calibrations and pre-arm checks, as far as a client sees them: results, texts and what they forbid.
 
 Nothing is calibrated. ArduPilot answers when a calibration is over, PX4 when it begins, and then tells its
-progress by texts. One that needs hands (ArduPilot's accelerometer, PX4's magnetometer and accelerometer) never
-ends by itself; PX4's barometer does not either, as in its simulator.
+progress by texts. One that needs hands (ArduPilot's accelerometer, PX4's magnetometer and accelerometer)
+never ends by itself; PX4's barometer does not either, as in its simulator.
 """
 
 from __future__ import annotations
