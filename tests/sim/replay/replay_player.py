@@ -40,6 +40,8 @@ FTP_OPS = {
     "list_time": 16,
 }  # fmt: skip
 NAK = 129
+#: Seconds of a start, of ArduPilot and of PX4, where the recording ends before it is over.
+WARM_UP = (42.6, 6.0)
 #: Commands after which a vehicle moves, stops or may.
 MOTIONS = {20, 21, 22, 34, 115, 176, 178, 185, 192, 193, 209, 213, 300, 310, 400}
 TYPES = {cls.msgname: (number, cls) for number, cls in dialect.mavlink_map.items()}
@@ -68,7 +70,7 @@ def make_fake(trace: Trace) -> MavlinkFake:
     """The fake of this vehicle, standing where it stood, with its warm-up."""
     kinds = FLAVOURS["px4" if trace.px4 else "ardupilot"]
     name = str(trace.header["vehicle"])
-    name = f"{name}-skid" if "skid" in trace.name and f"{name}-skid" in kinds else name
+    name = "rover_skid" if "skid" in trace.name else name
     origin = (trace.out("GPS_GLOBAL_ORIGIN") or trace.out("HOME_POSITION") or [None])[0]
     place = Place()
     if origin is not None:
@@ -77,9 +79,8 @@ def make_fake(trace: Trace) -> MavlinkFake:
     system = next(
         (int(line.get("target_system")) for line in trace.inputs if "target_system" in line.fields), 1
     )
-    # One that was not ready when its recording ended was not ready in all of it.
     ready = trace.first("SYS_STATUS", lambda s: bool(int(s.get("onboard_control_sensors_health")) & PRE_ARM))
-    warm_up = trace.end if ready is None else max(0.0, ready - 1.0)
+    warm_up = WARM_UP[trace.px4] if ready is None else max(0.1, ready - 0.3)
     faults = make_faults(f"warm_up={min(warm_up, 600.0)}", systems=(system,))
     bare = Autopilot(kinds[name], payload=Payload(frozenset()))
     return MavlinkFake(bare, system=system, place=place, faults=faults)

@@ -48,8 +48,9 @@ class MotorTest(Service):
         if pilot.vehicle.airborne:
             pilot.say("Motor Test: vehicle not landed", Severity.CRITICAL)
             return Result.FAILED, []
-        if not pilot.flies and (reason := pilot.unfit):
-            pilot.say(f"Arm: {reason}", Severity.CRITICAL)
+        if not pilot.flies and (unfit := pilot.unfit):
+            for reason in unfit.reasons or ():
+                pilot.say(f"Arm: {reason}", Severity.CRITICAL)
             return Result.FAILED, []
         pilot.say("starting motor test")
         if pilot.armed and self._until is None:

@@ -78,10 +78,11 @@ class Preflight(Service):
 
     def _check(self, _: Command) -> Answer:
         pilot = self.autopilot
-        reason = pilot.unfit
-        if not reason and not pilot.flies and not pilot.kind.modes[pilot.mode].armable:
-            reason = "Mode not armable"
-        if reason and not pilot.flavour.submodes:
+        unfit = pilot.unfit
+        reasons = (unfit.reasons or ()) if unfit else ()
+        if not unfit and not pilot.flies and not pilot.kind.modes[pilot.mode].armable:
+            reasons = ("Mode not armable",)
+        for reason in () if pilot.flavour.submodes else reasons:
             pilot.say(f"PreArm: {reason}", Severity.CRITICAL)
         return Result.ACCEPTED, []
 
