@@ -218,7 +218,7 @@ class Shell(asyncio.Protocol):
             self._on_loaded()
             await self._driver.open()
             devices = list(self._driver.devices.values())
-            identities, problems = await open_all(devices)
+            identities, problems = await open_all(devices, again=bool(message.latched))
             for device in devices if message.latched and not problems else ():
                 device.guard_restarted(device.binding.name in message.taken)
         except DeviceError as error:

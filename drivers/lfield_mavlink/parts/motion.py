@@ -101,7 +101,7 @@ class Motion:
         if not self.ours:
             raise self._vehicle.error(
                 f"{what} refused: the vehicle is in {self._state.mode}, which this program did not "
-                "choose; a pilot or a failsafe has it. release() takes it back"
+                f"choose; {self._state.holder} has it. release() takes it back"
             )
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
         self.stream.stop()
@@ -156,7 +156,7 @@ class Motion:
 
     # -- motions --------------------------------------------------------------------------------------
 
-    async def start(self, what: str, order: Order, taken: Callable[[], bool] = lambda: False) -> None:
+    async def start(self, what: str, order: Order, taken: Callable[[], bool] | None = None) -> None:
         """Begin an order: mode, command, the mode it leads to, and its speed. Raises DeviceError."""
         if order.mode and self._state.mode != order.mode:
             await self.set_mode(order.mode)

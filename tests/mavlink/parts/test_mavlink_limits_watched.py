@@ -74,50 +74,6 @@ def limited(bench):
     return lambda **given: bench(options=OPTIONS, **given)
 
 
-@pytest.fixture
-def forgetful(monkeypatch):
-    """ArduPilot's order: a speed is kept for a control of a position that is running, and else forgotten.
-
-    As recorded: a mode change, a takeoff or a velocity setpoint ends it, and the next one begins with 7 m/s.
-    """
-    set_speed, guide, enter, takeoff = (
-        Autopilot.set_speed, Autopilot.guide, Autopilot.enter, Autopilot.takeoff
-    )  # fmt: skip
-
-    steady: set[int] = set()
-
-    def reset(self):
-        steady.discard(id(self))
-        self.vehicle.limits.cruise = 7.0
-
-    def on_speed(self, speed):
-        if id(self) not in steady:
-            return 4 if self.kind.name == "rover" else 0
-        return set_speed(self, speed)
-
-    def on_setpoint(self, setpoint):
-        position = type(setpoint.goal).__name__ == "Reach"
-        if position != (id(self) in steady):
-            reset(self)
-        if position:
-            steady.add(id(self))
-        guide(self, setpoint)
-
-    def on_mode(self, name):
-        if name != self.mode:
-            reset(self)
-        enter(self, name)
-
-    def on_takeoff(self, height):
-        reset(self)
-        return takeoff(self, height)
-
-    monkeypatch.setattr(Autopilot, "set_speed", on_speed)
-    monkeypatch.setattr(Autopilot, "guide", on_setpoint)
-    monkeypatch.setattr(Autopilot, "enter", on_mode)
-    monkeypatch.setattr(Autopilot, "takeoff", on_takeoff)
-
-
 async def fastest(b, work):
     """The highest speed over ground while something is done."""
     flight, most = asyncio.create_task(work), 0.0
@@ -129,7 +85,7 @@ async def fastest(b, work):
 
 
 @pytest.mark.parametrize("kind", ["copter", "rover"])
-def test_ardupilot_is_told_its_speed_when_it_keeps_it(limited, forgetful, kind):
+def test_ardupilot_is_told_its_speed_when_it_keeps_it(limited, kind):
     b = limited(limits={"speed": 3.0}, kind=kind)
 
     async def mission(fc):
