@@ -14,8 +14,9 @@ from enum import Enum, auto
 from lfield.driver import DeviceBinding, DeviceError
 from lfield_mavlink.geo import Vector
 
-#: What must be left of an excess when the next look is taken, for a correction to count as helping.
-HELPING = 0.75
+#: The share of its greatest excess since the last look to which a correction that helps has brought it by the
+#: next. What was told to be slower while it still gained speed needs a moment to lose the first of it.
+HELPING = 0.9
 
 
 class Verdict(Enum):
@@ -31,8 +32,8 @@ class LimitWatch:
     """Samples of one value against its limit, with room for gusts and noise.
 
     `bound` is the limit with its tolerance. A value that is beyond it for `time` seconds without a break must
-    be corrected. Then, every `time` seconds, the excess must have become less, or be at most `still`: else
-    the correction does not help. The excess of a speed is what is above the bound, that of a place the speed
+    be corrected. Then, every `time` seconds, the excess must be on its way down, or at most `still`: else the
+    correction does not help. The excess of a speed is what is above the bound, that of a place the speed
     at which it leads farther out. What was not heard for `time` is not known to have been beyond anything.
     """
 
@@ -53,6 +54,7 @@ class LimitWatch:
             self._beyond_since = now
         if self._look_at is None:
             return self._correct(excess, now) if now - self._beyond_since >= self.time else None
+        self._excess = max(self._excess, excess)
         return self._look(excess, now) if now >= self._look_at else None
 
     def reset(self) -> None:

@@ -215,8 +215,7 @@ class Motion:
     def _is_refused(self, order: Order, progress: Progress, now: float) -> bool:
         """Whether it looks as if the autopilot does not want to go there."""
         told = "geofence" in self._vehicle.reasons(self._began)
-        stands = not progress.has_moved and now - progress.start > ASKED_WHY
-        return order.goal is not None and (told or stands)
+        return order.goal is not None and (told or progress.stood(now) > ASKED_WHY)
 
     async def _check_fence(self, what: str, order: Order) -> None:
         """Raise DeviceError when its own fence is why it does not move."""

@@ -16,18 +16,21 @@ class Progress:
     """Whether a motion that began at `start` (on the clock) still gets on."""
 
     def __init__(self, patience: Patience, start: float) -> None:
-        self._patience, self.start = patience, start
-        self._best, self._best_at = math.inf, start
-        #: Whether it has been seen to move.
-        self.has_moved = False
+        self._patience = patience
+        self._best, self._best_at, self._moved_at = math.inf, start, start
 
     def is_over(self, left: float, moves: bool, now: float) -> bool:
         """Take in what is left of the way; whether nothing can be hoped for any more."""
-        self.has_moved = self.has_moved or moves
+        if moves:
+            self._moved_at = now
         if left < self._best - self._patience.closer:
             self._best, self._best_at = left, now
         waits = max(self._patience.seconds, self._patience.turning if moves else 0.0)
         return now - self._best_at > waits
+
+    def stood(self, now: float) -> float:
+        """For how many seconds it has not moved."""
+        return now - self._moved_at
 
 
 class Arrival:

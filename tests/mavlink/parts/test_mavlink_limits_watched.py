@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_mavlink.parts.limits import LimitWatch, Verdict
-from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.autopilot import Autopilot, Setpoint
+from lfield_sim.autopilot.flavours import Control, Result
+from lfield_sim.autopilot.vehicle import Reach
 
 BOUND, TIME, STEP = 3.6, 1.0, 0.1
 
@@ -117,7 +119,7 @@ def test_a_speed_that_was_lost_is_said_and_told_again(limited):
         await fc.execute("takeoff", [5.0])
         flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
         await asyncio.sleep(3.0)
-        b.autopilot.vehicle.limits.cruise = 7.0
+        b.autopilot.pace.change(7.0)  # by another ground station
         await flight
 
     b.run(mission)
@@ -130,12 +132,12 @@ def test_a_speed_that_was_lost_is_said_and_told_again(limited):
 
 def test_a_speed_that_no_correction_lowers_is_a_breach(limited, monkeypatch):
     b = limited(limits={"speed": 3.0})
-    monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: 0)
+    monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: Result.ACCEPTED)
 
     async def mission(fc):
         await fc.execute("arm", [])
         await fc.execute("takeoff", [5.0])
-        b.autopilot.vehicle.limits.cruise = 7.0
+        b.autopilot.pace.own = lambda: 7.0
         flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
         await asyncio.sleep(6.0)
         flight.cancel()
@@ -144,16 +146,16 @@ def test_a_speed_that_no_correction_lowers_is_a_breach(limited, monkeypatch):
     assert b.breaches[0].endswith("beyond its limit of 3 m/s, and no correction has helped")
 
 
-def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited):
-    b = limited(limits={"radius": 20.0})
+def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited, monkeypatch):
+    b, guide = limited(limits={"radius": 20.0}), Autopilot.guide
 
     async def mission(fc):
         await fc.execute("arm", [])
         await fc.execute("takeoff", [5.0])
-        flight = asyncio.create_task(fc.execute("goTo", [15.0, 0.0, -5.0]))
-        await asyncio.sleep(4.0)
-        b.autopilot.home = (-30.0, 0.0, 0.0)  # somebody else has set home elsewhere
-        with pytest.raises(DeviceError, match=r"goTo was stopped, since 4.* m from home, beyond its limit"):
+        astray = Setpoint(Reach((60.0, 0.0, -5.0)), control=Control.PLACE)
+        monkeypatch.setattr(Autopilot, "guide", lambda self, _: guide(self, astray))
+        flight = asyncio.create_task(fc.execute("goTo", [0.0, 15.0, -5.0]))
+        with pytest.raises(DeviceError, match=r"goTo was stopped, since .* m from home, beyond its limit"):
             await flight
         await asyncio.sleep(5.0)
 
@@ -171,7 +173,7 @@ def test_a_pilot_is_only_told(limited):
         b.autopilot.enter("RTL")
         b.autopilot.parameters["RTL_ALT"] = 500
         b.autopilot.vehicle.place = (90.0, 0.0, -5.0)
-        b.autopilot.vehicle.limits.cruise = 7.0
+        b.autopilot.pace.change(7.0)
         await asyncio.sleep(8.0)
 
     b.run(mission)

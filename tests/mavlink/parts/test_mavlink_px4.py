@@ -170,7 +170,7 @@ def test_the_speed_of_the_binding_is_kept(px4):
             fastest = max(fastest, b.values["groundSpeed"])
         return fastest
 
-    assert 1.8 < b.run(mission) <= 2.05
+    assert 1.6 < b.run(mission) <= 2.05
 
 
 def test_global_goals(px4):
