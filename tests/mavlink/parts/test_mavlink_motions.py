@@ -90,6 +90,7 @@ def test_what_steers_like_a_car_says_that_it_does_not_turn_on_the_spot(bench):
         assert loop.time() - start < 3.5
         with pytest.raises(DeviceError, match="setYawRate has not changed its heading for 2 s; this frame"):
             await turn_on(fc, 10)
+        await fc.execute("hold", [])
         # It turns round for a goal behind it, driving away from it first.
         await fc.execute("goTo", [-12.0, 0.0, 0.0])
         await fc.execute("returnHome", [])
