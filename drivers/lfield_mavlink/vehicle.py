@@ -18,6 +18,7 @@ from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.missions import Missions
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.payload import Payload
+from lfield_mavlink.parts.readiness import Readiness
 from lfield_mavlink.parts.rest import Rest
 from lfield_mavlink.parts.storage import Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
@@ -50,10 +51,12 @@ class MavlinkVehicle(Contact):
         self.motion = Motion(self, self.parameters)
         self.watchdog = Watchdog(self, self.parameters)
         limits = Limits(binding, self.error)
-        self._flight = Flight(self, self.motion, limits, self.watchdog)
+        readiness = Readiness(self, self.motion)
+        self._flight = Flight(self, self.motion, limits, self.watchdog, readiness)
         self._rest = Rest(self, self.motion)
         self.parts = (
             self._flight,
+            readiness,
             Guidance(self, self.motion, limits),
             Missions(self, self.motion, limits, self.plans),
             Fences(self, self.plans, self.parameters),

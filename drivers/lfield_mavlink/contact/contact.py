@@ -205,13 +205,12 @@ class Contact(Device):
         start = self.clock.monotonic()
         for _ in range(ATTEMPTS):
             await self.command(what, number, *values, taken=state)
-            if await self.seen(lambda: state() or self.is_unavailable(start), SHOWS / ATTEMPTS):
-                break
-        if state():
-            return
+            if await self.seen(state, SHOWS / ATTEMPTS):
+                return
+            # Not before: the words may be late ones about another mode.
+            if self.is_unavailable(start):
+                raise self.error(f"{what} refused{self.reasons(start)}")
         self.check_link()
-        if self.is_unavailable(start):
-            raise self.error(f"{what} refused{self.reasons(start)}")
         raise self.error(f"{what} was accepted but did not happen within {SHOWS:g} s{self.reasons(start)}")
 
     def is_unavailable(self, start: float) -> bool:
