@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
-from lfield.driver import Clock, DeviceBinding, DeviceError, Manifest, Reports
+from lfield.driver import Clock, DeviceBinding, DeviceError, Manifest, Reports, Setting
 from lfield_mavlink.contact.contact import LINK_LOST, Contact
 from lfield_mavlink.contact.link_health import LinkHealth
 from lfield_mavlink.contact.streams import Streams
@@ -52,7 +52,7 @@ class MavlinkVehicle(Contact):
         self.watchdog = Watchdog(self, self.parameters)
         limits = Limits(binding, self.error)
         readiness = Readiness(self, self.motion)
-        self._flight = Flight(self, self.motion, limits, self.watchdog, readiness)
+        self._flight = Flight(self, self.motion, limits, readiness)
         self._rest = Rest(self, self.motion)
         self.parts = (
             self._flight,
@@ -63,7 +63,7 @@ class MavlinkVehicle(Contact):
             Rally(self, self.plans),
             Payload(self),
             Upkeep(self, self._renew),
-            Settings(self, self.parameters),
+            Settings(self, self.parameters, self.watchdog.protects),
             Files(self, self.files),
         )
 
@@ -133,7 +133,16 @@ class MavlinkVehicle(Contact):
     # -- what the guard asks --------------------------------------------------------------------------
 
     async def _set_watchdog(self, longest: float) -> float | None:
-        return await self.watchdog.set(longest)
+        return await self.watchdog.seconds(longest)
+
+    async def _settings(self) -> Sequence[Setting]:
+        return await self.watchdog.settings()
+
+    async def _write_setting(self, name: str, value: float) -> None:
+        await self.parameters.write(name, value)
+
+    def _in_use(self) -> str:
+        return "its motors are on" if self.state.armed else ""
 
     async def _make_safe(self, state: str) -> None:
         await self._flight.make_safe(state)

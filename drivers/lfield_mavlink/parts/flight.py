@@ -14,7 +14,6 @@ from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import CLOSER, Motion
 from lfield_mavlink.parts.orders import Order
 from lfield_mavlink.parts.readiness import Readiness
-from lfield_mavlink.parts.watchdog import Watchdog
 
 #: Seconds for a heartbeat to come that is newer than a stop; one comes every second at least.
 NEWS = 2.5
@@ -31,11 +30,9 @@ UNDER_WAY = 10.0
 class Flight:
     """What brings a vehicle into the air and down, and what keeps others' hands free."""
 
-    def __init__(
-        self, vehicle: Contact, motion: Motion, limits: Limits, watchdog: Watchdog, readiness: Readiness
-    ) -> None:
+    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits, readiness: Readiness) -> None:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
-        self._limits, self._watchdog, self._readiness = limits, watchdog, readiness
+        self._limits, self._readiness = limits, readiness
         self._arming_until = self._home_at = -math.inf
         vehicle.on(dialect.MAVLINK_MSG_ID_HOME_POSITION, self._on_home)
         # The mode in which it was left to others last, '' when it was not.
@@ -44,12 +41,12 @@ class Flight:
     # -- instructions ---------------------------------------------------------------------------------
 
     async def do_arm(self) -> None:
-        """In a mode that may be armed in, then armed; its own watchdog is looked at before."""
+        """In a mode that may be armed in, then armed; what it keeps for its binding is looked at before."""
         vehicle = self._vehicle
         self._motion.begin("arm")
         if self._state.armed:
             return
-        await self._watchdog.check_holds()
+        await vehicle.check_settings()
         if self._state.mode != vehicle.profile.arming:
             await self._motion.set_mode(vehicle.profile.arming)
         try:

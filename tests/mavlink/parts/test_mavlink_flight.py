@@ -205,7 +205,6 @@ def test_another_kind_of_vehicle_is_refused(bench):
 
 def test_a_failsafe_ends_the_flight_and_is_not_fought(bench):
     b = bench()
-    b.autopilot.parameters["FS_GCS_ENABLE"] = 1
 
     async def mission(fc):
         await up(fc)

@@ -1,4 +1,4 @@
-"""Readiness: by the bit for the checks and a position, with the autopilot's own reasons, from cold and warm."""
+"""Readiness: by the checks before arming and a position, with the autopilot's own reasons, cold and warm."""
 
 from __future__ import annotations
 
