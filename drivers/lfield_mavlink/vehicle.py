@@ -31,7 +31,8 @@ from lfield_mavlink.services.plan_transfer import PlanTransfer
 class MavlinkVehicle(Contact):
     """A vehicle with an autopilot that speaks MAVLink 2.
 
-    `send` sends it a message, `counts` tells what the readers of its links have counted.
+    `send` sends it a message, `counts` tells what the readers of its links have counted, and `why_silent`
+    why it may not be heard.
     """
 
     def __init__(
@@ -42,8 +43,10 @@ class MavlinkVehicle(Contact):
         reports: Reports,
         send: Callable[[Any], None],
         counts: Callable[[], LinkCounts] = LinkCounts,
+        why_silent: Callable[[], str] = lambda: "",
     ) -> None:
         super().__init__(binding, manifest, clock, reports, send)
+        self._why_silent = why_silent
         self._streams, self._health = Streams(self), LinkHealth(self, counts)
         self.parameters = Parameters(self, EncodingQuestion(self).ask)
         self.files = FileTransfer(self)
@@ -92,7 +95,7 @@ class MavlinkVehicle(Contact):
         if not await self.seen(lambda: self.state.heard is not None, patience):
             raise self.error(
                 f"no heartbeat from system {self.system} at {self.binding.endpoint} within {patience:g} s; "
-                "check that the vehicle is on, the endpoint, and the id in the bindings",
+                f"{self._why_silent()}",
                 timeout=True,
             )
         self.check_identity()

@@ -234,7 +234,7 @@ def test_what_its_failsafe_has_taken_is_told_from_what_a_pilot_has(px4):
             await fc.execute("goTo", [1.0, 0.0, -5.0])
         b.autopilot.command_mode("POSCTL")
         await asyncio.sleep(1.5)
-        with pytest.raises(DeviceError, match="in POSCTL, .* a pilot or another station has it"):
+        with pytest.raises(DeviceError, match=r"in POSCTL, .* a pilot or another station has it"):
             await fc.execute("goTo", [1.0, 0.0, -5.0])
 
     b.run(mission)
