@@ -129,7 +129,7 @@ class FileTransfer:
         """Of an opening. ArduPilot has one session, and says of a second only that it failed."""
         if answer is not None and answer.refusal in (Refusal.FAIL, Refusal.NO_SESSIONS):
             raise self._peer.error(
-                f"{what} refused: {refusal_words(answer)}; it has one file open at a time, and another client "
+                f"{what} refused: {refusal_words(answer)}; it opens one file at a time, and another client "
                 "may have one: try again"
             )
         return self._checked(what, answer)

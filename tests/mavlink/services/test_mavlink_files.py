@@ -250,7 +250,7 @@ def test_a_second_file_that_is_not_opened_says_why(refusal):
     server = Server({"/a": b"1"})
     server.opened = lambda request, path, data: [server.nak(request, refusal)]
     _, files = joined(server)
-    with pytest.raises(DeviceError, match="one file open at a time, and another client may have one"):
+    with pytest.raises(DeviceError, match="one file at a time, and another client may have one"):
         run(files.read("/a"), 5.0)
 
 
