@@ -8,6 +8,7 @@ import math
 from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
 from lfield_can.bus.bus import Bus
 from lfield_can.bus.frames import Frame
+from lfield_can.bus.sync import Sync
 from lfield_can.protocols import PROTOCOLS, Wiring
 from lfield_can.timing import News
 
@@ -29,11 +30,17 @@ class CanAxis(Device):
     """One axis: the instructions of axis.yaml for every protocol."""
 
     def __init__(
-        self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports, bus: Bus
+        self,
+        binding: DeviceBinding,
+        manifest: Manifest,
+        clock: Clock,
+        reports: Reports,
+        bus: Bus,
+        sync: Sync,
     ) -> None:
         super().__init__(binding, manifest, clock, reports)
         self._news = News(clock)
-        wiring = Wiring(binding, bus, clock, self._news, self.note, self.error)
+        wiring = Wiring(binding, bus, sync, clock, self._news, self.note, self.error)
         self.protocol = PROTOCOLS[binding.option("protocol")](wiring)
         self.malformed = 0
         self._heard_at: float | None = None

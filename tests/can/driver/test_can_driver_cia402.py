@@ -50,7 +50,7 @@ def test_a_drive_is_identified_set_up_and_moves(rig):
     assert b.values["enabled"] is False
     assert b.values["voltage"] == 24.5
     assert "current" not in b.values  # it has no object for it
-    assert any("does not tell torque and current" in note for note in b.notes)
+    assert any("does not tell current" in note for note in b.notes)
 
 
 def test_who_it_is(rig):
