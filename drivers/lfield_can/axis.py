@@ -8,9 +8,8 @@ import math
 from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
 from lfield_can.bus.bus import Bus
 from lfield_can.bus.frames import Frame
-from lfield_can.bus.sync import Sync
 from lfield_can.protocols import PROTOCOLS, Wiring
-from lfield_can.timing import News
+from lfield_can.timing import News, Sync
 
 #: Seconds between two looks at a device that says nothing.
 LOOK = 0.1
@@ -158,6 +157,9 @@ class CanAxis(Device):
             if await self._news.seen(is_safe, SAFE_AGAIN):
                 # Its speed may come in a frame of its own; `_moving` tells it.
                 await self._news.seen(lambda: self.protocol.state.velocity is not None, SAFE_AGAIN)
+                if self.protocol.state.velocity is not None:
+                    # It may have been asked for, and then nobody has heard of it yet.
+                    self.publish(velocity=self.protocol.state.velocity)
                 return
             if self.clock.monotonic() >= begun + SAFE_BY or self._silence() > self.protocol.silence:
                 break

@@ -8,9 +8,9 @@ from lfield.driver import Clock, DeviceBinding, Driver, Manifest, Reports
 from lfield_can.axis import CanAxis
 from lfield_can.bus.bus import Bus
 from lfield_can.bus.frames import Frame
-from lfield_can.bus.sync import Sync
 from lfield_can.protocols.cia402_tables import EVERY
 from lfield_can.signals import CanSignals
+from lfield_can.timing import Sync
 
 CanDevice = CanAxis | CanSignals
 #: Makes the bus at an endpoint, with what is to be called for every frame and for every note.

@@ -46,6 +46,8 @@ class Cia402Node(AxisProtocol):
         self.agreed = Agreed()
         self._sync_id = t.SYNC
         self._longest = 0.0
+        #: Our heartbeat, which the drive watches.
+        self._beat = Frame(t.HEARTBEAT + self.binding.option("master"), bytes([t.OPERATIONAL]))
         self._nmt: int | None = None
         self.statusword = self._error_code = self._register = 0
         #: When position and velocity were told last.
@@ -203,12 +205,11 @@ class Cia402Node(AxisProtocol):
         """Its consumer heartbeat, which our own heartbeats feed from now on."""
         self._longest = longest
         master: int = self.binding.option("master")
-        beat = Frame(t.HEARTBEAT + master, bytes([t.OPERATIONAL]))
-        self._beats.start(longest / 4.0, lambda: self.bus.post(beat))
+        self._beats.start(longest / 4.0, lambda: self.bus.post(self._beat))
         note, safe_state = self.wiring.note, self.binding.safe_state
         seconds = await setting.set_watchdog(self.objects, master, longest, safe_state, note)
         # The drive begins to watch with the first heartbeat that it hears from now on (CiA 301, 7.2.8.2.2).
-        await self.bus.send(beat)
+        await self.bus.send(self._beat)
         return seconds
 
     async def ask(self) -> dict[str, object]:
@@ -237,6 +238,8 @@ class Cia402Node(AxisProtocol):
             self.wiring.sync.leave(self.node)
             return
         if self._longest:
+            # At once: its watchdog may be about to run out, with nobody left to blame.
+            self.bus.post(self._beat)
             self._beats.again()
         if self.agreed.by_sync:
             self.wiring.sync.want(self.node, self._sync_id)

@@ -152,9 +152,10 @@ class _Side:
             if entry not in self._d.needed:
                 self._note(f"it does not {t.OPTIONAL[entry]}: {self._refusals[entry]}")
                 continue
+            name = t.OBJECTS[entry >> 16, 0][0]
             raise error(
-                f"no {self._d.name} holds {t.OBJECTS[entry >> 16, 0][0]} (0x{entry >> 16:04X}), and it cannot be "
-                f"mapped: {self._refusals[entry]}. It has {self._in_words()}; map it by the drive's own tool"
+                f"no {self._d.name} holds {name} (0x{entry >> 16:04X}), and it cannot "
+                f"be mapped: {self._refusals[entry]}. It has {self._in_words()}; map it by its maker's tool"
             )
 
     def _in_words(self) -> str:

@@ -209,7 +209,7 @@ class ForeignDrive:
         self.show()
 
     def command(self, word: int, rising: int) -> None:
-        """Bit 4, by mode: a new set-point is acknowledged by bit 12; homing starts, and where it stands is 0."""
+        """Bit 4, by mode: a new set-point is acknowledged by bit 12; homing makes where it stands 0."""
         if self.mode == 1:
             if rising & 0x10:
                 self.goal = self.get(0x607A)
