@@ -53,6 +53,8 @@ class Guards:
         self._stopping: list[asyncio.Event] = []
         self._fakes: list[Fake] = []
         self._simulated: set[str] = set()
+        #: Those of the problems of opening that `lfield setup` would solve.
+        self._not_set_up: list[str] = []
         #: What `close` has found, also when the devices could not all be opened.
         self._unsafe: dict[str, str] = {}
         self._by_device: dict[str, tuple[Guard, DeviceManifest]] = {}
@@ -68,7 +70,7 @@ class Guards:
             raise
         if problems:
             await self.close()
-            raise DevicesError(problems)
+            raise DevicesError(problems, self._not_set_up)
 
     async def _open(self, devices: Sequence[DeviceBinding], problems: list[str]) -> None:
         problems += _shared_ports(devices)
@@ -85,6 +87,7 @@ class Guards:
         for answer in await asyncio.gather(*(g.open() for g in self._guards), return_exceptions=True):
             if isinstance(answer, DevicesError):
                 problems.extend(answer.problems)
+                self._not_set_up.extend(answer.not_set_up)
             elif isinstance(answer, BaseException):
                 raise answer
 

@@ -15,6 +15,7 @@ from lfield.clock import Clock
 from lfield.devices.lateness import BEAT, Lateness, Pulse
 from lfield.devices.snapshots import Snapshots
 from lfield.driver.binding import DeviceBinding, longest_rest
+from lfield.driver.device import NOT_SET_UP
 from lfield.driver.known import KnownDriver
 from lfield.driver.values import conform
 from lfield.errors import DeviceError, DevicesError, WireError
@@ -370,7 +371,9 @@ class Guard(asyncio.SubprocessProtocol):
                 self._opening.set_result(identities)
                 self._ready = True
             case Failed(problems) if self._opening is not None and not self._opening.done():
-                self._opening.set_exception(DevicesError([self._sentence(*problem) for problem in problems]))
+                kinds = {self._sentence(*problem): problem[1] for problem in problems}
+                unset = [sentence for sentence, kind in kinds.items() if kind == NOT_SET_UP]
+                self._opening.set_exception(DevicesError(list(kinds), unset))
             case Stopped(unsafe):
                 self._unsafe = unsafe
 

@@ -5,7 +5,7 @@ A device is free or latched. It is latched, and its safe state commanded until i
   - the host has been silent for longer than `silence` (this only if the host has moved the device since it
     was opened or released: what nobody commanded is left as it is), or is gone, or asks for it;
   - the time-to-live of a setpoint is over and nothing has replaced it;
-  - its driver raised anything but a DeviceError, or the guard was restarted.
+  - its driver raised anything but a DeviceError or reports a breach, or the guard was restarted.
 
 Only `release()` frees it, and only once its safe state is confirmed. On each channel of a device one
 actuation runs at a time: a newer one replaces an older one, so that `land()` need not wait for a `goTo()` of
