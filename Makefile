@@ -1,11 +1,12 @@
 # Two commands do everything on a fresh machine with Python 3.11 or later:
 #   make demo   install into .venv and fly two simulated copters
 #   make test   install and pass the tests
+# make test-sitl ARDUCOPTER=... PX4=... tries it on simulators of real autopilots
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test bench lint locks clean
+.PHONY: demo test test-sitl bench lint locks clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
@@ -18,6 +19,19 @@ test: $(VENV)/.tested
 	$(BIN)/pytest; tests=$$?; \
 	wait $$lint; checks=$$?; cat $(VENV)/lint.log; \
 	test $$tests -eq 0 && test $$checks -eq 0
+
+# lfield on real autopilots (sim-adapters/REAL.md): each is the path of a simulator's build, with options behind it if
+# need be, or the ENDPOINT[,SECOND] of one that runs already. ONLY=limits tries one check.
+ARDUCOPTER ?=
+ARDUROVER ?=
+PX4 ?=
+test-sitl: $(VENV)/.tested
+ifeq ($(strip $(ARDUCOPTER)$(ARDUROVER)$(PX4)),)
+	@echo "skipped: no simulator was given; make test-sitl ARDUCOPTER=build/sitl/bin/arducopter PX4=build/px4_sitl_default/bin/px4"
+else
+	ARDUCOPTER="$(ARDUCOPTER)" ARDUROVER="$(ARDUROVER)" PX4="$(PX4)" LFIELD_SITL=yes \
+		$(BIN)/pytest -n 0 --timeout 3600 -p no:cacheprovider -v tests/sitl $(if $(ONLY),-k "set_up or $(ONLY)")
+endif
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .

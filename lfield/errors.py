@@ -19,6 +19,7 @@
     ├── HostFailure               a bug in lfield that ended a host                           70
     └── PluginError               a driver is unknown, broken or lacks its vendor library     69
         └── DeviceError           a device refused, failed or went away
+            └── NotSetUp          a device keeps settings that are not those its binding needs
 
 The number is the exit status a command ends with when the exception reaches it (sysexits).
 Data is kept in attributes; `str()` is one sentence that says what is wrong and what to do.
@@ -77,9 +78,21 @@ class BindingError(LfieldError):
 
 
 class DevicesError(BindingError):
-    """Devices that are bound well and cannot be opened now; `problems` lists all of them."""
+    """Devices that are bound well and cannot be opened now; `problems` lists all of them.
+
+    `not_set_up` are those of the problems that `lfield setup` would solve.
+    """
 
     exit_status = 69
+
+    def __init__(self, problems: Sequence[str], not_set_up: Sequence[str] = ()) -> None:
+        self.not_set_up = frozenset(not_set_up)
+        super().__init__(problems)
+
+    def cured_by(self, command: str) -> DevicesError:
+        """The same, with the command that sets up what is not."""
+        told = [f"{p}; '{command}' sets it up" if p in self.not_set_up else p for p in self.problems]
+        return DevicesError(told)
 
 
 class ConstraintError(LfieldError):
@@ -220,3 +233,7 @@ class DeviceError(PluginError):
     def __init__(self, device: str, reason: str, *, kind: str = "DeviceException") -> None:
         self.device, self.reason, self.kind = device, reason, kind
         super().__init__(f"{device}: {reason}")
+
+
+class NotSetUp(DeviceError):
+    """A device keeps settings that are not those its binding needs; the reason names each of them."""

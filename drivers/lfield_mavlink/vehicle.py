@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
-from lfield.driver import Clock, DeviceBinding, DeviceError, Manifest, Reports
+from lfield.driver import Clock, DeviceBinding, DeviceError, Manifest, Reports, Setting
 from lfield_mavlink.contact.contact import LINK_LOST, Contact
 from lfield_mavlink.contact.link_health import LinkHealth
 from lfield_mavlink.contact.streams import Streams
@@ -50,7 +50,7 @@ class MavlinkVehicle(Contact):
         self.motion = Motion(self, self.parameters)
         self.watchdog = Watchdog(self, self.parameters)
         limits = Limits(binding, self.error)
-        self._flight = Flight(self, self.motion, limits, self.watchdog)
+        self._flight = Flight(self, self.motion, limits)
         self._rest = Rest(self, self.motion)
         self.parts = (
             self._flight,
@@ -60,7 +60,7 @@ class MavlinkVehicle(Contact):
             Rally(self, self.plans),
             Payload(self),
             Upkeep(self, self._renew),
-            Settings(self, self.parameters),
+            Settings(self, self.parameters, self.watchdog.protects),
             Files(self, self.files),
         )
 
@@ -78,6 +78,7 @@ class MavlinkVehicle(Contact):
         now = self.clock.monotonic()
         spare = self._streams.is_spare(kind, now)
         if spare:
+            self.heard()
             self._health.count(sequence, now)
         return spare
 
@@ -112,7 +113,7 @@ class MavlinkVehicle(Contact):
             silent = self.silence > LINK_LOST
             if silent != self.lost and self.state.heard is not None:
                 self.lost = silent
-                self.note("no heartbeat; the link is lost" if silent else "heard again")
+                self.note("nothing heard; the link is lost" if silent else "heard again")
                 ready = False
             if not (ready or silent or self.quiet):
                 ready = await self._renewed()
@@ -129,7 +130,16 @@ class MavlinkVehicle(Contact):
     # -- what the guard asks --------------------------------------------------------------------------
 
     async def _set_watchdog(self, longest: float) -> float | None:
-        return await self.watchdog.set(longest)
+        return await self.watchdog.seconds(longest)
+
+    async def _settings(self) -> Sequence[Setting]:
+        return await self.watchdog.settings()
+
+    async def _write_setting(self, name: str, value: float) -> None:
+        await self.parameters.write(name, value)
+
+    def _in_use(self) -> str:
+        return "its motors are on" if self.state.armed else ""
 
     async def _make_safe(self, state: str) -> None:
         await self._flight.make_safe(state)

@@ -53,6 +53,8 @@ class Guards:
         self._stopping: list[asyncio.Event] = []
         self._fakes: list[Fake] = []
         self._simulated: set[str] = set()
+        #: Those of the problems of opening that `lfield setup` would solve.
+        self._not_set_up: list[str] = []
         #: What `close` has found, also when the devices could not all be opened.
         self._unsafe: dict[str, str] = {}
         self._by_device: dict[str, tuple[Guard, DeviceManifest]] = {}
@@ -68,7 +70,7 @@ class Guards:
             raise
         if problems:
             await self.close()
-            raise DevicesError(problems)
+            raise DevicesError(problems, self._not_set_up)
 
     async def _open(self, devices: Sequence[DeviceBinding], problems: list[str]) -> None:
         problems += _shared_ports(devices)
@@ -85,6 +87,7 @@ class Guards:
         for answer in await asyncio.gather(*(g.open() for g in self._guards), return_exceptions=True):
             if isinstance(answer, DevicesError):
                 problems.extend(answer.problems)
+                self._not_set_up.extend(answer.not_set_up)
             elif isinstance(answer, BaseException):
                 raise answer
 
@@ -164,11 +167,11 @@ class Guards:
             guard.bar(reason)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(STOPS_WITHIN):
-                while any(not guard.confirmed.issuperset(guard.names) for guard in self._guards):
+                while any(not guard.confirmed.issuperset(guard.movable) for guard in self._guards):
                     changed.clear()
                     await changed.wait()
         self._stopping.remove(changed)
-        return {name: _unconfirmed(guard, name) for guard in self._guards for name in guard.names}
+        return {name: _unconfirmed(guard, name) for guard in self._guards for name in guard.movable}
 
     def _latched(self) -> None:
         for changed in self._stopping:
@@ -178,7 +181,7 @@ class Guards:
         """The program may release its devices again; the same table, all ''."""
         for guard in self._guards:
             guard.allow()
-        return {name: "" for guard in self._guards for name in guard.names}
+        return {name: "" for guard in self._guards for name in guard.movable}
 
     @property
     def latched(self) -> Mapping[str, str]:
@@ -218,8 +221,8 @@ class Guards:
         unsafe = await guard.close()
         if guard.half_open:
             # A fake that nobody has used yet hurts nobody.
-            unsafe = dict.fromkeys(set(guard.names) - self._simulated, "it was still being opened")
-        guard.moving.update({name: "" for name in guard.names if name not in unsafe})
+            unsafe = dict.fromkeys(set(guard.movable) - self._simulated, "it was still being opened")
+        guard.moving.update({name: "" for name in guard.movable if name not in unsafe})
         return {name: f"{why}; {guard.snapshots.in_words(name)}" for name, why in unsafe.items()}
 
     def hurry(self) -> None:

@@ -15,6 +15,7 @@ from lfield.clock import Clock
 from lfield.devices.lateness import BEAT, Lateness, Pulse
 from lfield.devices.snapshots import Snapshots
 from lfield.driver.binding import DeviceBinding, longest_rest
+from lfield.driver.device import NOT_SET_UP
 from lfield.driver.known import KnownDriver
 from lfield.driver.values import conform
 from lfield.errors import DeviceError, DevicesError, WireError
@@ -180,7 +181,7 @@ class Guard(asyncio.SubprocessProtocol):
     def _found_unsafe(self) -> dict[str, str]:
         if self._unsafe is not None:
             return self._unsafe
-        words = {name: self.moving.get(name, UNSEEN) for name in self._devices}
+        words = {name: self.moving.get(name, UNSEEN) for name in self.movable}
         return {name: f"{said}, and its guard has ended" for name, said in words.items() if said}
 
     def kill(self) -> None:
@@ -277,9 +278,9 @@ class Guard(asyncio.SubprocessProtocol):
         return None if lost is None else Trouble(f"{binding.field}: not heard", lost)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The devices of this bus."""
-        return tuple(self._devices)
+    def movable(self) -> tuple[str, ...]:
+        """The devices of this bus that have a safe state: all but pure sensors."""
+        return tuple(name for name, device in self._devices.items() if not device.is_sensor)
 
     # -- the process ----------------------------------------------------------------------------------
 
@@ -370,7 +371,9 @@ class Guard(asyncio.SubprocessProtocol):
                 self._opening.set_result(identities)
                 self._ready = True
             case Failed(problems) if self._opening is not None and not self._opening.done():
-                self._opening.set_exception(DevicesError([self._sentence(*problem) for problem in problems]))
+                kinds = {self._sentence(*problem): problem[1] for problem in problems}
+                unset = [sentence for sentence, kind in kinds.items() if kind == NOT_SET_UP]
+                self._opening.set_exception(DevicesError(list(kinds), unset))
             case Stopped(unsafe):
                 self._unsafe = unsafe
 

@@ -9,6 +9,7 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import WATCHDOG, Manifest
 from lfield.driver.device import Device, Driver, Reports
 from lfield.driver.plugin import Plugin
+from lfield.driver.settings import Setting
 from lfield.errors import DeviceError
 from lfield.text.files import read_within
 
@@ -22,5 +23,6 @@ __all__ = [
     "Manifest",
     "Plugin",
     "Reports",
+    "Setting",
     "read_within",
 ]

@@ -19,9 +19,13 @@ from typing import Any, NamedTuple, Protocol
 from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import WATCHDOG, Manifest
+from lfield.driver.settings import Setting, wrong
 from lfield.driver.values import CHECKS, Check, conform
-from lfield.errors import DeviceError, PluginError
+from lfield.errors import DeviceError, NotSetUp, PluginError
 from lfield.manifest import DeviceValue, Instruction
+
+#: The kind of the problem of a device that `lfield setup` sets up, where others have an L exception's name.
+NOT_SET_UP = "NotSetUp"
 
 
 class Reports(Protocol):
@@ -35,6 +39,9 @@ class Reports(Protocol):
 
     def note(self, device: str, text: str) -> None:
         """One sentence for the log of the host."""
+
+    def breach(self, device: str, reason: str) -> None:
+        """The device is beyond a limit of its binding and cannot be corrected: it alone goes safe."""
 
     def crashed(self, reason: str | BaseException) -> None:
         """Something in the driver has broken, or this was raised in it: every device goes safe."""
@@ -56,9 +63,10 @@ def method_name(instruction: str) -> str:
 class Device:
     """One device on a bus.
 
-    Authors override `_open`, `_make_safe`, for a device that has one `_set_watchdog`, for one that takes its
-    time to come to rest `_moving`, for one that others may take over `_taken_over` and `_guard_restarted`,
-    and write the `do_...` coroutines.
+    Authors override `_open`, `_make_safe` (but for a pure sensor), for a device that has one `_set_watchdog`,
+    for one that takes its time to come to rest `_moving`, for one that others may take over `_taken_over` and
+    `_guard_restarted`, for one that keeps settings which a binding needs `_settings`, `_write_setting` and
+    `_in_use`, and write the `do_...` coroutines.
 
     A device that can do much may have `parts`: any objects, made in its constructor, whose `do_...` are
     looked up beside its own. A part takes what it needs (often the device itself, to ask and to publish),
@@ -74,11 +82,25 @@ class Device:
         self._types = {quantity.name: quantity.type for quantity in manifest.device.telemetry}
         self._calls: dict[str, _Call] = {}
 
-    async def open(self) -> str:
-        """Find the device and set its watchdog; its identity in words. Raises DeviceError."""
-        identity = await self._open()
+    async def open(self, *, again: bool = False) -> str:
+        """Find the device and set its watchdog; its identity in words. Raises DeviceError.
+
+        What it keeps when it is off is only looked at: where that is not what its binding needs, NotSetUp.
+        One that is opened `again`, after its guard died, may be in the air: then it is only told.
+        """
+        identity = await self.find()
         await self.check_watchdog()
+        try:
+            await self.check_settings()
+        except DeviceError as error:
+            if not again:
+                raise
+            self.note(error.reason)
         return identity
+
+    async def find(self) -> str:
+        """Only find it, as for those who want to look; its identity in words. Raises DeviceError."""
+        return await self._open()
 
     async def execute(self, instruction: str, arguments: Sequence[object]) -> DeviceValue:
         """Carry an instruction out and return its result. Raises DeviceError when it did not happen."""
@@ -125,8 +147,10 @@ class Device:
         """Set its watchdog: nothing may be commanded unless it stops by itself when this computer is gone.
 
         Its own time may be twice the guard's; where that cannot be, the binding must say so by name.
-        Raises DeviceError.
+        A sensor does nothing that would have to be stopped. Raises DeviceError.
         """
+        if self.binding.is_sensor:
+            return
         longest = 2.0 * self.binding.ttl
         seconds = await self._set_watchdog(longest)
         if seconds is not None and seconds <= longest * (1.0 + 1e-9):
@@ -134,11 +158,34 @@ class Device:
         has = "has no watchdog of its own" if seconds is None else f"has a watchdog of {seconds:g} s"
         told = f"it {has}: nothing stops it {'' if seconds is None else 'sooner '}when this computer dies"
         if not self.binding.waives(WATCHDOG):
+            least = (
+                "" if seconds is None else f", and a ttl of {seconds / 2.0:g} s is the least that it keeps"
+            )
             raise self.error(
-                f"{told}; at most {longest:g} s (twice the ttl) is wanted. "
+                f"{told}; at most {longest:g} s (twice the ttl) is wanted{least}. "
                 f"Accept it by 'waivers: [{WATCHDOG}]' in its binding"
             )
         self.note(f"{told} (waived by its binding)")
+
+    async def settings(self) -> Sequence[Setting]:
+        """The lasting settings that its binding needs, each as it is now. Raises DeviceError."""
+        return await self._settings()
+
+    async def check_settings(self) -> None:
+        """Raise NotSetUp unless what it keeps is what its binding needs; nothing is written."""
+        if not_right := wrong(await self._settings()):
+            told = ", ".join(map(str, not_right))
+            raise NotSetUp(self.binding.field, f"it is not set up for its binding: {told}")
+
+    async def write_setting(self, name: str, value: float) -> None:
+        """Write one lasting setting, and see that it is written. Raises DeviceError, also while in use."""
+        self.check_idle()
+        await self._write_setting(name, value)
+
+    def check_idle(self) -> None:
+        """Raise DeviceError while nothing that it keeps may be changed, since it is in use."""
+        if why := self._in_use():
+            raise self.error(f"nothing was written: {why}")
 
     def publish(self, **values: object) -> None:
         """Tell the host the present values of telemetry quantities."""
@@ -151,6 +198,13 @@ class Device:
     def note(self, text: str) -> None:
         """One sentence for the log of the host."""
         self._reports.note(self.binding.name, text)
+
+    def breach(self, reason: str) -> None:
+        """It is beyond a limit and nothing that was tried has helped: have the guard hold it safe.
+
+        Until then, and while it is latched already, nothing changes; the first reason is kept.
+        """
+        self._reports.breach(self.binding.name, reason)
 
     def error(self, reason: str, *, timeout: bool = False) -> DeviceError:
         """The exception to raise when the device refused (or, with `timeout`, did not answer)."""
@@ -181,8 +235,22 @@ class Device:
         """Set the device's own watchdog to at most `longest` seconds, or to the least it can.
 
         Read it back: the seconds that it now has, None when there is none. Raises DeviceError.
+        What the device would keep when it is off is not set here: it is one of its `_settings`, and the time
+        is that with the settings as they must be.
         """
         return None
+
+    async def _settings(self) -> Sequence[Setting]:
+        """See `settings`; most devices keep nothing that a binding needs."""
+        return ()
+
+    async def _write_setting(self, name: str, value: float) -> None:
+        """See `write_setting`; whoever has `_settings` needs it."""
+        raise NotImplementedError
+
+    def _in_use(self) -> str:
+        """Why nothing that it keeps may be changed now, such as `its motors are on`; '' when it may."""
+        return ""
 
 
 class Driver:
@@ -253,16 +321,20 @@ class Driver:
         """Take them up again."""
 
 
-async def open_all(devices: Sequence[Device]) -> tuple[dict[str, str], list[tuple[str, str, str]]]:
+async def open_all(
+    devices: Sequence[Device], *, again: bool = False
+) -> tuple[dict[str, str], list[tuple[str, str, str]]]:
     """Open devices at once: identities by name, and all that went wrong (name, kind, reason)."""
-    found = await asyncio.gather(*(device.open() for device in devices), return_exceptions=True)
+    opened = (device.open(again=again) for device in devices)
+    found = await asyncio.gather(*opened, return_exceptions=True)
     identities: dict[str, str] = {}
     problems: list[tuple[str, str, str]] = []
     for device, answer in zip(devices, found, strict=True):
         if isinstance(answer, str):
             identities[device.binding.name] = answer
         elif isinstance(answer, DeviceError):
-            problems.append((device.binding.name, answer.kind, answer.reason))
+            kind = NOT_SET_UP if isinstance(answer, NotSetUp) else answer.kind
+            problems.append((device.binding.name, kind, answer.reason))
         else:
             problems.append((device.binding.name, "DeviceException", f"the driver failed: {answer!r}"))
     return identities, problems

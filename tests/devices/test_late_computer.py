@@ -99,7 +99,7 @@ def test_the_doctor_measures_and_advises(monkeypatch):
 @pytest.mark.process
 def test_a_latch_for_silence_says_that_this_computer_was_late():
     async def story():
-        with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--climb", "8") as fake:
+        with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--set-up", "--climb", "8") as fake:
             async with guarded(bound(fake.endpoint), silence=0.5) as (flight,):
                 await flight.call("arm")
                 # The loop is held: neither a beat nor anything else goes out.

@@ -42,8 +42,8 @@ def binding(endpoint=SIMULATED, **changes):
 
 
 @asynccontextmanager
-async def fake():
-    with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", *BRISK) as running:
+async def fake(state="land"):
+    with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--set-up", state, *BRISK) as running:
         yield running
 
 
@@ -75,7 +75,7 @@ def test_a_flight_through_guard_and_fake():
 
 def test_a_setpoint_that_is_over_latches_the_safe_state():
     async def mission():
-        async with fake() as f, flying(f, ttl=1.0, safe_state="hold") as flight:
+        async with fake("hold") as f, flying(f, ttl=1.0, safe_state="hold") as flight:
             await flight.call("arm")
             await flight.call("takeoff", 3.0)
             await flight.call("setVelocity", 2.0, 0.0, 0.0)
@@ -104,7 +104,7 @@ def test_closing_lands_what_flies():
 
 def test_a_guard_that_dies_is_started_again_and_comes_back_safe():
     async def mission():
-        async with fake() as f, flying(f, safe_state="hold") as flight:
+        async with fake("hold") as f, flying(f, safe_state="hold") as flight:
             await flight.call("arm")
             await flight.call("takeoff", 3.0)
             lost = asyncio.create_task(flight.call("goTo", 500.0, 0.0, -3.0))

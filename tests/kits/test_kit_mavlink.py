@@ -8,21 +8,29 @@ from kit_findings import failed, not_run
 pytestmark = pytest.mark.process
 
 FAST = ("--climb", "8", "--cruise", "15", "--descend", "8", "--land", "6", "--acceleration", "15")
+WAIVED = "waivers: [device_watchdog]"
 LIMITS = "limits: {speed: 5.0, altitude: 20.0, radius: 50.0}"
 
 
 def vehicles(fake, *specs):
-    """A vehicle at an endpoint of its own for each: an endpoint has one guard."""
-    return [fake("mavlink", "--listen", "udp:127.0.0.1:0", "--vehicle", spec, *FAST) for spec in specs]
+    """A vehicle at an endpoint of its own for each, set up as a binding of these wants it."""
+    return [
+        fake("mavlink", "--listen", "udp:127.0.0.1:0", "--vehicle", *spec.split(), *FAST) for spec in specs
+    ]
 
 
 def test_copters_of_both_autopilots_and_a_rover_pass(fake, try_kit):
-    copter, rover, px4 = vehicles(fake, "1:copter:ardupilot", "2:rover:ardupilot", "3:copter:px4")
+    copter, rover, px4 = vehicles(
+        fake,
+        "1:copter:ardupilot --set-up --param WPNAV_SPEED=500",
+        "2:rover:ardupilot --set-up --param WP_SPEED=5",
+        "3:copter:px4 --set-up hold",
+    )
     found = try_kit(
         "mavlink",
         {"ardupilot": f'endpoint: "{copter.endpoint}", system: 1, ttl: 1.0, {LIMITS}'},
         {"rover": f'endpoint: "{rover.endpoint}", system: 2, kind: rover, ttl: 1.5, {LIMITS}'},
-        {"px4": f'endpoint: "{px4.endpoint}", system: 3, safe_state: hold'},
+        {"px4": f'endpoint: "{px4.endpoint}", system: 3, safe_state: hold, {WAIVED}'},
     )
     assert failed(found) == []
     assert not_run(found) == {
@@ -38,17 +46,16 @@ def test_copters_of_both_autopilots_and_a_rover_pass(fake, try_kit):
 
 
 def test_a_vehicle_that_does_not_do_it_fails(fake, try_kit):
-    links = vehicles(fake, "1", "2", "3")
+    links = vehicles(fake, "1 --set-up", "2 --set-up", "3 --set-up")
     faults = ("refuse_arming@1=compass not calibrated", "motor_failure@2=true", "gps_loss@3=true")
     for link, fault in zip(links, faults, strict=True):
         link.fault(fault)
     fence = "a fence is set, read back and cleared"
-    waived = "waivers: [device_watchdog]"
     checks = ("motors on and off", "a short trip", "files", fence)
     found = try_kit(
         "mavlink",
         *(
-            {f"v{system}": f'endpoint: "{link.endpoint}", system: {system}, {waived}'}
+            {f"v{system}": f'endpoint: "{link.endpoint}", system: {system}, {WAIVED}'}
             for system, link in enumerate(links, 1)
         ),
         only=checks,

@@ -16,6 +16,7 @@ from lfield_mavlink.driver import MavlinkDriver
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
 from lfield_sim.mavlink.link.wire import make_faults
 from lfield_sim.mavlink.protocol import STEP, MavlinkFake
+from lfield_sim.mavlink.set_up import set_up as set_up_for
 
 
 class MemoryLink:
@@ -49,7 +50,7 @@ class MemoryLink:
 
 
 class Bench(DriverBench):
-    """Fakes and a driver for them."""
+    """Fakes and a driver for them; the fakes are set up for their bindings unless a test wants them stock."""
 
     def __init__(
         self,
@@ -64,6 +65,7 @@ class Bench(DriverBench):
         waivers: tuple[str, ...] = ("device_watchdog",),
         systems: tuple[int, ...] = (1,),
         links: int = 1,
+        set_up: bool = True,
         **autopilot: Any,
     ) -> None:
         self.faults = make_faults(*faults, systems=systems)
@@ -72,6 +74,10 @@ class Bench(DriverBench):
             system: MavlinkFake(Autopilot(vehicle, **autopilot), system=system, faults=self.faults)
             for system in systems
         }
+        for fake in self.fakes.values() if set_up else ():
+            speed = (limits or {}).get("speed")
+            fake.autopilot.parameters.update(set_up_for(flavour, vehicle.name, safe_state, ttl, speed))
+            fake.autopilot.apply_parameters()
         self.autopilot = self.fakes[systems[0]].autopilot
         self.sent: list[bytes] = []
         self.links: list[MemoryLink] = []

@@ -10,7 +10,6 @@ from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import CLOSER, Motion
 from lfield_mavlink.parts.orders import Order
-from lfield_mavlink.parts.watchdog import Watchdog
 
 #: Seconds for a heartbeat to come that is newer than a stop; one comes every second at least.
 NEWS = 2.5
@@ -21,9 +20,9 @@ UNDER_WAY = 10.0
 class Flight:
     """What brings a vehicle into the air and down, and what keeps others' hands free."""
 
-    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits, watchdog: Watchdog) -> None:
+    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits) -> None:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
-        self._limits, self._watchdog = limits, watchdog
+        self._limits = limits
         self._arming_until = -math.inf
         # The mode in which it was left to others last, '' when it was not.
         self._left_in = ""
@@ -31,12 +30,12 @@ class Flight:
     # -- instructions ---------------------------------------------------------------------------------
 
     async def do_arm(self) -> None:
-        """In a mode that may be armed in, then armed; its own watchdog is looked at before."""
+        """In a mode that may be armed in, then armed; what it keeps for its binding is looked at before."""
         vehicle = self._vehicle
         self._motion.begin("arm")
         if self._state.armed:
             return
-        await self._watchdog.check_holds()
+        await vehicle.check_settings()
         if self._state.mode != vehicle.profile.arming:
             await self._motion.set_mode(vehicle.profile.arming)
         try:
@@ -149,13 +148,14 @@ class Flight:
         # An answer may be that to the arming: what is heard after it shows what became of that.
         since = vehicle.clock.monotonic()
         if not await vehicle.seen(lambda: (self._state.heard or 0.0) > since, NEWS):
-            raise vehicle.error(f"no heartbeat for {vehicle.silence:.1f} s", timeout=True)
+            untold = vehicle.clock.monotonic() - (self._state.heard or -math.inf)
+            raise vehicle.error(f"no heartbeat for {untold:.1f} s", timeout=True)
 
     def _leave(self) -> None:
         """A pilot or the autopilot's own failsafe flies it: to take it from them would be less safe."""
         if self._left_in != self._state.mode:
             self._left_in = self._state.mode
-            self._vehicle.note(f"in {self._state.mode}, by a pilot or a failsafe: left to them")
+            self._vehicle.note(f"in {self._state.mode}, by {self._state.holder}: left to them")
 
     async def _disarmed(self) -> bool:
         """Try to switch the motors off on the ground; the autopilot refuses if it is not there."""

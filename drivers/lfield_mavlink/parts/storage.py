@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from lfield_mavlink.contact.contact import Contact
-from lfield_mavlink.parts.watchdog import SETTINGS
 from lfield_mavlink.services.file_transfer import FileTransfer
 from lfield_mavlink.services.parameters import Parameters
 
-#: What the driver sets at opening, since it protects the vehicle when this computer is gone.
-PROTECTED = frozenset(name for settings in SETTINGS.values() for one in settings for name in one.names)
 #: Bytes of the largest file that becomes a string of a program.
 MAX_TEXT = 256 * 1024
 
 
 class Settings:
-    """Reading and writing parameters by their names."""
+    """Reading and writing parameters by their names; `protects` says which the binding needs as they are."""
 
-    def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
-        self._vehicle, self._parameters = vehicle, parameters
+    def __init__(self, vehicle: Contact, parameters: Parameters, protects: Callable[[str], bool]) -> None:
+        self._vehicle, self._parameters, self._protects = vehicle, parameters, protects
 
     async def do_parameter(self, name: str) -> float:
         """The value of a parameter, whole numbers included."""
@@ -28,10 +27,10 @@ class Settings:
 
     async def do_set_parameter(self, name: str, value: float) -> None:
         """Set a parameter; done when the autopilot has told the new value."""
-        if name in PROTECTED:
+        if self._protects(name):
             raise self._vehicle.error(
-                f"setParameter refused: {name} stops the vehicle when this computer is gone, "
-                "and is set from the binding"
+                f"setParameter refused: {name} keeps the vehicle within its binding; change the binding, "
+                "then run 'lfield setup'"
             )
         await self._parameters.write(name, value)
 

@@ -1,165 +1,235 @@
-"""The autopilot's own failsafes: what it does when this computer is gone. Set at opening, and read back.
+"""What the autopilot must keep for a binding: failsafes for when this computer is gone, and the speed limit.
 
-ArduPilot has one for the ground station, which is us: it acts FS_GCS_TIMEOUT seconds after our last
-heartbeat, at least 2 s. A velocity setpoint ends by itself after GUID_TIMEOUT. The longer of the two is its
-watchdog.
+All of them are parameters, which stay in the autopilot: they are looked at when the vehicle is opened and
+before it is armed, and written by `lfield setup` alone.
+
+ArduPilot has a failsafe for the ground station, which is us: it acts FS_GCS_TIMEOUT seconds after our last
+heartbeat, at least 2 s (a rover waits FS_TIMEOUT more). A velocity setpoint ends by itself after GUID_TIMEOUT
+(on a rover after 3 s, which is no parameter). The longer of the two is its watchdog.
 https://ardupilot.org/copter/docs/gcs-failsafe.html, https://ardupilot.org/copter/docs/ac2_guidedmode.html
 
-PX4's watchdog is that of its setpoints, COM_OF_LOSS_T: they are all of its motion that we keep up; what it
-does by itself (takeoff, landing, reposition) ends in a hover or on the ground. Its failsafe for the data
-link is set too, but its 5 s at least are not counted; it is what ends an orbit, which has no end of its own.
-https://docs.px4.io/main/en/config/safety.html
+PX4 ends a stream of setpoints after COM_OF_LOSS_T. What it flies by itself (a goal, an orbit, a mission) ends
+by the failsafe for the data link: COM_DL_LOSS_T, 5 s at least, and 2 s more until it notices (6.6 to 7.1 were
+measured), then a hover of COM_FAIL_ACT_T, then the action. The longer is its watchdog: 7 s at least.
+https://docs.px4.io/main/en/config/safety.html, https://docs.px4.io/main/en/advanced_config/parameter_reference
 """
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from lfield.driver import DeviceBinding, Setting
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.link.dialect import SYSTEM
 from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.services.parameters import Parameters
 
+#: Seconds that PX4 needs, beyond COM_DL_LOSS_T, to notice that its station is gone.
+NOTICES = 2.0
+#: Seconds after which a rover of ArduPilot ends a velocity by itself.
+ROVER_SETPOINT = 3.0
+
+Values = Mapping[str, float]
+
 
 @dataclass(frozen=True, slots=True)
-class Setting:
-    """One parameter of a failsafe.
+class Need:
+    """One parameter that a binding needs.
 
-    `names` are its names by version, newest first. It must be `value` (or that of the binding's safe state),
-    have the bits of it (`bits`), or, as a time, be at most what is wanted and at least `least`. Times of one
-    `clock` follow one another, so a time leaves room for what comes `after` it; those of different clocks
-    run side by side. A setting that is not `needed` may be missing; a time that is missing counts
-    `otherwise` seconds.
+    `names` are its names by version, any of which may be the one; without a name it is a time of the
+    autopilot's own, `otherwise`. It must be `value` (or that of the binding's safe state) or have its bits
+    (`bits`). A time (`clock`) is at most what is left of the time that is wanted, and at least `least`; times
+    of one clock follow one another, and `after` is what the later ones need at least; those of different
+    clocks run side by side. A speed (`unit`, in so many to a m/s) is at most the limit of the binding, and
+    needed only where there is one. With `zero`, 0 is as good as any number below the bound: no time at all,
+    or no speed of its own. A need that is not `needed` may be missing; it then counts `otherwise` seconds.
+    `states` are the safe states it is for, by default all; a `whole` time has no part of a second.
     """
 
-    names: tuple[str, ...]
-    value: float | Mapping[str, float] = 0.0
+    names: tuple[str, ...] = ()
+    why: str = ""
+    value: float | Values = 0.0
     bits: bool = False
     clock: Literal["", "link", "setpoint"] = ""
-    is_time: bool = False
     least: float = 0.0
     after: float = 0.0
+    whole: bool = False
+    unit: Mapping[str, float] | None = None
+    zero: bool = False
     needed: bool = True
     otherwise: float = 0.0
+    states: tuple[str, ...] = ()
 
-    def wanted(self, present: float, longest: float, safe_state: str) -> float:
-        """What it should be, when it is `present`."""
-        if self.is_time:
-            most = max(self.least, longest - self.after)
-            return min(present, most) if present > 0.0 else most
-        value = self.value[safe_state] if isinstance(self.value, Mapping) else self.value
+    def suits(self, binding: DeviceBinding) -> bool:
+        """Whether a binding needs it at all."""
+        if self.unit is not None and "speed" not in binding.limits:
+            return False
+        return not self.states or binding.safe_state in self.states
+
+    def wanted(self, name: str, present: float, binding: DeviceBinding, left: float) -> float:
+        """What it must be when it is `present`; `left` is what is left of its clock's time."""
+        if self.unit is not None:
+            most = binding.limits["speed"] * self.unit[name]
+            return present if self._is_within(present, most) else 0.0 if self.zero else most
+        if self.clock:
+            most = max(self.least, left - self.after)
+            most = math.floor(most + 1e-6) if self.whole else most
+            return present if self._is_within(present, most) else most
+        value = self.value[binding.safe_state] if isinstance(self.value, Mapping) else self.value
         return float(int(present) | int(value)) if self.bits else value
 
+    def _is_within(self, present: float, most: float) -> bool:
+        return (present > 0.0 or (self.zero and present == 0.0)) and present <= most * (1.0 + 1e-6)
 
-_STATION = Setting(("MAV_GCS_SYSID", "SYSID_MYGCS"), SYSTEM)
-_GCS_TIMEOUT = Setting(("FS_GCS_TIMEOUT",), clock="link", is_time=True, least=2.0)
+
+_GONE = "what it does when this computer is gone"
+_SOON = "how soon it does so"
+_LIMIT = "the speed limit of the binding"
+
+_STATION = Need(("MAV_GCS_SYSID", "SYSID_MYGCS"), "this computer is its ground station", SYSTEM)
+_SETPOINT = Need(("GUID_TIMEOUT",), "how long a velocity lasts", clock="setpoint", least=0.1)
 
 _COPTER = (
     # Land; brake, or land without a position; return.
-    Setting(("FS_GCS_ENABLE",), {"land": 5, "hold": 7, "return": 1}),
-    _GCS_TIMEOUT,
+    Need(("FS_GCS_ENABLE",), _GONE, {"land": 5, "hold": 7, "return": 1}),
+    Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0),
     _STATION,
-    Setting(("GUID_TIMEOUT",), clock="setpoint", is_time=True, least=0.1),
-    # Continue a landing: a failsafe must not turn the safe state into a flight home.
-    Setting(("FS_OPTIONS",), 8, bits=True, needed=False),
+    _SETPOINT,
+    Need(("FS_OPTIONS",), "a landing is never turned into a flight home", 8, bits=True, needed=False),
+    # In cm/s, from 4.7 on in m/s. A return is as fast as that where its own speed is 0.
+    Need(("WP_SPD", "WPNAV_SPEED"), _LIMIT, unit={"WP_SPD": 1.0, "WPNAV_SPEED": 100.0}),
+    Need(
+        ("RTL_SPEED_MS", "RTL_SPEED"),
+        f"{_LIMIT}, on the way home",
+        unit={"RTL_SPEED_MS": 1.0, "RTL_SPEED": 100.0},
+        zero=True,
+        needed=False,
+    ),
 )
 _ROVER = (
-    Setting(("FS_GCS_ENABLE",), 1),
-    Setting(("FS_ACTION",), {"land": 2, "hold": 2, "return": 1}),
-    Setting(("FS_GCS_TIMEOUT",), clock="link", is_time=True, least=2.0, after=1.0),
+    Need(("FS_GCS_ENABLE",), _GONE, 1),
+    Need(("FS_ACTION",), _GONE, {"land": 2, "hold": 2, "return": 1}),
     # It waits for this after FS_GCS_TIMEOUT; 1 s is the least that is documented.
-    Setting(("FS_TIMEOUT",), 1.0, clock="link", needed=False),
+    Need(("FS_TIMEOUT",), _SOON, clock="link", least=1.0, after=2.0, needed=False),
+    Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0),
     _STATION,
-    # A rover's own time for setpoints is 3 s and no parameter.
-    Setting(("GUID_TIMEOUT",), clock="setpoint", is_time=True, least=0.1, needed=False, otherwise=3.0),
+    Need(clock="setpoint", otherwise=ROVER_SETPOINT),
+    Need(("WP_SPEED",), _LIMIT, unit={"WP_SPEED": 1.0}),
+    Need(("RTL_SPEED",), f"{_LIMIT}, on the way home", unit={"RTL_SPEED": 1.0}, zero=True, needed=False),
 )
 _PLANE = (
-    Setting(("FS_GCS_ENABL",), 1),
-    Setting(("FS_LONG_ACTN",), 1),
-    Setting(("FS_LONG_TIMEOUT",), clock="link", is_time=True, least=1.0),
+    Need(("FS_GCS_ENABL",), _GONE, 1),
+    Need(("FS_LONG_ACTN",), _GONE, 1),
+    Need(("FS_LONG_TIMEOUT",), _SOON, clock="link", least=1.0),
     _STATION,
 )
 _SUBMARINE = (
     # Surface; hold the depth; surface.
-    Setting(("FS_GCS_ENABLE",), {"land": 4, "hold": 3, "return": 4}),
-    Setting(("FS_GCS_TIMEOUT",), clock="link", is_time=True, least=2.0, needed=False, otherwise=5.0),
+    Need(("FS_GCS_ENABLE",), _GONE, {"land": 4, "hold": 3, "return": 4}),
+    Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0, needed=False, otherwise=5.0),
     _STATION,
 )
 _PX4 = (
-    Setting(("COM_OF_LOSS_T",), clock="setpoint", is_time=True, least=0.25),
-    Setting(("COM_OBL_RC_ACT",), {"land": 4, "hold": 5, "return": 3}),
-    Setting(("COM_DL_LOSS_T",), is_time=True, least=5.0),
-    Setting(("NAV_DLL_ACT",), {"land": 3, "hold": 1, "return": 2}),
+    Need(("COM_OF_LOSS_T",), "how long a velocity lasts", clock="setpoint", least=0.25),
+    Need(("COM_OBL_RC_ACT",), "what it does when velocities end", {"land": 4, "hold": 5, "return": 3}),
+    # A hover before the action, of any failsafe, which leaves a pilot the time to take over.
+    Need(("COM_FAIL_ACT_T",), _SOON, clock="link", after=7.0, zero=True, states=("land", "return")),
+    Need(("COM_DL_LOSS_T",), _SOON, clock="link", least=5.0, after=NOTICES, whole=True),
+    Need(clock="link", otherwise=NOTICES),
+    Need(("NAV_DLL_ACT",), _GONE, {"land": 3, "hold": 1, "return": 2}),
+    # Modes in which it does not mind that the station is gone: a goal is flown in one of them.
+    Need(("COM_DLL_EXCEPT",), "it does so in every mode", 0, needed=False),
+)
+#: PX4 lowers the other two by itself, for good, once the first is below them: so what they were is kept too.
+_PX4_COPTER = tuple(
+    Need((name,), _LIMIT, unit={name: 1.0}) for name in ("MPC_XY_VEL_MAX", "MPC_XY_CRUISE", "MPC_VEL_MANUAL")
 )
 
 #: By autopilot and kind of vehicle.
-SETTINGS: Mapping[tuple[int, str], Sequence[Setting]] = {
+NEEDS: Mapping[tuple[int, str], Sequence[Need]] = {
     (ARDUPILOT, "copter"): _COPTER,
     (ARDUPILOT, "rover"): _ROVER,
     (ARDUPILOT, "plane"): _PLANE,
     (ARDUPILOT, "submarine"): _SUBMARINE,
-    (PX4, "copter"): _PX4,
-    (PX4, "rover"): _PX4,
+    (PX4, "copter"): (*_PX4, *_PX4_COPTER),
+    (PX4, "rover"): (*_PX4, Need(("RO_SPEED_LIM",), _LIMIT, unit={"RO_SPEED_LIM": 1.0})),
     (PX4, "plane"): _PX4,
 }
 
 
 class Watchdog:
-    """Sets the failsafes that stop the vehicle when this computer is gone."""
+    """Looks at the parameters that a binding needs."""
 
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._parameters = vehicle, parameters
-        self._accepted = math.inf
+        #: The name of each need that was answered for; none for one that is not there.
+        self._names: dict[tuple[str, ...], tuple[str, ...]] = {}
 
-    async def set(self, longest: float) -> float:
-        """Set it to at most `longest` seconds, or to the least it can; the seconds that it then has.
+    async def seconds(self, longest: float) -> float:
+        """The time of its watchdog once it is set up for at most `longest` seconds. Raises DeviceError."""
+        return (await self._look(longest))[1]
 
-        Raises DeviceError.
-        """
-        profile = self._vehicle.profile
-        settings = SETTINGS[profile.autopilot, profile.kind]
-        times = await asyncio.gather(*(self._set_one(setting, longest) for setting in settings))
-        clocks: dict[str, float] = {}
-        for setting, seconds in zip(settings, times, strict=True):
-            if setting.clock:
-                clocks[setting.clock] = clocks.get(setting.clock, 0.0) + seconds
-        self._vehicle.publish(gcsFailsafe=True)
-        self._accepted = max(clocks.values())
-        return self._accepted
+    async def settings(self) -> list[Setting]:
+        """The parameters that the binding needs, as they are and as they must be. Raises DeviceError."""
+        settings = (await self._look(2.0 * self._vehicle.binding.ttl))[0]
+        self._vehicle.publish(gcsFailsafe=all(setting.is_right for setting in settings))
+        return settings
 
-    async def check_holds(self) -> None:
-        """See that nobody has changed it since it was accepted. Raises DeviceError."""
-        accepted = self._accepted
-        seconds = await self.set(2.0 * self._vehicle.binding.ttl)
-        if seconds > accepted:
+    def protects(self, name: str) -> bool:
+        """Whether a parameter is one of them, so that no program may change it."""
+        return any(name in need.names for need in self._needs())
+
+    def _needs(self) -> Iterator[Need]:
+        profile, binding = self._vehicle.profile, self._vehicle.binding
+        return (need for need in NEEDS[profile.autopilot, profile.kind] if need.suits(binding))
+
+    async def _look(self, longest: float) -> tuple[list[Setting], float]:
+        needs = list(self._needs())
+        # One that is not there is told by silence: all are asked for at once.
+        told = await asyncio.gather(*map(self._read, needs))
+        settings, clocks = list[Setting](), dict[str, float]()
+        for need, (name, present) in zip(needs, told, strict=True):
+            left = longest - clocks.get(need.clock, 0.0)
+            wanted = need.otherwise
+            if present is not None:
+                wanted = need.wanted(name, present, self._vehicle.binding, left)
+                settings.append(Setting(name, present, wanted, need.why))
+            if need.clock:
+                clocks[need.clock] = clocks.get(need.clock, 0.0) + wanted
+        return settings, max(clocks.values())
+
+    async def _read(self, need: Need) -> tuple[str, float | None]:
+        """The parameter under the name that this autopilot has for it. Raises DeviceError."""
+        names = self._names.get(need.names, need.names)
+        name, present = await self._first_told(names)
+        if present is not None and math.isfinite(present):
+            self._names[need.names] = (name,)
+            return name, present
+        if need.needed and need.names:
             raise self._vehicle.error(
-                f"its failsafe for a lost computer was {accepted:g} s and is now {seconds:g} s"
+                f"it does not tell {' or '.join(names)}: whether it is set up for its binding is not known",
+                timeout=True,
             )
+        self._names[need.names] = ()
+        return "", None
 
-    async def _set_one(self, setting: Setting, longest: float) -> float:
-        """Set one parameter if it is not as it should be; what it then is. Raises DeviceError."""
-        name, present = await self.find(setting)
-        if present is None:
-            if not setting.needed:
-                return setting.otherwise
-            raise self._vehicle.error(
-                f"it does not tell {name}: what it does when this computer is gone is not known", timeout=True
-            )
-        wanted = setting.wanted(present, longest, self._vehicle.binding.safe_state)
-        if math.isclose(present, wanted, rel_tol=1e-6):
-            return present
-        await self._parameters.write(name, wanted)
-        self._vehicle.note(f"{name} was {present:g} and is now {wanted:g}")
-        return wanted
+    async def _first_told(self, names: Sequence[str]) -> tuple[str, float | None]:
+        """Ask for all names of one parameter; the first that is answered for."""
 
-    async def find(self, setting: Setting) -> tuple[str, float | None]:
-        """The parameter under the first of its names that the autopilot knows."""
-        for name in setting.names:
-            present = await self._parameters.read(name)
-            if present is not None and math.isfinite(present):
-                return name, present
-        return setting.names[0], None
+        async def ask(name: str) -> tuple[str, float | None]:
+            return name, await self._parameters.read(name)
+
+        asking = [asyncio.ensure_future(ask(name)) for name in names]
+        try:
+            for answer in asyncio.as_completed(asking):
+                name, present = await answer
+                if present is not None:
+                    return name, present
+        finally:
+            for question in asking:
+                question.cancel()
+        return "", None

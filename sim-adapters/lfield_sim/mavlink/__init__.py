@@ -23,6 +23,7 @@ from lfield_sim.mavlink.options import (
     vehicle,
     vehicles,
 )
+from lfield_sim.mavlink.set_up import STATES, set_up
 from lfield_sim.state_log import add_log_option
 
 
@@ -47,8 +48,12 @@ class MavlinkSim:
         parser.add_argument("--battery", type=share, default=1.0, metavar="0..1", help="charge at start")
         parser.add_argument("--capacity", type=positive, metavar="MAH", help="of the battery (3300)")
         parser.add_argument(
-            "--param", action="append", default=[], metavar="NAME=VALUE", help="any parameter"
+            "--param", action="append", default=[], metavar="NAME[@SYSTEM]=VALUE", help="any parameter"
         )
+        parser.add_argument(
+            "--set-up", nargs="?", const=STATES[0], default="", choices=STATES,
+            help="set up as for a binding with this safe state (land), instead of as out of the box",
+        )  # fmt: skip
         add_log_option(parser)
         add_fault_option(parser)
         parser.add_argument(
@@ -56,15 +61,21 @@ class MavlinkSim:
         )
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        """One fake with the vehicles of all devices of a bus; devices of one vehicle share it."""
+        """One fake with the vehicles of all devices of a bus, set up as their bindings need them.
+
+        Devices of one vehicle share it.
+        """
         made: dict[int, VehicleOption] = {}
+        parameters: list[str] = []
         for device in devices:
             options = device.options
             number = int(str(options.get("system", 1)))
             kind, flavour = str(options.get("kind", "copter")), str(options.get("flavour", "ardupilot"))
             made.setdefault(number, VehicleOption(number, kind, flavour, device.name))
+            for name, value in _set_up(device, made[number]).items():
+                parameters.append(f"--param={name}@{number}={value:.9g}")
         words = [word for each in made.values() for word in ("--vehicle", str(each))]
-        return ["--listen", "udp:127.0.0.1:0", *words]
+        return ["--listen", "udp:127.0.0.1:0", *words, *parameters]
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until told to end; 0."""
@@ -74,7 +85,7 @@ class MavlinkSim:
             from lfield_sim.mavlink.run import Setup, serve
         except ImportError:
             raise PluginError("the fake 'mavlink' needs pymavlink: pip install 'lfield[mavlink]'") from None
-        setup = Setup(wanted, args.battery, args.capacity, limits, given)
+        setup = Setup(wanted, args.battery, args.capacity, limits, given, args.set_up)
         try:
             faults = setup.faults(args.fault)
         except ValueError as error:
@@ -83,6 +94,11 @@ class MavlinkSim:
         log = setup.log(args.log, link)
         asyncio.run(serve(link, where, setup, faults, log, until_stdin_closes=args.until_stdin_closes))
         return 0
+
+
+def _set_up(device: DeviceBinding, vehicle: VehicleOption) -> dict[str, float]:
+    state = device.safe_state if device.safe_state in STATES else STATES[0]
+    return set_up(vehicle.flavour, vehicle.kind, state, device.ttl, device.limits.get("speed"))
 
 
 SIM = MavlinkSim()

@@ -15,6 +15,7 @@ from lfield_sim.mavlink.link.wire import KNOWN
 from lfield_sim.mavlink.options import VehicleOption
 from lfield_sim.mavlink.protocol import MavlinkFake, MavlinkLink
 from lfield_sim.mavlink.server import Server, open_door
+from lfield_sim.mavlink.set_up import set_up
 from lfield_sim.serving import serve_until_told
 from lfield_sim.state_log import StateLog
 
@@ -26,13 +27,18 @@ APART = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """The vehicles of a link, and what is set in all of them: charge, mAh, limits (SI), parameters."""
+    """The vehicles of a link, and what is set in them: charge, mAh, limits (SI).
+
+    `parameters` are by system, 0 for all; `state` is what they do when their computer is gone ('': as they
+    come out of the box, nothing).
+    """
 
     vehicles: Sequence[VehicleOption]
     charge: float
     capacity: float | None
     limits: Mapping[str, float]
-    parameters: Mapping[str, float]
+    parameters: Mapping[int, Mapping[str, float]]
+    state: str = ""
 
     @property
     def devices(self) -> dict[str, str]:
@@ -52,10 +58,12 @@ class Setup:
     def link(self, faults: Faults) -> MavlinkLink:
         """The vehicles, side by side. Raises UsageError for a parameter that none of them has."""
         made = [self._make(number, each, faults) for number, each in enumerate(self.vehicles)]
-        known = {name for each in made for name in each.autopilot.parameters}
-        for name in self.parameters:
-            if name not in known:
-                raise UsageError(f"there is no parameter '{name}' in {self.words}")
+        for system, given in self.parameters.items():
+            meant = [each.autopilot.parameters for each in made if system in (0, each.system)]
+            for name in given:
+                if not any(name in known for known in meant):
+                    which = f"system {system}" if system else self.words
+                    raise UsageError(f"there is no parameter '{name}' in {which}")
         return MavlinkLink(made)
 
     @property
@@ -82,7 +90,9 @@ class Setup:
                 if level.of_capacity:
                     autopilot.parameters[level.threshold] = LOW * self.capacity
         known = autopilot.parameters
-        known.update({name: value for name, value in self.parameters.items() if name in known})
+        wanted = set_up(option.flavour, option.kind, self.state) if self.state else {}
+        for given in (wanted, self.parameters.get(0, {}), self.parameters.get(option.system, {})):
+            known.update({name: value for name, value in given.items() if name in known})
         autopilot.apply_parameters()
         return fake
 

@@ -45,12 +45,18 @@ def _still(now: Facts) -> bool:
     return now["moving"] == "no"
 
 
+#: What 'lfield setup' leaves in them for a binding that lands, written so that older fakes take it too.
+SET_UP = ("FS_GCS_ENABLE=5", "FS_GCS_TIMEOUT=2", "GUID_TIMEOUT=1", "FS_OPTIONS=24")
+SET_UP_PX4 = ("COM_OBL_RC_ACT=4", "COM_FAIL_ACT_T=0", "COM_DL_LOSS_T=5", "NAV_DLL_ACT=3")
+
+
 def _copter(name: str, flavour: str, land: str, ttl: float, *more: str) -> Device:
     # Low and brisk, so that a landing takes no longer than it must; a battery that lasts for all trials.
     words = f"mavlink --listen udp:127.0.0.1:0 --flavour {flavour} --climb 5 --descend 3 --land 3"
+    kept = [word for setting in more for word in ("--param", setting)]
     return Device(
         name,
-        [*f"{words} --acceleration 10 --capacity 900000".split(), *more],
+        [*f"{words} --acceleration 10 --capacity 900000".split(), *kept],
         "Copter",
         "fc",
         f"driver: mavlink, safe_state: land, ttl: {ttl}",
@@ -62,9 +68,8 @@ def _copter(name: str, flavour: str, land: str, ttl: float, *more: str) -> Devic
 
 #: With times to live for which each device's own watchdog can be set (an ODrive's is in its configuration).
 DEVICES = (
-    _copter("ArduCopter", "ardupilot", "LAND", 1.0),
-    # Disarmed soon: its failsafe for the data link makes it hold for 5 s, on the ground as well.
-    _copter("PX4", "px4", "AUTO.LAND", 0.5, "--param", "COM_DISARM_LAND=0.1"),
+    _copter("ArduCopter", "ardupilot", "LAND", 1.0, *SET_UP),
+    _copter("PX4", "px4", "AUTO.LAND", 3.5, *SET_UP_PX4, "COM_DISARM_LAND=0.1"),
     Device(
         "CiA 402",
         ("can", "--device", "cia402:5"),

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from harness.checkout import Checkout
 from harness.processes import Processes
 
+#: What 'lfield setup' leaves in them for these bindings, written so that older fakes take it too.
+SET_UP = ("FS_GCS_ENABLE=5", "FS_GCS_TIMEOUT=2", "GUID_TIMEOUT=1", "FS_OPTIONS=24")
 _DEVICE = """\
   v%d:
     devices:
@@ -19,6 +21,7 @@ _DEVICE = """\
 def fake_copters(checkout: Checkout, processes: Processes, systems: Iterable[int] = (1,), *words: str) -> str:
     """Start vehicles on one link; returns their port."""
     vehicles = [word for system in systems for word in ("--vehicle", str(system))]
+    vehicles += [word for setting in SET_UP for word in ("--param", setting)]
     endpoint = checkout.fake(processes, "mavlink", "--listen", "udp:127.0.0.1:0", *vehicles, *words)
     return endpoint.rpartition(":")[2]
 

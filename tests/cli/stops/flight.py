@@ -41,7 +41,16 @@ def devices(endpoints: dict[str, str], within: float, heap: str = "1 MiB") -> st
 
 def copter(lfield, environment, land=BRISK) -> str:
     """The endpoint of a fake that runs until the test ends."""
-    words = ("sim", "mavlink", "--listen", "udp:127.0.0.1:0", "--until-stdin-closes", *CLIMB, *land)
+    words = (
+        "sim",
+        "mavlink",
+        "--listen",
+        "udp:127.0.0.1:0",
+        "--set-up",
+        "--until-stdin-closes",
+        *CLIMB,
+        *land,
+    )
     return lfield.start(*words, stdin=True, env=environment).wait_for(r"^ready (\S+)")[1]
 
 

@@ -92,9 +92,14 @@ class StandIn:
         await self.action.set_flight_mode(FlightMode.HOLD)
         if self._files:
             await self.files.set_root_dir(self._files)
-        for name, value in (("COM_DL_LOSS_T", 10), ("NAV_DLL_ACT", 0), ("COM_OBL_RC_ACT", 0)):
+        for name, value in (
+            ("COM_DL_LOSS_T", 10),
+            ("NAV_DLL_ACT", 3),
+            ("COM_OBL_RC_ACT", 4),
+            ("COM_DLL_EXCEPT", 0),
+        ):
             await self.parameters.provide_param_int(name, value)
-        for name, number in (("COM_OF_LOSS_T", 1.0), ("MIS_TAKEOFF_ALT", 2.5)):
+        for name, number in (("COM_OF_LOSS_T", 1.0), ("COM_FAIL_ACT_T", 5.0), ("MIS_TAKEOFF_ALT", 2.5)):
             await self.parameters.provide_param_float(name, number)
 
     async def _publish(self) -> None:

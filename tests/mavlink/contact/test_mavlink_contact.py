@@ -12,7 +12,7 @@ from lfield_mavlink.contact.exchange import Exchange
 from lfield_mavlink.contact.state import Texts, VehicleState
 from lfield_mavlink.link.dialect import Reader, Writer, dialect, result_words
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
-from lfield_mavlink.parts.watchdog import SETTINGS
+from lfield_mavlink.parts.watchdog import NEEDS
 
 
 def test_texts_are_joined_and_kept():
@@ -61,7 +61,7 @@ def test_modes():
         assert len(names) == len(profile.modes)
         assert {profile.guided, profile.arming, profile.hold, profile.land, profile.home} <= names
         assert profile.own <= names
-        assert (profile.autopilot, profile.kind) in SETTINGS
+        assert (profile.autopilot, profile.kind) in NEEDS
 
 
 class Asked:

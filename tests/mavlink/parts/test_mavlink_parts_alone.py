@@ -157,7 +157,7 @@ def test_a_fence_that_is_off_is_not_breached():
 
 def test_parameters_that_protect_the_vehicle_are_not_for_programs():
     parameters = Parameters(FS_GCS_ENABLE=5.0, WPNAV_SPEED=500.0)
-    settings = Settings(StandIn(), parameters)
+    settings = Settings(StandIn(), parameters, lambda name: name == "FS_GCS_ENABLE")
     assert refused(settings.do_set_parameter("FS_GCS_ENABLE", 0.0)).startswith("setParameter refused")
     asyncio.run(settings.do_set_parameter("WPNAV_SPEED", 250.0))
     assert asyncio.run(settings.do_parameters()) == "FS_GCS_ENABLE 5\nWPNAV_SPEED 250"
@@ -175,21 +175,24 @@ def test_only_texts_become_strings():
     assert "more than" in refused(files.do_write_file("/a", "x" * (MAX_TEXT + 1)))
 
 
-def test_the_watchdog_is_set_and_found_changed():
+def test_the_watchdog_tells_what_is_and_what_must_be():
     parameters = Parameters(
         FS_GCS_ENABLE=0.0, FS_GCS_TIMEOUT=5.0, SYSID_MYGCS=1.0, GUID_TIMEOUT=3.0, FS_OPTIONS=1.0
     )
     vehicle = StandIn()
     watchdog = Watchdog(vehicle, parameters)
-    assert asyncio.run(watchdog.set(2.0)) == 2.0
-    assert parameters.values == {
-        "FS_GCS_ENABLE": 5, "FS_GCS_TIMEOUT": 2, "SYSID_MYGCS": 255, "GUID_TIMEOUT": 2, "FS_OPTIONS": 9,
+    assert asyncio.run(watchdog.seconds(2.0)) == 2.0
+    settings = asyncio.run(watchdog.settings())
+    assert {s.name: (s.present, s.wanted) for s in settings} == {
+        "FS_GCS_ENABLE": (0, 5), "FS_GCS_TIMEOUT": (5, 2), "SYSID_MYGCS": (1, 255), "GUID_TIMEOUT": (3, 2),
+        "FS_OPTIONS": (1, 9),
     }  # fmt: skip
+    assert vehicle.values == {"gcsFailsafe": False}
+    parameters.values |= {setting.name: setting.wanted for setting in settings}
+    assert all(setting.is_right for setting in asyncio.run(watchdog.settings()))
     assert vehicle.values == {"gcsFailsafe": True}
-    assert "FS_GCS_TIMEOUT was 5 and is now 2" in vehicle.notes
-    asyncio.run(watchdog.check_holds())
     del parameters.values["FS_GCS_TIMEOUT"]
-    assert refused(watchdog.check_holds()).startswith("it does not tell FS_GCS_TIMEOUT")
+    assert refused(watchdog.settings()).startswith("it does not tell FS_GCS_TIMEOUT")
 
 
 def test_older_cameras_are_triggered_by_the_older_command():

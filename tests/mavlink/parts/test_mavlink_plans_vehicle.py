@@ -224,7 +224,7 @@ def test_parameters(bench, flavour):
             await fc.execute("parameter", ["NOPE"])
         assert asyncio.get_running_loop().time() - start <= 3.01
         protected = "NAV_DLL_ACT" if flavour == "px4" else "FS_GCS_ENABLE"
-        with pytest.raises(DeviceError, match=f"{protected} stops the vehicle when this computer is gone"):
+        with pytest.raises(DeviceError, match=f"{protected} keeps the vehicle within its binding"):
             await fc.execute("setParameter", [protected, 0.0])
         lines = (await fc.execute("parameters", [])).splitlines()
         assert len(lines) == len(b.autopilot.parameters)

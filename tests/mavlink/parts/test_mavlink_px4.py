@@ -15,7 +15,7 @@ TARGET = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
 @pytest.fixture
 def px4(bench):
-    return lambda **given: bench(flavour="px4", waivers=(), **given)
+    return lambda **given: bench(flavour="px4", **given)
 
 
 def sent(b, kind, since=0):
@@ -46,14 +46,6 @@ def test_a_whole_flight(px4):
 
     b.run(mission)
     assert not b.autopilot.armed
-
-
-def test_its_watchdog_is_that_of_its_setpoints(px4):
-    b = px4(ttl=0.5, safe_state="return")
-    b.autopilot.parameters["COM_OF_LOSS_T"] = 5.0
-    b.run(lambda fc: asyncio.sleep(0.1))
-    wanted = {"COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 3, "COM_DL_LOSS_T": 5, "NAV_DLL_ACT": 2}
-    assert {name: b.autopilot.parameters[name] for name in wanted} == wanted
 
 
 def test_a_velocity_is_streamed_until_its_time_is_over_and_no_longer(px4):

@@ -1,20 +1,30 @@
-"""The autopilot's own failsafes: set, read back, refused when too slow, and left alone to do their work."""
+"""What the autopilot keeps for a binding: looked at, never written, refused when it is wrong or too slow."""
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 
 import pytest
 
-from lfield.errors import DeviceError
-from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.modes import ARDUPILOT, PX4
-from lfield_mavlink.parts.watchdog import SETTINGS
+from lfield.driver.settings import wrong
+from lfield.errors import DeviceError, NotSetUp
+from lfield_mavlink.link.dialect import Reader, dialect
+from lfield_mavlink.parts.watchdog import NEEDS
 from lfield_sim.mavlink.link.codec import Writer
+
+SET = dialect.MAVLINK_MSG_ID_PARAM_SET
+EACH = list(itertools.product(("ardupilot", "px4"), ("copter", "rover"), ("land", "hold", "return")))
 
 
 def read(b, *names):
     return [b.autopilot.parameters[name] for name in names]
+
+
+def written(b):
+    """The names of the parameters that the driver has set."""
+    reader = Reader()
+    return [m.param_id for data in b.sent for m in reader.feed(data) if m.get_msgId() == SET]
 
 
 def without(b, name):
@@ -23,44 +33,107 @@ def without(b, name):
     b.filter = lambda link, packet: None if name in packet else deliver(link, packet)
 
 
+async def set_up(fc):
+    """What `lfield setup` does to one device."""
+    await fc.find()
+    for setting in wrong(await fc.settings()):
+        await fc.write_setting(setting.name, setting.wanted)
+
+
+@pytest.mark.parametrize(("flavour", "kind", "state"), EACH)
+def test_a_stock_vehicle_is_refused_set_up_and_then_opened(bench, flavour, kind, state):
+    b = bench(flavour=flavour, kind=kind, safe_state=state, limits={"speed": 1.5}, set_up=False)
+
+    async def story(fc):
+        with pytest.raises(NotSetUp, match="it is not set up for its binding: ") as refused:
+            await fc.open()
+        assert written(b) == []
+        named = [setting.name for setting in wrong(await fc.settings())]
+        assert all(f"{name} is " in refused.value.reason for name in named)
+        await set_up(fc)
+        assert sorted(written(b)) == sorted(named)
+        await fc.open()
+        assert b.values["gcsFailsafe"] is True
+        return dict.fromkeys(named)
+
+    assert b.run(story, opened=False)
+    assert written(b).count("NAV_DLL_ACT" if flavour == "px4" else "FS_GCS_ENABLE") == 1
+
+
+@pytest.mark.parametrize(("flavour", "kind", "state"), EACH)
+@pytest.mark.parametrize("ttl", [0.1, 4.0])
+def test_the_fakes_of_a_mission_come_set_up(bench, flavour, kind, state, ttl):
+    b = bench(flavour=flavour, kind=kind, safe_state=state, ttl=ttl, limits={"speed": 1.5})
+    b.run(lambda fc: asyncio.sleep(0.1))
+    assert written(b) == []
+
+
 @pytest.mark.parametrize(("state", "action"), [("land", 5), ("hold", 7), ("return", 1)])
 def test_a_copter_does_by_itself_what_its_safe_state_is(bench, state, action):
-    b = bench(safe_state=state, ttl=1.0, waivers=())
-    b.run(lambda fc: asyncio.sleep(0.1))
+    b = bench(safe_state=state, ttl=1.0, waivers=(), set_up=False)
+    b.run(set_up, opened=False)
     assert read(b, "FS_GCS_ENABLE", "FS_GCS_TIMEOUT", "GUID_TIMEOUT", "FS_OPTIONS") == [action, 2, 2, 24]
-    assert b.values["gcsFailsafe"] is True
 
 
-def test_times_that_are_short_enough_are_left_as_they_are(bench):
-    b = bench(ttl=2.0, waivers=())
+def test_times_that_are_short_enough_are_right_as_they_are(bench):
+    b = bench(ttl=2.0, waivers=(), set_up=False)
     b.autopilot.parameters.update(
         {"FS_GCS_TIMEOUT": 3, "GUID_TIMEOUT": 1, "FS_GCS_ENABLE": 5, "FS_OPTIONS": 8}
     )
     b.run(lambda fc: asyncio.sleep(0.1))
-    assert read(b, "FS_GCS_TIMEOUT", "GUID_TIMEOUT") == [3, 1]
-    assert [note for note in b.notes if "is now" in note] == []
 
 
-def test_a_shorter_time_to_live_than_the_autopilot_can_keep_needs_a_waiver(bench):
-    b = bench(ttl=0.5, waivers=())
+@pytest.mark.parametrize(
+    ("flavour", "kind", "least"),
+    [("ardupilot", "copter", 2), ("ardupilot", "rover", 3), ("px4", "copter", 7)],
+)
+def test_a_shorter_time_to_live_than_the_autopilot_can_keep_needs_a_waiver(bench, flavour, kind, least):
+    def opened(ttl):
+        b = bench(flavour=flavour, kind=kind, ttl=ttl, waivers=())
+        b.run(lambda fc: asyncio.sleep(0.1))
 
-    async def mission(fc):
-        with pytest.raises(DeviceError, match="watchdog of 2 s: nothing stops it sooner") as error:
-            await fc.open()
-        return error.value.reason
+    opened(least / 2)
+    with pytest.raises(DeviceError, match=f"watchdog of {least} s: nothing stops it sooner") as error:
+        opened(0.5)
+    assert f"a ttl of {least / 2:g} s is the least that it keeps" in error.value.reason
+    assert "waivers: [device_watchdog]" in error.value.reason
 
-    assert "waivers: [device_watchdog]" in b.run(mission, opened=False)
-    assert read(b, "FS_GCS_TIMEOUT", "GUID_TIMEOUT") == [2, 1]
+
+@pytest.mark.parametrize(
+    ("ttl", "hover", "lost"), [(0.5, 0.0, 5), (3.5, 0.0, 5), (4.25, 1.5, 5), (6.0, 5.0, 5), (8.75, 5.0, 10)]
+)
+def test_px4_counts_until_it_notices_and_the_hover_before_it_acts(bench, ttl, hover, lost):
+    b = bench(flavour="px4", ttl=ttl, set_up=False)
+    b.run(set_up, opened=False)
+    assert read(b, "COM_FAIL_ACT_T", "COM_DL_LOSS_T", "COM_DLL_EXCEPT") == [hover, lost, 0]
+
+
+def test_a_px4_that_holds_does_so_as_soon_as_it_notices(bench):
+    b = bench(flavour="px4", ttl=3.5, waivers=(), safe_state="hold", set_up=False)
+    b.run(set_up, opened=False)
+    assert read(b, "COM_FAIL_ACT_T", "COM_DL_LOSS_T", "NAV_DLL_ACT") == [5, 5, 1]
 
 
 def test_a_rover_stops(bench):
-    b = bench(kind="rover", ttl=1.5, waivers=())
-    b.run(lambda fc: asyncio.sleep(0.1))
+    b = bench(kind="rover", ttl=1.5, waivers=(), set_up=False)
+    b.run(set_up, opened=False)
     assert read(b, "FS_GCS_ENABLE", "FS_ACTION", "FS_GCS_TIMEOUT", "FS_TIMEOUT") == [1, 2, 2, 1]
 
 
-def test_a_failsafe_that_cannot_be_set_is_an_error_at_opening(bench):
-    b = bench()
+def test_the_speed_limit_is_the_autopilots_too(bench):
+    b = bench(limits={"speed": 3.0}, set_up=False)
+    b.autopilot.parameters.update({"WPNAV_SPEED": 1000, "RTL_SPEED": 400})
+    b.run(set_up, opened=False)
+    # A return is as fast as all else.
+    assert read(b, "WPNAV_SPEED", "RTL_SPEED") == [300, 0]
+    faster = bench(limits={"speed": 12.0}, set_up=False)
+    faster.autopilot.parameters.update({"WPNAV_SPEED": 1000, "RTL_SPEED": 400})
+    faster.run(set_up, opened=False)
+    assert read(faster, "WPNAV_SPEED", "RTL_SPEED") == [1000, 400]
+
+
+def test_a_parameter_that_cannot_be_written_is_told(bench):
+    b = bench(set_up=False)
 
     class Fixed(dict):
         def __setitem__(self, name, value):
@@ -69,11 +142,23 @@ def test_a_failsafe_that_cannot_be_set_is_an_error_at_opening(bench):
 
     b.autopilot.parameters = Fixed(b.autopilot.parameters)
 
-    async def mission(fc):
+    async def story(fc):
         with pytest.raises(DeviceError, match="FS_GCS_ENABLE could not be set to 5: it is 0"):
-            await fc.open()
+            await set_up(fc)
 
-    b.run(mission, opened=False)
+    b.run(story, opened=False)
+
+
+def test_nothing_is_written_while_it_is_armed(bench):
+    b = bench()
+
+    async def story(fc):
+        await fc.execute("arm", [])
+        with pytest.raises(DeviceError, match="nothing was written: its motors are on"):
+            await fc.write_setting("FS_GCS_TIMEOUT", 5.0)
+
+    b.run(story)
+    assert written(b) == []
 
 
 def test_a_failsafe_that_is_not_told_is_an_error_at_opening(bench):
@@ -89,33 +174,37 @@ def test_a_failsafe_that_is_not_told_is_an_error_at_opening(bench):
 
 
 def test_an_older_name_of_a_parameter_is_found(bench):
-    b = bench()
+    b = bench(set_up=False)
     without(b, b"MAV_GCS_SYSID")
     older = dialect.MAVLink_param_value_message(b"SYSID_MYGCS", 1.0, dialect.MAV_PARAM_TYPE_INT16, 1, 0)
 
     async def mission(fc):
-        asyncio.get_running_loop().call_later(4.0, b.links[0].on_data, Writer(1, 1).pack(older))
-        return await fc.watchdog.find(SETTINGS[ARDUPILOT, "copter"][2])
+        loop = asyncio.get_running_loop()
+        await fc.find()
+        loop.call_later(1.0, lambda: b.links[0].on_data(Writer(1, 1).pack(older)))
+        return [str(s) for s in await fc.settings() if "GCS" in s.name]
 
-    name, found = b.run(mission, opened=False)
-    assert (name, found) == ("SYSID_MYGCS", 1)
+    assert "SYSID_MYGCS is 1 and must be 255" in b.run(mission, opened=False)
 
 
-def test_a_failsafe_that_somebody_has_changed_since_is_set_again_before_arming(bench):
+def test_a_failsafe_that_somebody_has_changed_since_is_found_before_arming(bench):
     b = bench(ttl=1.0, waivers=())
 
     async def mission(fc):
         b.autopilot.parameters["FS_GCS_ENABLE"] = 0
         b.autopilot.parameters["FS_GCS_TIMEOUT"] = 60
-        await fc.execute("arm", [])
+        with pytest.raises(DeviceError, match="FS_GCS_ENABLE is 0 and must be 5, FS_GCS_TIMEOUT is 60 and"):
+            await fc.execute("arm", [])
+        assert not b.autopilot.armed
+        assert b.values["gcsFailsafe"] is False
 
     b.run(mission)
-    assert read(b, "FS_GCS_ENABLE", "FS_GCS_TIMEOUT") == [5, 2]
+    assert written(b) == []
 
 
-@pytest.mark.parametrize(("flavour", "within"), [("ardupilot", 3.5), ("px4", 12.0)])
-def test_when_we_are_quiet_the_autopilot_acts_by_itself(bench, flavour, within):
-    b = bench(flavour=flavour, ttl=1.0, waivers=())
+@pytest.mark.parametrize(("flavour", "ttl", "within"), [("ardupilot", 1.0, 3.5), ("px4", 3.5, 8.5)])
+def test_when_we_are_quiet_the_autopilot_acts_by_itself(bench, flavour, ttl, within):
+    b = bench(flavour=flavour, ttl=ttl, waivers=())
 
     async def mission(fc):
         await fc.execute("arm", [])
@@ -147,6 +236,5 @@ def test_our_heartbeats_keep_it_flying(bench):
 
 
 def test_every_kind_has_a_time_that_counts():
-    for (stack, kind), settings in SETTINGS.items():
-        clocks = {setting.clock for setting in settings}
-        assert ("setpoint" if stack == PX4 else "link") in clocks, kind
+    for kind, needs in NEEDS.items():
+        assert "link" in {need.clock for need in needs}, kind

@@ -176,4 +176,6 @@ def test_the_bindings_of_a_bus_make_one_fake():
     ]
     words = SIM.arguments(devices)
     assert words[:2] == ["--listen", "udp:127.0.0.1:0"]
-    assert words[2:] == ["--vehicle", "9:rover:ardupilot:a.fc", "--vehicle", "2:copter:px4:a.up"]
+    assert words[2:6] == ["--vehicle", "9:rover:ardupilot:a.fc", "--vehicle", "2:copter:px4:a.up"]
+    # It comes set up for them.
+    assert {"--param=FS_ACTION@9=2", "--param=NAV_DLL_ACT@2=3"} <= set(words[6:])

@@ -1,0 +1,67 @@
+"""What a vehicle keeps that was set up for a computer: failsafes for when that is gone, a speed limit.
+
+Out of the box no autopilot has any of it. The values are what the autopilots' manuals say does it soonest:
+https://ardupilot.org/copter/docs/gcs-failsafe.html, https://docs.px4.io/main/en/config/safety.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from lfield_sim.autopilot.autopilot import FLAVOURS
+
+#: What it does by itself, in the order in which people choose.
+STATES = ("land", "hold", "return")
+
+Values = Mapping[str, float]
+_COPTER_ACTIONS: Values = {"land": 5, "hold": 7, "return": 1}
+_ROVER_ACTIONS: Values = {"land": 2, "hold": 2, "return": 1}
+_PX4_ACTIONS: Values = {"land": 3, "hold": 1, "return": 2}
+_PX4_STREAM_ACTIONS: Values = {"land": 4, "hold": 5, "return": 3}
+#: The parameters of speed, each with what a m/s is in it.
+_SPEEDS: Mapping[tuple[str, str], Values] = {
+    ("ardupilot", "copter"): {"WPNAV_SPEED": 100.0},
+    ("ardupilot", "rover"): {"WP_SPEED": 1.0},
+    ("px4", "copter"): {"MPC_XY_VEL_MAX": 1.0, "MPC_XY_CRUISE": 1.0, "MPC_VEL_MANUAL": 1.0},
+    ("px4", "rover"): {"RO_SPEED_LIM": 1.0},
+}
+
+
+def set_up(
+    flavour: str, kind: str, state: str = STATES[0], ttl: float = 0.5, speed: float | None = None
+) -> dict[str, float]:
+    """The parameters of one that does `state` when its computer is gone, as soon as it can.
+
+    Its setpoints end within twice `ttl` seconds; it is not faster than `speed`, in m/s.
+    """
+    found = _failsafes(flavour, kind, state, 2.0 * ttl)
+    known = FLAVOURS[flavour][kind].parameters
+    for name, unit in _SPEEDS[flavour, kind].items() if speed is not None else ():
+        assert speed is not None
+        found[name] = min(speed * unit, known.get(name, speed * unit))
+    return found
+
+
+def _failsafes(flavour: str, kind: str, state: str, longest: float) -> dict[str, float]:
+    if flavour == "px4":
+        return {
+            "COM_OF_LOSS_T": max(0.25, min(1.0, longest)),
+            "COM_OBL_RC_ACT": _PX4_STREAM_ACTIONS[state],
+            "COM_FAIL_ACT_T": 0.0,
+            "COM_DL_LOSS_T": 5.0,
+            "NAV_DLL_ACT": _PX4_ACTIONS[state],
+        }
+    if kind == "rover":
+        return {
+            "FS_GCS_ENABLE": 1,
+            "FS_ACTION": _ROVER_ACTIONS[state],
+            "FS_GCS_TIMEOUT": 2.0,
+            "FS_TIMEOUT": 1.0,
+        }
+    return {
+        "FS_GCS_ENABLE": _COPTER_ACTIONS[state],
+        "FS_GCS_TIMEOUT": 2.0,
+        "GUID_TIMEOUT": max(0.1, min(3.0, longest)),
+        # The default, and that a landing is not turned into a return.
+        "FS_OPTIONS": 16 | 8,
+    }

@@ -1,0 +1,143 @@
+"""Simulators that `make test-sitl` was given, and a table of what they did, printed in the end."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from missions import Command, Mission
+from simulators import KINDS, Kind, Simulator
+from watcher import Watcher
+
+#: Seconds for a simulator to be heard.
+HEARD = 60.0
+#: What flies beside the first vehicle in an example: how many more vehicles, and the fakes of other devices.
+OTHERS: Mapping[str, tuple[int, Sequence[str]]] = {
+    "01-first-flight": (1, ()),
+    "02-equivalent-lift": (
+        0,
+        (
+            "can --listen socketcand:127.0.0.1:29536 --device cia402:5,counts=10000",
+            "dynamixel --servo 1:XM540-W270 --servo 2:XM540-W270 --listen /tmp/lfield-arm",
+            "dynamixel --servo 1:XM430-W350 --listen /tmp/lfield-hand --fault obstacle=-0.1",
+        ),
+    ),
+    "03-mixed-team": (
+        0,
+        (
+            "can --listen socketcand:127.0.0.1:29536 --device cia402:5,counts=10000",
+            "dynamixel --servo 1:XM430-W350 --listen /tmp/lfield-hand --fault obstacle=-0.1",
+        ),
+    ),
+}
+
+#: `make test` has no simulators: there these files are left alone.
+collect_ignore_glob = [] if os.environ.get("LFIELD_SITL") else ["test_sitl.py"]
+given = [kind for kind in KINDS if os.environ.get(kind.variable)]
+_rows: list[tuple[str, str, str, str]] = []
+
+
+class Field:
+    """A running simulator of one kind, set up for the bindings used here, with who watches it."""
+
+    def __init__(self, kind: Kind, folder: Path) -> None:
+        self.kind, self._folder, self._count = kind, folder, 0
+        self.simulators: list[Simulator] = []
+        self.first = self.another()
+        self.watcher = Watcher(self.first.second, self.first.system)
+        self.watcher.until(lambda seen: bool(seen.mode), HEARD, f"{kind.name} to be heard")
+
+    def folder(self) -> Path:
+        """A new one."""
+        self._count += 1
+        return self._folder / str(self._count)
+
+    def another(self) -> Simulator:
+        """One more vehicle of this kind, with the next system id."""
+        simulator = Simulator(self.kind, os.environ[self.kind.variable], len(self.simulators))
+        simulator.start(self.folder())
+        self.simulators.append(simulator)
+        return simulator
+
+    def mission(self, program: str, agents: str, endpoint: str = "") -> Mission:
+        """A mission for the first of them."""
+        return Mission.on(self.first, self.folder(), program, agents, endpoint)
+
+    def lfield(self, *words: str | Path) -> Command:
+        """A command of lfield, begun."""
+        for simulator in self.simulators:
+            assert not simulator.trouble, simulator.trouble
+        return Command(self.folder(), *words)
+
+    def up(self, mission: Mission, *options: str) -> Command:
+        """The one host of a mission, begun."""
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        words = ("--deploy", mission.deploy, "--host", "here", "--map", f"here=127.0.0.1:{port}")
+        return self.lfield("up", *words, *options)
+
+    @contextmanager
+    def others(self, example: str) -> Iterator[None]:
+        """The rest of an example's team: vehicles of this kind, and fakes."""
+        vehicles, fakes = OTHERS[example]
+        while len(self.simulators) <= vehicles:
+            self.another()
+        started = [self.lfield("sim", *fake.split()) for fake in fakes]
+        try:
+            for fake in started:
+                fake.wait_for("ready ", HEARD)
+            yield
+        finally:
+            for fake in started:
+                fake.end()
+
+    def close(self) -> None:
+        """End all that we have started."""
+        self.watcher.close()
+        for simulator in self.simulators:
+            simulator.end()
+
+
+@pytest.fixture(scope="module", params=given, ids=lambda kind: kind.name)
+def field(request, tmp_path_factory) -> Iterator[Field]:
+    """Each kind that was given."""
+    made = Field(request.param, tmp_path_factory.mktemp(request.param.name))
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+@pytest.fixture
+def figure(request) -> Callable[[str], None]:
+    """Say a figure for the table."""
+    return lambda text: request.node.user_properties.append(("figure", text))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Keep a row for each check that was tried."""
+    report = yield
+    if call.when == "call" or (call.when == "setup" and not report.passed):
+        simulator = item.callspec.id if hasattr(item, "callspec") else ""
+        told = "; ".join(str(value) for name, value in item.user_properties if name == "figure")
+        if report.failed:
+            told = (told + "; " if told else "") + str(call.excinfo.value).partition("\n")[0]
+        _rows.append(
+            (simulator, item.originalname.removeprefix("test_").replace("_", " "), report.outcome, told)
+        )
+    return report
+
+
+def pytest_terminal_summary(terminalreporter) -> None:
+    """The table."""
+    if not _rows:
+        return
+    terminalreporter.section("simulators")
+    for simulator, check, outcome, told in _rows:
+        terminalreporter.write_line(f"{outcome:8} {simulator:28} {check:34} {told}")

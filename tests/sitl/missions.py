@@ -1,0 +1,187 @@
+"""Missions that are flown on a real autopilot, and the lfield processes that fly them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from simulators import Simulator
+
+ROOT = Path(__file__).parents[2]
+#: What binds the examples to simulators.
+REAL = ROOT / "sim-adapters" / "real"
+#: m/s: the limit of every binding here. It is below what the autopilots fly by themselves (10, 5 and 5).
+SPEED = 3.0
+#: Seconds from a cold start until a vehicle may be armed.
+READY = 120.0
+#: Lines of what a command said that are shown when it failed.
+LAST_WORDS = 40
+
+#: One place after another, then velocities: all ways in which a vehicle is moved.
+TOUR = {
+    "copter": """
+include <mavlink/copter.L>;
+coordinator Tour {
+    init(string[] arg) {
+        Copter it = findCopter(arg[1]);
+        it.takeOff(8.0);
+        it.goTo(25.0, 0.0, -8.0);
+        it.move(0.0, 2.5, 0.0, 4.0);
+        it.goTo(0.0, 0.0, -8.0);
+        it.land();
+        print("the tour is over");
+    }
+}
+""",
+    "rover": """
+include <mavlink/rover.L>;
+coordinator Tour {
+    init(string[] arg) {
+        Rover it = findRover(arg[1]);
+        it.start();
+        it.goTo(20.0, 0.0);
+        it.move(0.0, 2.5, 4.0);
+        it.goTo(0.0, 0.0);
+        it.stop();
+        print("the tour is over");
+    }
+}
+""",
+}
+#: Nothing: a host that opens its vehicle and ends.
+OPEN = """
+resource Vehicle { Mavlink fc; init(string[] arg) { } }
+coordinator Nothing { init(string[] arg) { } }
+"""
+#: Up, over and down.
+HOP = """
+include <mavlink/copter.L>;
+coordinator Hop {
+    init(string[] arg) {
+        Copter it = findCopter(arg[1]);
+        it.takeOff(4.0);
+        it.goTo(6.0, 0.0, -4.0);
+        it.land();
+        print("the hop is over");
+    }
+}
+"""
+#: Motors on and off.
+ARM = """
+resource Motors {
+    Mavlink fc;
+    init(string[] arg) { fc.waitReady(90.0); fc.arm(); fc.disarm(); write("armed and disarmed\\n"); }
+}
+"""
+#: In the air, on a long way by velocities, for as long as somebody lets it.
+AWAY = """
+resource Copter {
+    Mavlink fc;
+    init(string[] arg) {
+        fc.waitReady(90.0);
+        fc.arm();
+        fc.takeoff(6.0);
+        write("on its way\\n");
+        while (true) { fc.setVelocity(1.0, 0.0, 0.0); sleep(0.1); }
+    }
+}
+"""
+
+
+@dataclass(frozen=True)
+class Mission:
+    """A deployment file whose one vehicle is a simulator."""
+
+    deploy: Path
+
+    @classmethod
+    def on(cls, simulator: Simulator, folder: Path, program: str, agents: str, endpoint: str = "") -> Mission:
+        """Write it; `agents` are the lines of the deployment, the first of which has the device `fc`."""
+        folder.mkdir(parents=True, exist_ok=True)
+        agent = agents.partition(":")[2].partition("@")[0]
+        vehicle = simulator.kind.vehicle
+        (folder / "mission.L").write_text(program)
+        (folder / "mission.dL").write_text(agents)
+        (folder / "mission.devices.yaml").write_text(
+            f"silence: 1.0\nagents:\n  {agent}:\n    devices:\n      fc:\n"
+            f"        driver: mavlink\n        endpoint: '{endpoint or simulator.endpoint}'\n"
+            f"        system: {simulator.system}\n        kind: {vehicle}\n        safe_state: land\n"
+            f"        limits: {{speed: {SPEED}}}\n        waivers: [device_watchdog]\n"
+        )
+        return cls(folder / "mission.dL")
+
+
+class Command:
+    """A running lfield command, its two streams in one file."""
+
+    def __init__(self, folder: Path, *words: str | Path) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._file = folder / "said.txt"
+        environment = {**os.environ, "LFIELD_RUNS": "here", "XDG_STATE_HOME": str(folder)}
+        with self._file.open("wb") as output:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "lfield", *map(str, words)],
+                cwd=ROOT,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+        self.words = " ".join(map(str, words))
+
+    @property
+    def said(self) -> str:
+        """What it has said."""
+        return self._file.read_text(errors="replace")
+
+    @property
+    def last_words(self) -> str:
+        """The end of it, for people."""
+        return f"$ lfield {self.words}\n" + "\n".join(self.said.splitlines()[-LAST_WORDS:])
+
+    def says(self, text: str, bound: float) -> bool:
+        """Whether it says this within `bound` seconds, and before it ends."""
+        end = time.monotonic() + bound
+        while text not in self.said and time.monotonic() < end and self.process.poll() is None:
+            time.sleep(0.1)
+        return text in self.said
+
+    def wait_for(self, text: str, bound: float) -> None:
+        """Wait until it has said this. Fails when it does not."""
+        assert self.says(text, bound), f"it did not say '{text}' within {bound:g} s\n{self.last_words}"
+
+    def wait(self, bound: float) -> int:
+        """Its exit status. Fails when it does not end."""
+        try:
+            return self.process.wait(bound)
+        except subprocess.TimeoutExpired:
+            self.end()
+            raise AssertionError(f"it did not end within {bound:g} s\n{self.last_words}") from None
+
+    def succeeds(self, bound: float) -> None:
+        """Wait until it has ended with 0."""
+        status = self.wait(bound)
+        assert status == 0, f"it ended with {status}\n{self.last_words}"
+
+    def end(self) -> None:
+        """End it, its devices safe; by force when it does not."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            try:
+                self.process.wait(180.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+    @property
+    def guard(self) -> int:
+        """The process of its one guard. Fails when there is none."""
+        file = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        children = [int(word) for word in file.read_text().split()]
+        assert len(children) == 1, f"its guard is not there: {children}\n{self.last_words}"
+        return children[0]

@@ -1,0 +1,120 @@
+"""A bad radio: a relay between a ground station and a vehicle that loses packets both ways, by dice."""
+
+from __future__ import annotations
+
+import random
+import select
+import socket
+import threading
+from collections.abc import Iterator
+
+#: MAVLink 1 and 2: marker -> bytes around the payload; a signature has 13 more.
+_AROUND = {0xFE: 8, 0xFD: 12}
+_SIGNED, _SIGNATURE = 0x01, 13
+#: Seconds between two looks at whether it is to end.
+LOOK = 0.2
+
+
+class Frames:
+    """Cuts a stream of bytes into MAVLink packets; what is between packets is left out."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def cut(self, data: bytes) -> Iterator[bytes]:
+        """The packets that are whole by now."""
+        self._rest += data
+        while self._rest:
+            length = self._length()
+            if length is None or len(self._rest) < length:
+                return
+            packet, self._rest = self._rest[:length], self._rest[length:]
+            if packet[0] in _AROUND:
+                yield packet
+
+    def _length(self) -> int | None:
+        """Bytes of what is in front: a packet, or a byte that begins none; None while that is not known."""
+        marker = self._rest[0]
+        if marker not in _AROUND:
+            return 1
+        if len(self._rest) < 3:
+            return None
+        signed = marker == 0xFD and self._rest[2] & _SIGNED
+        return self._rest[1] + _AROUND[marker] + (_SIGNATURE if signed else 0)
+
+
+class Relay:
+    """Between a vehicle's link (`tcp:`, `udp:` or `udpin:HOST:PORT`) and whoever sends to `endpoint`.
+
+    Of every packet, each way, a share `loss` is lost; `seed` makes the dice.
+    """
+
+    def __init__(self, vehicle: str, loss: float, seed: int = 1) -> None:
+        self._loss, self._dice = loss, random.Random(seed)
+        self._vehicle, self._peer = _connected(vehicle)
+        self._door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._door.bind(("127.0.0.1", 0))
+        self.endpoint = f"udp:127.0.0.1:{self._door.getsockname()[1]}"
+        self._station: tuple[str, int] | None = None
+        self.passed = self.lost = 0
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Hang up."""
+        self._ended = True
+        self._thread.join()
+        self._vehicle.close()
+        self._door.close()
+
+    def _run(self) -> None:
+        down, up = Frames(), Frames()
+        while not self._ended:
+            ready, _, _ = select.select([self._vehicle, self._door], [], [], LOOK)
+            if self._vehicle in ready:
+                data, self._peer = _received(self._vehicle, self._peer)
+                for packet in down.cut(data):
+                    if self._station is not None and self._passes():
+                        self._door.sendto(packet, self._station)
+            if self._door in ready:
+                data, self._station = self._door.recvfrom(65535)
+                for packet in up.cut(data):
+                    if self._passes():
+                        self._to_vehicle(packet)
+
+    def _passes(self) -> bool:
+        lost = self._dice.random() < self._loss
+        self.lost += lost
+        self.passed += not lost
+        return not lost
+
+    def _to_vehicle(self, packet: bytes) -> None:
+        if self._peer is None:
+            self._vehicle.send(packet)
+        elif self._peer != ("", 0):
+            self._vehicle.sendto(packet, self._peer)
+
+
+def _connected(endpoint: str) -> tuple[socket.socket, tuple[str, int] | None]:
+    """A socket to a vehicle; for one that sends to us first, `("", 0)` until it has."""
+    kind, host, port = endpoint.split(":")
+    address = (host, int(port))
+    if kind == "tcp":
+        return socket.create_connection(address, 10.0), None
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    if kind == "udp":
+        opened.connect(address)
+        return opened, None
+    opened.bind(address)
+    return opened, ("", 0)
+
+
+def _received(vehicle: socket.socket, peer: tuple[str, int] | None) -> tuple[bytes, tuple[str, int] | None]:
+    """Bytes of a vehicle, and where it sends from; none when nobody listens there yet."""
+    try:
+        if peer is None:
+            return vehicle.recv(65535), None
+        return vehicle.recvfrom(65535)
+    except ConnectionRefusedError:
+        return b"", peer

@@ -1,0 +1,157 @@
+"""Simulators of real autopilots: found running, or started from a build, and ended by their pids.
+
+ArduPilot's options: https://ardupilot.org/dev/docs/using-sitl-for-ardupilot-testing.html, its ports:
+https://ardupilot.org/dev/docs/sitl-serial-mapping.html; PX4's: https://docs.px4.io/main/en/simulation/
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import subprocess
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+#: What ArduPilot is given beside its own defaults, so that it may be armed and has a gripper.
+PARAMETERS = Path(__file__).parents[2] / "sim-adapters" / "real"
+#: Seconds for a simulator to end by itself before it is killed.
+ENDS = 5.0
+#: Lines of a simulator's own output that are shown when something failed.
+LAST_WORDS = 15
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A simulator: the variable of `make test-sitl` that gives it, its stack and its kind of vehicle."""
+
+    name: str
+    variable: str
+    px4: bool
+    vehicle: str = "copter"
+    model: str = "+"
+
+
+KINDS = (
+    Kind("arducopter", "ARDUCOPTER", px4=False),
+    Kind("ardurover", "ARDUROVER", px4=False, vehicle="rover", model="rover"),
+    Kind("px4", "PX4", px4=True, model="sihsim_quadx"),
+)
+
+
+@dataclass
+class Simulator:
+    """One simulated vehicle: where lfield reaches it, and where a second client watches it.
+
+    `given` is what the variable says: the path of a build, perhaps with options behind it, or
+    `ENDPOINT[,SECOND]` of one that runs already. `instance` counts from 0; the system id is one more.
+    """
+
+    kind: Kind
+    given: str
+    instance: int = 0
+    _process: subprocess.Popen[bytes] | None = field(default=None, init=False)
+    _folder: Path | None = field(default=None, init=False)
+
+    @property
+    def system(self) -> int:
+        """Its MAVLink system id."""
+        return self.instance + 1
+
+    @property
+    def is_running_elsewhere(self) -> bool:
+        """Whether somebody else has started it."""
+        return self.given.startswith(("tcp:", "udp:", "udpin:"))
+
+    @property
+    def endpoint(self) -> str:
+        """For a binding."""
+        if self.is_running_elsewhere:
+            return self.given.partition(",")[0]
+        if self.kind.px4:
+            return f"udpin:127.0.0.1:{14540 + self.instance}"
+        return f"tcp:127.0.0.1:{5760 + 10 * self.instance}"
+
+    @property
+    def second(self) -> str:
+        """Another link to it, on which it is watched."""
+        if self.is_running_elsewhere:
+            return self.given.partition(",")[2] or self.endpoint
+        if self.kind.px4:
+            # Its link for ground stations: all instances send to one port, so it is asked where it listens.
+            return f"udp:127.0.0.1:{18570 + self.instance}"
+        return f"tcp:127.0.0.1:{5762 + 10 * self.instance}"
+
+    def start(self, folder: Path) -> None:
+        """Start it in a folder of its own, with an empty memory. Raises OSError."""
+        if self.is_running_elsewhere:
+            return
+        folder.mkdir(parents=True)
+        self._folder = folder
+        words, environment = px4(self, folder) if self.kind.px4 else ardupilot(self)
+        with (folder / "output.txt").open("wb") as output:
+            self._process = subprocess.Popen(
+                words,
+                cwd=folder,
+                env={**os.environ, **environment},
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def end(self) -> None:
+        """End it, if we have started it."""
+        if self._process is None:
+            return
+        self._signal(signal.SIGTERM)
+        try:
+            self._process.wait(ENDS)
+        except subprocess.TimeoutExpired:
+            self._signal(signal.SIGKILL)
+            self._process.wait()
+
+    def _signal(self, number: signal.Signals) -> None:
+        """To it and what it has started: PX4's start-up is a shell's."""
+        assert self._process is not None
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, number)
+
+    @property
+    def trouble(self) -> str:
+        """Why it does not run, '' when it does."""
+        status = None if self._process is None else self._process.poll()
+        return "" if status is None else f"{self.kind.name} has ended with {status}; it said\n{self.words}"
+
+    @property
+    def words(self) -> str:
+        """The last lines that it has printed."""
+        if self._folder is None:
+            return "(it was started elsewhere)"
+        lines = (self._folder / "output.txt").read_text(errors="replace").splitlines()
+        return "\n".join(lines[-LAST_WORDS:])
+
+
+def ardupilot(simulator: Simulator) -> tuple[list[str], Mapping[str, str]]:
+    """The command that starts an ArduPilot build, and what is added to its environment."""
+    binary, *options = shlex.split(simulator.given)
+    parameters = [PARAMETERS / f"{simulator.kind.name}.parm"]
+    # A build in its source tree has the parameters that its own tests use.
+    stock = Path(binary).resolve().parents[3:4]
+    beside = [tree / "Tools/autotest/default_params" / f"{simulator.kind.vehicle}.parm" for tree in stock]
+    parameters = [*(file for file in beside if file.is_file()), *parameters]
+    words = (
+        f"--model {simulator.kind.model} --speedup 1 --wipe --instance {simulator.instance} "
+        f"--sysid {simulator.system} --serial0 tcp:0"
+    )
+    return [binary, *words.split(), "--defaults", ",".join(map(str, parameters)), *options], {}
+
+
+def px4(simulator: Simulator, folder: Path) -> tuple[list[str], Mapping[str, str]]:
+    """The same of a PX4 build; its start-up files lie beside the folder of the binary."""
+    binary, *options = shlex.split(simulator.given)
+    files = Path(binary).resolve().parent.parent / "etc"
+    words = [binary, *options, "-i", str(simulator.instance), "-d", "-w", str(folder)]
+    return [*words, str(files)] if files.is_dir() else words, {"PX4_SIM_MODEL": simulator.kind.model}

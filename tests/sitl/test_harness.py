@@ -1,0 +1,112 @@
+"""What `make test-sitl` is made of, without a simulator: a relay, command lines, and one check on a fake."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as dialect
+from relay import Frames, Relay
+from simulators import KINDS, Simulator, ardupilot, px4
+
+from lfield.testing.driver_bench import running_fake
+
+HERE = Path(__file__).parent
+ARDUCOPTER, _, PX4 = KINDS
+
+
+def packet(number: int, *, signed: bool = False) -> bytes:
+    """A packet of MAVLink 2 with a number in it."""
+    writer = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    if signed:
+        writer.signing.secret_key, writer.signing.sign_outgoing = bytes(32), True
+    return bytes(dialect.MAVLink_timesync_message(number, 0).pack(writer))
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 2**40), st.booleans()), max_size=6),
+    st.lists(st.integers(1, 30), max_size=40),
+)
+def test_packets_are_cut_out_of_a_stream_however_it_comes(numbers, pieces):
+    packets = [packet(number, signed=signed) for number, signed in numbers]
+    stream, frames, found = b"\0noise".join(packets), Frames(), []
+    for length in [*pieces, len(stream)]:
+        found += frames.cut(stream[:length])
+        stream = stream[length:]
+    assert found == packets
+
+
+def test_a_relay_loses_the_share_that_it_was_told_both_ways():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        vehicle.bind(("127.0.0.1", 0))
+        vehicle.settimeout(5.0)
+        relay = Relay(f"udp:127.0.0.1:{vehicle.getsockname()[1]}", 0.2)
+        try:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+                station.connect(("127.0.0.1", int(relay.endpoint.rpartition(":")[2])))
+                station.settimeout(5.0)
+                for number in range(1, 501):
+                    station.send(packet(number))
+                    while relay.passed + relay.lost < number:
+                        pass
+                _, address = vehicle.recvfrom(4096)
+                for number in range(1, 501):
+                    vehicle.sendto(packet(number), address)
+                    while relay.passed + relay.lost < 500 + number:
+                        pass
+                assert station.recv(4096) in {packet(number) for number in range(1, 501)}
+        finally:
+            relay.close()
+    assert 0.15 < relay.lost / 1000 < 0.25
+
+
+def test_builds_are_started_at_ports_and_ids_of_their_own(tmp_path):
+    build = tmp_path / "ap" / "build" / "sitl" / "bin" / "arducopter"
+    stock = tmp_path / "ap" / "Tools" / "autotest" / "default_params" / "copter.parm"
+    stock.parent.mkdir(parents=True)
+    stock.touch()
+    second = Simulator(ARDUCOPTER, f"{build} --rate 400", 1)
+    words, _ = ardupilot(second)
+    assert words[0] == str(build)
+    assert words[-2:] == ["--rate", "400"]
+    assert words[words.index("--sysid") + 1] == "2"
+    assert words[words.index("--defaults") + 1].startswith(f"{stock},")
+    assert (second.endpoint, second.second, second.system) == ("tcp:127.0.0.1:5770", "tcp:127.0.0.1:5772", 2)
+
+    binary = tmp_path / "px4" / "bin" / "px4"
+    (tmp_path / "px4" / "etc").mkdir(parents=True)
+    words, environment = px4(Simulator(PX4, str(binary)), tmp_path)
+    assert words == [str(binary), "-i", "0", "-d", "-w", str(tmp_path), str(tmp_path / "px4" / "etc")]
+    assert environment == {"PX4_SIM_MODEL": "sihsim_quadx"}
+
+    running = Simulator(ARDUCOPTER, "tcp:127.0.0.1:5760,tcp:127.0.0.1:5762")
+    assert (running.endpoint, running.second) == ("tcp:127.0.0.1:5760", "tcp:127.0.0.1:5762")
+
+
+@pytest.mark.process
+def test_a_simulator_that_does_not_start_says_what_it_said(tmp_path):
+    broken = Simulator(ARDUCOPTER, f"{sys.executable} -c raise(SystemExit('no\\ such\\ model'))")
+    broken.start(tmp_path / "broken")
+    broken._process.wait(30.0)
+    assert broken.trouble.startswith("arducopter has ended with ")
+    broken.end()
+
+
+@pytest.mark.process
+@pytest.mark.long
+def test_a_check_runs_on_a_vehicle_that_runs_already_and_is_in_the_table():
+    with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--climb", "8", "--land", "6") as fake:
+        environment = {**os.environ, "ARDUCOPTER": fake.endpoint, "LFIELD_SITL": "yes"}
+        words = ["-n", "0", "-p", "no:cacheprovider", "-k", "set_up or limits", str(HERE / "test_sitl.py")]
+        told = subprocess.run(
+            [sys.executable, "-m", "pytest", *words],
+            env=environment, cwd=HERE.parents[1], capture_output=True, text=True, check=False,
+        )  # fmt: skip
+    assert told.returncode == 0, told.stdout
+    assert "highest speed" in told.stdout

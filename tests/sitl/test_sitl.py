@@ -1,0 +1,150 @@
+"""lfield on real autopilots: the kit, the examples, deaths, limits, arming, a bad link (`make test-sitl`)."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import pytest
+from missions import ARM, AWAY, HOP, OPEN, READY, REAL, ROOT, SPEED, TOUR
+from relay import Relay
+
+#: How often arming after opening, and a mission over a bad link, are tried; what share of packets that loses.
+OPENINGS = int(os.environ.get("OPENINGS", "50"))
+MISSIONS, LOSS = int(os.environ.get("MISSIONS", "20")), 0.2
+#: What a limit may be passed by: as the option `limit_tolerance` of a binding has it by default.
+TOLERANCE = 0.2
+#: Who dies, of which signal, and within how many seconds the vehicle must be on its way down.
+DEATHS = {
+    "guard": (signal.SIGKILL, 3.0),
+    "host": (signal.SIGKILL, 3.0),
+    "host that hangs": (signal.SIGSTOP, 5.0),
+    "both": (signal.SIGKILL, 12.0),
+}
+EXAMPLES = ("01-first-flight", "02-equivalent-lift", "03-mixed-team")
+
+
+def test_set_up(field, figure):
+    """It is set up for the bindings used here; nothing but this writes into it. The others need it."""
+    mission = field.mission(OPEN, "//Vehicle:it@here\n//Nothing:nothing@here\n")
+    refused = field.up(mission, "--until-done")
+    status = refused.wait(READY)
+    if status:
+        assert "lfield setup" in refused.said, refused.last_words
+    field.lfield("setup", "--deploy", mission.deploy, "--yes").succeeds(60.0)
+    figure("was set up already" if not status else "up refused a stock vehicle and named lfield setup")
+
+
+def test_kit(field, figure):
+    """The driver's own checks."""
+    simulator = field.first
+    settings = [
+        f"system={simulator.system}",
+        f"kind={field.kind.vehicle}",
+        "waivers=[device_watchdog]",
+        f"limits={{speed: {SPEED}, altitude: 30, radius: 100}}",
+    ]
+    words = [word for setting in settings for word in ("--set", setting)]
+    kit = field.lfield(
+        "kit", "mavlink", "--endpoint", simulator.endpoint, *words, "--silence", "1.0", "--yes"
+    )
+    status = kit.wait(600.0)
+    figure(kit.said.splitlines()[-1] if kit.said else "it said nothing")
+    failed = "\n".join(line for line in kit.said.splitlines() if line.startswith("FAILED"))
+    assert status == 0, f"{failed or f'it ended with {status}'}\n{kit.last_words}"
+
+
+def test_limits(field, figure):
+    """However it is moved, it is no faster than its binding allows."""
+    kind = field.kind.vehicle
+    mission = field.mission(TOUR[kind], f"//{kind.title()}:it@here\n//Tour:tour@here?it\n")
+    start = time.monotonic()
+    field.up(mission, "--until-done").succeeds(300.0)
+    top = field.watcher.top_speed(start)
+    figure(f"highest speed {top:.2f} m/s with a limit of {SPEED:g}")
+    assert 0.5 * SPEED < top <= SPEED * (1.0 + TOLERANCE), field.watcher.story(start)
+
+
+def test_arming_right_after_opening(field, figure):
+    """However soon after it was opened."""
+    mission = field.mission(ARM, "//Motors:it@here\n")
+    done, failed = 0, []
+    for _ in range(OPENINGS):
+        host = field.up(mission)
+        if host.says("armed and disarmed", READY):
+            done += 1
+        else:
+            failed.append(host.last_words)
+        host.end()
+    figure(f"{done} of {OPENINGS}")
+    assert done == OPENINGS, "\n\n".join(failed)
+
+
+@pytest.mark.parametrize("who", DEATHS)
+def test_death(field, figure, who):
+    """Whoever dies, it comes down: brought by who is left, or by its own failsafe."""
+    if field.kind.vehicle != "copter":
+        pytest.skip("only copters are flown away")
+    mission = field.mission(AWAY, "//Copter:it@here\n")
+    host = field.up(mission)
+    watcher = field.watcher
+    try:
+        host.wait_for("on its way", READY + 60.0)
+        watcher.until(lambda seen: seen.speed > 0.5, 20.0, "it to move")
+        number, bound = DEATHS[who]
+        died = time.monotonic()
+        guard = host.guard
+        if who in ("guard", "both"):
+            os.kill(guard, signal.SIGKILL)
+        if who != "guard":
+            os.kill(host.process.pid, number)
+        took = watcher.until(lambda seen: "LAND" in seen.mode, bound, "it to land")
+        watcher.until(lambda seen: not seen.armed, 90.0, "its motors to be off")
+        figure(f"landing after {took:.2f} s, motors off after {time.monotonic() - died:.1f} s")
+    finally:
+        if host.process.poll() is None:
+            os.kill(host.process.pid, signal.SIGCONT)
+        host.end()
+
+
+def test_missions_over_a_bad_link(field, figure):
+    """A fifth of the packets is lost, each way; no mission ends for that."""
+    if field.kind.vehicle != "copter":
+        pytest.skip("only copters fly over a bad link")
+    done, failed = 0, []
+    for number in range(MISSIONS):
+        relay = Relay(field.first.endpoint, LOSS, seed=number)
+        try:
+            mission = field.mission(HOP, "//Copter:it@here\n//Hop:hop@here?it\n", relay.endpoint)
+            command = field.up(mission, "--until-done")
+            if command.wait(300.0) == 0:
+                done += 1
+            else:
+                failed.append(command.last_words)
+        finally:
+            relay.close()
+    figure(f"{done} of {MISSIONS} with {LOSS:.0%} loss")
+    assert done == MISSIONS, "\n\n".join(failed)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_example(field, figure, name):
+    """An example as it is, bound to simulators by the devices files that are beside the guide."""
+    bindings = REAL / field.kind.name / f"{name}.devices.yaml"
+    if not bindings.exists():
+        pytest.skip(f"no example is bound to {field.kind.name}")
+    if field.first.endpoint not in bindings.read_text():
+        pytest.skip(f"{bindings.relative_to(ROOT)} is for the ports that the guide names")
+    deploy = ROOT / "examples" / name / "mission.dL"
+    with field.others(name):
+        field.lfield("setup", "--deploy", deploy, "--devices", bindings, "--yes").succeeds(120.0)
+        start = time.monotonic()
+        words = ("up", "--deploy", deploy, "--devices", bindings, "--all", "--until-done")
+        field.lfield(*words).succeeds(400.0)
+        figure(f"{time.monotonic() - start:.0f} s")
+
+
+def test_nothing_is_left_moving(field):
+    """In the end it stands, its motors off."""
+    field.watcher.until(lambda seen: not seen.armed, 90.0, "its motors to be off")

@@ -1,0 +1,124 @@
+"""A second client that only watches a vehicle: what it does, whatever lfield says of it."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import all as dialect
+
+#: Who it is: not the station that autopilots listen to, so that no failsafe is kept content by it.
+SYSTEM, COMPONENT = 77, 190
+#: What it asks for, and how often (Hz).
+RATES = {
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 10.0,
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 5.0,
+    dialect.MAVLINK_MSG_ID_CURRENT_MODE: 5.0,
+}
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One thing that was seen: when (CLOCK_MONOTONIC, s), what, and how."""
+
+    at: float
+    what: str
+    value: str
+
+
+class Watcher:
+    """Watches one system at an endpoint; heights in metres above home, speeds over ground in m/s."""
+
+    def __init__(self, endpoint: str, system: int) -> None:
+        self._system = system
+        self._link = mavutil.mavlink_connection(
+            endpoint.replace("udp:", "udpout:"),
+            dialect="all",
+            source_system=SYSTEM,
+            source_component=COMPONENT,
+        )
+        self._changed, self._ended = threading.Condition(), False
+        self.mode, self.armed, self.height, self.speed = "", False, math.nan, math.nan
+        #: Every mode, arming, and text, in order.
+        self.seen: list[Seen] = []
+        #: (when, m/s), of everything that was told.
+        self.speeds: list[tuple[float, float]] = []
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    # -- questions ------------------------------------------------------------------------------------
+
+    def until(self, condition: Callable[[Watcher], bool], bound: float, what: str) -> float:
+        """Wait until a condition of this watcher holds; the seconds that it took. Fails after `bound`."""
+        start = time.monotonic()
+        with self._changed:
+            came = self._changed.wait_for(lambda: condition(self), bound)
+        assert came, f"waited {bound:g} s for {what}; it is {self}; it was\n{self.story(start)}"
+        return time.monotonic() - start
+
+    def top_speed(self, since: float) -> float:
+        """The highest speed over ground since then, 0 when none was told."""
+        return max((speed for at, speed in self.speeds if at >= since), default=0.0)
+
+    def story(self, since: float = 0.0) -> str:
+        """What was seen, one per line, with seconds since then."""
+        start = since or (self.seen[0].at if self.seen else 0.0)
+        lines = [
+            f"{each.at - start:8.2f} s  {each.what} {each.value}" for each in self.seen if each.at >= since
+        ]
+        return "\n".join(lines[-40:]) or "(nothing was seen)"
+
+    def __str__(self) -> str:
+        armed = "armed" if self.armed else "disarmed"
+        return f"{self.mode or 'not heard'}, {armed}, {self.height:.1f} m up, {self.speed:.1f} m/s"
+
+    # -- watching -------------------------------------------------------------------------------------
+
+    def _watch(self) -> None:
+        greeted = -math.inf
+        while not self._ended:
+            if time.monotonic() > greeted + 1.0:
+                greeted = time.monotonic()
+                self._greet()
+            message = self._link.recv_match(blocking=True, timeout=0.2)
+            if message is not None and message.get_srcSystem() == self._system:
+                with self._changed:
+                    self._take(message)
+                    self._changed.notify_all()
+
+    def _greet(self) -> None:
+        """Be a client, and ask for what is watched as long as it does not come."""
+        send = self._link.mav
+        send.heartbeat_send(dialect.MAV_TYPE_ONBOARD_CONTROLLER, dialect.MAV_AUTOPILOT_INVALID, 0, 0, 0)
+        if math.isnan(self.speed) or not self.speeds or time.monotonic() - self.speeds[-1][0] > 1.0:
+            number = dialect.MAV_CMD_SET_MESSAGE_INTERVAL
+            for kind, rate in RATES.items():
+                send.command_long_send(self._system, 1, number, 0, kind, 1e6 / rate, 0, 0, 0, 0, 0)
+
+    def _take(self, message) -> None:
+        kind = message.get_type()
+        if kind == "HEARTBEAT" and message.get_srcComponent() == 1:
+            self._note("mode", mavutil.mode_string_v10(message))
+            self._note("armed", bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED))
+        elif kind == "LOCAL_POSITION_NED":
+            self.speed = math.hypot(message.vx, message.vy)
+            self.speeds.append((time.monotonic(), self.speed))
+        elif kind == "GLOBAL_POSITION_INT":
+            self.height = message.relative_alt / 1000.0
+        elif kind == "STATUSTEXT":
+            self.seen.append(Seen(time.monotonic(), "says", message.text))
+
+    def _note(self, what: str, value: object) -> None:
+        if getattr(self, what) != value:
+            setattr(self, what, value)
+            self.seen.append(Seen(time.monotonic(), what, f"{value} at {self.height:.1f} m"))
+
+    def close(self) -> None:
+        """Watch no longer."""
+        self._ended = True
+        self._thread.join(5.0)
+        self._link.close()
