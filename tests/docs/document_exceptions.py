@@ -98,10 +98,12 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     "sim-adapters/REAL.md": {
         "make test-sitl ARDUCOPTER=~/ardupilot/build/sitl/bin/arducopter "
         "PX4=~/PX4-Autopilot/build/px4_sitl_default/bin/px4": SIMULATOR,
-        "arducopter --model + --speedup 1 --serial0 tcp:0 --defaults sim-adapters/real/arducopter.parm": SIMULATOR,
+        "arducopter --model + --speedup 1 --serial0 tcp:0 --defaults "
+        "sim-adapters/real/arducopter.parm": SIMULATOR,
         "arducopter --model + --speedup 1 --serial0 tcp:0 --defaults sim-adapters/real/arducopter.parm "
         "--instance 1 --sysid 2": SIMULATOR,
-        "ardurover --model rover --speedup 1 --serial0 tcp:0 --defaults sim-adapters/real/ardurover.parm": SIMULATOR,
+        "ardurover --model rover --speedup 1 --serial0 tcp:0 --defaults "
+        "sim-adapters/real/ardurover.parm": SIMULATOR,
         "PX4_SIM_MODEL=sihsim_quadx px4 -i 0 -d -w /tmp/px4-0 build/px4_sitl_default/etc": SIMULATOR,
         "PX4_SIM_MODEL=sihsim_quadx px4 -i 1 -d -w /tmp/px4-1 build/px4_sitl_default/etc": SIMULATOR,
         "lfield setup --deploy examples/01-first-flight/mission.dL "
