@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield import exits
+
 if TYPE_CHECKING:
     from lfield.operator.doctor import Finding
 
@@ -40,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         told(finding)
     # On the loop of a host: it is its lateness that is measured.
     loop.run(_look(told) if args.deploy is None else _try_devices(args, told))
-    return 69 if any(finding.state == "problem" for finding in findings) else 0
+    return exits.UNAVAILABLE if any(finding.state == "problem" for finding in findings) else exits.DONE
 
 
 async def _look(told: Callable[[Finding], None]) -> None:

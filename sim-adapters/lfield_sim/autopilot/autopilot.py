@@ -79,7 +79,7 @@ class Autopilot(Pilot):
 
     def arm(self, *, force: bool = False, text: str = "") -> Result:
         """COMPONENT_ARM_DISARM 1: accepted too when it is armed already."""
-        if self.armed:
+        if self.armed or self.deaf_to_arming:
             return Result.ACCEPTED
         if not self.kind.modes[self.mode].armable:
             return self._deny_arming(Unfit((self.flavour.unarmable.format(mode=self.mode),)))

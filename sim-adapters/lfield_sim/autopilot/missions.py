@@ -13,6 +13,11 @@ from lfield_sim.autopilot.vehicle import Circle, Descend, Reach, Vector
 # MAV_CMDs of mission items that are flown; others are done at once.
 WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
 DELAY, JUMP = 93, 177
+#: How ArduPilot calls what it begins, for its texts.
+NAMES = {
+    WAYPOINT: "WP", LOITER: "LoitUnlim", LOITER_TURNS: "LoitTurns", LOITER_TIME: "LoitTime", RETURN: "RTL",
+    LAND: "Land", TAKEOFF: "Takeoff", DELAY: "Delay",
+}  # fmt: skip
 #: What needs to be in the air.
 FLOWN = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME})
 #: Metres within which a place is reached.
@@ -46,9 +51,31 @@ def fly_mission(pilot: Pilot) -> None:
         return
     if mission.begun != mission.current:
         mission.begun = mission.current
+        _tell_begun(pilot, item)
         _begin(pilot, item)
     if pilot.role is Role.MISSION and mission.item is item and _done(pilot, item):
+        _tell_reached(pilot, item)
         mission.reach()
+
+
+def _tell_begun(pilot: Pilot, item: MissionItem) -> None:
+    number = pilot.mission.current
+    if pilot.flavour.home_item and item.command in NAMES:
+        pilot.say(f"Mission: {number} {NAMES[item.command]}")
+    elif pilot.flavour.takeoff_mode and number == 0:
+        pilot.say("Executing Mission\t")
+        if item.command == TAKEOFF and item.place is not None:
+            pilot.say(f"Climb to {pilot.home[2] - item.place[2]:.1f} meters above home\t")
+
+
+def _tell_reached(pilot: Pilot, item: MissionItem) -> None:
+    """ArduPilot's words, of what is flown to; a rover also says when the last one is reached."""
+    mission = pilot.mission
+    if not pilot.flavour.home_item or item.command not in FLOWN:
+        return
+    pilot.say(f"Reached {'command' if pilot.flies else 'waypoint'} #{mission.current}")
+    if not pilot.flies and mission.current == len(mission.items) - 1:
+        pilot.say("Mission Complete")
 
 
 def _must_climb_first(pilot: Pilot, item: MissionItem) -> bool:

@@ -57,6 +57,8 @@ class Pilot:
     station_at           when a ground station was heard
     perform              carries out what a mission has beside places
     dice                 those of GNSS
+    ailing, calibrating  why a calibration keeps it from being armed, or ''; whether one runs
+    deaf_to_arming       after a motor test while armed it says yes and stays disarmed, until it is restarted
     """
 
     kind: Kind
@@ -96,6 +98,9 @@ class Pilot:
     station_at: float = -math.inf
     takeoff_goal: float | None = None
     perform: Callable[[MissionItem], object] = lambda _: None
+    ailing: str = ""
+    calibrating: bool = False
+    deaf_to_arming: bool = False
     _texts: list[tuple[Severity, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -353,13 +358,18 @@ class Pilot:
         """Begin again: silent for a moment, then as after a start; parameters and plans are kept."""
         self.booting_until = self.booted = self.now + REBOOT
         self.boots += 1
-        self.payload, self.critical = Payload(), False
+        self.payload, self.critical = Payload(self.payload.fitted), False
+        self.ailing, self.calibrating, self.deaf_to_arming = "", False, False
         self.mission.jump(0)
         self.mode = self.intended = self.kind.start
         self._texts, self.setpoint_at, self.stream_at = [], -math.inf, math.inf
         self.apply_parameters()
         self.pace.enter(guided=False)
         self.take_home(ZERO)
+
+    def switch_off(self) -> None:
+        """Silent for ever."""
+        self.booting_until = math.inf
 
     def _circle_ahead(self) -> Circle:
         """ArduCopter's CIRCLE: the centre is a radius (cm) ahead; CIRCLE_RATE is in degrees per second."""

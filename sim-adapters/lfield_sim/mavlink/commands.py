@@ -10,7 +10,6 @@ from pymavlink.dialects.v20 import all as dialect
 from lfield_sim.autopilot.flavours import Result, Role
 from lfield_sim.autopilot.vehicle import Circle, Vector
 from lfield_sim.mavlink.command import Answer, Command
-from lfield_sim.mavlink.equipment_commands import EQUIPMENT
 from lfield_sim.mavlink.sender import Sender
 
 #: param2 of an arming or disarming that is meant whatever the checks say, even in the air.
@@ -23,8 +22,6 @@ def answer(sender: Sender, command: Command) -> Answer:
     """Carry a command out: its result, and messages that follow the acknowledgement."""
     if command.number in sender.autopilot.flavour.unsupported:
         return Result.UNSUPPORTED, []
-    if command.number in EQUIPMENT:
-        return EQUIPMENT[command.number](sender.autopilot, sender.place, command)
     handler = _COMMANDS.get(command.number)
     return handler(sender, command) if handler else (Result.UNSUPPORTED, [])
 
@@ -114,6 +111,9 @@ def _set_home(sender: Sender, command: Command) -> Answer:
 
 
 def _reboot(sender: Sender, command: Command) -> Answer:
+    if command.whole(1) == 2 and sender.autopilot.flavour.submodes and not sender.autopilot.armed:
+        sender.autopilot.switch_off()
+        return None, []
     return (sender.reboot() if command.whole(1) in (1, 3) else Result.UNSUPPORTED), []
 
 
@@ -146,10 +146,10 @@ def _get_interval(sender: Sender, command: Command) -> Answer:
 
 def _request_message(sender: Sender, command: Command) -> Answer:
     kind = command.whole(1)
-    streamed_only = kind in sender.autopilot.flavour.streamed_only
-    if not sender.can_send(kind) or sender.withholds(kind) or streamed_only:
+    found = sender.find(kind)
+    if found is None or kind in sender.autopilot.flavour.streamed_only:
         return (Result.DENIED if sender.autopilot.flavour.submodes else Result.FAILED), []
-    return Result.ACCEPTED, [sender.build(kind)]
+    return Result.ACCEPTED, found
 
 
 def _place(sender: Sender, command: Command) -> Vector | None:

@@ -46,19 +46,25 @@ class Sender:
         return kind in MESSAGES or any(kind in service.messages for service in self._services)
 
     def withholds(self, kind: int) -> bool:
-        """Whether it cannot tell this now: positions without GPS, home before there is one."""
+        """Whether it cannot tell this now: a position or home that is not known, a fence that is off."""
         pilot = self.autopilot
         match kind:
-            case 242:
+            case dialect.MAVLINK_MSG_ID_HOME_POSITION:
                 return not has_home(pilot)
-            case 49:
+            case dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
                 return not has_origin(pilot)
-            case 33:
+            case dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
                 return pilot.gps_lost
-            case 162:
-                # ArduPilot has nothing to say of a fence that is off.
+            case dialect.MAVLINK_MSG_ID_FENCE_STATUS:
                 return not pilot.value(pilot.flavour.fence.enable)
         return kind in POSITIONS and not has_position(pilot)
+
+    def find(self, kind: int) -> list[Any] | None:
+        """What answers a request for a message, which may be nothing; None when it is refused."""
+        for service in self._services:
+            if kind in service.requests:
+                return service.requests[kind]()
+        return [self.build(kind)] if self.can_send(kind) and not self.withholds(kind) else None
 
     def build(self, kind: int) -> Any:
         """A message as it is now. KeyError when there is no such message."""
