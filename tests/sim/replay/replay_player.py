@@ -80,7 +80,9 @@ def make_fake(trace: Trace) -> MavlinkFake:
         (int(line.get("target_system")) for line in trace.inputs if "target_system" in line.fields), 1
     )
     ready = trace.first("SYS_STATUS", lambda s: bool(int(s.get("onboard_control_sensors_health")) & PRE_ARM))
-    warm_up = WARM_UP[trace.px4] if ready is None else max(0.1, ready - 0.3)
+    # In a mode that needs no position an ArduCopter may be armed long before its start is over.
+    early = ready is None or (not trace.px4 and ready < 0.9 * WARM_UP[0])
+    warm_up = WARM_UP[trace.px4] if ready is None or early else max(0.1, ready - 0.3)
     faults = make_faults(f"warm_up={min(warm_up, 600.0)}", systems=(system,))
     bare = Autopilot(kinds[name], payload=Payload(frozenset()))
     return MavlinkFake(bare, system=system, place=place, faults=faults)
