@@ -78,6 +78,9 @@ def why_unfit(pilot: Pilot) -> Unfit | None:
         fenced = fence.blind_text and pilot.parameters[fence.enable]
         return Unfit((fence.blind_text if fenced else "Need Position Estimate",))
     done = warmth(pilot)
-    if done >= 1.0 or (pilot.role is Role.MANUAL and done >= pilot.kind.warming.by_hand):
+    by_hand = pilot.role is Role.MANUAL and done >= pilot.kind.warming.by_hand
+    if by_hand and done < 1.0 and pilot.value(pilot.flavour.fence.enable):
+        return Unfit((pilot.flavour.fence.blind_text,))
+    if done >= 1.0 or by_hand:
         return None
     return Unfit(next(texts for until, texts in pilot.kind.warming.reasons if done < until))

@@ -171,6 +171,7 @@ ROVER_WARMING = Warming(
     home=0.244,
     origin=0.5,
     position=0.247,
+    by_hand=0.5,
     estimate=1.0,
     reasons=(
         (0.05, ("System not initialised",)),
