@@ -92,7 +92,10 @@ class Quantity:
 
 @dataclass(frozen=True)
 class DeviceManifest:
-    """A device type as L sees it: `Mavlink fc;` with its instructions, telemetry and safe states."""
+    """A device type as L sees it: `Mavlink fc;` with its instructions, telemetry and safe states.
+
+    A pure sensor has no safe state: all its instructions only ask.
+    """
 
     type: str
     driver: str

@@ -78,6 +78,7 @@ class MavlinkVehicle(Contact):
         now = self.clock.monotonic()
         spare = self._streams.is_spare(kind, now)
         if spare:
+            self.heard()
             self._health.count(sequence, now)
         return spare
 
@@ -112,7 +113,7 @@ class MavlinkVehicle(Contact):
             silent = self.silence > LINK_LOST
             if silent != self.lost and self.state.heard is not None:
                 self.lost = silent
-                self.note("no heartbeat; the link is lost" if silent else "heard again")
+                self.note("nothing heard; the link is lost" if silent else "heard again")
                 ready = False
             if not (ready or silent or self.quiet):
                 ready = await self._renewed()

@@ -145,11 +145,11 @@ class Guards:
             guard.bar(reason)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(STOPS_WITHIN):
-                while any(not guard.confirmed.issuperset(guard.names) for guard in self._guards):
+                while any(not guard.confirmed.issuperset(guard.movable) for guard in self._guards):
                     changed.clear()
                     await changed.wait()
         self._stopping.remove(changed)
-        return {name: _unconfirmed(guard, name) for guard in self._guards for name in guard.names}
+        return {name: _unconfirmed(guard, name) for guard in self._guards for name in guard.movable}
 
     def _latched(self) -> None:
         for changed in self._stopping:
@@ -159,7 +159,7 @@ class Guards:
         """The program may release its devices again; the same table, all ''."""
         for guard in self._guards:
             guard.allow()
-        return {name: "" for guard in self._guards for name in guard.names}
+        return {name: "" for guard in self._guards for name in guard.movable}
 
     @property
     def latched(self) -> Mapping[str, str]:
@@ -199,8 +199,8 @@ class Guards:
         unsafe = await guard.close()
         if guard.half_open:
             # A fake that nobody has used yet hurts nobody.
-            unsafe = dict.fromkeys(set(guard.names) - self._simulated, "it was still being opened")
-        guard.moving.update({name: "" for name in guard.names if name not in unsafe})
+            unsafe = dict.fromkeys(set(guard.movable) - self._simulated, "it was still being opened")
+        guard.moving.update({name: "" for name in guard.movable if name not in unsafe})
         return {name: f"{why}; {guard.snapshots.in_words(name)}" for name, why in unsafe.items()}
 
     def hurry(self) -> None:

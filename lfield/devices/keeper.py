@@ -181,7 +181,7 @@ class Guard(asyncio.SubprocessProtocol):
     def _found_unsafe(self) -> dict[str, str]:
         if self._unsafe is not None:
             return self._unsafe
-        words = {name: self.moving.get(name, UNSEEN) for name in self._devices}
+        words = {name: self.moving.get(name, UNSEEN) for name in self.movable}
         return {name: f"{said}, and its guard has ended" for name, said in words.items() if said}
 
     def kill(self) -> None:
@@ -278,9 +278,9 @@ class Guard(asyncio.SubprocessProtocol):
         return None if lost is None else Trouble(f"{binding.field}: not heard", lost)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """The devices of this bus."""
-        return tuple(self._devices)
+    def movable(self) -> tuple[str, ...]:
+        """The devices of this bus that have a safe state: all but pure sensors."""
+        return tuple(name for name, device in self._devices.items() if not device.is_sensor)
 
     # -- the process ----------------------------------------------------------------------------------
 

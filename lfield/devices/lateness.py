@@ -17,7 +17,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from lfield.guard.core import host_silent
+from lfield.guard.messages import host_silent
 
 #: Seconds between two signs of life.
 BEAT = 0.05

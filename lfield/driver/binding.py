@@ -21,7 +21,8 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     at rest, or its guard gives up and says so. `limits` are in the SI units that the manifest
     names, `options` are the driver's own (`system`, `kind`). An absent limit does not limit. `waivers` name
     the protections that whoever wrote the binding has knowingly given up. `sim` are faults and conditions of
-    its fake, `NAME=VALUE`, for simulated missions. `type` is the device type in L.
+    its fake, `NAME=VALUE`, for simulated missions. `type` is the device type in L. A pure sensor has no
+    `safe_state`, and nothing of its `ttl` and `rest_within` applies.
     """
 
     agent: str
@@ -29,7 +30,7 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     type: str
     driver: str
     endpoint: str
-    safe_state: str
+    safe_state: str = ""
     ttl: float = 0.5
     rest_within: float = 120.0
     limits: dict[str, float] = {}
@@ -46,6 +47,11 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     def bus(self) -> tuple[str, str]:
         """Devices with the same bus share one guard."""
         return self.driver, self.endpoint
+
+    @property
+    def is_sensor(self) -> bool:
+        """Whether it only senses: nothing that it does could be made safe."""
+        return not self.safe_state
 
     def waives(self, protection: str) -> bool:
         """Whether the binding gives this protection up, by its name."""
@@ -65,5 +71,8 @@ def by_bus(devices: Iterable[DeviceBinding]) -> dict[tuple[str, str], list[Devic
 
 
 def longest_rest(devices: Iterable[DeviceBinding]) -> float:
-    """How long the slowest of these devices may take to come to rest, in seconds; 0 without any."""
-    return max((device.rest_within for device in devices), default=0.0)
+    """How long the slowest of these devices may take to come to rest, in seconds; 0 without any.
+
+    A sensor is at rest at once.
+    """
+    return max((device.rest_within for device in devices if not device.is_sensor), default=0.0)

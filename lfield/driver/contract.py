@@ -58,5 +58,5 @@ class Manifest:
 
     @property
     def default_safe_state(self) -> str:
-        """The first that the manifest lists."""
-        return self.device.safe_states[0]
+        """The first that the manifest lists; '' for a pure sensor."""
+        return next(iter(self.device.safe_states), "")

@@ -40,6 +40,9 @@ class Reports(Protocol):
     def note(self, device: str, text: str) -> None:
         """One sentence for the log of the host."""
 
+    def breach(self, device: str, reason: str) -> None:
+        """The device is beyond a limit of its binding and cannot be corrected: it alone goes safe."""
+
     def crashed(self, reason: str | BaseException) -> None:
         """Something in the driver has broken, or this was raised in it: every device goes safe."""
 
@@ -60,10 +63,10 @@ def method_name(instruction: str) -> str:
 class Device:
     """One device on a bus.
 
-    Authors override `_open`, `_make_safe`, for a device that has one `_set_watchdog`, for one that takes its
-    time to come to rest `_moving`, for one that others may take over `_taken_over` and `_guard_restarted`,
-    for one that keeps settings which a binding needs `_settings`, `_write_setting` and `_in_use`, and write
-    the `do_...` coroutines.
+    Authors override `_open`, `_make_safe` (but for a pure sensor), for a device that has one `_set_watchdog`,
+    for one that takes its time to come to rest `_moving`, for one that others may take over `_taken_over` and
+    `_guard_restarted`, for one that keeps settings which a binding needs `_settings`, `_write_setting` and
+    `_in_use`, and write the `do_...` coroutines.
 
     A device that can do much may have `parts`: any objects, made in its constructor, whose `do_...` are
     looked up beside its own. A part takes what it needs (often the device itself, to ask and to publish),
@@ -144,8 +147,10 @@ class Device:
         """Set its watchdog: nothing may be commanded unless it stops by itself when this computer is gone.
 
         Its own time may be twice the guard's; where that cannot be, the binding must say so by name.
-        Raises DeviceError.
+        A sensor does nothing that would have to be stopped. Raises DeviceError.
         """
+        if self.binding.is_sensor:
+            return
         longest = 2.0 * self.binding.ttl
         seconds = await self._set_watchdog(longest)
         if seconds is not None and seconds <= longest * (1.0 + 1e-9):
@@ -193,6 +198,13 @@ class Device:
     def note(self, text: str) -> None:
         """One sentence for the log of the host."""
         self._reports.note(self.binding.name, text)
+
+    def breach(self, reason: str) -> None:
+        """It is beyond a limit and nothing that was tried has helped: have the guard hold it safe.
+
+        Until then, and while it is latched already, nothing changes; the first reason is kept.
+        """
+        self._reports.breach(self.binding.name, reason)
 
     def error(self, reason: str, *, timeout: bool = False) -> DeviceError:
         """The exception to raise when the device refused (or, with `timeout`, did not answer)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from lfield.driver.contract import WATCHDOG
-from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, held, refused, rested
+from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused, rested
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
 from lfield.manifest import Instruction, Quantity
@@ -48,6 +48,8 @@ async def telemetry(bench: Bench) -> str:
 @KIT.check("its own watchdog", moves=False)
 async def watchdog(bench: Bench) -> str:
     """It stops by itself when this computer dies, or its binding says that it does not."""
+    if bench.binding.is_sensor:
+        return "a sensor needs none"
     if bench.binding.waives(WATCHDOG):
         return "waived by its binding: nothing, or nothing soon enough, stops it when this computer dies"
     return f"set to at most {2 * bench.binding.ttl:g} s and read back"
@@ -66,6 +68,7 @@ async def nonsense(bench: Bench) -> str:
 @KIT.check("the safe state is latched until release", moves=True)
 async def latch(bench: Bench) -> str:
     """The safe state is confirmed; nothing moves before release(); then it is free again."""
+    _has_safe_state(bench)
     await bench.make_safe()
     acting = next((i for i in bench.manifest.device.instructions if _acts(i)), None)
     if acting is not None:
@@ -81,6 +84,7 @@ async def latch(bench: Bench) -> str:
 @KIT.check("it comes to rest in its safe state", moves=True)
 async def rest(bench: Bench) -> str:
     """Within `rest_within` of its binding the driver says that it is still; a stop waits for that."""
+    _has_safe_state(bench)
     await bench.make_safe()
     words = await rested(bench)
     await bench.call("release")
@@ -89,8 +93,14 @@ async def rest(bench: Bench) -> str:
 
 @KIT.check("a guard that dies comes back safe", moves=True)
 async def death(bench: Bench) -> str:
-    """After its guard's process was killed the device is held in its safe state by the next one."""
+    """After its guard's process was killed the device is held in its safe state by the next one.
+
+    A sensor is there again, and free.
+    """
     await bench.kill_guard()
+    if bench.binding.is_sensor:
+        await _back(bench)
+        return "its telemetry is back"
     reason = await held(bench, SAFE)
     await _back(bench)
     return f"'{bench.binding.safe_state}' confirmed because {reason}"
@@ -104,6 +114,12 @@ async def silence(bench: Bench) -> str:
     if bench.latched:
         return f"latched because {await held(bench, 0.0)}"
     return "nothing had been moved, nothing was done"
+
+
+def _has_safe_state(bench: Bench) -> None:
+    """Raise NotTried for a pure sensor."""
+    if bench.binding.is_sensor:
+        raise NotTried("a sensor has no safe state, and needs none")
 
 
 async def _back(bench: Bench) -> None:

@@ -4,7 +4,7 @@
 driver: servo                       # the name in bindings
 type: Servo                         # the device type in L
 meaning: one servo on a bus
-safe_states: [hold, off]            # the first is the default
+safe_states: [hold, off]            # the first is the default; a pure sensor has none
 options:                            # the driver's own keys of a binding
   id: {type: int, default: 1, minimum: 1, maximum: 252, meaning: its number on the bus}
 limits:
@@ -21,6 +21,7 @@ telemetry:                          # each is also a query of the same name: `s.
 An instruction of effect `actuate` that is not blocking is a *setpoint*: it acts on after the call has
 returned, so the guard gives it a time-to-live. A `query` that is blocking asks the device itself.
 Instructions of one channel replace one another, the newest wins; those of other channels run beside them.
+A device without safe states is a pure sensor: all its instructions are queries, and it is never latched.
 Every device type has two instructions more, `release()` and `age()`; no manifest declares them.
 """
 
@@ -28,6 +29,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from typing import cast
 
 from lfield.driver.binding import OptionValue
@@ -71,12 +73,12 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
     _check_name(top, device_type, _TYPE_NAME, top.value_span("type"))
     meaning = top.text("meaning")
     safe_states = top.texts("safe_states")
-    if not safe_states:
-        top.report("Y110", "a manifest needs at least one safe state", top.value_span("safe_states"))
     options = tuple(_option(name, fields) for name, fields in _named(top, "options"))
     limits = tuple(_limit(name, fields) for name, fields in _named(top, "limits"))
-    waivers = ((WATCHDOG, "it has no watchdog of its own, or a slow one"), *_waivers(top))
+    watchdog = ((WATCHDOG, "it has no watchdog of its own, or a slow one"),) if safe_states else ()
+    waivers = (*watchdog, *_waivers(top))
     instructions = [_instruction(name, fields) for name, fields in _named(top, "instructions")]
+    _check_safe(top, safe_states, instructions)
     telemetry = tuple(_quantity(name, fields) for name, fields in _named(top, "telemetry"))
     _check_names_differ(top, {instruction.name for instruction in instructions})
     top.done()
@@ -90,6 +92,18 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
         meaning=meaning,
     )
     return Manifest(device, options, limits, waivers)
+
+
+def _check_safe(top: Fields, safe_states: Sequence[str], instructions: Sequence[Instruction]) -> None:
+    """What acts must have a safe state; a pure sensor needs none, since it does nothing."""
+    acting = [instruction.name for instruction in instructions if not instruction.only_asks]
+    if acting and not safe_states:
+        top.report(
+            "Y110",
+            f"a manifest needs at least one safe state, since {acting[0]}() acts",
+            top.value_span("safe_states"),
+            "a sensor needs none: all its instructions are of effect query",
+        )
 
 
 def _waivers(top: Fields) -> list[tuple[str, str]]:

@@ -5,7 +5,7 @@ A device is free or latched. It is latched, and its safe state commanded until i
   - the host has been silent for longer than `silence` (this only if the host has moved the device since it
     was opened or released: what nobody commanded is left as it is), or is gone, or asks for it;
   - the time-to-live of a setpoint is over and nothing has replaced it;
-  - its driver raised anything but a DeviceError, or the guard was restarted.
+  - its driver raised anything but a DeviceError or reports a breach, or the guard was restarted.
 
 Only `release()` frees it, and only once its safe state is confirmed. On each channel of a device one
 actuation runs at a time: a newer one replaces an older one, so that `land()` need not wait for a `goTo()` of
@@ -34,7 +34,7 @@ from typing import Literal
 from lfield.clock import Clock
 from lfield.driver.contract import RELEASE
 from lfield.guard.effects import Cancel, Effect, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
-from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped
+from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped, host_silent
 from lfield.guard.rest import Rest
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction
 
@@ -50,11 +50,6 @@ QUIET_BY = 2.0
 Way = Literal["ask", "act", "setpoint"]
 
 
-def host_silent(silence: float) -> str:
-    """Why a device goes safe whose host has been silent for so many seconds."""
-    return f"the host was silent for over {silence * 1000:.0f} ms"
-
-
 def way(instruction: Instruction) -> Way:
     """How the guard treats an instruction: asking moves nothing; a setpoint acts on after it returned."""
     if instruction.only_asks or instruction.name == RELEASE.name:
@@ -67,6 +62,7 @@ class _Device:
     """What the guard knows of one device. `latched` is the reason, or '' when it is free.
 
     `barred` is why the program may not release it: somebody pressed the emergency stop.
+    `told` is the last reason to be safe that a sensor has been given: it has nothing to do for it.
     `making` says that its safe state is being commanded, `made_at` when that ended last.
     `acting` is what runs on each channel, `setpoints` are the times when the ones in effect are over.
     """
@@ -76,6 +72,7 @@ class _Device:
     ttl: float
     latched: str = ""
     barred: str = ""
+    told: str = ""
     confirmed: bool = False
     moved: bool = False
     making: bool = False
@@ -103,7 +100,7 @@ class GuardCore:
         silence: float = SILENCE,
     ) -> None:
         self._devices = {name: _Device(name, manifest, ttl) for name, manifest, ttl, _ in devices}
-        self._rest = Rest({name: within for name, _, _, within in devices})
+        self._rest = Rest({name: within for name, made, _, within in devices if made.safe_states})
         self._clock = clock
         self._silence = silence
         self._last_beat = clock.monotonic()
@@ -331,9 +328,12 @@ class GuardCore:
         return [effect for device in self._devices.values() for effect in self._latch(device, reason)]
 
     def _latch(self, device: _Device, reason: str) -> list[Effect]:
-        """Latch a free device; the first reason is the one that is kept."""
+        """Latch a free device that has a safe state; the first reason is the one that is kept."""
         if device.latched:
             return []
+        if not device.manifest.safe_states:
+            said, device.told = device.told, reason
+            return [Tell(Note(device.name, reason))] if reason != said and not self._stopping else []
         device.latched, device.confirmed = reason, False
         self._rest.held(device.name)
         device.setpoints.clear()

@@ -200,6 +200,11 @@ class MessageReader:
                 raise WireError(f"not a message of kind {kind}: {error}") from None
 
 
+def host_silent(silence: float) -> str:
+    """Why a device goes safe whose host has been silent for so many seconds."""
+    return f"the host was silent for over {silence * 1000:.0f} ms"
+
+
 def last_words(message: Message) -> str:
     """What a guard whose host is gone has to say to whoever reads its log; '' when it is nothing."""
     match message:

@@ -12,7 +12,7 @@ import asyncio
 import os
 import signal
 import sys
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 from lfield import loop
@@ -71,6 +71,8 @@ class Shell(asyncio.Protocol):
         self._driver: Driver | None = None
         self._lock = EndpointLock()
         self._telemetry = Telemetry(clock, self._tell_snapshot, self._is_taken)
+        # Of what a driver can tell, new values and signs of life.
+        self.publish, self.heard = self._telemetry.publish, self._telemetry.heard
         self._taken_before: list[str] = []
         self._calls: dict[int, asyncio.Task[None]] = {}
         self._making: dict[str, asyncio.Task[None]] = {}
@@ -153,17 +155,14 @@ class Shell(asyncio.Protocol):
 
     # -- what a driver can tell (lfield.driver.device.Reports) ------------------------------------------
 
-    def publish(self, device: str, values: Mapping[str, Any]) -> None:
-        """New telemetry."""
-        self._telemetry.publish(device, values)
-
-    def heard(self, device: str) -> None:
-        """A sign of life."""
-        self._telemetry.heard(device)
-
     def note(self, device: str, text: str) -> None:
         """A sentence for the log."""
         self._tell(Note(device, text))
+
+    def breach(self, device: str, reason: str) -> None:
+        """It is beyond a limit and could not be brought back: it goes safe, whatever its calls do."""
+        if self._core is not None:
+            self._run(self._core.safe(device, reason))
 
     def _callback_raised(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         reason = context.get("exception") or context.get("message", "")

@@ -167,7 +167,6 @@ class BindingsReader:
             fields.report("Y113", message, fields.value_span("driver"))
             return None
         fields.text("type", choices=(manifest.device.type,))
-        states = manifest.device.safe_states
         binding = DeviceBinding(
             agent=agent,
             field=entry.key,
@@ -176,7 +175,7 @@ class BindingsReader:
             endpoint=fields.text("endpoint", required=not self._simulate),
             ttl=fields.number("ttl", 0.5, minimum=0.02, maximum=60.0),
             rest_within=fields.number("rest_within", 120.0, minimum=1.0, maximum=3600.0),
-            safe_state=fields.text("safe_state", manifest.default_safe_state, choices=states),
+            safe_state=_safe_state(fields, manifest),
             limits=self._device_limits(fields, manifest),
             options=self._options(fields, manifest),
             waivers=self._waivers(fields, manifest),
@@ -240,3 +239,15 @@ class BindingsReader:
             return fields.number(option.name, minimum=option.minimum, maximum=option.maximum)
         lowest, highest = max(option.minimum, -(2.0**63)), min(option.maximum, 2.0**62)
         return fields.integer(option.name, minimum=int(lowest), maximum=int(highest))
+
+
+def _safe_state(fields: Fields, manifest: Manifest) -> str:
+    """One of those of the manifest; '' for a pure sensor, which has none."""
+    states = manifest.device.safe_states
+    if states:
+        return fields.text("safe_state", states[0], choices=states)
+    if "safe_state" in fields:
+        message = f"a {manifest.device.type} only senses: it has no safe state"
+        fields.report("Y113", message, fields.value_span("safe_state"), "leave the key out")
+        fields.text("safe_state")
+    return ""

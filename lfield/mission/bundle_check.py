@@ -60,7 +60,7 @@ def _device(device: DeviceBinding, drivers: KnownDrivers) -> Iterator[str]:
     if manifest is None or manifest.device.type != device.type or device.type not in driver.files:
         yield f"{device.name} is a {device.type}, which its driver does not make"
         return
-    if device.safe_state not in manifest.device.safe_states:
+    if device.safe_state not in (manifest.device.safe_states or ("",)):
         yield f"{device.name} has no safe state '{device.safe_state}'"
     times = 0.0 < device.ttl <= 60.0 and 1.0 <= device.rest_within <= 3600.0
     if not (times and _finite(device.limits.values())):

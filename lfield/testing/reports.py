@@ -15,6 +15,8 @@ class KeptReports:
         self.reported: dict[str, dict[str, DeviceValue]] = {device: {} for device in devices}
         #: One sentence each, for the log of the host.
         self.notes: list[str] = []
+        #: Why a device must be made safe, one sentence each.
+        self.breaches: list[str] = []
         #: What broke where nobody waits for it.
         self.crashes: list[str] = []
 
@@ -33,6 +35,10 @@ class KeptReports:
     def note(self, device: str, text: str) -> None:
         """One sentence."""
         self.notes.append(text)
+
+    def breach(self, device: str, reason: str) -> None:
+        """Beyond a limit."""
+        self.breaches.append(reason)
 
     def crashed(self, reason: str | BaseException) -> None:
         """Something has broken."""

@@ -88,7 +88,7 @@ def test_a_device_type_of_a_driver_with_several(plugins, tmp_path):
 class LateGuard:
     """A guard whose device confirms its safe state some seconds after the first stop."""
 
-    names = ("arm.wrist",)
+    movable = ("arm.wrist",)
 
     def __init__(self, seconds: float, *, lost: float | None = None) -> None:
         self.snapshots = SimpleNamespace(
@@ -103,7 +103,7 @@ class LateGuard:
             asyncio.get_running_loop().call_later(self._seconds, self._confirm)
 
     def _confirm(self) -> None:
-        self.confirmed.update(self.names)
+        self.confirmed.update(self.movable)
         self.on_latch()
 
 

@@ -154,3 +154,16 @@ def test_a_failed_check_leaves_the_device_free_for_the_next():
 
     found = findings(bench, kit.checks)
     assert [f.outcome for f in found.values()] == ["failed", "passed"]
+
+
+def test_a_sensor_has_no_safe_state_to_be_tried_and_moves_nothing():
+    eye = b"driver: eye\ntype: Eye\ntelemetry: {angle: {type: real, rate: 20.0}}\n"
+    bench = Pretended()
+    bench.manifest = load_manifest("m.yaml", eye)
+    bench.binding = DeviceBinding(agent="a", field="s", type="Eye", driver="eye", endpoint="here")
+    bench.kill_guard = bench.fall_silent = lambda *given: asyncio.sleep(0)
+    found = findings(bench, may_move=False)
+    assert {check for check, finding in found.items() if finding.outcome == "not run"} == {
+        "the safe state is latched until release", "it comes to rest in its safe state",
+    }  # fmt: skip
+    assert {finding.outcome for finding in found.values()} == {"passed", "not run"}

@@ -127,3 +127,27 @@ def test_the_mavlink_manifest_has_what_the_language_needs():
     }
     assert actions | queries <= names
     assert all(i.meaning for i in device.instructions)
+
+
+EYE = b"""\
+driver: eye
+type: Eye
+instructions:
+  ask: {result: int, effect: query, blocking: true}
+telemetry:
+  light: {type: real, rate: 20.0}
+"""
+
+
+@pytest.mark.parametrize("written", [b"", b"safe_states: []\n"])
+def test_a_pure_sensor_needs_no_safe_state(written):
+    manifest = load_manifest("m.yaml", EYE + written)
+    assert (manifest.device.safe_states, manifest.default_safe_state, manifest.waivers) == ((), "", ())
+
+
+def test_what_acts_needs_one():
+    with pytest.raises(PluginError, match=r"at least one safe state, since dim\(\) acts") as error:
+        load_manifest(
+            "m.yaml", EYE.replace(b"  ask:", b"  dim: {effect: idempotent, blocking: true}\n  ask:")
+        )
+    assert "a sensor needs none" in str(error.value)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+from contextlib import suppress
 
 import pytest
 
 from lfield.devices.try_out import LEFT, try_devices
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
-from lfield.errors import DevicesError
+from lfield.errors import DeviceError, DevicesError
 from lfield.testing.driver_bench import guarded
 
 pytestmark = pytest.mark.process
@@ -47,6 +48,9 @@ class Thing(Device):
     async def do_forget(self):
         asyncio.get_running_loop().create_future().set_exception(RuntimeError("forgotten"))
 
+    async def do_overrun(self):
+        self.breach("it went too fast")
+
 class Clumsy(Driver):
     def _device(self, binding):
         return Thing(binding, self.manifests[binding.type], self.clock, self.reports)
@@ -64,6 +68,7 @@ safe_states: [off]
 instructions:
   stumble: {blocking: true, effect: idempotent}
   forget: {blocking: true, effect: idempotent}
+  overrun: {blocking: true, effect: idempotent}
 """
 
 
@@ -81,9 +86,9 @@ def plugins(tmp_path, monkeypatch):
     sys.modules.pop("clumsy", None)
 
 
-def binding(endpoint: str) -> DeviceBinding:
+def binding(endpoint: str, field: str = "t") -> DeviceBinding:
     return DeviceBinding(
-        agent="a", field="t", type="Thing", driver="clumsy", endpoint=endpoint, safe_state="off",
+        agent="a", field=field, type="Thing", driver="clumsy", endpoint=endpoint, safe_state="off",
         waivers=["device_watchdog"], rest_within=1.0,
     )  # fmt: skip
 
@@ -103,6 +108,18 @@ def test_a_callback_that_raises_makes_the_device_safe(plugins):
         assert bench.latched == "the driver failed: RuntimeError('stumbled')"
 
     run(plugins, story)
+
+
+def test_a_device_beyond_a_limit_is_held_safe_and_no_other_on_its_bus(plugins):
+    async def main():
+        two = (binding("here"), binding("here", "u"))
+        async with guarded(*two, plugins=plugins, silence=5.0) as (fast, calm):
+            with suppress(DeviceError):
+                await fast.call("overrun")
+            await fast.until(lambda: fast.confirmed, 5.0, "the safe state")
+            assert (fast.latched, calm.latched) == ("it went too fast", "")
+
+    asyncio.run(main())
 
 
 def test_a_failure_that_nobody_waits_for_is_told_and_stops_nothing(plugins):

@@ -8,7 +8,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from lfield.clock import ManualClock
 from lfield.guard.core import AGAIN, QUIET_BY, GuardCore
 from lfield.guard.effects import Cancel, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
-from lfield.guard.messages import Call, Done, Latched, Moving, Refused, Released, Stopped
+from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped
 from lfield.manifest import DeviceManifest, Instruction, Parameter
 
 TTL, SILENCE, WITHIN = 0.5, 0.2, 120.0
@@ -23,7 +23,9 @@ MANIFEST = DeviceManifest(
         Instruction("ask", (), "int", effect="query", blocking=True),
         Instruction("release", effect="idempotent", blocking=True),
     ),
+    safe_states=("stop",),
 )
+SENSOR = DeviceManifest("Eye", "eye", MANIFEST.instructions[3:])
 
 
 class Rig:
@@ -603,3 +605,29 @@ class GuardMachine(RuleBasedStateMachine):
 
 GuardMachine.TestCase.settings = settings(max_examples=200, stateful_step_count=30, deadline=None)
 TestGuardMachine = GuardMachine.TestCase
+
+
+def test_a_sensor_is_never_latched_nor_waited_for():
+    """Nothing that it does could be made safe: it is at rest at once, and needs no release."""
+    clock = ManualClock()
+    core = GuardCore([("eye", SENSOR, TTL, WITHIN)], clock, silence=SILENCE)
+    assert [n.text for n in told(core.opened("its guard died"), Note)] == ["its guard died"]
+    assert made_safe(core.safe("", "somebody pressed it", barred=True)) == []
+    core.allow()
+    assert told(core.safe("eye", "the driver failed: x"), Note)
+    assert told(core.safe("eye", "the driver failed: x"), Note) == []
+    clock.advance(3 * SILENCE)
+    assert told(core.tick(), Latched) == []
+    core.beat(clock.monotonic())
+    assert [e for e in core.call(Call(1, "eye", "ask", [], clock.monotonic())) if isinstance(e, Execute)]
+    over = core.stop("the host is stopping")
+    assert told(over, Stopped) == [Stopped({})]
+    assert [e.status for e in over if isinstance(e, Exit)] == [0]
+
+
+def test_a_stop_waits_for_what_moves_beside_a_sensor():
+    core = GuardCore([("eye", SENSOR, TTL, WITHIN), ("arm", MANIFEST, TTL, WITHIN)], ManualClock())
+    core.opened("")
+    assert made_safe(core.stop("the host is stopping")) == ["arm"]
+    assert told(core.made_safe("arm"), Stopped) == []
+    assert told(core.looked("arm", ""), Stopped) == [Stopped({})]

@@ -81,7 +81,7 @@ def guard_of_a_thing(output):
 def driver_of_a_thing():
     """What the host knows of that driver."""
     go = Instruction("go", (), effect="actuate", blocking=True)
-    manifest = Manifest(DeviceManifest("Thing", "thing", (go,)))
+    manifest = Manifest(DeviceManifest("Thing", "thing", (go,), safe_states=("off",)))
     files = {"Thing": ManifestFile("manifest.yaml", bytes(32))}
     return KnownDriver("thing", "lfield_thing:PLUGIN", {"Thing": manifest}, files, "")
 

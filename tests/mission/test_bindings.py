@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from lfield.driver.binding import SIMULATED
+from lfield.driver.binding import SIMULATED, longest_rest
+from lfield.driver.known import KnownDriver, KnownDrivers
+from lfield.driver.manifest_file import load_manifest
 from lfield.driver.plugins import Plugins
 from lfield.errors import BindingError, InputFileError
 from lfield.mission.bindings import SIM_SILENCE, on_fakes
@@ -168,3 +170,20 @@ def test_a_simulated_host_may_be_silent_for_long_whatever_is_written_for_the_fie
 def test_no_such_file(plugins, tmp_path):
     with pytest.raises(InputFileError):
         read_bindings(tmp_path / "none.yaml", NEEDED, plugins)
+
+
+def test_a_sensor_is_bound_without_a_safe_state(written, sensor):
+    good = "agents: {alpha: {devices: {eye: {driver: eye, endpoint: here}}}}"
+    needed = {"alpha": {"eye": "Eye"}}
+    bound = read_bindings(written(good), needed, sensor).devices["alpha"]["eye"]
+    assert bound.is_sensor
+    assert longest_rest([bound]) == 0.0
+    found = problems(written(good.replace("here}", "here, safe_state: off}")), sensor, needed)
+    assert "a Eye only senses: it has no safe state" in found
+
+
+@pytest.fixture
+def sensor():
+    """A driver whose one device only senses."""
+    eye = load_manifest("eye/m.yaml", b"driver: eye\ntype: Eye\ntelemetry: {light: {type: real}}\n")
+    return KnownDrivers({"eye": KnownDriver("eye", "eye:PLUGIN", {"Eye": eye}, {}, "eye")})

@@ -15,14 +15,19 @@ from lfield_mavlink.geo import Place
 from lfield_mavlink.link.dialect import dialect, result_words
 from lfield_mavlink.modes import STACKS, Profile
 
-#: Seconds without a heartbeat after which the link is lost: a call must fail within 3 s.
+#: Seconds without any message after which the link is lost: a call must fail within 3 s.
 LINK_LOST = 2.7
-#: Seconds for a state to show after it was accepted (a heartbeat comes every second at least).
-SHOWS = 3.0
+#: Seconds for a state to show after it was accepted. PX4 tells that it is armed once a second only, and on a
+#: bad radio several in a row are lost.
+SHOWS = 5.0
 #: How often a command is sent in that time.
-ATTEMPTS = 3
+ATTEMPTS = 5
 #: Seconds to wait for a text that explains a refusal.
 EXPLAINS = 0.3
+#: Seconds for a state to show that the first copy of a command was taken, when the second was refused.
+TAKEN = 1.5
+#: What PX4 says of a mode that it does not enter although it has accepted it.
+UNAVAILABLE = "is currently not available"
 
 Handler = Callable[[Any], None]
 
@@ -30,7 +35,7 @@ Handler = Callable[[Any], None]
 class Contact(Device):
     """A vehicle that is heard and can be asked; what it can do is in its parts.
 
-    They use `state` and `profile` (what is known), `send` (a message), `on` and `expect` (messages),
+    They use `state`, `profile` and `texts` (what is known), `send` (a message), `on` and `expect` (messages),
     `command` and `achieve` (what must be accepted, and be seen), `exchange` (commands whose answer decides),
     `seen`, `until` and `next_news` (waiting), and the checks.
     """
@@ -52,8 +57,9 @@ class Contact(Device):
         #: Sends it a message, which may be lost.
         self.send = send
         self.state = VehicleState(binding.option("kind"))
-        self.exchange = Exchange(self.system, send)
-        self._texts = Texts()
+        self.exchange = Exchange(self.system, send, lambda: self.silence <= LINK_LOST)
+        self.texts = Texts()
+        self._heard_at = -math.inf
         self._news = asyncio.Event()
         self._handlers: defaultdict[int, list[Handler]] = defaultdict(list)
         self._expected: dict[asyncio.Future[Any], Callable[[Any], bool]] = {}
@@ -69,17 +75,22 @@ class Contact(Device):
 
     @property
     def silence(self) -> float:
-        """Seconds since the last heartbeat."""
-        return math.inf if self.state.heard is None else self.clock.monotonic() - self.state.heard
+        """Seconds since its autopilot said anything at all."""
+        return self.clock.monotonic() - self._heard_at
+
+    def heard(self) -> None:
+        """Its autopilot has said something, whatever that is, read or not."""
+        self._heard_at = self.clock.monotonic()
+        super().heard()
 
     def reasons(self, start: float) -> str:
         """What the autopilot said from `start` on, to go after a reason."""
-        return "".join(f", {text}" for text in self._texts.since(start))
+        return "".join(f", {text}" for text in self.texts.since(start))
 
     def check_link(self) -> None:
         """Raise DeviceError when the vehicle is not heard any more."""
         if self.silence > LINK_LOST:
-            raise self.error(f"no heartbeat for {self.silence:.1f} s; the link is lost", timeout=True)
+            raise self.error(f"nothing heard for {self.silence:.1f} s; the link is lost", timeout=True)
 
     def check_identity(self) -> None:
         """Raise DeviceError when it is another vehicle than the binding says."""
@@ -100,11 +111,10 @@ class Contact(Device):
     def on_message(self, message: Any) -> None:
         """A message of this vehicle's autopilot."""
         now = self.clock.monotonic()
+        self.heard()
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_STATUSTEXT:
             self._on_text(message, now)
         values = self.state.update(message, now)
-        if self.state.heard == now:
-            self.heard()
         if values:
             self.publish(**values)
         if is_for_us(message):
@@ -144,7 +154,7 @@ class Contact(Device):
             del self._expected[future]
 
     def _on_text(self, message: Any, now: float) -> None:
-        text = self._texts.add(message.text, message.id, message.chunk_seq, now)
+        text = self.texts.add(message.text, message.id, message.chunk_seq, now)
         if text and message.severity <= dialect.MAV_SEVERITY_WARNING:
             self.note(f"the autopilot says: {text}")
 
@@ -158,7 +168,7 @@ class Contact(Device):
         place: Place | None = None,
         once: bool = False,
         optional: bool = False,
-        taken: Callable[[], bool] = lambda: False,
+        taken: Callable[[], bool] | None = None,
     ) -> bool:
         """Have a command accepted. Raises DeviceError with the result and the autopilot's own reason.
 
@@ -171,15 +181,20 @@ class Contact(Device):
         answer = await self.exchange.command(number, *values, place=place, once=once)
         if answer.result == dialect.MAV_RESULT_ACCEPTED:
             return True
-        if answer.attempts > 1 and await self.seen(taken, EXPLAINS):
+        if answer.attempts > 1 and taken is not None and await self.seen(taken, TAKEN):
             return True
         if optional and answer.result == dialect.MAV_RESULT_UNSUPPORTED:
             return False
         if answer.result is None:
             perhaps = "; it may have been done all the same" if once else ""
             raise self.error(f"{what}: the autopilot did not answer{perhaps}", timeout=True)
-        await self.seen(lambda: bool(self._texts.since(start)), EXPLAINS)
+        await self._hear_reasons(start)
         raise self.error(f"{what} refused: {result_words(answer.result)}{self.reasons(start)}")
+
+    async def _hear_reasons(self, start: float) -> None:
+        """Wait for a text from `start` on. PX4 sends none while it hears no ground station."""
+        if not (self.quiet and self.exchange.px4):
+            await self.seen(lambda: bool(self.texts.since(start)), EXPLAINS)
 
     async def achieve(self, what: str, state: Callable[[], bool], number: int, *values: float | None) -> None:
         """Have a command accepted and wait until the state shows it. Raises DeviceError.
@@ -190,10 +205,18 @@ class Contact(Device):
         start = self.clock.monotonic()
         for _ in range(ATTEMPTS):
             await self.command(what, number, *values, taken=state)
-            if await self.seen(state, SHOWS / ATTEMPTS):
-                return
+            if await self.seen(lambda: state() or self.is_unavailable(start), SHOWS / ATTEMPTS):
+                break
+        if state():
+            return
         self.check_link()
+        if self.is_unavailable(start):
+            raise self.error(f"{what} refused{self.reasons(start)}")
         raise self.error(f"{what} was accepted but did not happen within {SHOWS:g} s{self.reasons(start)}")
+
+    def is_unavailable(self, start: float) -> bool:
+        """Whether PX4 has said since `start` that it does not enter the mode that it has accepted."""
+        return any(UNAVAILABLE in text for text in self.texts.since(start))
 
     async def until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
         """Wait until the state shows it. Raises DeviceError when it does not."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from lfield_mavlink.geo import Place, Vector
@@ -15,10 +16,11 @@ from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import PROFILES, Profile
 
 #: Which quantities of the manifest each message brings. The autopilot is asked for the message at the
-#: highest rate that the manifest names for one of them. The heartbeat is wanted faster than its 1 Hz, since
-#: modes and arming are confirmed by it.
+#: highest rate that the manifest names for one of them. ArduPilot's heartbeat is wanted faster than its 1 Hz,
+#: since modes and arming are confirmed by it; PX4 sends it no faster, but has CURRENT_MODE beside it.
 SOURCES: Mapping[int, tuple[str, ...]] = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: ("mode", "armed", "failsafe"),
+    dialect.MAVLINK_MSG_ID_CURRENT_MODE: ("mode", "failsafe"),
     dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: ("position", "velocity", "altitude"),
     dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: ("globalPosition",),
     dialect.MAVLINK_MSG_ID_ATTITUDE: ("attitude", "heading", "yawRate"),
@@ -33,7 +35,34 @@ CHUNK = 50
 #: Unfinished texts that are kept; a lost chunk must not cost memory for ever.
 UNFINISHED = 8
 
+#: SYS_STATUS: the checks before arming have passed.
+PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
+
 Values = dict[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class Sensors:
+    """What SYS_STATUS says of sensors and checks, as bits of MAV_SYS_STATUS_SENSOR, and when it was told."""
+
+    present: int
+    enabled: int
+    healthy: int
+    at: float
+
+    @property
+    def unhealthy(self) -> list[str]:
+        """What is there and on and not well, in words: `3d gyro`, `gps`."""
+        bits = self.present & self.enabled & ~self.healthy & ~PREARM
+        return [_sensor_name(1 << number) for number in range(32) if bits >> number & 1]
+
+
+def _sensor_name(bit: int) -> str:
+    entry = dialect.enums["MAV_SYS_STATUS_SENSOR"].get(bit)
+    if entry is None:
+        return f"sensor {bit:#x}"
+    name: str = entry.name.removeprefix("MAV_SYS_STATUS_").removeprefix("SENSOR_")
+    return name.lower().replace("_", " ")
 
 
 class VehicleState:
@@ -45,12 +74,18 @@ class VehicleState:
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
+        #: When the last heartbeat came.
         self.heard: float | None = None
         self.profile: Profile | None = None
         self.autopilot = -1
         self.type = -1
         self.mode = ""
         self.armed = False
+        #: Whether its heartbeat says that something has failed.
+        self.critical = False
+        #: The mode that it was told to be in while a failsafe has it in another, '' while none has; of PX4.
+        self.overruled: str | None = None
+        self.sensors: Sensors | None = None
         self.landed: bool | None = None
         self.yaw: float | None = None
         self.home: Place | None = None
@@ -58,6 +93,8 @@ class VehicleState:
         #: m/s over ground and upwards, and when that was told.
         self.speeds: tuple[float, float] | None = None
         self.speeds_at = -math.inf
+        #: When it told its position last.
+        self.placed_at = -math.inf
         self._relative_altitude: float | None = None
         self._local: Vector | None = None
         self._origin: Place | None = None
@@ -85,6 +122,15 @@ class VehicleState:
         return self._relative_altitude if position is None else -position[2]
 
     @property
+    def holder(self) -> str:
+        """Who has chosen a mode that this program has not, as far as that is known."""
+        if self.overruled is None:
+            return "a pilot or a failsafe"
+        return (
+            f"its failsafe, instead of {self.overruled}," if self.overruled else "a pilot or another station"
+        )
+
+    @property
     def knows_frames(self) -> bool:
         """Whether it is known where home is in the local frame, so that positions are about home."""
         return self.home is not None and (self._origin is not None or self._local_home is not None)
@@ -101,14 +147,28 @@ class VehicleState:
         number = message.custom_mode
         self.mode = self.profile.mode_name(number) if self.profile else f"mode {number}"
         self.armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-        failsafe = message.system_status in (dialect.MAV_STATE_CRITICAL, dialect.MAV_STATE_EMERGENCY)
-        return {"mode": self.mode, "armed": self.armed, "failsafe": failsafe}
+        self.critical = message.system_status in (dialect.MAV_STATE_CRITICAL, dialect.MAV_STATE_EMERGENCY)
+        return {"mode": self.mode, "armed": self.armed, "failsafe": self._failsafe}
+
+    def _on_current_mode(self, message: Any, _: float) -> Values:
+        # 0 is "not known".
+        if self.profile is None or not self.profile.px4 or not message.custom_mode:
+            return {}
+        self.mode = self.profile.mode_name(message.custom_mode)
+        meant = message.intended_custom_mode
+        differs = meant not in (0, message.custom_mode)
+        self.overruled = self.profile.mode_name(meant) if differs else ""
+        return {"mode": self.mode, "failsafe": self._failsafe}
+
+    @property
+    def _failsafe(self) -> bool:
+        return self.critical or bool(self.overruled)
 
     def _on_local_position(self, message: Any, now: float) -> Values:
         numbers = (message.x, message.y, message.z, message.vx, message.vy, message.vz)
         if not all(map(math.isfinite, numbers)):
             return {}
-        self._local = numbers[:3]
+        self._local, self.placed_at = numbers[:3], now
         self.speeds, self.speeds_at = (math.hypot(message.vx, message.vy), -message.vz), now
         position = self.position
         assert position is not None
@@ -138,7 +198,13 @@ class VehicleState:
             values["satellites"] = message.satellites_visible
         return values
 
-    def _on_sys_status(self, message: Any, _: float) -> Values:
+    def _on_sys_status(self, message: Any, now: float) -> Values:
+        self.sensors = Sensors(
+            message.onboard_control_sensors_present,
+            message.onboard_control_sensors_enabled,
+            message.onboard_control_sensors_health,
+            now,
+        )
         values: Values = {}
         if message.battery_remaining >= 0:  # -1 is "unknown"
             values["battery"] = min(message.battery_remaining / 100.0, 1.0)
@@ -173,6 +239,7 @@ class VehicleState:
 
 _HANDLERS: Mapping[int, Callable[[VehicleState, Any, float], Values]] = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: VehicleState._on_heartbeat,
+    dialect.MAVLINK_MSG_ID_CURRENT_MODE: VehicleState._on_current_mode,
     dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: VehicleState._on_local_position,
     dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: VehicleState._on_global_position,
     dialect.MAVLINK_MSG_ID_ATTITUDE: VehicleState._on_attitude,
@@ -216,5 +283,7 @@ class Texts:
         return [text for at, text in self._recent if at >= start]
 
     def _complete(self, text: str, now: float) -> str:
-        self._recent.append((now, text))
+        # PX4 ends its texts with a tab, and sends some that are nothing else.
+        if text := text.strip():
+            self._recent.append((now, text))
         return text

@@ -6,12 +6,14 @@ import asyncio
 import math
 from collections.abc import Mapping
 
-from lfield_mavlink.contact.contact import SHOWS, Contact
+from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.contact.state import SOURCES
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 
-#: Seconds after which a stream that was there is asked for again.
-STALE = 3.0
+#: Seconds after which a stream is asked for again, times how often that was in vain, this many times at most.
+STALE, LONGEST = 3.0, 10
+#: Seconds to wait at opening for what a vehicle tells.
+TELLS = 3.0
 #: Telemetry that ground stations ask for on the same link, and this driver makes no use of.
 UNUSED = frozenset(
     {
@@ -43,8 +45,12 @@ GROUPS: Mapping[int, int] = {
     dialect.MAVLINK_MSG_ID_ATTITUDE: dialect.MAV_DATA_STREAM_EXTRA1,
     dialect.MAVLINK_MSG_ID_VFR_HUD: dialect.MAV_DATA_STREAM_EXTRA2,
 }
-#: Messages that parts listen for beside telemetry, and at how many Hz they are wanted.
+#: Messages that parts listen for, beside telemetry or faster than it, and at how many Hz they are wanted.
 LISTENED: Mapping[int, float] = {
+    # What setVelocity() is confirmed by, within a time-to-live of 0.5 s.
+    dialect.MAVLINK_MSG_ID_CURRENT_MODE: 10.0,
+    # Readiness is in it.
+    dialect.MAVLINK_MSG_ID_SYS_STATUS: 2.0,
     dialect.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
     dialect.MAVLINK_MSG_ID_FENCE_STATUS: 1.0,
     dialect.MAVLINK_MSG_ID_MISSION_CURRENT: 2.0,
@@ -66,11 +72,16 @@ class Streams:
         self._rates |= LISTENED
         self._last: dict[int, float] = {}
         self._read: dict[int, float] = {}
+        # Of what was asked for: how often since it was heard last, and when.
+        self._asked: dict[int, tuple[int, float]] = {}
+        self._refused: set[int] = set()
 
     def heard(self, kind: int, now: float) -> None:
         """A message has come, and is read."""
         if kind in self._rates:
             self._last[kind] = self._read[kind] = now
+            if kind in self._asked:
+                self._asked[kind] = (0, now)
 
     def is_spare(self, kind: int, now: float) -> bool:
         """Whether a message need not be read, since nobody here uses it, or it comes too soon after the last.
@@ -90,36 +101,63 @@ class Streams:
     async def prepare(self) -> None:
         """Ask for every stream, and note what does not come."""
         vehicle = self._vehicle
-        await asyncio.gather(*(self._ask_for(kind) for kind in self._rates))
-        origin = dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
-        await vehicle.exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, origin)
-        if not await vehicle.seen(lambda: vehicle.state.knows_frames, SHOWS):
+        self._asked, self._refused = {}, set()
+        await asyncio.gather(*(self._ask_for(kind) for kind in self._wanted()))
+        await self._ask_for_origin()
+        if not await vehicle.seen(lambda: vehicle.state.knows_frames, TELLS):
             vehicle.note(
                 "it does not tell where home is; positions are of the place where it was switched on"
             )
-        await vehicle.seen(lambda: not self._missing(), SHOWS)
+        await vehicle.seen(lambda: not self._missing(), TELLS)
         if missing := self._missing():
             vehicle.note(f"it does not report {', '.join(missing)}")
 
+    def _wanted(self) -> list[int]:
+        """The messages to ask for: PX4 refuses to send heartbeats faster, ArduPilot has no CURRENT_MODE."""
+        px4 = self._vehicle.profile.px4
+        other = dialect.MAVLINK_MSG_ID_HEARTBEAT if px4 else dialect.MAVLINK_MSG_ID_CURRENT_MODE
+        return [kind for kind in self._rates if kind != other]
+
     def _missing(self) -> list[str]:
-        return sorted(name for kind, names in SOURCES.items() if kind not in self._last for name in names)
+        told = {name for kind, names in SOURCES.items() if kind in self._last for name in names}
+        return sorted({name for names in SOURCES.values() for name in names} - told)
 
     async def keep(self) -> None:
-        """Ask again for what has stopped, until cancelled."""
+        """Ask again for what does not come or has stopped, until cancelled."""
         while True:
             await asyncio.sleep(STALE / 2)
-            now = self._vehicle.clock.monotonic()
-            if self._vehicle.quiet or self._vehicle.lost:
+            if self._vehicle.quiet or self._vehicle.lost or not self._asked:
                 continue
-            for kind, last in list(self._last.items()):
-                if now - last > max(STALE, 3.0 / self._rates[kind]):
-                    await self._ask_for(kind)
+            for kind in self._stale():
+                await self._ask_for(kind)
+            if not self._vehicle.state.knows_frames:
+                await self._ask_for_origin()
+
+    def _stale(self) -> list[int]:
+        """What is due to be asked for again. What was refused is not asked for."""
+        now = self._vehicle.clock.monotonic()
+        stale = []
+        for kind, (times, at) in self._asked.items():
+            pause = max(STALE, 3.0 / self._rates[kind]) * max(1, min(times, LONGEST))
+            if kind not in self._refused and now - max(at, self._last.get(kind, at)) > pause:
+                stale.append(kind)
+        return stale
+
+    async def _ask_for_origin(self) -> None:
+        """Where the estimator's frame is; ArduPilot tells it unasked only once, when it has found it."""
+        origin = dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
+        await self._vehicle.exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, origin)
 
     async def _ask_for(self, kind: int) -> None:
         vehicle, rate = self._vehicle, self._rates[kind]
+        self._asked[kind] = (self._asked.get(kind, (0, 0.0))[0] + 1, vehicle.clock.monotonic())
         answer = await vehicle.exchange.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, kind, 1e6 / rate)
-        if answer.result != dialect.MAV_RESULT_ACCEPTED and kind in GROUPS:
+        if answer.result == dialect.MAV_RESULT_ACCEPTED:
+            return
+        if kind in GROUPS:
             group, hertz = GROUPS[kind], math.ceil(rate)
             vehicle.send(
                 dialect.MAVLink_request_data_stream_message(vehicle.system, AUTOPILOT, group, hertz, 1)
             )
+        elif answer.result is not None:
+            self._refused.add(kind)

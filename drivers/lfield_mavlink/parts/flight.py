@@ -148,13 +148,14 @@ class Flight:
         # An answer may be that to the arming: what is heard after it shows what became of that.
         since = vehicle.clock.monotonic()
         if not await vehicle.seen(lambda: (self._state.heard or 0.0) > since, NEWS):
-            raise vehicle.error(f"no heartbeat for {vehicle.silence:.1f} s", timeout=True)
+            untold = vehicle.clock.monotonic() - (self._state.heard or -math.inf)
+            raise vehicle.error(f"no heartbeat for {untold:.1f} s", timeout=True)
 
     def _leave(self) -> None:
         """A pilot or the autopilot's own failsafe flies it: to take it from them would be less safe."""
         if self._left_in != self._state.mode:
             self._left_in = self._state.mode
-            self._vehicle.note(f"in {self._state.mode}, by a pilot or a failsafe: left to them")
+            self._vehicle.note(f"in {self._state.mode}, by {self._state.holder}: left to them")
 
     async def _disarmed(self) -> bool:
         """Try to switch the motors off on the ground; the autopilot refuses if it is not there."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 
 from lfield_mavlink.contact.contact import Contact
@@ -13,8 +14,10 @@ from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Ci
 
 #: How exactly a heading is reached, in radians, and how long that may take, in seconds.
 HEADING_TOLERANCE, TURNING = math.radians(4.0), 30.0
-#: Seconds after which PX4 is told again to enter OFFBOARD.
-NOTICED = 0.2
+#: Seconds of setpoints that PX4 must have noticed before it is told to enter OFFBOARD.
+NOTICES = 0.15
+#: Seconds for its answer, and for the mode to show, before it is told again.
+SHOWN = 0.1
 
 
 class Guidance:
@@ -129,27 +132,42 @@ class Guidance:
         vehicle.send(motion.setpoint(target))
 
     async def _enter_offboard(self, what: str, until: float) -> None:
-        """PX4 enters OFFBOARD when it has noticed the setpoints; before that it may just accept it."""
-        vehicle = self._vehicle
-        guided, start = vehicle.profile.guided, vehicle.clock.monotonic()
-        values = self._motion.mode_values(guided)
-        while self._state.mode != guided:
-            answer = await vehicle.exchange.command(dialect.MAV_CMD_DO_SET_MODE, *values, once=True)
-            if await vehicle.seen(lambda: self._state.mode == guided, NOTICED):
-                break
+        """PX4 enters OFFBOARD when it has noticed the setpoints, and shows it by CURRENT_MODE.
+
+        What it does not enter it accepts all the same, and says so in words only.
+        """
+        vehicle, guided = self._vehicle, self._vehicle.profile.guided
+        if self._state.mode != guided:
+            await asyncio.sleep(NOTICES)
+        start, values, result = vehicle.clock.monotonic(), self._motion.mode_values(guided), None
+
+        def decided() -> bool:
+            return self._state.mode == guided or vehicle.is_unavailable(start)
+
+        while not decided() and result in (None, dialect.MAV_RESULT_ACCEPTED):
             if vehicle.clock.monotonic() >= until:
                 vehicle.check_link()
-                result = "no answer" if answer.result is None else result_words(answer.result)
                 raise vehicle.error(
                     f"{what}: {guided} was not entered within the time-to-live of {vehicle.binding.ttl:g} s "
-                    f"({result}){vehicle.reasons(start)}"
+                    f"({_words(result)}){vehicle.reasons(start)}"
                 )
+            answer = await vehicle.exchange.command(
+                dialect.MAV_CMD_DO_SET_MODE, *values, once=True, patience=SHOWN
+            )
+            result = answer.result
+            await vehicle.seen(decided, SHOWN)
+        if self._state.mode != guided:
+            raise vehicle.error(f"{what}: {guided} refused ({_words(result)}){vehicle.reasons(start)}")
         self._motion.claim(guided)
 
     def _check_placed(self, what: str) -> None:
         needs_home = self._vehicle.profile.px4
         if self._state.position is None or (needs_home and self._state.home is None):
             raise self._vehicle.error(f"{what}: the vehicle has not told where it is, or where home is")
+
+
+def _words(result: int | None) -> str:
+    return "no answer" if result is None else result_words(result)
 
 
 class Revolutions:

@@ -88,7 +88,7 @@ class Motion:
         if not self.ours:
             raise self._vehicle.error(
                 f"{what} refused: the vehicle is in {self._state.mode}, which this program did not "
-                "choose; a pilot or a failsafe has it. release() takes it back"
+                f"choose; {self._state.holder} has it. release() takes it back"
             )
         self.stream.stop()
 
@@ -122,7 +122,7 @@ class Motion:
 
     # -- motions --------------------------------------------------------------------------------------
 
-    async def start(self, what: str, order: Order, taken: Callable[[], bool] = lambda: False) -> None:
+    async def start(self, what: str, order: Order, taken: Callable[[], bool] | None = None) -> None:
         """Begin an order: parameters, mode, command, and the mode it leads to. Raises DeviceError."""
         for name, value in order.parameters.items():
             await self._parameters.write(name, value)

@@ -30,6 +30,8 @@ AT_HOME, CIRCLES = 5.0, 150.0
 SURFACED = 0.5
 #: Seconds after which a speed is not known any more, as telemetry has it.
 FRESH = 3.0
+#: Seconds without a heartbeat after which it is not known any more whether its motors are on.
+TOLD = 6.0
 
 
 class Rest:
@@ -43,9 +45,10 @@ class Rest:
         vehicle, state = self._vehicle, self._state
         if state.heard is None:
             return "not heard yet"
-        if vehicle.silence > LINK_LOST:
+        untold = vehicle.clock.monotonic() - state.heard
+        if vehicle.silence > LINK_LOST or untold > TOLD:
             last = ", ".join(self._way()) if state.armed else "with its motors off"
-            return f"not heard for {vehicle.silence:.1f} s, last seen {last}"
+            return f"not heard for {untold:.1f} s, last seen {last}"
         if not state.armed or (self._rests() and not self._is_a_pilots):
             return ""
         return ", ".join(self._way())

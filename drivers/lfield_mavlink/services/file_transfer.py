@@ -27,7 +27,7 @@ from lfield_mavlink.services.peer import Inbox, Peer
 
 #: Seconds to wait for an answer, and how often to ask; in the middle of a file there is somebody who
 #: answers, so it is worth while to ask for longer.
-PATIENCE, QUESTIONS, PERSISTENT = 0.5, 6, 16
+PATIENCE, QUESTIONS, PERSISTENT = 0.5, 10, 16
 #: Bytes of the largest file, entries of the largest folder, bytes of the longest path.
 MAX_FILE, MAX_ENTRIES, MAX_PATH = 1 << 20, 5000, 200
 #: Packets of one burst that are taken in; more is a vehicle gone mad.

@@ -24,8 +24,9 @@ from lfield_mavlink.services.parameter_values import (
 )
 from lfield_mavlink.services.peer import Inbox, Mail, Peer
 
-#: Seconds to wait for an answer, and how often to ask.
-PATIENCE, QUESTIONS = 0.5, 6
+#: Seconds to wait for an answer, and how often to ask: on a bad radio every third question has no answer, and
+#: it is silence that says that there is no such name.
+PATIENCE, QUESTIONS = 0.2, 15
 #: Seconds of silence after which a list has ended, and how many of its gaps are asked for at a time.
 LIST_SILENCE, GAPS = 1.0, 50
 #: Rounds of asking for gaps in which nothing comes before a list has failed, and the longest it may take.

@@ -13,7 +13,7 @@ from lfield_mavlink.services.plan_items import Item, PlanKind
 
 #: Silences in a row before an attempt has failed: at its beginning or its end, and in the middle, where
 #: ArduPilot goes on to ask for 8 s. A silence is half a second.
-QUESTIONS, SILENCES = 6, 16
+QUESTIONS, SILENCES = 10, 16
 #: A question that comes again sooner than after so many seconds is the same packet twice.
 TWICE = 0.1
 #: Messages that an attempt may take for each item, and beside them: a bound for a vehicle gone mad.

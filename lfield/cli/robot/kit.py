@@ -66,10 +66,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _agreed(checks: Iterable[Check], devices: Iterable[DeviceBinding]) -> bool:
-    """Ask once, before anything is opened; whoever cannot be asked has not agreed."""
-    if not sys.stdin.isatty():
-        return False
-    names = ", ".join(device.name for device in devices)
+    """Ask once, before anything is opened; whoever cannot be asked has not agreed. Sensors do not move."""
+    names = ", ".join(device.name for device in devices if not device.is_sensor)
+    if not (names and sys.stdin.isatty()):
+        return not names
     print(f"These checks MOVE {names}: {'; '.join(check.name for check in checks if check.moves)}.")
     return input("Type 'yes' if everybody is at a safe distance: ").strip().lower() == "yes"
 

@@ -210,7 +210,7 @@ class _Team:
     def ended_by(self, number: signal.Signals, host: str) -> int:
         """The status of a host that a signal ended: nobody has seen what became of its devices."""
         self.show(host, f"ended by {number.name}", sys.stderr)
-        devices = self.mission.devices_of(host)
+        devices = [device for device in self.mission.devices_of(host) if not device.is_sensor]
         for device in devices:
             told = f"{device.name}: NOT SAFE: nobody has seen its safe state '{device.safe_state}'"
             self.show(host, told, sys.stderr)

@@ -83,7 +83,7 @@ def _confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> bool:
         if isinstance(answer, Exception):
             continue
         if not answer.devices:
-            print(f"{names[place]}: has no devices")
+            print(f"{names[place]}: has no devices that move")
         for device, problem in answer.devices.items():
             well = well and not problem
             said = f"{names[place]}: {device}: {f'NOT CONFIRMED: {problem}' if problem else word}"

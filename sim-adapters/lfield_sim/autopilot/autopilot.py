@@ -6,22 +6,22 @@ Times and refusals are those measured on ArduPilot 4.7 and PX4 1.17; what tells 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from lfield_sim.autopilot import ardupilot, px4
 from lfield_sim.autopilot.failsafes import Failsafes
-from lfield_sim.autopilot.flavours import Kind, Result, Role, Severity
+from lfield_sim.autopilot.flavours import Control, Kind, Result, Role, Severity
 from lfield_sim.autopilot.flight import disarm_when_idle, fly, suffer
 from lfield_sim.autopilot.missions import why_no_mission
 from lfield_sim.autopilot.pilot import Pilot
+from lfield_sim.autopilot.readiness import Unfit, why_unfit
+from lfield_sim.autopilot.stacks import ardupilot, px4
 from lfield_sim.autopilot.vehicle import Circle, Goal, Reach, Vector
 
 #: Every vehicle there is, by flavour and kind.
 FLAVOURS: Mapping[str, Mapping[str, Kind]] = {"ardupilot": ardupilot.KINDS, "px4": px4.KINDS}
 KINDS = FLAVOURS["ardupilot"]
-#: Seconds between two setpoints that still make a stream to PX4, which does not enter OFFBOARD without one.
-STREAM_GAP = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +31,7 @@ class Setpoint:
     goal: Goal | None = None
     yaw: float | None = None
     yaw_rate: float | None = None
+    control: Control = Control.VELOCITY
 
 
 @dataclass(slots=True)
@@ -51,6 +52,9 @@ class Autopilot(Pilot):
         if self.booting:
             return
         self.failsafes.check(dt)
+        if self.flavour.drifts:
+            self.homing.step(dt, self.vehicle.place, flying=self.vehicle.airborne)
+        self.vehicle.limits.cruise = self.pace.speed
         self.payload.step(dt)
         self.battery.step(dt, armed=self.armed, flying=self.vehicle.airborne)
         fly(self)
@@ -62,32 +66,33 @@ class Autopilot(Pilot):
     # -- arming ---------------------------------------------------------------------------------------
 
     @property
-    def unfit(self) -> str:
-        """Why it cannot be armed now, '' when it can."""
-        if self.refuse_arming:
-            return self.refuse_arming
-        if self.gps_lost:
-            fence = self.flavour.fence
-            fenced = fence.blind_text and self.parameters[fence.enable]
-            return fence.blind_text if fenced else "Need Position Estimate"
-        return "EKF not ready" if self.uptime < self.warm_up else ""
+    def unfit(self) -> Unfit | None:
+        """Why it cannot be armed now, None when it can."""
+        rule = self.flavour.gcs
+        if rule.forbids and self.failsafes.station_lost:
+            return Unfit((rule.refusal,) if rule.refusal else None)
+        return why_unfit(self)
 
     def arm(self, *, force: bool = False) -> Result:
         """COMPONENT_ARM_DISARM 1: accepted too when it is armed already."""
         if self.armed:
             return Result.ACCEPTED
         if not self.kind.modes[self.mode].armable:
-            return self._deny_arming(f"{self.mode} mode not armable")
-        if self.unfit and not force:
-            return self._deny_arming(self.unfit)
+            return self._deny_arming(Unfit((self.flavour.unarmable.format(mode=self.mode),)))
+        if (unfit := self.unfit) and not force:
+            return self._deny_arming(unfit)
         self.armed, self.armed_at, self.touched_at = True, self.now, None
-        self.home = self.vehicle.place
+        self.take_home(self.vehicle.place)
+        self.pace.arm()
         self.say(self.flavour.armed)
         return Result.ACCEPTED
 
-    def _deny_arming(self, reason: str) -> Result:
-        for text in self.flavour.denial:
-            self.say(text.format(reason=reason), Severity.CRITICAL)
+    def _deny_arming(self, unfit: Unfit) -> Result:
+        texts = [] if unfit.reasons is None else [self.flavour.denial.format(reason=r) for r in unfit.reasons]
+        if unfit.reasons is not None and self.flavour.verdict:
+            texts.append(self.flavour.verdict)
+        for text in texts:
+            self.say(text, Severity.CRITICAL)
         return self.flavour.refusal
 
     def reboot(self) -> Result:
@@ -109,14 +114,15 @@ class Autopilot(Pilot):
         return self.command_mode(name)
 
     def command_mode(self, name: str) -> Result:
-        """A mode by name. PX4 says yes to OFFBOARD without setpoints, and does not enter it."""
+        """A mode by name. PX4 says yes to one that is not available, and stays in the one that it is in."""
         role = self.kind.modes[name].role
         if role is Role.MISSION and (reason := why_no_mission(self)):
             return self.refuse(reason)
-        streams = self.now - self.setpoint_at <= STREAM_GAP
-        if role is not Role.GUIDED or streams or not self.flavour.needs_stream:
-            self.failsafes.commanded()
-            self.enter(name)
+        if role is Role.GUIDED and self.flavour.needs_stream and not self.streams:
+            self.say(self.flavour.unavailable.format(mode="Offboard"), Severity.CRITICAL)
+            return Result.ACCEPTED
+        self.failsafes.commanded()
+        self.command(name)
         return Result.ACCEPTED
 
     def command_role(self, role: Role) -> Result:
@@ -141,6 +147,7 @@ class Autopilot(Pilot):
         if self.vehicle.airborne or height is None or not 0.0 < height < 1e4:
             return Result.FAILED
         north, east, _ = self.vehicle.place
+        self.pace.enter(guided=True)
         self.vehicle.goal = Reach((north, east, self.home[2] - height))
         return Result.ACCEPTED
 
@@ -169,20 +176,21 @@ class Autopilot(Pilot):
         return Result.ACCEPTED
 
     def set_speed(self, speed: float) -> Result:
-        """DO_CHANGE_SPEED over ground, until the next mode change."""
-        if not 0.0 < speed <= 100.0:
-            return Result.DENIED
-        self.vehicle.limits.cruise = speed
-        return Result.ACCEPTED
+        """DO_CHANGE_SPEED over ground."""
+        return self.pace.change(speed)
 
-    def reposition(self, place: Vector, yaw: float | None, *, change_mode: bool) -> Result:
-        """DO_REPOSITION: ArduPilot goes there in GUIDED, PX4 holds there."""
+    def reposition(
+        self, place: Vector, yaw: float | None, *, change_mode: bool, speed: float | None = None
+    ) -> Result:
+        """DO_REPOSITION, with a speed or None: ArduPilot goes there in GUIDED, PX4 holds there."""
         if self.fence_at(place)[0] and not self.flavour.needs_stream:
             return Result.FAILED
         role = Role.HOLD if self.flavour.needs_stream else Role.GUIDED
         if self.role is not role and not change_mode:
             return Result.DENIED
         self.command_role(role)
+        if not self.pace.begin(Control.PLACE, speed):
+            return Result.FAILED
         if self.armed and (self.vehicle.airborne or not self.flies):
             self.vehicle.goal, self.vehicle.yaw_goal = Reach(place), yaw
         return Result.ACCEPTED
@@ -197,12 +205,17 @@ class Autopilot(Pilot):
 
     def guide(self, setpoint: Setpoint) -> None:
         """A setpoint; ignored, as on the real thing, when it cannot be followed."""
+        if self.setpoints_over or not self.setpoint_at > -math.inf:
+            self.stream_at = self.now
         self.setpoint_at = self.now
         # An ArduCopter on the ground follows no setpoint: it takes a takeoff to leave it.
         lifted = self.vehicle.airborne or not self.flies or self.flavour.needs_stream
         if self.role is not Role.GUIDED or not self.armed or not lifted:
             return
+        if setpoint.goal is None and not self.flavour.needs_stream and self.flies:
+            return
         if setpoint.goal is not None:
+            self.pace.begin(setpoint.control)
             self.vehicle.goal = setpoint.goal
         if setpoint.yaw is not None or setpoint.yaw_rate is not None:
             self.vehicle.yaw_goal, self.vehicle.yaw_rate_goal = setpoint.yaw, setpoint.yaw_rate

@@ -12,20 +12,21 @@ from lfield_sim.autopilot.plans import NO_BREACH
 
 #: FS_OPTIONS bit 3: a landing goes on whatever fails.
 CONTINUE_LANDING = 0x8
-#: COM_OBL_RC_ACT: what PX4 does when the setpoints end; without a radio control the rest is to hold.
-SETPOINT_ACTIONS = {3: Role.RETURN, 4: Role.LAND}
+#: COM_OBL_RC_ACT: what PX4 does when the setpoints end; without a radio control the rest is to return.
+SETPOINT_ACTIONS = {4: Role.LAND, 5: Role.HOLD}
 #: Seconds without a position after which it is not trusted any more.
 POSITION_LOST = 1.0
 
 
 class Failsafes:
-    """The watchers of one autopilot; they look while it is armed."""
+    """The watchers of one autopilot; but for that of the ground station they look while it is armed."""
 
     def __init__(self, pilot: Pilot) -> None:
         self._pilot = pilot
         self._rules = pilot.flavour
         self.gcs_seen: float | None = None
         self.gcs_lost = False
+        self._clears_at: float | None = None
         self._later: tuple[float, Role] | None = None
         self._low: set[str] = set()
         self._blind: float = 0.0
@@ -39,12 +40,14 @@ class Failsafes:
         rule = self._rules.gcs
         if not (system == int(self._pilot.value(rule.station)) if rule.station else station):
             return
-        self.gcs_seen = self._pilot.now
-        if self.gcs_lost:
-            self.gcs_lost = self._pilot.critical = False
-            self._later = None
-            if rule.cleared:
-                self._pilot.say(rule.cleared, Severity.WARNING)
+        self.gcs_seen = self._pilot.station_at = self._pilot.now
+        if self.gcs_lost and self._clears_at is None:
+            self._clears_at = self._pilot.now + rule.clears
+
+    @property
+    def station_lost(self) -> bool:
+        """Whether the ground station is missed, or was until a moment ago; PX4 forgives at once."""
+        return self.gcs_lost and (self._clears_at is None or self._pilot.now < self._clears_at)
 
     def commanded(self) -> None:
         """Somebody took over: what was still to come does not come."""
@@ -66,18 +69,39 @@ class Failsafes:
     # -- ground station and setpoints -----------------------------------------------------------------
 
     def _check_gcs(self) -> None:
+        self._clear_gcs()
         pilot, rule = self._pilot, self._rules.gcs
         action = int(pilot.value(rule.action))
         off = rule.enable and not pilot.value(rule.enable)
-        if self.gcs_seen is None or self.gcs_lost or not pilot.armed or off or not action:
+        if self.gcs_seen is None or self.gcs_lost or off or not action:
             return
-        if pilot.now - self.gcs_seen <= pilot.value(rule.timeout):
+        late = pilot.value(rule.late) if isinstance(rule.late, str) else rule.late
+        if pilot.now - self.gcs_seen <= pilot.value(rule.timeout) + late:
             return
-        self.gcs_lost = pilot.critical = True
+        self.gcs_lost, self._clears_at = True, None
+        if pilot.armed or rule.stands:
+            self._lose_gcs(rule.actions.get(action))
+        elif not rule.pause:
+            pilot.critical = True
+            pilot.say(rule.text, Severity.WARNING)
+
+    def _clear_gcs(self) -> None:
+        """The station was heard again: it is over, a moment later."""
+        pilot, rule = self._pilot, self._rules.gcs
+        if self._clears_at is None or pilot.now < self._clears_at:
+            return
+        self.gcs_lost = pilot.critical = False
+        self._clears_at = self._later = None
+        pilot.say(rule.cleared, Severity.WARNING)
+
+    def _lose_gcs(self, role: Role | None) -> None:
+        pilot, rule = self._pilot, self._rules.gcs
+        pilot.critical = True
         pause = pilot.value(rule.pause) if rule.pause else 0.0
-        pilot.say(rule.text.format(pause=pause), Severity.WARNING)
-        role = rule.actions.get(action)
-        if role is None or self._lands_on():
+        lands_on = self._lands_on()
+        text = rule.goes_on if lands_on else rule.text.format(pause=pause)
+        pilot.say(text, Severity.WARNING)
+        if role is None or lands_on:
             return
         if pause > 0.0:
             pilot.fall_back(Role.HOLD)
@@ -97,11 +121,13 @@ class Failsafes:
         if pilot.role is not Role.GUIDED or not pilot.setpoints_over:
             return
         if not self._rules.needs_stream:
+            if self._rules.setpoint_text:
+                pilot.say(self._rules.setpoint_text, Severity.WARNING)
             pilot.stop_moving()
         elif pilot.armed:
             pilot.critical = True
-            pilot.say("Failsafe activated", Severity.WARNING)
-            pilot.fall_back(SETPOINT_ACTIONS.get(int(pilot.value("COM_OBL_RC_ACT")), Role.HOLD))
+            pilot.say("Failsafe activated\t", Severity.WARNING)
+            pilot.fall_back(SETPOINT_ACTIONS.get(int(pilot.value("COM_OBL_RC_ACT")), Role.RETURN))
 
     # -- battery ---------------------------------------------------------------------------------------
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
+from typing import Protocol
+
+from lfield_sim.autopilot.vehicle import Limits
 
 
 class Result(IntEnum):
@@ -40,6 +44,38 @@ class Role(Enum):
     TERMINATE = "terminate"
 
 
+class Control(Enum):
+    """What a setpoint has controlled: a place, a place with a velocity towards it, or a velocity."""
+
+    PLACE = "place"
+    BOTH = "both"
+    VELOCITY = "velocity"
+
+
+class Pace(Protocol):
+    """How fast a place is flown to (see `pace`); speeds in m/s."""
+
+    @property
+    def speed(self) -> float:
+        """What is flown to a place now."""
+
+    def enter(self, *, guided: bool) -> None:
+        """A mode was entered, or a takeoff began."""
+
+    def arm(self) -> None:
+        """It was armed."""
+
+    def begin(self, control: Control, asked: float | None = None) -> bool:
+        """A goal came, with a speed of its own or without; False when it is refused for that."""
+
+    def change(self, speed: float) -> Result:
+        """DO_CHANGE_SPEED."""
+
+
+#: Makes a pace from the autopilot's own speed and the cap on all speeds, each read when it is needed.
+PaceMaker = Callable[[Callable[[], float], Callable[[], float]], Pace]
+
+
 @dataclass(frozen=True, slots=True)
 class Mode:
     """A flight mode: HEARTBEAT.custom_mode, what it does, and whether one may arm in it."""
@@ -57,7 +93,10 @@ class GcsRule:
     """The failsafe for a lost ground station, by the names of its parameters ('' where it has none).
 
     `action` 0 switches it off; `pause` are seconds of hold before the action; `options` bit 3 lets a
-    landing go on; `station` is the only system whose heartbeats count.
+    landing go on (`goes_on` is said then); `station` is the only system whose heartbeats count. `late` is
+    how much longer than the timeout it takes, in s, or the parameter that says so. While it lasts arming is
+    refused when it `forbids` that, with `refusal` ('': without a word). `stands` says that what is not armed
+    takes the action too. It is over `clears` seconds after the next heartbeat.
     """
 
     action: str
@@ -69,6 +108,12 @@ class GcsRule:
     options: str = ""
     station: str = ""
     enable: str = ""
+    late: str | float = 0.0
+    goes_on: str = ""
+    forbids: bool = False
+    refusal: str = ""
+    stands: bool = False
+    clears: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +147,29 @@ class FenceRule:
 
 
 @dataclass(frozen=True, slots=True)
+class Warming:
+    """A cold start, in shares of the time that it takes until it may be armed.
+
+    `fix`, `home` and `position` are when GPS has one, when home and origin are told, and when the local
+    position is; from `estimate` on the estimator trusts that. `reasons` are why arming is refused, each until
+    its share; None is a refusal without a word.
+    """
+
+    fix: float
+    home: float
+    position: float
+    estimate: float
+    reasons: tuple[tuple[float, tuple[str, ...] | None], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Flavour:
     """An autopilot: what its kinds of vehicles have in common.
 
     refusal             the result of an arming or disarming that is refused
-    denial              the texts of a refused arming, with {reason}
+    denial              the texts of a refused arming: one for each {reason}
+    verdict             what is said after them
+    unarmable           the reason why a {mode} is none to arm in
     serves_components   commands for another component are carried out (ArduPilot), not ignored (PX4)
     submodes            DO_SET_MODE has a main and a sub mode (PX4)
     streams             what it sends unasked, id -> Hz
@@ -116,6 +179,15 @@ class Flavour:
     settles             seconds that it stands until it says that it has landed
     landed_text         said when it switches its motors off after a landing
     unsupported         MAV_CMDs that it does not know
+    lacks               messages that it does not have
+    unasked_only        messages that it sends as often as it likes, whatever it is asked
+    stream_time, grace  seconds of setpoints that make a stream, and that one may be late beyond its timeout
+    unavailable         said when a mode is not available, which is accepted all the same ('': it is refused)
+    setpoint_text       said when a setpoint is too old
+    mute                seconds without a ground station after which it says no texts; they come later
+    tells_modes         a heartbeat goes out with each change of mode, not only once a second
+    idle_text           said when it disarms because nothing follows an arming
+    drifts              home's height moves with GNSS while it flies
     """
 
     name: str
@@ -123,7 +195,7 @@ class Flavour:
     version: int
     capabilities: int
     refusal: Result
-    denial: tuple[str, ...]
+    denial: str
     armed: str
     disarmed: str
     serves_components: bool
@@ -143,6 +215,18 @@ class Flavour:
     capacity: str
     streams: Mapping[int, float] = field(default_factory=dict)
     unsupported: frozenset[int] = frozenset()
+    lacks: frozenset[int] = frozenset()
+    unasked_only: frozenset[int] = frozenset()
+    verdict: str = ""
+    unarmable: str = "{mode} mode not armable"
+    stream_time: float = 0.0
+    grace: float = 0.0
+    unavailable: str = ""
+    setpoint_text: str = ""
+    mute: float = math.inf
+    tells_modes: bool = False
+    idle_text: str = ""
+    drifts: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +234,9 @@ class Kind:
     """A kind of vehicle with its autopilot.
 
     `speeds` are the parameters of the limits of motion with how many of their units make one SI unit;
-    `return_height` and `return_pause` likewise; `takeoff_height` is PX4's in metres.
+    `return_height` and `return_pause` likewise; `takeoff_height` is PX4's in metres. `limits` are those that
+    no parameter sets, `pace` how fast it goes to a place, `turning_radius` that of a rover (0: on the spot),
+    `home_altitude` the height above mean sea level that it takes for home's, wherever that is.
     """
 
     name: str
@@ -160,6 +246,11 @@ class Kind:
     start: str
     parameters: Mapping[str, float]
     speeds: Mapping[str, tuple[str, float]]
+    pace: PaceMaker
+    warming: Warming
+    limits: Limits = field(default_factory=Limits)
+    turning_radius: float = 0.0
+    home_altitude: float | None = None
     return_height: tuple[str, float] = ("", 1.0)
     takeoff_height: str = ""
     return_pause: tuple[str, float] = ("", 1.0)

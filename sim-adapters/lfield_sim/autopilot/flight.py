@@ -42,10 +42,10 @@ def _return(pilot: Pilot) -> None:
 
 def _take_off(pilot: Pilot) -> None:
     """PX4's mode: up to MIS_TAKEOFF_ALT, then hold there."""
-    goal = pilot.home[2] - pilot.takeoff_height
+    goal = pilot.homing.ground - pilot.takeoff_height
     north, east, down = pilot.vehicle.place
     if down <= goal + AT_HEIGHT:
-        pilot.fall_back(Role.HOLD)
+        pilot.go_on(Role.HOLD)
         pilot.vehicle.goal = Reach((north, east, goal))
     elif not isinstance(pilot.vehicle.goal, Reach):
         pilot.vehicle.goal = Reach((north, east, goal))
@@ -72,9 +72,9 @@ def disarm_when_idle(pilot: Pilot) -> None:
         pilot.disarm(text=pilot.flavour.landed_text)
         if pilot.flavour.takeoff_mode:
             # PX4 leaves a mode that has done what it is for.
-            pilot.fall_back(Role.HOLD)
+            pilot.go_on(Role.HOLD)
     elif isinstance(pilot.vehicle.goal, Rest) and 0.0 < delay < pilot.now - pilot.armed_at:
-        pilot.disarm()
+        pilot.disarm(text=pilot.flavour.idle_text)
 
 
 def _is_over(pilot: Pilot) -> bool:

@@ -38,7 +38,7 @@ def fly_mission(pilot: Pilot) -> None:
     if item is None:
         if pilot.flavour.takeoff_mode:
             pilot.say("Mission finished, loitering")
-            pilot.fall_back(Role.HOLD)
+            pilot.go_on(Role.HOLD)
         return
     if _must_climb_first(pilot, item):
         return
@@ -52,7 +52,7 @@ def fly_mission(pilot: Pilot) -> None:
 def _must_climb_first(pilot: Pilot, item: MissionItem) -> bool:
     """PX4 takes off by itself when a mission begins with a waypoint."""
     north, east, down = pilot.vehicle.place
-    goal = pilot.home[2] - pilot.takeoff_height
+    goal = pilot.homing.ground - pilot.takeoff_height
     climbing = pilot.flies and item.command in FLOWN and pilot.mission.begun != pilot.mission.current
     if climbing and not pilot.vehicle.airborne:
         pilot.vehicle.goal = Reach((north, east, goal))
@@ -104,7 +104,9 @@ def _arrived(pilot: Pilot, item: MissionItem) -> bool:
 
 
 def _near(pilot: Pilot, place: Vector | None) -> bool:
-    return place is None or math.dist(pilot.vehicle.place, place) < AT_PLACE
+    # What drives knows no heights.
+    parts = 3 if pilot.flies else 2
+    return place is None or math.dist(pilot.vehicle.place[:parts], place[:parts]) < AT_PLACE
 
 
 def _stay_time(pilot: Pilot, item: MissionItem) -> float:

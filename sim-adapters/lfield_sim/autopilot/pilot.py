@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from random import Random
 
 from lfield_sim.autopilot.equipment import Battery, Payload
-from lfield_sim.autopilot.flavours import Flavour, Kind, Result, Role, Severity
+from lfield_sim.autopilot.flavours import Flavour, Kind, Pace, Result, Role, Severity
+from lfield_sim.autopilot.home import Home
 from lfield_sim.autopilot.plans import BOUNDARY, CEILING, NO_BREACH, Fence, Mission, MissionItem, NoFence
 from lfield_sim.autopilot.vehicle import (
     ZERO,
@@ -27,6 +29,8 @@ from lfield_sim.state_log import Facts
 REBOOT = 3.0
 #: A vehicle that is slower stands or hovers, in m/s.
 STILL = 0.05
+#: Seconds that a setpoint lasts where no parameter says so.
+SETPOINT_TIMEOUT = 3.0
 #: Texts that are kept until somebody takes them.
 KEPT_TEXTS = 100
 
@@ -36,9 +40,12 @@ class Pilot:
     """What is so, and what becomes of it when a mode is entered; it takes no commands (`Autopilot` does).
 
     Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `motor_failed`; `warm_up`
-    are the seconds after a start in which it is not healthy yet. `setpoint_at` is when the last setpoint
-    came; `takeoff_goal` the height in m that a takeoff of PX4 was given. `perform` carries out what a
-    mission has beside places.
+    are the seconds after a start in which it is not healthy yet. `altitude` is that of the local frame's
+    origin above mean sea level. `setpoint_at` is when the last setpoint came, `stream_at` when the first of
+    those that came without a pause; `takeoff_goal` the height in m that a takeoff of PX4 was given.
+    `intended` is the mode that somebody commanded, whatever a failsafe made of it. `station_at` is when a
+    ground station was heard. `perform` carries out what a mission has beside places; `dice` are those of
+    GNSS.
     """
 
     kind: Kind
@@ -53,9 +60,13 @@ class Pilot:
     mission: Mission = field(default_factory=Mission)
     fence: Fence = field(default_factory=NoFence)
     mode: str = field(init=False)
+    intended: str = field(init=False)
+    pace: Pace = field(init=False)
+    homing: Home = field(init=False)
+    dice: Random = field(default_factory=lambda: Random(1))
+    altitude: float = 488.0
     armed: bool = False
     critical: bool = False
-    home: Vector = ZERO
     now: float = 0.0
     booted: float = 0.0
     booting_until: float = -1.0
@@ -64,15 +75,26 @@ class Pilot:
     touched_at: float | None = None
     over_home_at: float | None = None
     setpoint_at: float = -math.inf
+    stream_at: float = math.inf
+    station_at: float = -math.inf
     takeoff_goal: float | None = None
     perform: Callable[[MissionItem], object] = lambda _: None
     _texts: list[tuple[Severity, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.parameters = dict(self.kind.parameters)
-        self.vehicle = Vehicle() if self.kind.name == "copter" else GroundVehicle()
-        self.mode = self.kind.start
+        limits = replace(self.kind.limits)
+        self.vehicle = (
+            Vehicle(limits)
+            if self.kind.name == "copter"
+            else GroundVehicle(limits, turning_radius=self.kind.turning_radius)
+        )
+        self.pace = self.kind.pace(self.own_speed, lambda: self.vehicle.limits.top)
+        self.homing = Home(self.dice)
+        self.mode = self.intended = self.kind.start
         self.apply_parameters()
+        self.pace.enter(guided=False)
+        self.take_home(ZERO)
 
     # -- what is so -----------------------------------------------------------------------------------
 
@@ -92,6 +114,11 @@ class Pilot:
         if self.vehicle.airborne:
             return False
         return self.touched_at is None or self.now - self.touched_at >= self.flavour.settles
+
+    @property
+    def home(self) -> Vector:
+        """Where it returns to, in the local frame."""
+        return self.homing.place
 
     @property
     def role(self) -> Role:
@@ -121,8 +148,16 @@ class Pilot:
     @property
     def setpoints_over(self) -> bool:
         """Whether the last setpoint is too old to go on with; positions of ArduPilot stay for ever."""
-        old = self.now - self.setpoint_at > self.value(self.flavour.setpoint_timeout)
+        name = self.flavour.setpoint_timeout
+        timeout = self.value(name) if name else SETPOINT_TIMEOUT
+        old = self.now - self.setpoint_at > timeout + self.flavour.grace
         return old and (self.flavour.needs_stream or isinstance(self.vehicle.goal, Keep | Lean))
+
+    @property
+    def streams(self) -> bool:
+        """Whether setpoints have come for long enough to be followed, and still come."""
+        long = self.now - self.stream_at >= self.flavour.stream_time
+        return long and self.setpoint_at >= self.stream_at and not self.setpoints_over
 
     @property
     def return_height(self) -> float:
@@ -167,22 +202,46 @@ class Pilot:
 
     def apply_parameters(self) -> None:
         """Take the limits of motion and the battery's size from the parameters."""
-        limits = self.vehicle.limits
-        for limit, (name, scale) in self.kind.speeds.items():
-            setattr(limits, limit, min(max(self.value(name) / scale, 0.01), 100.0))
-        limits.vertical_acceleration = limits.acceleration
+        for limit in self.kind.speeds:
+            if limit != "cruise":
+                setattr(self.vehicle.limits, limit, self._limit(limit))
         self.battery.capacity = min(max(self.value(self.flavour.capacity), 1.0), 1e6)
+
+    def own_speed(self) -> float:
+        """The speed over ground that its own parameter says."""
+        return self._limit("cruise")
+
+    def _limit(self, limit: str) -> float:
+        name, scale = self.kind.speeds[limit]
+        return min(max(self.value(name) / scale, 0.01), 100.0)
 
     def say(self, text: str, severity: Severity = Severity.INFO) -> None:
         """A status text."""
         self._texts = [*self._texts[-KEPT_TEXTS:], (severity, text)]
 
     def take_texts(self) -> list[tuple[Severity, str]]:
-        """What it had to say since the last call."""
+        """What it had to say since the last call; without a ground station PX4 keeps it to itself."""
+        if self.now - self.station_at > self.flavour.mute:
+            return []
         texts, self._texts = self._texts, []
         return texts
 
     # -- what becomes of it ---------------------------------------------------------------------------
+
+    def take_home(self, place: Vector) -> None:
+        """Home is a place in the local frame from now on; a rover knows its height better."""
+        altitude = self.kind.home_altitude
+        down = place[2] if altitude is None else self.altitude - altitude
+        self.homing.take((place[0], place[1], down))
+
+    def command(self, name: str) -> None:
+        """Somebody wants a mode: enter it."""
+        self.intended = name
+        self.enter(name)
+
+    def go_on(self, role: Role) -> None:
+        """A mode has done what it is for; the next one follows from it."""
+        self.command(self.kind.mode_for(role))
 
     def enter(self, name: str) -> None:
         """Enter a mode, whoever wants it."""
@@ -191,6 +250,7 @@ class Pilot:
         self.mode, self.over_home_at = name, None
         self.apply_parameters()
         vehicle = self.vehicle
+        self.pace.enter(guided=self.role is Role.GUIDED)
         vehicle.yaw_goal = vehicle.yaw_rate_goal = None
         vehicle.goal = Descend() if self.role is Role.LAND and self.armed else Rest()
         if self.role is Role.MISSION:
@@ -236,9 +296,11 @@ class Pilot:
         self.boots += 1
         self.payload, self.critical = Payload(), False
         self.mission.jump(0)
-        self.mode, self.home = self.kind.start, ZERO
-        self._texts, self.setpoint_at = [], -math.inf
+        self.mode = self.intended = self.kind.start
+        self._texts, self.setpoint_at, self.stream_at = [], -math.inf, math.inf
         self.apply_parameters()
+        self.pace.enter(guided=False)
+        self.take_home(ZERO)
 
     def _circle_ahead(self) -> Circle:
         """ArduCopter's CIRCLE: the centre is a radius (cm) ahead; CIRCLE_RATE is in degrees per second."""

@@ -12,22 +12,46 @@ from dataclasses import dataclass, field
 GRAVITY = 9.80665
 #: What counts as in the air, in metres.
 AIRBORNE = 0.05
+#: Metres from a place within which a rover has reached it.
+AT_PLACE = 0.05
 
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class Response:
+    """How a speed that was asked for comes out: multiplied, and so much (m/s) more."""
+
+    gain: float = 1.0
+    more: float = 0.0
+
+    def flown(self, speed: float) -> float:
+        """The speed that becomes of one that was asked for; standing stays standing."""
+        return speed * self.gain + self.more if speed > 0.0 else 0.0
+
+
 @dataclass(slots=True)
 class Limits:
-    """Speeds in m/s, accelerations in m/s2, yaw rate in rad/s."""
+    """Speeds in m/s, accelerations in m/s2, jerk in m/s3, yaw rate in rad/s.
+
+    `cruise` bounds the way to a place, `top` everything over ground. `braking` is how hard it slows down
+    before a place. What is flown is never quite what was asked: `goal_response` and `velocity_response` say
+    how a speed asked for comes out, for places and for velocities.
+    """
 
     cruise: float = 5.0
+    top: float = 100.0
     climb: float = 2.5
     descend: float = 1.5
     land: float = 1.0
     acceleration: float = 2.5
     vertical_acceleration: float = 2.5
+    braking: float = 2.5
+    jerk: float = 5.0
     yaw_rate: float = math.radians(60.0)
+    goal_response: Response = Response()
+    velocity_response: Response = Response()
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,13 +142,16 @@ class Vehicle:
 
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
-        before = self.velocity
+        before, limits = self.velocity, self.limits
         north, east, down = self._wanted()
-        level = _towards_2d(before[:2], (north, east), self.limits.acceleration * dt)
-        rate = GRAVITY if isinstance(self.goal, Fall) else self.limits.vertical_acceleration
-        self.velocity = (*level, _towards(before[2], down, rate * dt))
+        lean = _eased(
+            self.acceleration[:2], (north - before[0], east - before[1]), limits.acceleration, limits.jerk, dt
+        )
+        rate = GRAVITY if isinstance(self.goal, Fall) else limits.vertical_acceleration
+        vertical = _towards(before[2], down, rate * dt)
+        self.velocity = (before[0] + lean[0] * dt, before[1] + lean[1] * dt, vertical)
         self._move(dt)
-        self.acceleration = _scaled(_minus(self.velocity, before), 1.0 / dt)
+        self.acceleration = (*lean, (self.velocity[2] - before[2]) / dt)
         heading = self.yaw
         self._turn(dt)
         self.yaw_rate = wrap(self.yaw - heading) / dt
@@ -152,7 +179,8 @@ class Vehicle:
         limits = self.limits
         north, east, down = _minus(place, self.place)
         far = math.hypot(north, east)
-        speed = _braking(far, limits.cruise, limits.acceleration)
+        fastest_level = limits.goal_response.flown(min(limits.cruise, limits.top))
+        speed = _braking(far, fastest_level, limits.braking)
         share = speed / far if far > 1e-9 else 0.0
         fastest = limits.descend if down > 0 else limits.climb
         vertical = math.copysign(_braking(abs(down), fastest, limits.vertical_acceleration), down)
@@ -169,9 +197,9 @@ class Vehicle:
 
     def _bounded(self, velocity: Vector) -> Vector:
         north, east, down = velocity
-        speed = math.hypot(north, east)
-        share = min(1.0, self.limits.cruise / speed) if speed > 0 else 0.0
-        return (north * share, east * share, max(-self.limits.climb, min(self.limits.descend, down)))
+        limits, speed = self.limits, math.hypot(velocity[0], velocity[1])
+        share = limits.velocity_response.flown(min(speed, limits.top)) / speed if speed > 0 else 0.0
+        return (north * share, east * share, max(-limits.climb, min(limits.descend, down)))
 
     def _move(self, dt: float) -> None:
         north, east, down = (p + v * dt for p, v in zip(self.place, self.velocity, strict=True))
@@ -199,7 +227,13 @@ class Vehicle:
 
 @dataclass(slots=True)
 class GroundVehicle(Vehicle):
-    """A rover: it drives where its nose points, and turns to point where it must go."""
+    """A rover: it drives where its nose points, and turns to point where it must go.
+
+    `turning_radius` in m is that of its front wheels (Ackermann): such a one turns only as it drives. 0 is
+    skid steering, which turns on the spot.
+    """
+
+    turning_radius: float = 0.0
 
     @property
     def airborne(self) -> bool:
@@ -210,21 +244,48 @@ class GroundVehicle(Vehicle):
         """Let `dt` seconds pass."""
         before, heading = self.velocity, self.yaw
         north, east, _ = self._wanted()
-        wanted = math.hypot(north, east)
+        wanted, along = math.hypot(north, east), math.hypot(*before[:2])
         course = math.atan2(east, north) if wanted > 1e-3 else self.yaw_goal
-        turn = self.limits.yaw_rate * dt
+        turn = self._turning(along) * dt
         if self.yaw_rate_goal is not None:
             # Told how fast to turn, it drives on with its nose as it is.
             self.yaw = wrap(self.yaw + max(-turn, min(turn, self.yaw_rate_goal * dt)))
         elif course is not None:
             self.yaw = wrap(self.yaw + max(-turn, min(turn, wrap(course - self.yaw))))
-            wanted *= max(0.0, math.cos(wrap(course - self.yaw)))
+            wanted *= max(self._slowest_turn, math.cos(wrap(course - self.yaw)))
         self.yaw_rate = wrap(self.yaw - heading) / dt
-        along = math.hypot(*before[:2])
-        speed = _towards(along, wanted, self.limits.acceleration * dt)
+        limits = self.limits
+        felt = math.copysign(math.hypot(*self.acceleration[:2]), self._pushing)
+        (push, _) = _eased((felt, 0.0), (wanted - along, 0.0), limits.acceleration, limits.jerk, dt)
+        speed = max(0.0, along + push * dt)
         self.velocity = (speed * math.cos(self.yaw), speed * math.sin(self.yaw), 0.0)
         self.place = (self.place[0] + self.velocity[0] * dt, self.place[1] + self.velocity[1] * dt, 0.0)
-        self.acceleration = _scaled(_minus(self.velocity, before), 1.0 / dt)
+        self.acceleration = (push * math.cos(self.yaw), push * math.sin(self.yaw), 0.0)
+
+    def _approach(self, place: Vector) -> Vector:
+        """As a copter; but wheels that steer do not turn back for a place that they have just passed."""
+        north, east, _ = _minus(place, self.place)
+        far = math.hypot(north, east)
+        passed = math.cos(math.atan2(east, north) - self.yaw) < 0.0
+        if far < AT_PLACE or (self.turning_radius and passed and far < 2.0 * self.turning_radius):
+            return ZERO
+        return Vehicle._approach(self, place)
+
+    @property
+    def _pushing(self) -> float:
+        """Positive while it speeds up, negative while it slows down."""
+        north, east, _ = self.acceleration
+        return north * math.cos(self.yaw) + east * math.sin(self.yaw)
+
+    @property
+    def _slowest_turn(self) -> float:
+        """The share of its speed that it keeps however far its nose is off: wheels that steer must roll."""
+        return 0.4 if self.turning_radius else 0.0
+
+    def _turning(self, speed: float) -> float:
+        if not self.turning_radius:
+            return self.limits.yaw_rate
+        return min(self.limits.yaw_rate, speed / self.turning_radius)
 
 
 def wrap(angle: float) -> float:
@@ -236,10 +297,6 @@ def _minus(a: Vector, b: Vector) -> Vector:
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-def _scaled(a: Vector, by: float) -> Vector:
-    return (a[0] * by, a[1] * by, a[2] * by)
-
-
 def _braking(distance: float, fastest: float, acceleration: float) -> float:
     """The speed from which one can still stop in `distance`; gentle near the end, so that it settles."""
     return min(fastest, distance * 2.0, math.sqrt(acceleration * distance))
@@ -249,9 +306,17 @@ def _towards(value: float, goal: float, change: float) -> float:
     return value + max(-change, min(change, goal - value))
 
 
-def _towards_2d(value: tuple[float, ...], goal: tuple[float, float], change: float) -> tuple[float, float]:
-    """As _towards, with the change bounded as a vector."""
-    north, east = goal[0] - value[0], goal[1] - value[1]
-    size = math.hypot(north, east)
-    share = min(1.0, change / size) if size > 0 else 0.0
-    return (value[0] + north * share, value[1] + east * share)
+def _eased(
+    felt: tuple[float, ...], missing: tuple[float, float], most: float, jerk: float, dt: float
+) -> tuple[float, float]:
+    """The next acceleration on the way to a velocity that is `missing`: within `most`, built up by `jerk`.
+
+    It eases off before the velocity is reached, so that there is none left when it is.
+    """
+    size = math.hypot(*missing)
+    if size < jerk * dt * dt:
+        return (missing[0] / dt, missing[1] / dt)
+    strength = min(most, math.sqrt(1.6 * jerk * size), size / dt)
+    change = (missing[0] / size * strength - felt[0], missing[1] / size * strength - felt[1])
+    share = min(1.0, jerk * dt / math.hypot(*change)) if any(change) else 0.0
+    return (felt[0] + change[0] * share, felt[1] + change[1] * share)

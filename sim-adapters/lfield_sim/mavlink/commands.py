@@ -83,10 +83,12 @@ def _reposition(sender: Sender, command: Command) -> Answer:
         return Result.DENIED, []
     speed, pilot = command.value(1), sender.autopilot
     change = bool(command.whole(2) & dialect.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
-    result = pilot.reposition(place, command.given(4), change_mode=change or pilot.flavour.submodes)
-    if result is Result.ACCEPTED and speed > 0.0:
-        pilot.set_speed(speed)
-    return result, []
+    return pilot.reposition(
+        place,
+        command.given(4),
+        change_mode=change or pilot.flavour.submodes,
+        speed=speed if speed > 0.0 else None,
+    ), []
 
 
 def _orbit(sender: Sender, command: Command) -> Answer:
@@ -103,7 +105,7 @@ def _set_home(sender: Sender, command: Command) -> Answer:
     place = here if command.whole(1) == 1 else _place(sender, command)
     if place is None:
         return Result.DENIED, []
-    sender.autopilot.home = place
+    sender.autopilot.take_home(place)
     return Result.ACCEPTED, []
 
 
@@ -117,8 +119,9 @@ def _terminate(sender: Sender, command: Command) -> Answer:
 
 def _set_interval(sender: Sender, command: Command) -> Answer:
     kind, micros = command.whole(1), command.value(2)
-    if not sender.can_send(kind):
-        return Result.FAILED, []
+    flavour = sender.autopilot.flavour
+    if not sender.can_send(kind) or kind in flavour.unasked_only:
+        return (Result.FAILED if flavour.submodes else Result.DENIED), []
     # -1 stops the stream; 0 asks for the default rate, which on ArduPilot is none.
     sender.stream(kind, 1e6 / micros if micros > 0 else sender.default_rate(kind) if micros == 0 else 0.0)
     return Result.ACCEPTED, []

@@ -10,14 +10,16 @@ from lfield.errors import UsageError
 
 #: What an integer parameter cannot hold any more.
 LARGEST = 2.0**31
-KINDS, FLAVOURS = ("copter", "rover"), ("ardupilot", "px4")
+KINDS, FLAVOURS = ("copter", "rover", "rover_skid"), ("ardupilot", "px4")
+#: The rover that turns on the spot; that of plain `rover` has wheels that steer.
+SKID = "rover_skid"
 #: Options that are a limit of motion: the option, the limit (see `flavours.Kind.speeds`), unit, meaning.
 SPEEDS = (
-    ("--cruise", "M/S", "speed over ground (5)"),
-    ("--climb", "M/S", "speed upwards (2.5)"),
+    ("--cruise", "M/S", "speed over ground (10; PX4 and rovers 5)"),
+    ("--climb", "M/S", "speed upwards (2.5; PX4 3)"),
     ("--descend", "M/S", "speed downwards (1.5)"),
-    ("--land", "M/S", "speed below 10 m when landing (1)"),
-    ("--acceleration", "M/S2", "both ways (2.5)"),
+    ("--land", "M/S", "speed below 10 m when landing (0.5; PX4 0.7)"),
+    ("--acceleration", "M/S2", "both ways (2.5; PX4 3, rovers 1)"),
 )
 
 
@@ -72,6 +74,8 @@ def vehicle(text: str) -> VehicleOption:
 def vehicles(args: argparse.Namespace) -> list[VehicleOption]:
     """The vehicles of a command line. Raises UsageError when two have one system id."""
     found: list[VehicleOption] = args.vehicle or [VehicleOption(args.system, args.kind, args.flavour)]
+    if any(each.kind == SKID and each.flavour != "ardupilot" for each in found):
+        raise UsageError("a rover_skid is ArduPilot's; PX4's rover steers by its wheels")
     systems = [each.system for each in found]
     if len(set(systems)) < len(systems):
         raise UsageError("two vehicles of one link have the same system id; give each its own")

@@ -58,6 +58,8 @@ class MavlinkFake:
     ) -> None:
         self.autopilot, self.system = autopilot, system
         self.place, self.faults = place or Place(), faults or make_faults(systems=(system,))
+        autopilot.altitude = self.place.altitude
+        autopilot.take_home(autopilot.vehicle.place)
         self.services = [kind(autopilot, self.place) for kind in SERVICES]
         self.sender = Sender(autopilot, self.place, self.services)
         self.gate = Signing(system, lambda: autopilot.now)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,14 +11,17 @@ from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Result
+from lfield_sim.autopilot.readiness import has_home, has_position
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
-from lfield_sim.mavlink.telemetry.messages import MESSAGES, POSITIONS
+from lfield_sim.mavlink.telemetry.messages import HOMES, MESSAGES, POSITIONS
 
 #: Nothing is streamed faster than this, in Hz.
 MAX_RATE = 100.0
 #: The message that is always sent, at least at 1 Hz.
 HEARTBEAT = 0
+#: The message of PX4 that comes when the mode changes, and otherwise after so many seconds at the soonest.
+CURRENT_MODE, MODE_PAUSE = 436, 0.5
 #: Characters of a STATUSTEXT; longer texts go out in chunks, of which there are so many at most.
 CHUNK, CHUNKS = 50, 256
 
@@ -31,14 +35,20 @@ class Sender:
         self._streams = self._first_streams()
         self._late_acks: dict[int, tuple[float, Any]] = {}
         self._texts = _Texts()
+        self._mode = autopilot.mode
+        self._told: tuple[tuple[str, str], float] = (("", ""), -math.inf)
 
     def can_send(self, kind: int) -> bool:
         """Whether there is such a message."""
+        if kind in self.autopilot.flavour.lacks:
+            return False
         return kind in MESSAGES or any(kind in service.messages for service in self._services)
 
     def withholds(self, kind: int) -> bool:
-        """Whether it cannot tell this now: positions without GPS."""
-        return self.autopilot.gps_lost and kind in POSITIONS
+        """Whether it cannot tell this now: positions without GPS, home before there is one."""
+        if kind in HOMES:
+            return not has_home(self.autopilot)
+        return kind in POSITIONS and not has_position(self.autopilot)
 
     def build(self, kind: int) -> Any:
         """A message as it is now. KeyError when there is no such message."""
@@ -71,10 +81,28 @@ class Sender:
         """What every peer gets now: acknowledgements, streams, texts."""
         now = self.autopilot.now
         messages = self._due_acks(now)
-        messages += [self.build(kind) for kind in self._streams.due(now) if not self.withholds(kind)]
+        due = self._streams.due(now)
+        if self._mode_changed() and self.autopilot.flavour.tells_modes and HEARTBEAT not in due:
+            due.append(HEARTBEAT)
+        messages += [self.build(kind) for kind in due if self._is_news(kind) and not self.withholds(kind)]
         for severity, text in self.autopilot.take_texts():
             messages += self._texts.messages(severity, text)
         return messages
+
+    def _mode_changed(self) -> bool:
+        before, self._mode = self._mode, self.autopilot.mode
+        return before != self._mode
+
+    def _is_news(self, kind: int) -> bool:
+        """Whether a message is worth sending: CURRENT_MODE comes when it changes, else twice a second."""
+        if kind != CURRENT_MODE:
+            return True
+        pilot = self.autopilot
+        told = pilot.mode, pilot.intended
+        if told == self._told[0] and pilot.now - self._told[1] < MODE_PAUSE:
+            return False
+        self._told = told, pilot.now
+        return True
 
     def reboot(self) -> Result:
         """Restart the autopilot and all that belongs to it, unless it is armed."""

@@ -9,11 +9,13 @@ import math
 from typing import Any
 
 from lfield_sim.autopilot.autopilot import Autopilot, Setpoint
+from lfield_sim.autopilot.flavours import Control
 from lfield_sim.autopilot.vehicle import GRAVITY, Goal, Keep, Lean, Reach, Vector
 from lfield_sim.mavlink.geo import ABOVE_HOME, Place, angles, is_near, turned
 
 # type_mask bits of a position target: set means "ignore".
-IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_YAW, IGNORE_YAW_RATE = 0x7, 0x38, 0x400, 0x800
+IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCELERATION = 0x7, 0x38, 0x1C0
+IGNORE_YAW, IGNORE_YAW_RATE = 0x400, 0x800
 # ... of an attitude target.
 IGNORE_BODY_YAW_RATE, IGNORE_THRUST, IGNORE_ATTITUDE = 0x4, 0x40, 0x80
 # MAV_FRAMEs of local targets; BODY_NED has velocities by the nose and offsets from here, as has BODY_FRD.
@@ -30,18 +32,21 @@ def local_target(pilot: Autopilot, message: Any) -> Setpoint | None:
         return None
     place: Vector = (message.x, message.y, message.z)
     velocity: Vector = (message.vx, message.vy, message.vz)
+    lean: Vector = (message.afx, message.afy, 0.0)
     if frame in (BODY, BODY_OFFSET, BODY_FRD):
-        place, velocity = turned(place, vehicle.yaw), turned(velocity, vehicle.yaw)
+        place, velocity, lean = (turned(each, vehicle.yaw) for each in (place, velocity, lean))
     if frame != LOCAL:
         place = (place[0] + vehicle.place[0], place[1] + vehicle.place[1], place[2] + vehicle.place[2])
-    return _setpoint(message, place, velocity)
+    return _setpoint(message, place, velocity, lean)
 
 
 def global_target(pilot: Autopilot, origin: Place, message: Any) -> Setpoint | None:
     """What message 86 asks for; None when nothing can be made of it."""
     north, east = origin.local(message.lat_int, message.lon_int)
     top = pilot.home[2] if message.coordinate_frame in ABOVE_HOME else origin.altitude
-    return _setpoint(message, (north, east, top - message.alt), (message.vx, message.vy, message.vz))
+    velocity = (message.vx, message.vy, message.vz)
+    lean = (message.afx, message.afy, 0.0)
+    return _setpoint(message, (north, east, top - message.alt), velocity, lean)
 
 
 def attitude_target(message: Any) -> Setpoint | None:
@@ -61,17 +66,21 @@ def attitude_target(message: Any) -> Setpoint | None:
     return Setpoint(goal, yaw, rate)
 
 
-def _setpoint(message: Any, place: Vector, velocity: Vector) -> Setpoint | None:
+def _setpoint(message: Any, place: Vector, velocity: Vector, lean: Vector) -> Setpoint | None:
     mask = message.type_mask
     goal: Goal | None = None
+    control = Control.VELOCITY
     if not mask & IGNORE_POSITION:
         goal = Reach(place) if is_near(place) else None
+        control = Control.PLACE if mask & IGNORE_VELOCITY else Control.BOTH
     elif not mask & IGNORE_VELOCITY:
         goal = Keep(velocity) if is_near(velocity) else None
+    elif not mask & IGNORE_ACCELERATION:
+        goal = Lean(*lean) if is_near(lean) else None
     yaw = None if mask & IGNORE_YAW or not math.isfinite(message.yaw) else message.yaw
     rate = None if mask & IGNORE_YAW_RATE or not math.isfinite(message.yaw_rate) else message.yaw_rate
     # A heading goes before a rate when both are given.
-    setpoint = Setpoint(goal, yaw, None if yaw is not None else rate)
+    setpoint = Setpoint(goal, yaw, None if yaw is not None else rate, control)
     return None if setpoint == Setpoint() else setpoint
 
 

@@ -108,7 +108,7 @@ def test_a_running_team_is_found_by_its_bundle_and_by_its_deployment(lfield, alo
         stopped = lfield("estop", *mission, env=alone)
         assert (lfield.status(stopped), stopped.out) == (
             0,
-            ["alpha: has no devices", "bravo: has no devices"],
+            ["alpha: has no devices that move", "bravo: has no devices that move"],
         )
     team.signal(signal.SIGTERM)
     assert team.wait() == 130

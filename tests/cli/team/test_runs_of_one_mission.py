@@ -46,7 +46,7 @@ def test_a_team_is_still_found_when_another_of_its_mission_has_ended(lfield, own
     assert lfield.status(shown) == 0, shown.said
     stopped = lfield("estop", "--deploy", mission, env=own)
     assert lfield.status(stopped) == 0, stopped.said
-    assert stopped.out == ["alpha: has no devices", "bravo: has no devices"]
+    assert stopped.out == ["alpha: has no devices that move", "bravo: has no devices that move"]
     for host in ("alpha", "bravo"):
         first.wait_for(rf"{host} +\| EMERGENCY STOP")
     first.signal(signal.SIGINT)
@@ -86,13 +86,17 @@ def test_all_that_runs_is_listed_and_stopped_without_more_words(lfield, own, mis
         f"stopping {second}: alpha, bravo",
         f"stopping {third}: alpha, bravo",
     ]
-    assert f"{second}/bravo: has no devices" in stopped.out
+    assert f"{second}/bravo: has no devices that move" in stopped.out
     assert stopped.err[0].startswith(f"{third}/bravo: NOT REACHED, its devices have not confirmed: ")
     for run in (*teams, alone):
         run.wait_for("EMERGENCY STOP")
     picked = lfield("estop", "--lift", "--run", first, env=own)
     assert lfield.status(picked) == 0, picked.said
-    assert picked.out == [f"lifting {first}: alpha, bravo", "alpha: has no devices", "bravo: has no devices"]
+    assert picked.out == [
+        f"lifting {first}: alpha, bravo",
+        "alpha: has no devices that move",
+        "bravo: has no devices that move",
+    ]
 
 
 def test_what_was_killed_is_tidied_up_when_its_last_host_has_ended(lfield, own, mission):

@@ -69,8 +69,12 @@ def test_what_is_spare_is_not_decoded():
     assert asked == [(3, 1, 0, 7), (4, 1, 0, 7)]
 
 
+# TEST_TYPES has a field that is one character, which pymavlink decodes to what it cannot pack.
+PACKED = [kind for kind in KINDS if kind != dialect.MAVLINK_MSG_ID_TEST_TYPES]
+
+
 @settings(deadline=None)
-@given(st.sampled_from(KINDS), st.binary(max_size=255), st.integers(0, 255))
+@given(st.sampled_from(PACKED), st.binary(max_size=255), st.integers(0, 255))
 def test_messages_are_packed_as_pymavlink_packs_them(kind, payload, sequence):
     message = dialect.MAVLink(None).decode(bytearray(packed(kind, payload)))
     writer, other = Writer(), dialect.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)

@@ -142,7 +142,7 @@ def test_one_vehicle_that_is_lost_does_not_hold_up_the_other(bench):
         await one.execute("takeoff", [4.0])
 
     b.run(mission)
-    assert b.notes.count("no heartbeat; the link is lost") == 1
+    assert b.notes.count("nothing heard; the link is lost") == 1
 
 
 def test_two_devices_with_one_system_id_are_refused(bench):

@@ -228,7 +228,7 @@ def test_an_accepted_command_that_does_not_happen_is_an_error(bench, monkeypatch
     monkeypatch.setattr(Autopilot, "arm", lambda self, force=False: 0)
 
     async def mission(fc):
-        with pytest.raises(DeviceError, match="arm was accepted but did not happen within 3 s"):
+        with pytest.raises(DeviceError, match="arm was accepted but did not happen within 5 s"):
             await fc.execute("arm", [])
 
     b.run(mission)

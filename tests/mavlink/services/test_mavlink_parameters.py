@@ -105,7 +105,7 @@ def test_integers_are_exact_where_a_float_would_change_them():
 def test_an_unknown_name_is_none_within_its_bound():
     channel, parameters = joined(Autopilot(Encoding.CAST, {}))
     assert run(parameters.read("NOPE"), 3.01) is None
-    assert len(channel.sent) == 6
+    assert len(channel.sent) == 15
     with pytest.raises(DeviceError, match="no answer about a parameter NOPE in 3 s"):
         run(parameters.write("NOPE", 1.0), 3.01)
 

@@ -215,7 +215,7 @@ def test_silence_is_an_error_within_its_bound():
         lambda: transfer.clear(PlanKind.RALLY),
     ):
         with pytest.raises(DeviceError, match="did not answer") as raised:
-            run(work(), 3.1)
+            run(work(), 5.1)
         assert raised.value.kind == "DeviceTimeoutException"
 
 

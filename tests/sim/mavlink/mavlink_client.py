@@ -17,8 +17,9 @@ class Client:
     """A ground station made of packets."""
 
     def __init__(
-        self, kind="copter", *, flavour="ardupilot", system=1, faults=(), sender=255, **autopilot
+        self, kind="copter", *, flavour="ardupilot", system=1, faults=(), sender=255, beats=False, **autopilot
     ) -> None:
+        self.beats, self._beaten = beats, 0.0
         self.autopilot = Autopilot(FLAVOURS[flavour][kind], **autopilot)
         self.fake = MavlinkFake(self.autopilot, system=system, faults=make_faults(*faults, systems=(system,)))
         self.out = dialect.MAVLink(None, srcSystem=sender, srcComponent=190)
@@ -31,8 +32,13 @@ class Client:
         return self._parse(self.fake.receive("c", message.pack(self.out)))
 
     def wait(self, seconds: float) -> list:
-        """Let time pass; what was sent meanwhile."""
-        packets = [p for _ in range(round(seconds / 0.02)) for p in self.fake.advance(0.02)]
+        """Let time pass; what was sent meanwhile. One that `beats` is heard once a second."""
+        packets = []
+        for _ in range(round(seconds / 0.02)):
+            if self.beats and self.autopilot.now - self._beaten >= 1.0:
+                self._beaten = self.autopilot.now
+                self.heartbeat()
+            packets += self.fake.advance(0.02)
         return self._parse(packets)
 
     def _parse(self, packets) -> list:

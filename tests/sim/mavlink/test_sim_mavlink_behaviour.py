@@ -149,7 +149,7 @@ def test_a_landing_goes_on_when_it_is_told_to():
     c.heartbeat()
     c.command(21)
     c.wait(3.0)
-    assert "GCS Failsafe" in c.texts()
+    assert "GCS Failsafe - Continuing Landing" in c.texts()
     assert c.autopilot.mode == "LAND"
 
 
@@ -159,8 +159,11 @@ def test_a_rover_holds_when_the_station_is_lost():
     c.command(MODE, 1, 15)
     c.command(ARM, 1)
     c.heartbeat()
-    c.wait(2.2)
+    c.wait(3.4)
+    assert c.autopilot.mode == "GUIDED", "FS_TIMEOUT comes on top of FS_GCS_TIMEOUT"
+    c.wait(0.3)
     assert c.autopilot.mode == "HOLD"
+    assert "Radio Failsafe" in c.texts()
 
 
 def test_the_circle_fence():

@@ -12,7 +12,7 @@ RTL = {"ardupilot": (6.0,), "px4": (4.0, 5.0)}
 
 def flying(flavour, height=10.0, **parameters):
     """A client whose copter hovers."""
-    c = Client(flavour=flavour)
+    c = Client(flavour=flavour, beats=True)
     c.autopilot.parameters.update(parameters)
     if flavour == "px4":
         c.autopilot.parameters["MIS_TAKEOFF_ALT"] = height
@@ -59,7 +59,7 @@ def test_a_landing_takes_its_time(flavour, sinking, landed, disarmed):
     assert c.autopilot.armed
     assert until(c, lambda: not c.autopilot.armed) == pytest.approx(disarmed, abs=0.1)
     assert c.autopilot.mode == {"ardupilot": "LAND", "px4": "AUTO.LOITER"}[flavour]
-    assert {"ardupilot": "Disarming motors", "px4": "Disarmed by landing"}[flavour] in c.texts()
+    assert {"ardupilot": "Disarming motors", "px4": "Disarmed by landing\t"}[flavour] in c.texts()
 
 
 def test_a_landing_from_ten_metres_takes_as_long_as_it_did():

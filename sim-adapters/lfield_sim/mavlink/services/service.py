@@ -18,7 +18,7 @@ real one would forget.
 What the autopilot offers to services (`lfield_sim.autopilot.autopilot`):
 
 - `parameters`: name -> float; after a change call `apply_parameters()`. The defaults that the autopilot acts
-  by are `autopilot.kind.parameters` (`autopilot.ardupilot`, `autopilot.px4`). `flavour.name` is `ardupilot`
+  by are `autopilot.kind.parameters` (`autopilot.stacks`). `flavour.name` is `ardupilot`
   or `px4`, `kind.name` `copter` or `rover`.
 - `mission`: an `autopilot.plans.Mission`. Set `mission.items` (a list of `MissionItem`: MAV_CMD, seven
   values, and the place in the local frame, or None), then `autopilot.start_mission(first)` enters the

@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Role
+from lfield_sim.autopilot.readiness import has_fix, trusts_position
 from lfield_sim.autopilot.vehicle import Descend
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.telemetry.motion import micros, millis
@@ -33,22 +34,44 @@ def heartbeat(autopilot: Autopilot, _: Place) -> Any:
     """HEARTBEAT 0."""
     flags = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
     flags |= dialect.MAV_MODE_FLAG_SAFETY_ARMED if autopilot.armed else 0
-    state = dialect.MAV_STATE_ACTIVE if autopilot.armed else dialect.MAV_STATE_STANDBY
     return dialect.MAVLink_heartbeat_message(
         autopilot.kind.mav_type,
         autopilot.flavour.autopilot,
         flags,
         autopilot.kind.modes[autopilot.mode].number,
-        dialect.MAV_STATE_CRITICAL if autopilot.critical else state,
+        _state(autopilot),
         3,
+    )
+
+
+def _state(autopilot: Autopilot) -> int:
+    """MAV_STATE: an ArduCopter is active in the air, a rover unless it holds, PX4 when it is armed."""
+    if autopilot.critical:
+        return int(dialect.MAV_STATE_CRITICAL)
+    if autopilot.flavour.submodes:
+        if not autopilot.armed and autopilot.unfit:
+            return int(dialect.MAV_STATE_UNINIT)
+        active = autopilot.armed
+    else:
+        active = not autopilot.landed if autopilot.flies else autopilot.role is not Role.HOLD
+    return int(dialect.MAV_STATE_ACTIVE if active else dialect.MAV_STATE_STANDBY)
+
+
+def current_mode(autopilot: Autopilot, _: Place) -> Any:
+    """CURRENT_MODE 436, PX4's: the mode that is, and the one that somebody commanded."""
+    modes = autopilot.kind.modes
+    return dialect.MAVLink_current_mode_message(
+        0, modes[autopilot.mode].number, modes[autopilot.intended].number
     )
 
 
 def sys_status(autopilot: Autopilot, _: Place) -> Any:
     """SYS_STATUS 1: sensors and whether it may be armed; mV, 10 mA, percent."""
     battery = autopilot.battery
+    # PX4 has the pre-arm bit in its health only, never among what is present or enabled.
+    present = SENSORS & ~PREARM if autopilot.flavour.submodes else SENSORS
     health = SENSORS
-    if autopilot.gps_lost:
+    if not has_fix(autopilot):
         health &= ~GPS
     if autopilot.unfit and not autopilot.armed:
         health &= ~PREARM
@@ -56,7 +79,7 @@ def sys_status(autopilot: Autopilot, _: Place) -> Any:
         health &= ~FENCE
     volts, amperes = round(battery.volts * 1000), round(battery.current * 100)
     return dialect.MAVLink_sys_status_message(
-        SENSORS, SENSORS, health, 200, volts, amperes, _percent(autopilot), 0, 0, 0, 0, 0, 0
+        present, present, health, 200, volts, amperes, _percent(autopilot), 0, 0, 0, 0, 0, 0
     )
 
 
@@ -89,13 +112,12 @@ def autopilot_version(autopilot: Autopilot, _: Place) -> Any:
 
 
 def home_position(autopilot: Autopilot, place: Place) -> Any:
-    """HOME_POSITION 242; ArduPilot leaves the local part at 0."""
+    """HOME_POSITION 242, with where that is in the local frame."""
     north, east, down = autopilot.home
-    local = autopilot.home if autopilot.flavour.name == "px4" else (0.0, 0.0, 0.0)
     return dialect.MAVLink_home_position_message(
         *place.at(north, east),
         round((place.altitude - down) * 1000),
-        *local,
+        *autopilot.home,
         [1.0, 0.0, 0.0, 0.0],
         *(0.0, 0.0, 0.0),
     )
@@ -127,13 +149,13 @@ def fence_status(autopilot: Autopilot, _: Place) -> Any:
 
 def ekf_status_report(autopilot: Autopilot, _: Place) -> Any:
     """EKF_STATUS_REPORT 193, ArduPilot's."""
-    flags = EKF_BLIND if autopilot.gps_lost else EKF_GOOD
+    flags = EKF_GOOD if trusts_position(autopilot) else EKF_BLIND
     return dialect.MAVLink_ekf_status_report_message(flags, 0.1, 0.1, 0.1, 0.1, 0.0)
 
 
 def estimator_status(autopilot: Autopilot, _: Place) -> Any:
     """ESTIMATOR_STATUS 230, PX4's."""
-    flags = ESTIMATOR_BLIND if autopilot.gps_lost else ESTIMATOR_GOOD
+    flags = ESTIMATOR_GOOD if trusts_position(autopilot) else ESTIMATOR_BLIND
     return dialect.MAVLink_estimator_status_message(
         micros(autopilot), flags, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.5, 0.5
     )

@@ -41,9 +41,13 @@ MESSAGES: Mapping[int, Builder] = {
     281: equipment.gimbal_manager_status,
     285: equipment.gimbal_device_attitude_status,
     331: motion.odometry,
+    436: condition.current_mode,
     376: equipment.relay_status,
     9005: equipment.winch_status,
 }
+
+#: What cannot be told before home and origin are known.
+HOMES = frozenset({49, 242})
 
 #: What cannot be told without a position: nothing of it is streamed while GPS is lost.
 POSITIONS = frozenset({32, 33, 331})

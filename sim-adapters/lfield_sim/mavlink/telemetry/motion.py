@@ -8,6 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.readiness import has_fix
 from lfield_sim.autopilot.vehicle import GRAVITY
 from lfield_sim.mavlink.geo import Place, quaternion
 
@@ -94,7 +95,7 @@ def odometry(autopilot: Autopilot, _: Place) -> Any:
 def gps_raw_int(autopilot: Autopilot, place: Place) -> Any:
     """GPS_RAW_INT 24: a good 3D fix, or none."""
     north, east, down = autopilot.vehicle.place
-    if autopilot.gps_lost:
+    if not has_fix(autopilot):
         return dialect.MAVLink_gps_raw_int_message(
             micros(autopilot), dialect.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, 9999, 9999, 0, 0, 0
         )

@@ -18,7 +18,10 @@ from lfield_sim.autopilot.flavours import (
     Result,
     Role,
     Severity,
+    Warming,
 )
+from lfield_sim.autopilot.pace import Px4Pace
+from lfield_sim.autopilot.vehicle import Limits, Response
 
 _WARN, _LAND, _RETURN = 0, 2, 3
 _LINK_ACTIONS = {1: Role.HOLD, 2: Role.RETURN, 3: Role.LAND, 5: Role.TERMINATE}
@@ -31,9 +34,11 @@ FLAVOUR = Flavour(
     # terminate, MAVLink 2.
     capabilities=0xE9FC,
     refusal=Result.TEMPORARILY_REJECTED,
-    denial=("Preflight Fail: {reason}", "Arming denied: Resolve system health failures first"),
-    armed="Armed by external command",
-    disarmed="Disarmed by external command",
+    denial="Preflight Fail: {reason}\t",
+    verdict="Arming denied: Resolve system health failures first\t",
+    armed="Armed by external command\t",
+    disarmed="Disarmed by external command\t",
+    idle_text="Disarmed by auto preflight disarming\t",
     serves_components=False,
     submodes=True,
     needs_stream=True,
@@ -43,14 +48,16 @@ FLAVOUR = Flavour(
     disarm_delay="COM_DISARM_PRFLT",
     land_delay="COM_DISARM_LAND",
     settles=2.5,
-    landed_text="Disarmed by landing",
+    landed_text="Disarmed by landing\t",
     gcs=GcsRule(
         action="NAV_DLL_ACT",
         timeout="COM_DL_LOSS_T",
         actions=_LINK_ACTIONS,
-        text="Failsafe activated: entering Hold for {pause:.0f} seconds",
-        cleared="",
+        text="Failsafe activated: entering Hold for {pause:.0f} seconds\t",
+        cleared="GCS connection regained\t",
         pause="COM_FAIL_ACT_T",
+        late=1.5,
+        forbids=True,
     ),
     battery=(
         BatteryLevel(
@@ -78,12 +85,30 @@ FLAVOUR = Flavour(
     position_lost="Failsafe activated",
     capacity="BAT1_CAPACITY",
     streams={
-        0: 1.0, 1: 1.0, 2: 1.0, 4: 0.1, 24: 1.0, 30: 15.0, 31: 10.0, 32: 10.0, 33: 5.0, 65: 2.0, 74: 4.0,
-        105: 10.0, 147: 0.5, 242: 0.5, 245: 1.0, 331: 5.0,
+        0: 1.0, 1: 5.0, 2: 1.0, 24: 8.0, 30: 100.0, 31: 50.0, 32: 30.0, 33: 50.0, 74: 10.0,
+        105: 50.0, 147: 0.5, 230: 1.0, 242: 0.5, 245: 5.0, 331: 30.0, 436: 0.5,
     },
+    # FENCE_STATUS, EKF_STATUS_REPORT
+    lacks=frozenset({162, 193}),
+    unasked_only=frozenset({0}),
+    stream_time=0.1,
+    grace=0.14,
+    unavailable="Switching to {mode} is currently not available\t",
+    mute=3.0,
+    drifts=True,
     # CONDITION_YAW, DO_SET_RELAY, DO_SET_SERVO, DO_WINCH, the old mount commands
     unsupported=frozenset({115, 181, 183, 205, 42600}),
 )  # fmt: skip
+
+SLOW, FAST = Response(0.87), Response(1.0, 0.45)
+#: It tells everything at once, and may be armed some seconds later.
+WARMING = Warming(
+    fix=0.0,
+    home=0.0,
+    position=0.0,
+    estimate=0.55,
+    reasons=((0.4, None), (1.0, ())),
+)
 
 
 def _custom(main: int, sub: int = 0) -> int:
@@ -159,9 +184,14 @@ KINDS = {
             "descend": ("MPC_Z_VEL_MAX_DN", 1.0),
             "land": ("MPC_LAND_SPEED", 1.0),
             "acceleration": ("MPC_ACC_HOR", 1.0),
+            "top": ("MPC_XY_VEL_MAX", 1.0),
         },
-        ("RTL_RETURN_ALT", 1.0),
-        "MIS_TAKEOFF_ALT",
+        Px4Pace,
+        WARMING,
+        # What it is asked for it flies at seven eighths.
+        Limits(braking=1.75, jerk=4.0, goal_response=SLOW, velocity_response=SLOW),
+        return_height=("RTL_RETURN_ALT", 1.0),
+        takeoff_height="MIS_TAKEOFF_ALT",
     ),
     "rover": Kind(
         "rover",
@@ -171,5 +201,10 @@ KINDS = {
         "AUTO.LOITER",
         ROVER_PARAMETERS,
         {"cruise": ("RO_SPEED_LIM", 1.0), "acceleration": ("RO_ACCEL_LIM", 1.0)},
+        Px4Pace,
+        WARMING,
+        # It drives half a metre per second faster than it is asked to.
+        Limits(braking=1.75, jerk=4.0, goal_response=FAST, velocity_response=FAST),
+        turning_radius=1.4,
     ),
 }

@@ -18,7 +18,10 @@ from lfield_sim.autopilot.flavours import (
     Result,
     Role,
     Severity,
+    Warming,
 )
+from lfield_sim.autopilot.pace import CopterPace, RoverPace
+from lfield_sim.autopilot.vehicle import Limits, Response
 
 _BATTERY_ACTIONS = {1: Role.LAND, 2: Role.RETURN, 3: Role.RETURN, 4: Role.RETURN, 5: Role.TERMINATE}
 
@@ -28,7 +31,7 @@ COPTER_FLAVOUR = Flavour(
     version=4 << 24 | 7 << 16,
     capabilities=0xFBEF,
     refusal=Result.FAILED,
-    denial=("Arm: {reason}",),
+    denial="Arm: {reason}",
     armed="Arming motors",
     disarmed="Disarming motors",
     serves_components=True,
@@ -51,6 +54,10 @@ COPTER_FLAVOUR = Flavour(
         cleared="GCS Failsafe Cleared",
         options="FS_OPTIONS",
         station="MAV_GCS_SYSID",
+        goes_on="GCS Failsafe - Continuing Landing",
+        forbids=True,
+        refusal="GCS failsafe on",
+        clears=0.35,
     ),
     battery=(
         BatteryLevel(
@@ -77,11 +84,26 @@ COPTER_FLAVOUR = Flavour(
     capacity="BATT_CAPACITY",
     # DO_ORBIT is PX4's; ArduCopter circles by its mode CIRCLE.
     unsupported=frozenset({34, 187}),
+    # CURRENT_MODE, ESTIMATOR_STATUS, HIGHRES_IMU, ODOMETRY
+    lacks=frozenset({105, 230, 331, 436}),
+    tells_modes=True,
+    idle_text="Disarming motors",
 )  # fmt: skip
 ROVER_FLAVOUR = replace(
     COPTER_FLAVOUR,
+    armed="Throttle armed",
+    disarmed="Throttle disarmed",
+    unarmable="Mode not armable",
+    setpoint_timeout="",
+    setpoint_text="target not received last 3secs, stopping",
+    # NAV_LAND, NAV_TAKEOFF, CONDITION_YAW, DO_FLIGHTTERMINATION, NAV_SET_YAW_SPEED
+    unsupported=COPTER_FLAVOUR.unsupported | {21, 22, 115, 185, 213},
     gcs=replace(
         COPTER_FLAVOUR.gcs,
+        text="Radio Failsafe",
+        late="FS_TIMEOUT",
+        forbids=False,
+        stands=True,
         enable="FS_GCS_ENABLE",
         action="FS_ACTION",
         actions={1: Role.RETURN, 2: Role.HOLD, 3: Role.RETURN, 4: Role.RETURN},
@@ -95,6 +117,35 @@ ROVER_FLAVOUR = replace(
     position_lost="EKF failsafe",
 )
 
+_UNLEVEL = ("Need Alt Estimate", "Accels inconsistent", "EKF attitude is bad", "AHRS: waiting for home")
+COPTER_WARMING = Warming(
+    fix=0.237,
+    home=0.47,
+    position=0.98,
+    estimate=0.985,
+    reasons=(
+        (0.05, ("System not initialised",)),
+        (0.14, _UNLEVEL),
+        (0.29, ("Accels inconsistent", "AHRS: waiting for home")),
+        (0.47, ("Gyros inconsistent", "AHRS: waiting for home")),
+        (1.0, ("Need Position Estimate",)),
+    ),
+)
+#: A rover tells home and its position long before it may be armed.
+ROVER_WARMING = Warming(
+    fix=0.237,
+    home=0.244,
+    position=0.247,
+    estimate=1.0,
+    reasons=(
+        (0.05, ("System not initialised",)),
+        (0.25, ("Accels inconsistent", "AHRS: waiting for home")),
+        (0.29, ("Accels inconsistent", "AHRS: not using configured AHRS type")),
+        (0.47, ("Gyros inconsistent", "AHRS: not using configured AHRS type")),
+        (1.0, ("AHRS: not using configured AHRS type",)),
+    ),
+)
+
 #: What both have. Times in s, charges in mAh.
 COMMON: Mapping[str, float] = {
     "ARMING_CHECK": 1,
@@ -103,6 +154,7 @@ COMMON: Mapping[str, float] = {
     "BATT_FS_CRT_ACT": 0,
     "BATT_FS_LOW_ACT": 0,
     "BATT_LOW_MAH": 660,
+    "AVOID_ENABLE": 3,
     "FENCE_ACTION": 1,
     "FENCE_ENABLE": 0,
     "FENCE_RADIUS": 300,
@@ -110,7 +162,6 @@ COMMON: Mapping[str, float] = {
     "FENCE_TYPE": 7,
     "FS_GCS_ENABLE": 0,
     "FS_GCS_TIMEOUT": 5,
-    "GUID_TIMEOUT": 3,
     "MAV_GCS_SYSID": 255,
     "MIS_TOTAL": 0,
     "RALLY_TOTAL": 0,
@@ -123,21 +174,51 @@ COPTER_PARAMETERS: Mapping[str, float] = {
     "DISARM_DELAY": 10,
     "FENCE_ALT_MAX": 100,
     "FS_OPTIONS": 16,
+    "GUID_TIMEOUT": 3,
     "LAND_SPEED": 50,
     "RTL_ALT": 1500,
     "RTL_LOIT_TIME": 5000,
     "WPNAV_ACCEL": 250,
-    "WPNAV_SPEED": 500,
+    "WPNAV_ACCEL_Z": 100,
+    "WPNAV_SPEED": 1000,
     "WPNAV_SPEED_DN": 150,
     "WPNAV_SPEED_UP": 250,
 }
 ROVER_PARAMETERS: Mapping[str, float] = {
     **COMMON,
-    "CRUISE_SPEED": 2,
+    "ATC_ACCEL_MAX": 1.0,
+    "CRUISE_SPEED": 5,
     "FS_ACTION": 2,
-    "WP_ACCEL": 2.5,
-    "WP_SPEED": 2,
+    "FS_TIMEOUT": 1.5,
+    "WP_ACCEL": 0,
+    "WP_SPEED": 5,
 }
+
+ACKERMANN = Kind(
+    "rover",
+    10,
+    ROVER_FLAVOUR,
+    {
+        "MANUAL": Mode(0, Role.MANUAL),
+        "ACRO": Mode(1, Role.MANUAL),
+        "STEERING": Mode(3, Role.MANUAL),
+        "HOLD": Mode(4, Role.HOLD),
+        "LOITER": Mode(5, Role.HOLD),
+        "AUTO": Mode(10, Role.MISSION),
+        "RTL": Mode(11, Role.RETURN, armable=False),
+        "SMART_RTL": Mode(12, Role.RETURN, armable=False),
+        "GUIDED": Mode(15, Role.GUIDED),
+    },
+    "MANUAL",
+    ROVER_PARAMETERS,
+    {"cruise": ("WP_SPEED", 1.0), "acceleration": ("ATC_ACCEL_MAX", 1.0)},
+    RoverPace,
+    ROVER_WARMING,
+    # A velocity is driven a fifth too fast, at the stock gains of the speed controller.
+    Limits(braking=1.0, jerk=2.0, velocity_response=Response(1.22)),
+    turning_radius=1.4,
+    home_altitude=0.19,
+)
 
 KINDS = {
     "copter": Kind(
@@ -166,26 +247,14 @@ KINDS = {
             "descend": ("WPNAV_SPEED_DN", 100.0),
             "land": ("LAND_SPEED", 100.0),
             "acceleration": ("WPNAV_ACCEL", 100.0),
+            "vertical_acceleration": ("WPNAV_ACCEL_Z", 100.0),
         },
-        ("RTL_ALT", 100.0),
+        CopterPace,
+        COPTER_WARMING,
+        Limits(braking=2.5, jerk=5.0),
+        return_height=("RTL_ALT", 100.0),
         return_pause=("RTL_LOIT_TIME", 1000.0),
     ),
-    "rover": Kind(
-        "rover",
-        10,
-        ROVER_FLAVOUR,
-        {
-            "MANUAL": Mode(0, Role.MANUAL),
-            "ACRO": Mode(1, Role.MANUAL),
-            "STEERING": Mode(3, Role.MANUAL),
-            "HOLD": Mode(4, Role.HOLD),
-            "LOITER": Mode(5, Role.HOLD),
-            "AUTO": Mode(10, Role.MISSION),
-            "RTL": Mode(11, Role.RETURN, armable=False),
-            "GUIDED": Mode(15, Role.GUIDED),
-        },
-        "MANUAL",
-        ROVER_PARAMETERS,
-        {"cruise": ("WP_SPEED", 1.0), "acceleration": ("WP_ACCEL", 1.0)},
-    ),
+    "rover": ACKERMANN,
+    "rover_skid": replace(ACKERMANN, turning_radius=0.0),
 }

@@ -1,0 +1,60 @@
+"""Whether a vehicle may be armed, why not, and what it knows meanwhile: a start takes its time.
+
+`Pilot.warm_up` is how long the start takes, in seconds; 0 is a vehicle that was switched on long ago. What
+comes when is data (`flavours.Warming`), by the traces `a-cold-start` of the three.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lfield_sim.autopilot.pilot import Pilot
+
+
+@dataclass(frozen=True, slots=True)
+class Unfit:
+    """Why a vehicle cannot be armed.
+
+    reasons   those that it tells, each in a text of its own; None when it says not a word
+    """
+
+    reasons: tuple[str, ...] | None
+
+
+def warmth(pilot: Pilot) -> float:
+    """How far its start has come, from 0 to 1."""
+    return 1.0 if pilot.warm_up <= 0.0 else min(1.0, pilot.uptime / pilot.warm_up)
+
+
+def has_fix(pilot: Pilot) -> bool:
+    """Whether GPS tells where it is."""
+    return not pilot.gps_lost and warmth(pilot) >= pilot.kind.warming.fix
+
+
+def has_home(pilot: Pilot) -> bool:
+    """Whether it knows home and the origin of its frame."""
+    return warmth(pilot) >= pilot.kind.warming.home
+
+
+def has_position(pilot: Pilot) -> bool:
+    """Whether it tells where it is in its frame."""
+    return not pilot.gps_lost and warmth(pilot) >= pilot.kind.warming.position
+
+
+def trusts_position(pilot: Pilot) -> bool:
+    """Whether its estimator says that it knows the position."""
+    return has_position(pilot) and warmth(pilot) >= pilot.kind.warming.estimate
+
+
+def why_unfit(pilot: Pilot) -> Unfit | None:
+    """Why it cannot be armed now, None when it can."""
+    if pilot.refuse_arming:
+        return Unfit((pilot.refuse_arming,))
+    if pilot.gps_lost:
+        fence = pilot.flavour.fence
+        fenced = fence.blind_text and pilot.parameters[fence.enable]
+        return Unfit((fence.blind_text if fenced else "Need Position Estimate",))
+    done = warmth(pilot)
+    if done >= 1.0:
+        return None
+    return Unfit(next(texts for until, texts in pilot.kind.warming.reasons if done < until))

@@ -1,0 +1,1 @@
+"""The autopilots there are, as data: `ardupilot`, `px4`."""

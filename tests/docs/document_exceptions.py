@@ -1,0 +1,115 @@
+"""What the documents show and their test does not run, line by line with the reason; what pages start from.
+
+A line that no page has any more must go from here too: the test says so.
+"""
+
+from __future__ import annotations
+
+#: Reasons that several lines have.
+SUITE = "it would run these tests, or hours of them"
+HARDWARE = "hardware: a port or a bus of the robot"
+INSTALLS = "installs software on the system"
+SERVICE = "needs systemd, and a robot that is set up"
+LONG = "runs for minutes: "
+RUNNING = "about a mission that runs: "
+INSPECT = RUNNING + "tests/cli/team/test_ps_and_inspect.py"
+QUERY = RUNNING + "tests/cli/team/test_query.py"
+TEAM = RUNNING + "tests/cli/team"
+EXAMPLES = LONG + "tests/cli/run/test_thesis_and_examples.py runs it"
+DRIVER = "a driver of its own: tests/cli/robot/test_driver_new.py makes and tries one"
+KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
+
+#: By page: command lines, and first lines of outputs.
+EXCEPTIONS: dict[str, dict[str, str]] = {
+    "CONTRIBUTING.md": {
+        "make test": SUITE,
+        "make lint": SUITE,
+        ".venv/bin/pytest tests/vm/test_hop.py": SUITE,
+        '.venv/bin/pytest -k "hostile" tests/vm': SUITE,
+        "make bench ONLY=hop": SUITE,
+    },
+    "README.md": {
+        "sudo apt-get install python3 python3-venv make git": INSTALLS,
+        "make demo": INSTALLS,
+        "make test": SUITE,
+        "make bench": SUITE,
+        "bravo | linked with alpha": EXAMPLES,
+        "lfield up mission.lfm --host alpha": HARDWARE,
+        "lfield up --deploy mission.dL --all": HARDWARE,
+        "lfield up --deploy examples/01-first-flight/mission.dL --all --sim --dump /tmp/dumps": EXAMPLES,
+        "lfield ps": INSPECT,
+        "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,
+        "lfield doctor": "says what is wrong with this computer: tests/cli/robot has computers of its own",
+        "lfield sim mavlink --listen udp:127.0.0.1:14550 --kind copter --system 1": KIT,
+        'lfield kit mavlink --endpoint udp:127.0.0.1:14550 --set "waivers=[device_watchdog]"': KIT,
+        "lfield sim fault mavlink battery=0.2": KIT,
+    },
+    "deploy/README.md": {
+        "sudo apt-get install python3 python3-venv git": INSTALLS,
+        "sudo python3 -m venv /opt/lfield": INSTALLS,
+        "sudo /opt/lfield/bin/pip install '/path/to/this/repository[mavlink,fast]'": INSTALLS,
+        "sudo useradd --system --user-group --groups dialout lfield": INSTALLS,
+        'sudo usermod --append --groups lfield "$USER"': INSTALLS,
+        "sudo mkdir -p /etc/lfield": INSTALLS,
+        "sudo cp mission.lfm deploy/lfield.env /etc/lfield/": INSTALLS,
+        "sudo cp deploy/lfield@.service /etc/systemd/system/": INSTALLS,
+        "sudo systemctl daemon-reload": SERVICE,
+        "lfield up mission.lfm --all --sim --until-done": EXAMPLES,
+        "sudo systemctl start lfield@alpha": SERVICE,
+        "journalctl -fu lfield@alpha": SERVICE,
+    },
+    "drivers/lfield_can/README.md": {
+        "sudo ip link set can0 up type can bitrate 500000 restart-ms 100": HARDWARE,
+    },
+    "examples/01-first-flight/README.md": {
+        "lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done": EXAMPLES,
+        "alpha | lead: taking off to 3.0 m": EXAMPLES,
+        "bravo | pilot: never closer than 10.9 m; batteries lead 95 %, wing 95 %": EXAMPLES,
+        "lfield ps --deploy examples/01-first-flight/mission.dL": INSPECT,
+        "$ lfield ps --deploy examples/01-first-flight/mission.dL": INSPECT,
+    },
+    "examples/02-equivalent-lift/README.md": {
+        "python examples/02-equivalent-lift/demo.py": f"{LONG}tests/cli/run/test_equivalent_lift.py",
+        "Run 1: everything works": f"{LONG}tests/cli/run/test_equivalent_lift.py",
+    },
+    "examples/03-mixed-team/README.md": {
+        "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,
+        "sky   | carrier.fc: it has a watchdog of 2 s: nothing stops it sooner when this computer dies "
+        "(waived by its binding)": EXAMPLES,
+    },
+    "lfield/docs/drivers.md": {
+        "lfield driver new lamp && cd lfield_lamp && pip install -e .": DRIVER,
+        "lfield sim lamp --listen tcp:127.0.0.1:5599 &": DRIVER,
+        "lfield kit lamp --endpoint tcp:127.0.0.1:5599 --yes": DRIVER,
+    },
+    "lfield/docs/operations.md": {
+        "this computer cannot keep 'silence: 0.1': it was late by 0.12 s and could keep 0.3 s: free the "
+        "computer, let its guards": "a computer that is late: tests/devices/test_late_computer.py",
+        'lfield estop --reason "person on the field"': TEAM,
+        "lfield estop mission.lfm --map alpha=10.42.0.11:8181 --map bravo=10.42.0.12:8181": TEAM,
+        "stopping tour-0a1b2c3d: alpha, bravo": TEAM,
+        "lfield query Lift --deploy mission.dL --at air --json": QUERY,
+        "from the running team: 4 of 4 hosts answered": QUERY,
+        "HOST    AGENT   TYPE    STATE                                HOPS  SERVED   HEAP": TEAM,
+        "lfield inspect dumps/survey.block": INSPECT,
+        "$ lfield inspect dumps/survey.block": INSPECT,
+    },
+    "lfield/driver/skeleton/README.md.in": {
+        "pip install -e .": DRIVER,
+        "lfield sim $name --listen tcp:127.0.0.1:5599 &": DRIVER,
+        "lfield kit $name --endpoint tcp:127.0.0.1:5599 --yes": DRIVER,
+        "lfield sim fault $name silent=true": DRIVER,
+        "pytest": DRIVER,
+    },
+}
+
+#: By page: files of the repository that it speaks of by other names. A folder is a mission.
+FILES: dict[str, dict[str, str]] = {
+    "lfield/docs/operations.md": {
+        "mission.L": "examples/02-equivalent-lift/mission.L",
+        "mission.dL": "examples/02-equivalent-lift/mission.dL",
+        "mission.capabilities.yaml": "examples/02-equivalent-lift/mission.capabilities.yaml",
+    },
+    "drivers/lfield_can/README.md": {"gripper.dbc": "sim-adapters/lfield_sim/can/gripper.dbc"},
+    "drivers/lfield_mavlink/README.md": {"keys/alpha.key": "LICENSE"},
+}

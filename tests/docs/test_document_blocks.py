@@ -1,0 +1,204 @@
+"""Every fenced block of every document is true: programs compile, files check, lines run and print that."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from document_blocks import ROOT, Block, blocks_by_page, blocks_of, shell_lines, without_comment
+from document_checks import missing_lines, opened, problems_of, wanted_status
+from document_exceptions import EXCEPTIONS, FILES
+
+from lfield.mission.load import load_mission
+
+pytestmark = pytest.mark.process
+
+BLOCKS = blocks_by_page()
+#: Seconds for a line to end.
+PATIENCE = 60.0
+#: What commands of the documents name, from the root of the repository.
+NAMED = ("examples", "deploy", "capabilities")
+
+
+@pytest.fixture
+def scratch(tmp_path: Path) -> Path:
+    """A copy of what the documents name, to run their lines in."""
+    for folder in NAMED:
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    return tmp_path
+
+
+def prepare(page: str, folder: Path) -> None:
+    """The files that a page speaks of, and those that it shows."""
+    for name, source in FILES.get(page, {}).items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / source, folder / name)
+    for block in BLOCKS[page]:
+        if block.file:
+            (folder / block.file).parent.mkdir(exist_ok=True)
+            (folder / block.file).write_text(block.text, encoding="utf-8")
+
+
+def run(line: str, folder: Path) -> tuple[int | str, str]:
+    """Run a command line; its status and all that it prints. What it leaves behind is ended with it."""
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    with tempfile.TemporaryFile() as said:
+        shell = subprocess.Popen(
+            ["bash", "-c", line], cwd=folder, env={**os.environ, "PATH": path, "HOME": str(folder)},
+            stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT, start_new_session=True,
+        )  # fmt: skip
+        try:
+            status = shell.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            status = "it did not end"
+        with suppress(ProcessLookupError):
+            os.killpg(shell.pid, signal.SIGTERM)
+        said.seek(0)
+        return status, said.read().decode("utf-8", "replace")
+
+
+def outputs_of(block: Block) -> bool:
+    """Whether it shows what was printed."""
+    return block.info == "text output"
+
+
+def lines_of(block: Block) -> list[str]:
+    """The command lines of a block; one of output may have its own."""
+    if outputs_of(block):
+        return shell_lines("\n".join(line for line in block.text.splitlines() if line.startswith("$ ")))
+    return shell_lines(block.text) if block.language == "sh" else []
+
+
+def played(page: str, folder: Path) -> list[str]:
+    """Run the lines of a page in their order; what was not as it is shown."""
+    problems, said, skipped = [], "", EXCEPTIONS.get(page, {})
+    for block in BLOCKS[page]:
+        lines = lines_of(block)
+        said = "" if lines else said
+        for line in lines:
+            if without_comment(line) not in skipped:
+                status, printed = run(line, folder)
+                said += printed
+                if status != wanted_status(line):
+                    problems.append(f"{block.place}: {line}: status {status}: {printed}")
+        if outputs_of(block) and block.text.splitlines()[0] not in skipped:
+            problems += [f"{block.place}: {each}" for each in missing_lines(block.text, said)]
+    return problems
+
+
+@pytest.mark.parametrize("page", BLOCKS)
+def test_every_block_is_what_it_says(page: str, scratch: Path) -> None:
+    prepare(page, scratch)
+    problems = [problem for block in BLOCKS[page] for problem in problems_of(block, scratch)]
+    assert not problems, "\n".join(problems)
+
+
+@pytest.mark.parametrize("page", [page for page, blocks in BLOCKS.items() if any(map(lines_of, blocks))])
+def test_every_line_runs(page: str, scratch: Path) -> None:
+    prepare(page, scratch)
+    problems = played(page, scratch)
+    assert not problems, "\n".join(problems)
+
+
+@pytest.mark.parametrize("page", EXCEPTIONS)
+def test_what_is_not_run_is_still_there(page: str) -> None:
+    there = {without_comment(line) for block in BLOCKS.get(page, []) for line in lines_of(block)}
+    there |= {block.text.splitlines()[0] for block in BLOCKS.get(page, []) if outputs_of(block)}
+    assert sorted(EXCEPTIONS[page].keys() - there) == []
+
+
+@pytest.mark.parametrize(
+    "devices", sorted((ROOT / "deploy").rglob("*.devices.yaml")), ids=lambda p: p.parent.name
+)
+def test_the_sample_bindings_open(devices: Path) -> None:
+    program = ROOT / "examples/01-first-flight/mission.L"
+    mission = load_mission(devices.with_name("mission.dL"), program, devices, simulate=True)
+    assert opened(mission.bindings.all) == []
+
+
+# --- the machine itself -------------------------------------------------------------------------------
+
+PAGE = """\
+```java
+class A { }
+```
+1. ~~~text output
+   indented
+   ~~~
+
+   ````yaml
+   a: |
+     ```
+   ````
+> ```sh
+> one \\
+>   two
+> $ three   # status 65
+> # four
+> ```
+```
+never closed
+"""
+
+
+def test_every_kind_of_fence_is_found() -> None:
+    found = list(blocks_of("page.md", PAGE))
+    assert [(block.line, block.info) for block in found] == [
+        (1, "java"),
+        (4, "text output"),
+        (8, "yaml"),
+        (12, "sh"),
+        (18, ""),
+    ]
+    assert found[1].text == "indented\n"
+    assert found[2].text == "a: |\n  ```\n"
+    assert [" ".join(line.split()) for line in shell_lines(found[3].text)] == ["one two", "three # status 65"]
+    assert wanted_status("three # status 65") == 65
+    assert found[4].text == "never closed\n"
+
+
+@pytest.mark.parametrize(
+    ("info", "text", "words"),
+    [
+        ("", "", "there is no rule for a block of ''"),
+        ("cobol", "", "there is no rule for a block of 'cobol'"),
+        ("text", "", "there is no rule for 'text'"),
+        ("java fragment", "", "there is no rule for 'java fragment'"),
+        ("java", "coordinator C { init(string[] arg) { print(x); } }\n", "error[L"),
+        ("java a.L wrong", "class A { }\n", "it shall be wrong"),
+        ("java statements of Mavlink fc", "fc.fly(new real[] {1.0});\n", "error[L"),
+        ("text a.dL", "//A\n", "error[L7"),
+        ("yaml", "registry: 1\nprimitive: {}\n", "error["),
+        ("yaml", "agents: {a: {devices: {fc: {driver: mavlink, endpoint: x, wings: 2}}}}\n", "'wings'"),
+        (
+            "yaml device",
+            "fc: {driver: mavlink, endpoint: x, limits: {speed: 5.0}}\n",
+            "it has a watchdog of 2 s",
+        ),
+        ("yaml options mavlink", "wings: 2\n", "'wings'"),
+        ("json", "{", "Expecting"),
+        ("python", "def", "invalid syntax"),
+        ("ebnf", 'rule = "b" other ;\nNAME = letter ;\n', "no rule 'other'"),
+        ("mermaid", "stateDiagram-v2\n  A -> B\n", "no arrow"),
+        ("udev", "SUBSYSTEM=tty\n", "no rule"),
+        ("sh", "lfield fly\n", "there is no subcommand 'fly'"),
+        ("sh", "lfield up m.dL --everything\n", "unrecognized arguments"),
+        ("sh", "cd x && lfield ps m.dL n.dL\n", "unrecognized arguments"),
+    ],
+)
+def test_what_is_wrong_is_found(tmp_path: Path, info: str, text: str, words: str) -> None:
+    problems = problems_of(Block("page.md", 7, info, text), tmp_path)
+    assert problems
+    assert problems[0].startswith("page.md:7: ")
+    assert words in "\n".join(problems)
+
+
+def test_what_was_not_printed_is_found() -> None:
+    assert missing_lines("a 12 b\n...\nc\n", "a 7.5  b\nd\n") == ["was not printed: c"]

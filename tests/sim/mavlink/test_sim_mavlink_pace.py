@@ -1,0 +1,158 @@
+"""Which speed the fakes keep, and which they forget: the traces c-speed of the three autopilots."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from mavlink_client import ACCEPTED, ARM, DENIED, FAILED, GUIDED, MODE, SPEED, TAKEOFF, Client
+
+NAN = math.nan
+PLACE, BOTH, VELOCITY = 0x0DF8, 0x0DC0, 0x0DC7
+
+
+def top(c, seconds=8.0):
+    """The highest speed over ground in the next seconds."""
+    found = 0.0
+    for _ in range(round(seconds / 0.1)):
+        c.wait(0.1)
+        found = max(found, math.hypot(*c.autopilot.vehicle.velocity[:2]))
+    return found
+
+
+@pytest.fixture
+def copter():
+    c = Client()
+    c.up(10.0)
+    c.wait(4.0)
+    return c
+
+
+def set_speed(c, speed):
+    return c.command(SPEED, 1, speed, -1)
+
+
+def go(c, north, mask=PLACE, velocity=(0, 0, 0)):
+    c.target(mask, (north, 0, -10), velocity)
+
+
+def test_a_speed_set_before_the_first_place_is_accepted_and_lost(copter):
+    assert set_speed(copter, 3) == ACCEPTED
+    go(copter, 60)
+    assert top(copter) > 6.0
+
+
+def test_a_speed_set_on_the_way_is_kept_until_position_control_starts_anew(copter):
+    go(copter, 60)
+    copter.wait(0.2)
+    assert set_speed(copter, 3) == ACCEPTED
+    assert top(copter) == pytest.approx(3.0, abs=0.1)
+    go(copter, -60)
+    assert top(copter) == pytest.approx(3.0, abs=0.1), "the next place keeps it"
+    copter.target(VELOCITY, velocity=(0, 1, 0))
+    copter.wait(1.0)
+    go(copter, 60)
+    assert top(copter) > 6.0, "a velocity in between has ended it"
+
+
+def test_a_place_where_it_is_starts_position_control_too(copter):
+    go(copter, copter.place[0])
+    copter.wait(0.3)
+    set_speed(copter, 3)
+    go(copter, 60)
+    assert top(copter) == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_place_with_a_velocity_is_flown_to_as_fast_as_it_can(copter):
+    go(copter, copter.place[0])
+    set_speed(copter, 3)
+    go(copter, 60, BOTH, (3, 0, 0))
+    assert top(copter) > 8.0
+
+
+def test_the_speed_of_a_reposition_is_accepted_and_ignored(copter):
+    lat, lon = copter.fake.place.at(60.0, 0.0)
+    assert copter.command_int(192, 3, 1, 0, NAN, x=lat, y=lon, z=10.0, frame=6) == ACCEPTED
+    assert top(copter) > 8.0
+
+
+def test_its_own_speed_acts_at_the_next_start_only(copter):
+    go(copter, 60)
+    copter.autopilot.parameters["WPNAV_SPEED"] = 300
+    copter.autopilot.apply_parameters()
+    assert top(copter, 4.0) > 6.0
+    copter.target(VELOCITY, velocity=(6, 0, 0))
+    copter.wait(2.5)
+    assert top(copter, 0.4) == pytest.approx(6.0, abs=0.1), "and bounds no velocity"
+    go(copter, -60)
+    copter.wait(6.0)
+    assert top(copter) == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_rover_takes_a_speed_only_on_its_way():
+    c = Client("rover")
+    c.command(MODE, 1, 15)
+    c.command(ARM, 1)
+    assert set_speed(c, 2) == FAILED
+    lat, lon = c.fake.place.at(60.0, 0.0)
+    assert c.command_int(192, 2, 1, 0, NAN, x=lat, y=lon, z=0.0, frame=6) == FAILED
+    assert top(c, 3.0) == 0.0
+    c.target(PLACE, (80, 0, 0))
+    assert set_speed(c, 2) == ACCEPTED
+    assert top(c) == pytest.approx(2.0, abs=0.1)
+    c.target(PLACE, (120, 0, 0))
+    assert top(c) == pytest.approx(2.0, abs=0.1)
+    c.command(MODE, 1, 4)
+    c.command(MODE, 1, 15)
+    assert set_speed(c, 2) == FAILED, "GUIDED was entered anew"
+    c.target(PLACE, (160, 0, 0))
+    c.autopilot.parameters["WP_SPEED"] = 1.5
+    assert top(c) == pytest.approx(2.0, abs=0.1), "it was still rolling"
+    assert c.autopilot.vehicle.velocity[0] == pytest.approx(1.5, abs=0.1)
+
+
+@pytest.fixture
+def px4():
+    c = Client(flavour="px4", beats=True)
+    c.autopilot.parameters["MIS_TAKEOFF_ALT"] = 10
+    c.heartbeat()
+    c.command(ARM, 1)
+    c.command(TAKEOFF, *[NAN] * 7)
+    c.wait(15.0)
+    return c
+
+
+def reposition(c, north, speed=-1.0):
+    lat, lon = c.fake.place.at(north, 0.0)
+    assert c.command_int(192, speed, 1, 0, NAN, x=lat, y=lon, z=c.fake.place.altitude + 10) == ACCEPTED
+
+
+def test_px4_keeps_the_speed_of_a_goal_for_this_goal(px4):
+    reposition(px4, 80, 3)
+    assert top(px4) == pytest.approx(2.6, abs=0.1), "of what it is asked for it flies seven eighths"
+    reposition(px4, -80)
+    assert top(px4, 12.0) == pytest.approx(4.35, abs=0.1)
+
+
+def test_px4_keeps_a_changed_speed_until_it_is_told_not_to(px4):
+    reposition(px4, 80)
+    assert set_speed(px4, 2) == ACCEPTED
+    assert top(px4, 5.0) < 2.0
+    reposition(px4, -80)
+    assert top(px4) < 2.0
+    assert set_speed(px4, -1) == ACCEPTED
+    reposition(px4, 80)
+    assert top(px4, 12.0) == pytest.approx(4.35, abs=0.1)
+
+
+def test_px4_flies_nothing_faster_than_the_cap(px4):
+    px4.autopilot.parameters["MPC_XY_VEL_MAX"] = 3.0
+    px4.autopilot.apply_parameters()
+    reposition(px4, 80, 6)
+    assert top(px4) == pytest.approx(2.6, abs=0.1)
+
+
+def test_no_speed_is_none(copter):
+    assert set_speed(copter, 0) == DENIED
+    assert set_speed(copter, -5) == DENIED
+    assert copter.command(MODE, 1, GUIDED) == ACCEPTED

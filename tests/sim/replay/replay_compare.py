@@ -1,0 +1,350 @@
+"""What the real one and the fake did, side by side: the differences that matter.
+
+Each has a key, which stays the same as long as it is the same difference (it names the time of the input,
+never what is measured on the fake), and a detail for people. How far two may be apart is said at each
+constant; it is what the recordings themselves differ by where one thing was recorded several times.
+"""
+
+from __future__ import annotations
+
+import ast
+import itertools
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from replay_player import Played, is_motion
+from replay_services import services
+from replay_trace import PRE_ARM, Line, Trace
+
+from lfield_sim.autopilot.autopilot import FLAVOURS
+from lfield_sim.autopilot.flavours import Result
+
+#: Seconds: heartbeats come once a second, so two recordings of one thing tell it up to 1.0 apart (0.0 to 1.0
+#: on ArduPilot, 0.5 to 1.0 on PX4), and the failsafes' own times spread by 0.3 (1.3 to 1.6, 6.6 to 7.1).
+STATE_TIME, STATE_SHARE = 1.4, 0.1
+#: Texts come with a state or an input; some wait for the next second.
+TEXT_TIME = 2.0
+#: Acknowledgements: 0.001 to 0.03 of one loop, 0.1 for what waits for the next 10 Hz, 0.3 when the computer
+#: was busy.
+ACK_TIME = 0.35
+#: Top speeds of one leg flown again differ by 0.1 of 3 m/s (ArduCopter) and 0.2 of 4.3 (PX4); ways alike.
+SPEED, SPEED_SHARE, DISTANCE, DISTANCE_SHARE = 0.3, 0.12, 1.0, 0.12
+#: Heights hover within 0.3 (ArduCopter); PX4's home moves under them by 1 m.
+HEIGHT, HEADING = 0.8, 15.0
+#: Of rates: a window of 6 to 10 s counts one message more or less.
+RATE, RATE_SHARE = 0.17, 0.15
+#: First times after a cold start: HOME_POSITION 20.05 to 20.1, LOCAL_POSITION_NED 42.0 to 42.1, PX4's bit 4.4
+#: to 6.0.
+FIRST_TIME, FIRST_SHARE = 1.7, 0.02
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Difference:
+    """One thing that the fake did otherwise."""
+
+    key: str
+    detail: str = ""
+
+
+def differences(real: Trace, played: Played) -> list[Difference]:
+    """All of one recording, each key once, in the order of time."""
+    comparisons: list[Callable[[Trace, Played], Iterator[Difference]]] = [
+        _holds, _acknowledgements, _texts, _states, _motions, _firsts, _rates, _came, _heights,
+    ]  # fmt: skip
+    found = [each for compare in comparisons for each in compare(real, played)]
+    found += [Difference(*each) for each in services(real, played.trace)]
+    return list({each.key: each for each in found}.values())
+
+
+def _holds(_: Trace, played: Played) -> Iterator[Difference]:
+    for t, seconds, what in played.holds:
+        yield Difference(f"{t:.1f} not {what} yet", f"{seconds:.1f} s later")
+
+
+# -- acknowledgements ------------------------------------------------------------------------------------
+
+
+def _acknowledgements(real: Trace, played: Played) -> Iterator[Difference]:
+    commands = [line for line in real.inputs if line.type.startswith("COMMAND_")]
+    for number, line in enumerate(commands):
+        same = (c.t for c in commands[number + 1 :] if c.fields["command"] == line.fields["command"])
+        end = min(next(same, math.inf), line.t + 8.0)
+        ours, theirs = _acks(real, line, end), _acks(played.trace, line, end)
+        said, told = _words(ours), _words(theirs)
+        what = f"{line.t:.1f} {_call(line)}"
+        if said != told:
+            yield Difference(f"{what}: {said} / {told}")
+        elif ours and abs(ours[0].t - theirs[0].t) > ACK_TIME:
+            yield Difference(
+                f"{what}: time of the acknowledgement",
+                f"{ours[0].t - line.t:.2f} / {theirs[0].t - line.t:.2f} s",
+            )
+
+
+def _acks(trace: Trace, line: Line, end: float) -> list[Line]:
+    acks = trace.between(line.t, end, "COMMAND_ACK")
+    return [ack for ack in acks if ack.fields["command"] == line.fields["command"]]
+
+
+def _words(acks: list[Line]) -> str:
+    words = [Result(int(ack.get("result"))).name for ack in acks]
+    return ", ".join(word for n, word in enumerate(words) if n == 0 or word != words[n - 1]) or "no answer"
+
+
+def _call(line: Line) -> str:
+    """A command with the parameters that tell it from others."""
+    values = (
+        [line.get(f"param{n}") for n in range(1, 6)] if line.type == "COMMAND_LONG" else [line.get("param1")]
+    )
+    while values and (values[-1] == 0.0 or math.isnan(values[-1])):
+        values.pop()
+    return f"command {line.fields['command']}({', '.join(f'{v:g}' for v in values)})"
+
+
+# -- texts -----------------------------------------------------------------------------------------------
+
+
+def texts(trace: Trace) -> list[tuple[float, str]]:
+    """What it said, numbers as #, long texts whole."""
+    found: list[tuple[float, str]] = []
+    last = 0
+    for line in trace.out("STATUSTEXT"):
+        text, number = str(line.fields["text"]), int(line.fields.get("id") or 0)
+        if number and number == last and line.fields.get("chunk_seq"):
+            found[-1] = found[-1][0], found[-1][1] + text
+        else:
+            found.append((line.t, text))
+        last = number
+    return [(t, re.sub(r"-?\d+(\.\d+)?", "#", text).strip()) for t, text in found]
+
+
+def _texts(real: Trace, played: Played) -> Iterator[Difference]:
+    theirs = texts(played.trace)
+    missing: Counter[str] = Counter()
+    for t, text in texts(real):
+        patience = TEXT_TIME + STATE_SHARE * min(t - _input_before(real, t), 40.0)
+        near = [each for each in theirs if each[1] == text and abs(each[0] - t) <= patience]
+        if near:
+            theirs.remove(min(near, key=lambda each: abs(each[0] - t)))
+        else:
+            missing[text] += 1
+    extra = Counter(text for _, text in theirs)
+    yield from (Difference(f"text missing: {text}", f"{count} times") for text, count in missing.items())
+    yield from (Difference(f"text too many: {text}", f"{count} times") for text, count in extra.items())
+
+
+def _input_before(trace: Trace, t: float) -> float:
+    """When the last input that may have led to something came."""
+    times = [line.t for line in trace.inputs if line.t <= t and line.fields.get("command") not in (511, 512)]
+    return max(times, default=0.0)
+
+
+# -- states ----------------------------------------------------------------------------------------------
+
+
+def _states(real: Trace, played: Played) -> Iterator[Difference]:
+    mode = _mode_name(real)
+    for field, kind, value in (
+        ("mode", "HEARTBEAT", lambda m: mode(m.fields["custom_mode"])),
+        ("armed", "HEARTBEAT", lambda m: bool(int(m.get("base_mode")) & 128)),
+        ("system_status", "HEARTBEAT", lambda m: m.fields["system_status"]),
+        ("landed_state", "EXTENDED_SYS_STATE", lambda m: m.fields["landed_state"]),
+        ("breach_status", "FENCE_STATUS", lambda m: m.fields["breach_status"]),
+        ("pre-arm bit", "SYS_STATUS", lambda m: bool(int(m.get("onboard_control_sensors_health")) & PRE_ARM)),
+        ("mode of CURRENT_MODE", "CURRENT_MODE", lambda m: mode(m.fields["custom_mode"])),
+        ("intended mode", "CURRENT_MODE", lambda m: mode(m.fields["intended_custom_mode"])),
+        ("current item", "MISSION_CURRENT", lambda m: m.fields["seq"]),
+        ("total of items", "MISSION_CURRENT", lambda m: m.fields["total"]),
+        ("mission_state", "MISSION_CURRENT", lambda m: m.fields["mission_state"]),
+    ):
+        ours, theirs = (_changes(trace, kind, value) for trace in (real, played.trace))
+        if bool(ours) != bool(theirs):
+            yield Difference(f"{field}: {'is not told' if ours else 'is told'}")
+        yield from _apart(real, field, ours, theirs)
+
+
+def _changes(trace: Trace, kind: str, value: Callable[[Line], object]) -> list[tuple[float, object]]:
+    found: list[tuple[float, object]] = []
+    for line in trace.out(kind):
+        if not found or found[-1][1] != value(line):
+            found.append((line.t, value(line)))
+    return found
+
+
+def _apart(
+    real: Trace, field: str, ours: list[tuple[float, object]], theirs: list[tuple[float, object]]
+) -> Iterator[Difference]:
+    """Where two histories of one thing differ for longer than they may."""
+    if not ours or not theirs:
+        return
+    since = max(ours[0][0], theirs[0][0])
+    times = sorted({t for t, _ in [*ours, *theirs] if t > since} | {since, real.end})
+    begun: tuple[float, object, object] | None = None
+    for t in times:
+        pair = _at(ours, t), _at(theirs, t)
+        if begun and (t == times[-1] or pair != begun[1:]):
+            start, mine, other = begun
+            if t - start > STATE_TIME + STATE_SHARE * min(start - _input_before(real, start), 40.0):
+                when = _input_before(real, start)
+                yield Difference(f"{when:.1f} {field}: {mine} / {other}", f"from {start:.1f} to {t:.1f}")
+            begun = None
+        if begun is None and pair[0] != pair[1]:
+            begun = t, *pair
+
+
+def _at(history: list[tuple[float, object]], t: float) -> object:
+    return [value for at, value in history if at <= t][-1]
+
+
+def _mode_name(trace: Trace) -> Callable[[object], str]:
+    kind = FLAVOURS["px4" if trace.px4 else "ardupilot"][str(trace.header["vehicle"])]
+    return lambda number: kind.mode_name(int(str(number))) or str(number)
+
+
+# -- motions ---------------------------------------------------------------------------------------------
+
+
+def _motions(real: Trace, played: Played) -> Iterator[Difference]:
+    """Top speed, way, height and heading between two inputs that move it."""
+    moves = [line.t for line in real.inputs if is_motion(line)]
+    for start, end in itertools.pairwise([*moves, real.end]):
+        if end - start < 1.5:
+            continue
+        ours, theirs = (trace.between(start, end, "LOCAL_POSITION_NED") for trace in (real, played.trace))
+        if len(ours) < 4 or len(theirs) < 4:
+            continue
+        for what, measure, slack, share in (
+            ("top speed", _top_speed, SPEED, SPEED_SHARE), ("way", _way, DISTANCE, DISTANCE_SHARE),
+            ("climb", _climb, HEIGHT, DISTANCE_SHARE),
+        ):  # fmt: skip
+            a, b = measure(ours), measure(theirs)
+            if abs(a - b) > slack + share * abs(a):
+                yield Difference(f"{start:.1f} {what}", f"{a:.2f} / {b:.2f}")
+        yield from _turn(real, played.trace, start, end)
+
+
+def _top_speed(lines: list[Line]) -> float:
+    return max(math.hypot(line.get("vx"), line.get("vy")) for line in lines)
+
+
+def _way(lines: list[Line]) -> float:
+    first, last = lines[0], lines[-1]
+    return math.hypot(last.get("x") - first.get("x"), last.get("y") - first.get("y"))
+
+
+def _climb(lines: list[Line]) -> float:
+    return lines[0].get("z") - lines[-1].get("z")
+
+
+def _turn(real: Trace, fake: Trace, start: float, end: float) -> Iterator[Difference]:
+    """How far it turned; only where ATTITUDE was asked for."""
+    turns = []
+    for trace in (real, fake):
+        lines = trace.between(start, end, "ATTITUDE")
+        if len(lines) < 4:
+            return
+        steps = itertools.pairwise(lines)
+        turns.append(sum(math.remainder(b.get("yaw") - a.get("yaw"), math.tau) for a, b in steps))
+    ours, theirs = (math.degrees(turn) for turn in turns)
+    if abs(math.remainder(ours - theirs, 360.0)) > HEADING + DISTANCE_SHARE * min(abs(ours), 180.0):
+        yield Difference(f"{start:.1f} turn", f"{ours:.0f} / {theirs:.0f} degrees")
+
+
+# -- what is only in some recordings ---------------------------------------------------------------------
+
+
+def _firsts(real: Trace, played: Played) -> Iterator[Difference]:
+    """Cold starts: when what is told is there."""
+    if not real.scenario.startswith("a-"):
+        return
+    for what, kind, is_so in (
+        ("HEARTBEAT", "HEARTBEAT", lambda m: True),
+        ("GPS fix", "GPS_RAW_INT", lambda m: m.get("fix_type") >= 3),
+        ("HOME_POSITION", "HOME_POSITION", lambda m: True),
+        ("GPS_GLOBAL_ORIGIN", "GPS_GLOBAL_ORIGIN", lambda m: True),
+        ("GLOBAL_POSITION_INT", "GLOBAL_POSITION_INT", lambda m: True),
+        ("LOCAL_POSITION_NED", "LOCAL_POSITION_NED", lambda m: True),
+        ("EKF position", "EKF_STATUS_REPORT", lambda m: bool(int(m.get("flags")) & 0x10)),
+        ("pre-arm bit", "SYS_STATUS", lambda m: bool(int(m.get("onboard_control_sensors_health")) & PRE_ARM)),
+    ):
+        a, b = real.first(kind, is_so), played.trace.first(kind, is_so)
+        if (a is None) != (b is None) or (a and b and abs(a - b) > FIRST_TIME + FIRST_SHARE * a):
+            yield Difference(f"first {what}", f"{a} / {b and round(b, 2)}")
+
+
+def _rates(real: Trace, played: Played) -> Iterator[Difference]:
+    """Messages a second of each type, in the windows that the recorder counted."""
+    for note in real.notes:
+        head, found = note.text, re.search(r"(\{'.*\})$", note.text)
+        if not head.startswith("FACT") or not real.scenario.startswith("k-") or not found:
+            continue
+        told: dict[str, float] = ast.literal_eval(found.group(1).rpartition(", then ")[2] or found.group(1))
+        seconds = _window(head)
+        for kind in sorted({*told, *(played.counts if len(told) > 5 or "nothing sent" in head else ())}):
+            if kind in ("PARAM_VALUE", "STATUSTEXT", "COMMAND_ACK"):
+                continue
+            counted = sum(note.t - seconds <= t < note.t for t in played.counts.get(kind, ())) / seconds
+            rate = told.get(kind, 0.0)
+            if abs(rate - counted) > RATE + RATE_SHARE * rate:
+                yield Difference(f"{note.t:.0f} rate of {kind}", f"{rate:g} / {counted:.1f} a second")
+
+
+def _window(text: str) -> float:
+    """How long the recorder counted (`k-streams` in its scripts)."""
+    if "10 s" in text:
+        return 10.0
+    return 6.0 if "interval -1" in text or "heartbeats off" in text else 8.0
+
+
+def _came(real: Trace, played: Played) -> Iterator[Difference]:
+    """Whether what REQUEST_MESSAGE asked for came."""
+    for note in real.notes:
+        found = re.match(
+            r"FACT REQUEST_MESSAGE (\d+) (\S+).*: \w[\w ]* after ([\d.]+) s, (\d+) came", note.text
+        )
+        if not found:
+            continue
+        kind, came = found.group(2), int(found.group(4)) > 0
+        start = note.t - 0.3 - float(found.group(3)) - 0.02
+        fake = any(start <= t < note.t for t in played.counts.get(kind, ()))
+        if came != fake:
+            yield Difference(f"{note.t:.1f} {kind}: {'came' if came else 'did not come'}")
+
+
+def _heights(real: Trace, played: Played) -> Iterator[Difference]:
+    """Home and heights: how much they move in a minute, and where home is in the local frame."""
+    if not real.scenario.startswith("i-"):
+        return
+    for note in real.notes:
+        seconds = re.search(r", (\d+) s: HOME_POSITION", note.text)
+        start = note.t - float(seconds.group(1)) if seconds else note.t - 1.0
+        for what, kind, value, slack in (
+            ("home's altitude", "HOME_POSITION", lambda m: m.get("altitude") / 1000, 0.4),
+            ("relative_alt", "GLOBAL_POSITION_INT", lambda m: m.get("relative_alt") / 1000, 0.6),
+            ("-z", "LOCAL_POSITION_NED", lambda m: -m.get("z"), 0.6),
+        ):
+            a, b = (_spread(trace.between(start, note.t, kind), value) for trace in (real, played.trace))
+            if seconds and a is not None and b is not None and abs(a - b) > slack + 0.4 * a:
+                yield Difference(f"{note.t:.0f} {what} moves", f"by {a:.2f} / {b:.2f} m")
+        yield from _home(real, played.trace, note.t)
+
+
+def _spread(lines: list[Line], value: Callable[[Line], float]) -> float | None:
+    values = [value(line) for line in lines]
+    return max(values) - min(values) if values else None
+
+
+def _home(real: Trace, fake: Trace, t: float) -> Iterator[Difference]:
+    ours, theirs = real.last("HOME_POSITION", t), fake.last("HOME_POSITION", t)
+    high, low = real.last("GLOBAL_POSITION_INT", t), fake.last("GLOBAL_POSITION_INT", t)
+    if ours is None or theirs is None or high is None or low is None:
+        return
+    for axis, slack in (("x", 1.0), ("y", 1.0), ("z", 1.5)):
+        if abs(ours.get(axis) - theirs.get(axis)) > slack:
+            yield Difference(f"{t:.0f} home's {axis}", f"{ours.get(axis):.1f} / {theirs.get(axis):.1f}")
+    a, b = high.get("relative_alt") / 1000, low.get("relative_alt") / 1000
+    if abs(a - b) > 2.0:
+        yield Difference(f"{t:.0f} relative_alt", f"{a:.1f} / {b:.1f}")

@@ -1,0 +1,197 @@
+"""Exchanges of parameters, missions, files and logs, side by side: keys and details of differences."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from replay_trace import Line, Trace
+
+#: Seconds: a parameter is told 0.001 to 0.03 after it was asked for, or 0.1 late (0.09 to 0.13).
+PARAMETER_TIME = 0.07
+#: Seconds: requests of an upload come again each 0.25 to 0.27, or 1.00 to 1.01; items reached within 10 %.
+PLAN_TIME, REACH_TIME, REACH_SHARE = 0.2, 2.0, 0.1
+#: How long what answers an input is waited for, in seconds.
+PARAMETER_WINDOW, PLAN_WINDOW = 1.5, 10.0
+PLANS = (
+    "MISSION_COUNT",
+    "MISSION_ITEM",
+    "MISSION_ITEM_INT",
+    "MISSION_REQUEST",
+    "MISSION_REQUEST_INT",
+    "MISSION_ACK",
+)
+ASKING = (*PLANS, "MISSION_REQUEST_LIST", "MISSION_CLEAR_ALL", "MISSION_SET_CURRENT")
+
+Found = tuple[str, str]
+
+
+def services(real: Trace, fake: Trace) -> Iterator[Found]:
+    """Keys and details."""
+    yield from _parameters(real, fake)
+    yield from _plans(real, fake)
+    yield from _reached(real, fake)
+    yield from _logs(real, fake)
+    if real.scenario.startswith("j-"):
+        yield from _files(real, fake)
+
+
+# -- parameters ------------------------------------------------------------------------------------------
+
+
+def _parameters(real: Trace, fake: Trace) -> Iterator[Found]:
+    asked = [line for line in real.inputs if line.type in ("PARAM_REQUEST_READ", "PARAM_SET")]
+    others = [line.t for line in real.inputs if line.type.startswith("PARAM_")]
+    for line in asked:
+        end = min([t for t in others if t > line.t] + [line.t + PARAMETER_WINDOW])
+        ours, theirs = (_told(trace, line, end) for trace in (real, fake))
+        what = f"{line.t:.1f} {_question(line)}"
+        mine, other = _value(ours), _value(theirs)
+        if mine != other:
+            yield f"{what}: {mine} / {other}", ""
+        elif ours and abs(ours[0].t - theirs[0].t) > PARAMETER_TIME:
+            yield f"{what}: time", f"{ours[0].t - line.t:.3f} / {theirs[0].t - line.t:.3f} s"
+
+
+def _told(trace: Trace, line: Line, end: float) -> list[Line]:
+    name = line.fields.get("param_id")
+    values = trace.between(line.t, end, "PARAM_VALUE", "PARAM_ERROR")
+    if name:
+        return [value for value in values if value.fields["param_id"] == name]
+    return [value for value in values if value.fields.get("param_index") == line.fields.get("param_index")]
+
+
+def _question(line: Line) -> str:
+    if line.type == "PARAM_SET":
+        value, kind = line.get("param_value"), line.fields["param_type"]
+        return f"set {line.fields['param_id']} = {value:.4g} as type {kind}"
+    return f"read {line.fields['param_id'] or line.fields['param_index']}"
+
+
+def _value(lines: list[Line]) -> str:
+    if not lines:
+        return "silence"
+    line = lines[0]
+    if line.type == "PARAM_ERROR":
+        return "PARAM_ERROR"
+    index = "no index" if line.fields["param_index"] in (65535, -1) else "its index"
+    times = f", {len(lines)} times" if len(lines) > 1 else ""
+    return f"{line.get('param_value'):.4g} type {line.fields['param_type']} {index}{times}"
+
+
+# -- plans -----------------------------------------------------------------------------------------------
+
+
+def _plans(real: Trace, fake: Trace) -> Iterator[Found]:
+    asked = [line for line in real.inputs if line.type in ASKING]
+    for number, line in enumerate(asked):
+        after = asked[number + 1].t if number + 1 < len(asked) else line.t + PLAN_WINDOW
+        end = min(after, line.t + PLAN_WINDOW)
+        ours, theirs = (trace.between(line.t, end, *PLANS) for trace in (real, fake))
+        what = f"{line.t:.2f} {_brief(line)}"
+        mine, other = (", ".join(_brief(each) for each in lines) or "nothing" for lines in (ours, theirs))
+        if mine != other:
+            yield f"{what}: {mine} / {other}", ""
+        elif any(abs(a.t - b.t) > PLAN_TIME for a, b in zip(ours, theirs, strict=True)):
+            yield (
+                f"{what}: times",
+                f"{[round(a.t - line.t, 2) for a in ours]} / {[round(b.t - line.t, 2) for b in theirs]}",
+            )
+
+
+def _brief(line: Line) -> str:
+    fields = line.fields
+    if line.type == "MISSION_COUNT":
+        text = f"COUNT {fields['count']}"
+    elif line.type.startswith("MISSION_ITEM"):
+        # Item 0 is home, whose height is the place's.
+        height = "" if fields["frame"] == 0 else f" z {line.get('z'):.0f}"
+        text = f"{line.type[8:]} {fields['seq']} frame {fields['frame']} command {fields['command']}{height}"
+        text += f" current {fields['current']}" if fields["current"] else ""
+    elif line.type == "MISSION_ACK":
+        text = f"ACK {fields['type']}"
+    else:
+        text = f"{line.type[8:]} {fields.get('seq', '')}".strip()
+    return text + (f" of plan {fields['mission_type']}" if fields.get("mission_type") else "")
+
+
+def _reached(real: Trace, fake: Trace) -> Iterator[Found]:
+    starts = [line.t for line in real.inputs if line.fields.get("command") == 300]
+    ours, theirs = real.out("MISSION_ITEM_REACHED"), fake.out("MISSION_ITEM_REACHED")
+    for seq in sorted({int(line.get("seq")) for line in [*ours, *theirs]}):
+        a, b = ([line.t for line in lines if line.get("seq") == seq] for lines in (ours, theirs))
+        if not a or not b:
+            yield f"item {seq} reached: {'never' if not b else 'too much'}", f"{a} / {b}"
+            continue
+        since = max((t for t in starts if t <= a[0]), default=0.0)
+        if abs(a[0] - b[0]) > REACH_TIME + REACH_SHARE * (a[0] - since):
+            yield f"item {seq} reached: time", f"{a[0]:.1f} / {b[0]:.1f}"
+        if (len(a) > 1) != (len(b) > 1):
+            yield (
+                f"item {seq} reached: told {'once' if len(a) > 1 else 'again and again'}",
+                f"{len(a)} / {len(b)}",
+            )
+
+
+def _logs(real: Trace, fake: Trace) -> Iterator[Found]:
+    for line in real.inputs:
+        if line.type == "LOG_REQUEST_LIST":
+            ours, theirs = (len(trace.between(line.t, line.t + 2.0, "LOG_ENTRY")) for trace in (real, fake))
+            if (ours > 0) != (theirs > 0):
+                yield f"{line.t:.1f} log entries: {ours} / {theirs}", ""
+
+
+# -- files -----------------------------------------------------------------------------------------------
+
+ERRORS = (
+    "NONE", "FAIL", "FAIL_ERRNO", "INVALID_DATA_SIZE", "INVALID_SESSION", "NO_SESSIONS", "EOF",
+    "UNKNOWN_COMMAND", "EXISTS", "PROTECTED", "FILE_NOT_FOUND",
+)  # fmt: skip
+
+
+def _files(real: Trace, fake: Trace) -> Iterator[Found]:
+    """The recorder left the replies out; what it concluded is held against what the fake replied."""
+    block: list[Line] = []
+    for line in real.lines:
+        if line.type == "FTP":
+            block.append(line)
+        elif line.dir == "note" and block:
+            yield from _block(fake, line.text.removeprefix("FACT "), block)
+            block = []
+
+
+def _block(fake: Trace, text: str, asked: list[Line]) -> Iterator[Found]:
+    wanted = _results(text, asked)
+    for line, result in zip(asked, wanted, strict=True):
+        reply = _reply(fake, line)
+        told = "no answer" if reply is None else _word(reply)
+        if result and result != told:
+            name = str(line.fields["data"]).replace("\0", " ") if line.fields["op"] != "write" else ""
+            yield f"file {line.fields['seq']} {line.fields['op']} {name}: {result} / {told}", ""
+
+
+def _results(text: str, asked: list[Line]) -> list[str]:
+    """What each request was answered by, "" where that is not told."""
+    told = [f"NAK {name}" if name else "ACK" for name in re.findall(r"(?:NAK (\w+)|\bACK\b)", text)]
+    if "size told" in text:
+        return [
+            {"open_ro": "ACK", "terminate": "ACK", "crc": "ACK"}.get(line.fields["op"], "") for line in asked
+        ]
+    if len(told) == len(asked):
+        return told
+    if len(asked) == 1 and not told:
+        return ["ACK"]
+    return [""] * len(asked)
+
+
+def _reply(fake: Trace, line: Line) -> Line | None:
+    seq = (int(line.fields["seq"]) + 1) & 0xFFFF
+    replies = fake.between(line.t, line.t + 0.5, "FILE_TRANSFER_PROTOCOL")
+    return next((reply for reply in replies if reply.fields["seq"] == seq), None)
+
+
+def _word(reply: Line) -> str:
+    if not reply.fields["nak"]:
+        return "ACK"
+    number = reply.fields["data"][0]
+    return f"NAK {ERRORS[number] if number < len(ERRORS) else number}"

@@ -1,0 +1,57 @@
+"""The fake does what real autopilots did with the same inputs, but for what the table beside this says.
+
+`python tests/sim/replay/replay.py ap-copter.c` prints the differences of a recording. See README.md.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from functools import cache
+
+import pytest
+from replay import TO_BE_MENDED, Verdict, judge, load, matches
+from replay_trace import names
+
+#: Scenarios of which nothing may wait to be mended any more.
+MENDED: tuple[str, ...] = ()
+
+
+@cache
+def verdict(name: str) -> Verdict:
+    return judge(name, load())
+
+
+@pytest.mark.parametrize("name", names())
+def test_the_fake_does_what_the_real_one_did(name):
+    found = verdict(name)
+    assert [f"{each.key} {each.detail}" for each in found.unlisted] == []
+    assert found.stale == [], "listed, but it does not occur any more: take it out of differences.yaml"
+
+
+def test_what_is_listed_for_several_recordings_occurs_in_one_of_them():
+    gone = [
+        (trace, pattern)
+        for trace, reasons in load().items()
+        for listed in reasons.values()
+        for pattern in listed
+        if not any(matches(each, pattern) for name in _meant(trace) for each in verdict(name).found)
+    ]
+    assert gone == []
+
+
+def _meant(trace: str) -> list[str]:
+    return [name for name in names() if fnmatch.fnmatchcase(name, trace)]
+
+
+def test_nothing_waits_to_be_mended_in_what_is_done():
+    waiting = [trace for trace, reasons in load().items() if TO_BE_MENDED in reasons]
+    assert [trace for trace in waiting if trace.partition(".")[2].startswith(MENDED)] == []
+
+
+def test_each_difference_has_a_reason_in_words():
+    reasons = {why for of_trace in load().values() for why in of_trace if why != TO_BE_MENDED}
+    assert [why for why in reasons if len(why.split()) < 4] == []
+
+
+def test_there_are_recordings():
+    assert len(names()) == 50
