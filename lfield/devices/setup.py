@@ -61,6 +61,10 @@ class _Quiet:
         """A sentence for whoever sits here."""
         self._tell(f"{device}: {text}")
 
+    def breach(self, device: str, reason: str) -> None:
+        """Nothing is moved here: told, for whoever moves it."""
+        self._tell(f"{device}: {reason}")
+
     def crashed(self, reason: str | BaseException) -> None:
         """Told; what was asked then fails by itself."""
         self._tell(f"the driver failed: {reason}")
