@@ -82,8 +82,10 @@ class Setup:
         place = Place(latitude / 1e7, longitude / 1e7, start.altitude)
         fake = MavlinkFake(autopilot, system=option.system, place=place, faults=faults)
         for limit, (name, scale) in kind.speeds.items():
-            if limit in self.limits:
-                autopilot.parameters[name] = self.limits[limit] * scale
+            # What speeds up both ways does so up and down, too.
+            given = "acceleration" if limit == "vertical_acceleration" else limit
+            if given in self.limits:
+                autopilot.parameters[name] = self.limits[given] * scale
         if self.capacity is not None:
             autopilot.parameters[kind.flavour.capacity] = self.capacity
             for level in kind.flavour.battery[:1]:
