@@ -67,6 +67,8 @@ def test_the_old_way_to_ask_for_streams():
 def test_every_message_can_be_asked_for_once(kind):
     flavour = "px4" if kind in FLAVOURS["ardupilot"]["copter"].flavour.lacks else "ardupilot"
     c = Client(flavour=flavour)
+    # Of its fence ArduPilot tells only while that is on.
+    c.autopilot.parameters["FENCE_ENABLE"] = 1.0
     assert c.command(ONCE, kind) == ACCEPTED
     assert c.heard[-1].get_msgId() == kind
     assert c.command(510, kind) == ACCEPTED
@@ -238,7 +240,8 @@ def test_return_to_launch_climbs_comes_home_and_lands():
 
 def test_parameters():
     c = Client()
-    (answer,) = c.send(dialect.MAVLink_param_request_read_message(1, 1, b"FS_GCS_ENABLE", -1))
+    c.send(dialect.MAVLink_param_request_read_message(1, 1, b"FS_GCS_ENABLE", -1))
+    (answer,) = [m for m in c.wait(0.2) if m.get_type() == "PARAM_VALUE"]
     assert (answer.param_id, answer.param_value) == ("FS_GCS_ENABLE", 0.0)
     assert c.send(dialect.MAVLink_param_request_read_message(1, 1, b"NO_SUCH", -1)) == []
     assert c.send(dialect.MAVLink_param_set_message(1, 1, b"NO_SUCH", 1, 9)) == []

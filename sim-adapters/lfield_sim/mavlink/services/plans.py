@@ -185,6 +185,10 @@ class Plans(Service):
 
     def _pause_or_go_on(self, command: Command) -> Answer:
         wanted = command.whole(1)
+        if not self._home_first:
+            return Result.UNSUPPORTED, []
+        if wanted in (0, 1) and self.autopilot.role is Role.GUIDED:
+            return Result.ACCEPTED, []
         if wanted not in (0, 1) or (self.autopilot.role is not Role.MISSION and not wanted):
             return Result.DENIED, []
         if wanted:
