@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from lfield_sim.autopilot.flavours import Role
+from lfield_sim.autopilot.lifting import AT_HEIGHT, begin_takeoff
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.plans import MissionItem
 from lfield_sim.autopilot.vehicle import Circle, Descend, Reach, Vector
@@ -19,21 +20,22 @@ NAMES = {
 }  # fmt: skip
 #: What needs to be in the air.
 FLOWN = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME})
-#: Metres within which a place and a height are reached.
-AT_PLACE, AT_HEIGHT = 1.0, 0.3
+#: Metres within which a place is reached.
+AT_PLACE = 1.0
 #: Half the longest time that an item can wait, in seconds.
 LONGEST = 1e6
 
 
-def why_no_mission(pilot: Pilot) -> str:
-    """Why a mission cannot be flown, '' when it can."""
+def why_no_mission(pilot: Pilot) -> tuple[str, ...]:
+    """What is said when a mission cannot be flown, nothing when it can. PX4 on the ground enters the mode."""
     items = pilot.mission.items[1 if pilot.flavour.home_item else 0 :]
     if not items:
-        return f"Mode change to {pilot.kind.mode_for(Role.MISSION)} failed: no mission"
+        waits = pilot.flavour.takeoff_mode and not pilot.armed
+        return () if waits else pilot.flavour.no_mission
     grounded = pilot.flies and pilot.armed and not pilot.vehicle.airborne
     if grounded and not pilot.flavour.takeoff_mode and items[0].command != TAKEOFF:
-        return "Auto: Missing Takeoff Cmd"
-    return ""
+        return ("Auto: Missing Takeoff Cmd",)
+    return ()
 
 
 def fly_mission(pilot: Pilot) -> None:
@@ -41,7 +43,7 @@ def fly_mission(pilot: Pilot) -> None:
     mission = pilot.mission
     item = mission.item
     if item is None:
-        if pilot.flavour.takeoff_mode:
+        if pilot.flavour.takeoff_mode and mission.items:
             pilot.say("Mission finished, loitering")
             pilot.go_on(Role.HOLD)
         return
@@ -91,7 +93,7 @@ def _begin(pilot: Pilot, item: MissionItem) -> None:
     if item.command in FLOWN or item.command == LAND:
         pilot.vehicle.goal = Reach(place)
     elif item.command == TAKEOFF and pilot.flies:
-        pilot.vehicle.goal = Reach((*pilot.vehicle.place[:2], place[2]))
+        begin_takeoff(pilot, place[2])
     elif item.command == RETURN:
         # The mission has done its part; the way home is the other mode's.
         pilot.mission.reach()

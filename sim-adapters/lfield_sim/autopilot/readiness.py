@@ -32,8 +32,13 @@ def has_fix(pilot: Pilot) -> bool:
 
 
 def has_home(pilot: Pilot) -> bool:
-    """Whether it knows home and the origin of its frame."""
+    """Whether it knows home."""
     return warmth(pilot) >= pilot.kind.warming.home
+
+
+def has_origin(pilot: Pilot) -> bool:
+    """Whether it knows the origin of its frame."""
+    return warmth(pilot) >= pilot.kind.warming.origin
 
 
 def has_position(pilot: Pilot) -> bool:

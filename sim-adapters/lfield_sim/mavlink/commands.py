@@ -43,10 +43,14 @@ def _takeoff(sender: Sender, command: Command) -> Answer:
 
 
 def _land(sender: Sender, _: Command) -> Answer:
+    if sender.autopilot.flavour.submodes:
+        sender.autopilot.say("Landing at current position\t")
     return sender.autopilot.command_role(Role.LAND), []
 
 
 def _return(sender: Sender, _: Command) -> Answer:
+    if sender.autopilot.flavour.submodes:
+        sender.autopilot.say("Returning to launch\t")
     return sender.autopilot.go_home(), []
 
 
@@ -114,7 +118,9 @@ def _reboot(sender: Sender, command: Command) -> Answer:
 
 
 def _terminate(sender: Sender, command: Command) -> Answer:
-    return (sender.autopilot.terminate() if command.value(1) > 0.5 else Result.ACCEPTED), []
+    if command.value(1) > 0.5:
+        return sender.autopilot.terminate(), []
+    return (Result.DENIED if sender.autopilot.flavour.submodes else Result.FAILED), []
 
 
 def _set_interval(sender: Sender, command: Command) -> Answer:
@@ -122,6 +128,8 @@ def _set_interval(sender: Sender, command: Command) -> Answer:
     flavour = sender.autopilot.flavour
     if not sender.can_send(kind) or kind in flavour.unasked_only:
         return (Result.FAILED if flavour.submodes else Result.DENIED), []
+    if micros > 0 and 1e6 / micros > flavour.fastest:
+        return Result.DENIED, []
     # -1 stops the stream; 0 asks for the default rate, which on ArduPilot is none.
     sender.stream(kind, 1e6 / micros if micros > 0 else sender.default_rate(kind) if micros == 0 else 0.0)
     return Result.ACCEPTED, []
@@ -138,7 +146,7 @@ def _get_interval(sender: Sender, command: Command) -> Answer:
 def _request_message(sender: Sender, command: Command) -> Answer:
     kind = command.whole(1)
     found = sender.find(kind)
-    if found is None:
+    if found is None or kind in sender.autopilot.flavour.streamed_only:
         return (Result.DENIED if sender.autopilot.flavour.submodes else Result.FAILED), []
     return Result.ACCEPTED, found
 
