@@ -50,6 +50,8 @@ def _state(autopilot: Autopilot) -> int:
     """MAV_STATE: an ArduCopter is active in the air, a rover unless it holds, PX4 when it is armed."""
     if autopilot.critical:
         return int(dialect.MAV_STATE_CRITICAL)
+    if autopilot.calibrating:
+        return int(dialect.MAV_STATE_CALIBRATING)
     if warmth(autopilot) < BOOTED and not autopilot.flavour.submodes:
         return int(dialect.MAV_STATE_BOOT if autopilot.flies else dialect.MAV_STATE_CALIBRATING)
     if autopilot.flavour.submodes:
