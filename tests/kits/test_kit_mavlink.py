@@ -24,7 +24,8 @@ def test_copters_of_both_autopilots_and_a_rover_pass(fake, try_kit):
         fake,
         "1:copter:ardupilot --set-up --param WPNAV_SPEED=500",
         "2:rover:ardupilot --set-up --param WP_SPEED=5",
-        "3:copter:px4 --set-up hold --param MPC_XY_VEL_MAX=5 --param MPC_XY_CRUISE=5 --param MPC_VEL_MANUAL=5",
+        "3:copter:px4 --set-up hold "
+        "--param MPC_XY_VEL_MAX=5 --param MPC_XY_CRUISE=5 --param MPC_VEL_MANUAL=5",
     )
     found = try_kit(
         "mavlink",
