@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.limits import LimitWatch, Verdict
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.parts.limits import LimitWatch, Verdict
 from lfield_mavlink.parts.motion import Motion
 
 #: m/s outwards that are no way out: what a hover makes of a gust.
