@@ -198,7 +198,8 @@ class Motion:
             if progress.is_over(left, self.moves, now):
                 await self._give_up(order)
                 words = patience.words.format(seconds=patience.seconds, left=left)
-                raise vehicle.error(f"{what} gave up: {words}")
+                fence = await self._fence.perhaps() if order.goal is not None else ""
+                raise vehicle.error(f"{what} gave up: {words}{fence}")
             if not asked and self._is_refused(order, progress, now):
                 asked = True
                 await self._check_fence(what, order)
