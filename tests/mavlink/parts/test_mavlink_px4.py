@@ -99,7 +99,9 @@ def test_an_accepted_offboard_that_is_not_available_is_refused_at_once(px4):
         # As measured: PX4 accepts OFFBOARD without a stream, does not enter it, and says so.
         fc.motion.stream.start = lambda message, until: None
         start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match=r"OFFBOARD refused \(.*to Offboard is currently not available"):
+        with pytest.raises(
+            DeviceError, match=r"OFFBOARD was refused: .*to Offboard is currently not available"
+        ):
             await fc.execute("setVelocity", [1.0, 0.0, 0.0])
         assert asyncio.get_running_loop().time() - start < 0.6
         # The words about OFFBOARD do not speak against another mode.
