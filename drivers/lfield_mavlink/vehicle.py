@@ -10,6 +10,7 @@ from lfield.driver import Clock, DeviceBinding, DeviceError, Manifest, Reports, 
 from lfield_mavlink.contact.contact import LINK_LOST, Contact
 from lfield_mavlink.contact.link_health import LinkHealth
 from lfield_mavlink.contact.streams import Streams
+from lfield_mavlink.limit_keeper import LimitKeeper
 from lfield_mavlink.link.ports import LinkCounts
 from lfield_mavlink.parts.fences import Fences, Rally
 from lfield_mavlink.parts.flight import Flight
@@ -57,6 +58,7 @@ class MavlinkVehicle(Contact):
         readiness = Readiness(self, self.motion)
         self._flight = Flight(self, self.motion, limits, readiness)
         self._rest = Rest(self, self.motion)
+        self._keeper = LimitKeeper(self, self.motion)
         self.parts = (
             self._flight,
             readiness,
@@ -109,7 +111,7 @@ class MavlinkVehicle(Contact):
 
     def keep(self) -> tuple[Coroutine[Any, Any, None], ...]:
         """What runs beside the calls while the vehicle is open."""
-        return (self._watch(), self._streams.keep(), self._health.keep())
+        return (self._watch(), self._streams.keep(), self._health.keep(), self._keeper.keep())
 
     async def _watch(self) -> None:
         """Tell when the link is lost and found; when it is back, what it was told is told again."""

@@ -270,7 +270,7 @@ def test_a_stuck_vehicle_gives_up(bench):
 
     async def mission(fc):
         await up(fc)
-        b.autopilot.vehicle.limits.cruise = 0.0
+        b.autopilot.pace.own = lambda: 0.0
         with pytest.raises(DeviceError, match="goTo gave up: no progress for 10 s, 30"):
             await fc.execute("goTo", [30.0, 0.0, -5.0])
         # It does not set out after all when what held it has gone.
