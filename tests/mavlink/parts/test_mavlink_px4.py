@@ -234,9 +234,9 @@ def test_what_its_failsafe_has_taken_is_told_from_what_a_pilot_has(px4):
         assert b.values["failsafe"] is True
         with pytest.raises(DeviceError, match="its failsafe, instead of OFFBOARD, has it"):
             await fc.execute("goTo", [1.0, 0.0, -5.0])
-        b.autopilot.command_mode("POSCTL")
+        b.autopilot.command_mode("AUTO.RTL")
         await asyncio.sleep(1.5)
-        with pytest.raises(DeviceError, match=r"in POSCTL, .* a pilot or another station has it"):
+        with pytest.raises(DeviceError, match=r"in AUTO.RTL, .* a pilot or another station has it"):
             await fc.execute("goTo", [1.0, 0.0, -5.0])
 
     b.run(mission)
