@@ -70,4 +70,4 @@ def test_every_instruction_has_its_method(bench):
 
 def test_every_message_that_is_asked_for_has_a_rate():
     rates = {quantity.name: quantity.rate for quantity in DEVICES["Mavlink"].telemetry}
-    assert all(any(rates[name] > 0.0 for name in names) for names in SOURCES.values())
+    assert all(max(rates[name] for name in names) > 0.0 for names in SOURCES.values())

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+from typing import Any
 
+from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import LINK_LOST, SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.link.dialect import dialect
@@ -11,6 +14,7 @@ from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
 from lfield_mavlink.parts.orders import Order
 from lfield_mavlink.parts.progress import WayBack
+from lfield_mavlink.parts.readiness import Readiness
 
 #: Seconds for a heartbeat to come that is newer than a stop; one comes every second at least.
 NEWS = 2.5
@@ -18,6 +22,12 @@ NEWS = 2.5
 GOES_OFF = 6.0
 #: Metres of home within which a rover that went off by itself has returned.
 AT_HOME = 5.0
+#: Seconds after which ArduPilot has noticed our heartbeats, and between two attempts to arm until then.
+CLEARS, ARM_AGAIN = 1.5, 0.1
+#: What it says as long as it has not.
+STATION_FAILSAFE = "GCS failsafe on"
+#: How often it is asked where home is, once it is armed.
+HOMES = 5
 #: Seconds for which an arming may be under way after it was sent last.
 UNDER_WAY = 10.0
 
@@ -25,10 +35,11 @@ UNDER_WAY = 10.0
 class Flight:
     """What brings a vehicle into the air and down, and what keeps others' hands free."""
 
-    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits) -> None:
+    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits, readiness: Readiness) -> None:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
-        self._limits = limits
-        self._arming_until = -math.inf
+        self._limits, self._readiness = limits, readiness
+        self._arming_until = self._home_at = -math.inf
+        vehicle.on(dialect.MAVLINK_MSG_ID_HOME_POSITION, self._on_home)
         # The mode in which it was left to others last, '' when it was not.
         self._left_in = ""
 
@@ -44,9 +55,50 @@ class Flight:
         if self._state.mode != vehicle.profile.arming:
             await self._motion.set_mode(vehicle.profile.arming)
         try:
-            await vehicle.achieve("arm", lambda: self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+            await self._arm()
         finally:
             self.may_be_arming()
+        await self._hear_home()
+
+    async def _arm(self) -> None:
+        """Arm; again while ArduPilot has not yet noticed our heartbeats. Raises DeviceError with the reason.
+
+        It raises its failsafe for the ground station while it is disarmed, too, and takes it back up to
+        0.35 s after a heartbeat. Until then it refuses.
+        """
+        vehicle, start = self._vehicle, self._vehicle.clock.monotonic()
+        await vehicle.seen(lambda: not self._state.critical, CLEARS)
+        while True:
+            begun = vehicle.clock.monotonic()
+            try:
+                return await vehicle.achieve(
+                    "arm", lambda: self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0
+                )
+            except DeviceError as refusal:
+                if STATION_FAILSAFE not in refusal.reason or begun - start > CLEARS:
+                    raise await self._reasoned(refusal, begun) from None
+            await asyncio.sleep(ARM_AGAIN)
+
+    async def _reasoned(self, refusal: DeviceError, begun: float) -> DeviceError:
+        """A refusal to arm with a reason: PX4 gives some of them without a word."""
+        if refusal.kind == "DeviceTimeoutException" or self._vehicle.reasons(begun):
+            return refusal
+        why = await self._readiness.do_why_not_ready()
+        return self._vehicle.error(f"{refusal.reason}, {why}") if why else refusal
+
+    async def _hear_home(self) -> None:
+        """Home moves to where it is armed: it is heard anew, since the word of it may have been lost."""
+        vehicle, since = self._vehicle, self._vehicle.clock.monotonic()
+        home = float(dialect.MAVLINK_MSG_ID_HOME_POSITION)
+        for _ in range(HOMES):
+            answer = await vehicle.exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, home)
+            if answer.result not in (None, dialect.MAV_RESULT_ACCEPTED):
+                return
+            if await vehicle.seen(lambda: self._home_at >= since, SHOWS / HOMES):
+                return
+
+    def _on_home(self, _: Any) -> None:
+        self._home_at = self._vehicle.clock.monotonic()
 
     async def do_disarm(self) -> None:
         """Motors off."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield import exits
 from lfield.cli.mission_argument import setup_command
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         told(finding)
     # On the loop of a host: it is its lateness that is measured.
     loop.run(_look(told) if args.deploy is None else _try_devices(args, told))
-    return 69 if any(finding.state == "problem" for finding in findings) else 0
+    return exits.UNAVAILABLE if any(finding.state == "problem" for finding in findings) else exits.DONE
 
 
 async def _look(told: Callable[[Finding], None]) -> None:
