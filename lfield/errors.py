@@ -21,13 +21,15 @@
         └── DeviceError           a device refused, failed or went away
             └── NotSetUp          a device keeps settings that are not those its binding needs
 
-The number is the exit status a command ends with when the exception reaches it (sysexits).
+The number is the exit status a command ends with when the exception reaches it (exits.py).
 Data is kept in attributes; `str()` is one sentence that says what is wrong and what to do.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
+
+from lfield import exits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,19 +49,19 @@ class Finding(Protocol):
 class LfieldError(Exception):
     """Root of the tree; `exit_status` is what a command returns when nobody handles it."""
 
-    exit_status = 70
+    exit_status = exits.SOFTWARE
 
 
 class UsageError(LfieldError):
     """A command line that makes no sense; the message says how to write it."""
 
-    exit_status = 64
+    exit_status = exits.USAGE
 
 
 class ProgramError(LfieldError):
     """An L program or a deployment file with errors: all of them, in source order."""
 
-    exit_status = 65
+    exit_status = exits.DATA
 
     def __init__(self, diagnostics: Sequence[Finding]) -> None:
         self.diagnostics = tuple(diagnostics)
@@ -70,7 +72,7 @@ class ProgramError(LfieldError):
 class BindingError(LfieldError):
     """A devices file that cannot be used; `problems` lists everything found wrong, a sentence each."""
 
-    exit_status = 65
+    exit_status = exits.DATA
 
     def __init__(self, problems: Sequence[str]) -> None:
         self.problems = tuple(problems)
@@ -83,7 +85,7 @@ class DevicesError(BindingError):
     `not_set_up` are those of the problems that `lfield setup` would solve.
     """
 
-    exit_status = 69
+    exit_status = exits.UNAVAILABLE
 
     def __init__(self, problems: Sequence[str], not_set_up: Sequence[str] = ()) -> None:
         self.not_set_up = frozenset(not_set_up)
@@ -91,14 +93,14 @@ class DevicesError(BindingError):
 
     def cured_by(self, command: str) -> DevicesError:
         """The same, with the command that sets up what is not."""
-        told = [f"{p}; '{command}' sets it up" if p in self.not_set_up else p for p in self.problems]
+        told = [f"{p}; this sets it up: {command}" if p in self.not_set_up else p for p in self.problems]
         return DevicesError(told)
 
 
 class ConstraintError(LfieldError):
     """A condition over attributes with mistakes; `problems` lists everything found wrong, a sentence each."""
 
-    exit_status = 65
+    exit_status = exits.DATA
 
     def __init__(self, text: str, problems: Sequence[str]) -> None:
         self.text, self.problems = text, tuple(problems)
@@ -108,7 +110,7 @@ class ConstraintError(LfieldError):
 class ProgramFileError(LfieldError):
     """A program file that is damaged, of another version, or refused by the verifier."""
 
-    exit_status = 65
+    exit_status = exits.DATA
 
     def __init__(self, reason: str, *, method: str = "", pc: int | None = None) -> None:
         self.reason, self.method, self.pc = reason, method, pc
@@ -119,7 +121,7 @@ class ProgramFileError(LfieldError):
 class BundleError(LfieldError):
     """A mission in one file that is damaged, of another version, or makes no sense."""
 
-    exit_status = 65
+    exit_status = exits.DATA
 
     def __init__(
         self, reason: str, advice: str = "build it again with 'lfield build'", *, file: str = ""
@@ -135,7 +137,7 @@ class BundleError(LfieldError):
 class BlockError(LfieldError):
     """Bytes that are not a sound block: wrong magic, wrong program, or a reference that leads nowhere."""
 
-    exit_status = 65
+    exit_status = exits.DATA
 
     def __init__(self, reason: str, *, word: int | None = None) -> None:
         self.reason, self.word = reason, word
@@ -145,7 +147,7 @@ class BlockError(LfieldError):
 class InputFileError(LfieldError):
     """A file that cannot be read."""
 
-    exit_status = 66
+    exit_status = exits.NO_INPUT
 
     def __init__(self, path: str, reason: str) -> None:
         self.path, self.reason = path, reason
@@ -155,7 +157,7 @@ class InputFileError(LfieldError):
 class OutputFileError(LfieldError):
     """A file or stream that cannot be written."""
 
-    exit_status = 73
+    exit_status = exits.NO_OUTPUT
 
     def __init__(self, path: str, reason: str) -> None:
         self.path, self.reason = path, reason
@@ -165,19 +167,19 @@ class OutputFileError(LfieldError):
 class WireError(LfieldError):
     """Bytes from a peer that break the protocol; the link they came on is closed."""
 
-    exit_status = 76
+    exit_status = exits.PROTOCOL
 
 
 class GreetingError(LfieldError):
     """A peer of another protocol, program, deployment or name; the message says which."""
 
-    exit_status = 76
+    exit_status = exits.PROTOCOL
 
 
 class AddressError(LfieldError):
     """An address that cannot be listened on or reached."""
 
-    exit_status = 69
+    exit_status = exits.UNAVAILABLE
 
     def __init__(self, address: str, reason: str) -> None:
         self.address, self.reason = address, reason
@@ -194,7 +196,7 @@ class NobodyListens(AddressError):
 class NothingRuns(LfieldError):
     """No mission runs that a command could be about; the message says where was looked."""
 
-    exit_status = 69
+    exit_status = exits.UNAVAILABLE
 
 
 class HostFailure(LfieldError):
@@ -220,7 +222,7 @@ class HostFailure(LfieldError):
 class PluginError(LfieldError):
     """A driver plugin that is unknown, broken, or lacks its vendor library."""
 
-    exit_status = 69
+    exit_status = exits.UNAVAILABLE
 
 
 class DeviceError(PluginError):

@@ -1,23 +1,57 @@
-"""The statuses a run of hosts ends with, whatever ended it; other failures bring their own (errors.py).
+"""The statuses that commands end with: those of a run of hosts, and the numbers of sysexits for all else.
 
-They stand beside the numbers of sysexits, which begin at 64. The worst of several is told: who reads only the
-number must not take a vehicle in the air for a mission that failed.
+Which command ends with which is in `lfield/docs/exit-statuses.md`; exceptions bring theirs along (errors.py).
+The worst of several hosts is told: who reads only the number must not take a vehicle in the air for a mission
+that failed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
-#: Every coordinator has ended as its program wanted.
+#: All is well; of a mission: every coordinator has ended as its program wanted.
 DONE = 0
-#: A coordinator died, was stopped before its end, or is lost for certain.
+#: A coordinator died, was stopped before its end, or is lost for certain; a check of `kit` failed.
 FAILED = 1
 #: A device has not been seen in its safe state and at rest: somebody must look at it, now.
 UNSAFE = 3
 #: Another host was not heard of for too long: what became of the mission there is not known.
 UNHEARD = 4
+#: The command line makes no sense.
+USAGE = 64
+#: What a file says is wrong: a program, deployment, bundle, devices file, registry or dump.
+DATA = 65
+#: A file cannot be read.
+NO_INPUT = 66
+#: A port, address, driver, device, host or mission that is needed is not there.
+UNAVAILABLE = 69
+#: A bug in lfield.
+SOFTWARE = 70
+#: A file cannot be written.
+NO_OUTPUT = 73
+#: What is printed finds no reader, or no room.
+INPUT_OUTPUT = 74
+#: A peer breaks the protocol between hosts, or is none of the team.
+PROTOCOL = 76
 #: Somebody stopped it.
 INTERRUPTED = 130
+
+#: For people, in the order of the numbers.
+MEANINGS: Mapping[int, str] = {
+    DONE: "success",
+    FAILED: "the mission failed: a coordinator died, or is lost for certain; of `kit`: a check failed",
+    UNSAFE: "a device was not seen in its safe state and at rest: look at it",
+    UNHEARD: "a host was not heard of for too long: what became of the mission there is not known",
+    USAGE: "the command line makes no sense",
+    DATA: "a program, deployment, bundle, devices file, registry or dump is wrong",
+    NO_INPUT: "a file cannot be read",
+    UNAVAILABLE: "unavailable: a port, address, driver, device, host or mission",
+    SOFTWARE: "a bug in lfield (`LFIELD_TRACEBACK=1` shows it)",
+    NO_OUTPUT: "a file cannot be written",
+    INPUT_OUTPUT: "what is printed finds no reader, or no room",
+    PROTOCOL: "protocol error between hosts",
+    INTERRUPTED: "interrupted",
+}
 
 #: From harmless to the one that must be told; a status that is not here counts between FAILED and UNHEARD.
 _SEVERITY = (DONE, INTERRUPTED, FAILED, None, UNHEARD, UNSAFE)

@@ -1,13 +1,4 @@
-"""The command `lfield`: finds the subcommand, runs it, turns every failure into a sentence and a status.
-
-Exit statuses (after sysexits):
-    0 success   1 the mission failed: a coordinator died, or is lost for certain
-    3 a device was not seen in its safe state and at rest: look at it
-    4 a host was not heard of for too long: what became of the mission there is not known
-    64 usage   65 bad program, deployment or data   66 no such input
-    69 unavailable: a port, driver or device   70 a bug in lfield   73 output cannot be written
-    74 input/output error   76 protocol error between hosts   130 interrupted
-"""
+"""The command `lfield`: finds the subcommand, runs it, makes failures a sentence and a status (exits.py)."""
 
 from __future__ import annotations
 
@@ -18,7 +9,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import NoReturn, Protocol
 
-from lfield import __version__
+from lfield import __version__, exits
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
 from lfield.text.outlet import silence
 
@@ -35,6 +26,7 @@ COMMANDS = {
     "inspect": "explain a dumped agent",
     "doctor": "look for what stands between this computer and its devices",
     "driver": "list the drivers, or begin a new one",
+    "setup": "write what devices must keep for their bindings, after a yes, or put back what was there",
     "kit": "try a device, fake or real, against what its driver promises",
     "sim": "run a stand-alone fake of a device, or make one go wrong",
 }
@@ -42,7 +34,7 @@ _ROOMS = {
     "desk": ("check", "build", "disasm", "inspect", "capabilities"),
     "run": ("up",),
     "team": ("ps", "query", "estop"),
-    "robot": ("doctor", "driver", "kit", "sim"),
+    "robot": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of every subcommand.
 MODULES = {name: f"lfield.cli.{room}.{name}" for room, names in _ROOMS.items() for name in names}
@@ -66,6 +58,7 @@ class _Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
+    _fill_streams()
     try:
         status = _dispatch(words)
         sys.stdout.flush()
@@ -83,21 +76,28 @@ def main(argv: Sequence[str] | None = None) -> int:
         _tell(f"lfield: {error}")
         return error.exit_status
     except KeyboardInterrupt:
-        return 130
+        return exits.INTERRUPTED
     except BrokenPipeError:
         # Whoever read our output has left.
         silence(sys.stdout)
-        return 74
+        return exits.INPUT_OUTPUT
     except OSError as error:
         _let_out()
         _tell(f"lfield: {error.strerror or error}" + (f": {error.filename}" if error.filename else ""))
-        return 74
+        return exits.INPUT_OUTPUT
     except Exception as error:
         if os.environ.get("LFIELD_TRACEBACK"):
             raise
         _tell(f"lfield: a bug in lfield itself: {type(error).__name__}: {error}")
         _tell("lfield: run again with LFIELD_TRACEBACK=1 and report what it prints")
-        return 70
+        return exits.SOFTWARE
+
+
+def _fill_streams() -> None:
+    """Of standard streams that were closed (`>&-`) Python has none; what goes there goes nowhere."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115  # never closed
 
 
 def _let_out() -> None:
@@ -127,7 +127,7 @@ def _dispatch(words: list[str]) -> int:
         args = parser.parse_args(words)
     except SystemExit:
         # --help or --version has been answered: whether the answer got out is for `main` to see.
-        return 0
+        return exits.DONE
     return _command(args.command).run(args)
 
 
@@ -135,7 +135,7 @@ def _command(name: str) -> Command:
     return import_module(MODULES[name])
 
 
-_STATUSES = "exit statuses:" + (__doc__ or "").partition("(after sysexits):")[2]
+_STATUSES = "exit statuses:\n" + "\n".join(f"  {n:>4}  {words}" for n, words in exits.MEANINGS.items())
 
 
 if __name__ == "__main__":

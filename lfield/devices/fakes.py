@@ -7,8 +7,10 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lfield.driver.binding import DeviceBinding
-from lfield.driver.sims import Sims
+import msgspec
+
+from lfield.driver.binding import SIMULATED, DeviceBinding, by_bus
+from lfield.driver.sims import Sims, sims_of
 from lfield.errors import PluginError
 
 #: Seconds for a fake to be ready, and to end when it is told.
@@ -75,3 +77,28 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> Fake:
         said = f"; it said: {line.strip()}" if line.strip() else "; see above"
         raise PluginError(f"{names}: the fake '{sim.name}' did not start{said}")
     return Fake(words[1], process)
+
+
+async def on_running_fakes(
+    devices: Sequence[DeviceBinding], running: list[Fake], problems: list[str]
+) -> list[DeviceBinding]:
+    """The same devices, the simulated ones at the endpoints of fakes that now run.
+
+    The fakes are added to `running`, and a sentence to `problems` for each that does not start.
+    """
+    simulated = by_bus(device for device in devices if device.endpoint.startswith(SIMULATED))
+    if not simulated:
+        return list(devices)
+    sims = sims_of({driver for driver, _ in simulated})
+    fakes = (start_fake(sims, bus) for bus in simulated.values())
+    started = await asyncio.gather(*fakes, return_exceptions=True)
+    running += [fake for fake in started if isinstance(fake, Fake)]
+    endpoints: dict[tuple[str, str], str] = {}
+    for bus, fake in zip(simulated, started, strict=True):
+        if isinstance(fake, Fake):
+            endpoints[bus] = fake.endpoint
+        elif isinstance(fake, PluginError):
+            problems.append(str(fake))
+        else:
+            raise fake
+    return [msgspec.structs.replace(d, endpoint=endpoints.get(d.bus, d.endpoint)) for d in devices]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from lfield.driver.binding import OptionValue
 from lfield.manifest import DeviceManifest, Instruction
@@ -20,6 +21,9 @@ AGE = Instruction(
     "age", result="real", unit="s", effect="query", meaning="seconds since the device was last heard"
 )
 STANDARD = (RELEASE, AGE)
+
+#: In `Manifest.fakes`: of every resource type that is not named there.
+ANY = "any"
 
 #: The waiver that every device knows: it has no watchdog of its own, or a slower one than is wanted.
 WATCHDOG = "device_watchdog"
@@ -49,12 +53,24 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """A manifest file: the device type for L, and what its bindings may say."""
+    """A manifest file: the device type for L, and what its bindings may say.
+
+    `fakes` are the options, by resource type of L or ANY, of a device that is simulated and bound nowhere.
+    """
 
     device: DeviceManifest
     options: tuple[Option, ...] = ()
     limits: tuple[Limit, ...] = ()
     waivers: tuple[tuple[str, str], ...] = ()
+    fakes: Mapping[str, Mapping[str, OptionValue]] = field(default_factory=dict)
+
+    def fake_options(self, resource: str) -> dict[str, OptionValue]:
+        """The options of a device on a fake that nobody has bound, in a resource of this type.
+
+        An option is not among them that only a binding can know.
+        """
+        defaults = {option.name: option.default for option in self.options if option.default is not None}
+        return {**defaults, **self.fakes.get(ANY, {}), **self.fakes.get(resource, {})}
 
     @property
     def default_safe_state(self) -> str:

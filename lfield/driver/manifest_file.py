@@ -11,6 +11,9 @@ limits:
   speed: {unit: rad/s, meaning: the fastest it may turn}
 waivers:                            # protections that a binding may give up by name, beside device_watchdog
   no_homing: it moves before it has been homed
+fakes:                              # options under --sim where no binding is, by the resource that has it
+  Gripper: {id: 7}
+  any: {id: 1}
 instructions:
   turn: {parameters: {angle: {type: real, unit: rad}}, blocking: true, meaning: turns and waits}
   light: {parameters: {on: {type: boolean}}, effect: idempotent, blocking: true, channel: light}
@@ -29,7 +32,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import cast
 
 from lfield.driver.binding import OptionValue
@@ -77,6 +80,7 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
     limits = tuple(_limit(name, fields) for name, fields in _named(top, "limits"))
     watchdog = ((WATCHDOG, "it has no watchdog of its own, or a slow one"),) if safe_states else ()
     waivers = (*watchdog, *_waivers(top))
+    fakes = {entry.key: _fake(fields, options) for entry, fields in top.section("fakes").entries()}
     instructions = [_instruction(name, fields) for name, fields in _named(top, "instructions")]
     _check_safe(top, safe_states, instructions)
     telemetry = tuple(_quantity(name, fields) for name, fields in _named(top, "telemetry"))
@@ -91,7 +95,7 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
         safe_states=safe_states,
         meaning=meaning,
     )
-    return Manifest(device, options, limits, waivers)
+    return Manifest(device, options, limits, waivers, fakes)
 
 
 def _check_safe(top: Fields, safe_states: Sequence[str], instructions: Sequence[Instruction]) -> None:
@@ -156,11 +160,20 @@ def _option(name: str, fields: Fields) -> Option:
     return option
 
 
+def _fake(fields: Fields, options: Iterable[Option]) -> dict[str, OptionValue]:
+    """What a fake has by default for one type of resource; only options can be named."""
+    found = {option.name: _default(fields.node(option.name)) for option in options if option.name in fields}
+    fields.done()
+    return {name: value for name, value in found.items() if value is not None}
+
+
 def _default(node: Node | None) -> OptionValue | None:
-    """The default of an option; the only list that can be one is the empty list."""
+    """A value of an option that stands in a manifest."""
     if isinstance(node, Scalar):
         return node.value
-    return [] if isinstance(node, Listing) else None
+    items = node.items if isinstance(node, Listing) else ()
+    values = [item.value for item in items if isinstance(item, Scalar)]
+    return [v for v in values if isinstance(v, int | str)] if isinstance(node, Listing) else None
 
 
 def _limit(name: str, fields: Fields) -> Limit:

@@ -14,6 +14,7 @@ from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from lfield import exits
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import LfieldError, PluginError
 from lfield.text.outlet import never_waiting
@@ -125,7 +126,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the fake named by the first argument with the options that follow."""
     if not arguments:
         print("usage: python -m lfield.driver.sims package.module:SIM [options]", file=sys.stderr)
-        return 64
+        return exits.USAGE
     with never_waiting():
         try:
             sim = load_sim(arguments[0])

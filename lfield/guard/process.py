@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
-from lfield import loop
+from lfield import exits, loop
 from lfield.clock import Clock, SystemClock
 from lfield.driver.device import Driver, check_methods, open_all
 from lfield.driver.plugin import Plugin, check_same, load_plugin
@@ -381,7 +381,7 @@ def main(arguments: Sequence[str]) -> int:
     """Run the guard of the plugin `package:PLUGIN`."""
     if len(arguments) != 1:
         print("usage: python -m lfield.guard.process package:PLUGIN", file=sys.stderr)
-        return 64
+        return exits.USAGE
     # A vendor library that prints must not end up in the middle of a frame, nor wait for who reads the log.
     output_fd = os.dup(1)
     os.dup2(2, 1)

@@ -13,6 +13,7 @@ import msgspec
 
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers, KnownDriver
+from lfield.errors import BindingError
 from lfield.guard.core import SILENCE
 from lfield.vm.contract import Limits
 
@@ -63,15 +64,23 @@ def maker_of(drivers: Drivers, device_type: str) -> KnownDriver | None:
     return next((driver for driver in drivers.by_driver.values() if device_type in driver.manifests), None)
 
 
-def on_fakes(bindings: Bindings, needed: Needed, drivers: Drivers) -> Bindings:
+def on_fakes(
+    bindings: Bindings, needed: Needed, drivers: Drivers, resources: Mapping[str, str] | None = None
+) -> Bindings:
     """Every needed device on a fake, with the limits and options of the file where it has them; SIM_SILENCE.
 
-    Every needed device type has a driver.
+    Every needed device type has a driver. `resources` are the types of the agents: by them a driver knows
+    what kind of device a fake shall be. Raises BindingError for devices that must be bound even so.
     """
+    lacking = _lacking(bindings, needed, drivers, resources or {})
+    if lacking:
+        raise BindingError(lacking)
     simulated: dict[str, dict[str, DeviceBinding]] = {agent: {} for agent in needed}
     for agent, name, device_type in each_needed(needed):
         bound = bindings.devices.get(agent, {}).get(name)
-        simulated[agent][name] = _faked(bound) if bound else _fake(agent, name, device_type, drivers)
+        simulated[agent][name] = (
+            _faked(bound) if bound else _fake(agent, name, device_type, drivers, resources or {})
+        )
     return replace(bindings, devices=simulated, silence=SIM_SILENCE)
 
 
@@ -82,7 +91,27 @@ def _faked(device: DeviceBinding) -> DeviceBinding:
     return msgspec.structs.replace(device, endpoint=f"{SIMULATED}{device.endpoint or device.name}")
 
 
-def _fake(agent: str, name: str, device_type: str, drivers: Drivers) -> DeviceBinding:
+def _lacking(bindings: Bindings, needed: Needed, drivers: Drivers, resources: Mapping[str, str]) -> list[str]:
+    """The devices of which no fake can be made without a binding, a sentence each."""
+    problems = []
+    for agent, name, device_type in each_needed(needed):
+        driver = maker_of(drivers, device_type)
+        if driver is None or name in bindings.devices.get(agent, {}):
+            continue
+        manifest = driver.manifests[device_type]
+        known = manifest.fake_options(resources.get(agent, ""))
+        missing = [option.name for option in manifest.options if option.name not in known]
+        if missing:
+            problems.append(
+                f"{agent}.{name} ({device_type}) needs {', '.join(missing)} also on a fake: bind it in a "
+                "devices file"
+            )
+    return problems
+
+
+def _fake(
+    agent: str, name: str, device_type: str, drivers: Drivers, resources: Mapping[str, str]
+) -> DeviceBinding:
     """A device that nobody has bound, on a fake of its own: there is nothing that could be hurt."""
     driver = maker_of(drivers, device_type)
     assert driver is not None, "a type without a driver has been told before"
@@ -94,7 +123,7 @@ def _fake(agent: str, name: str, device_type: str, drivers: Drivers) -> DeviceBi
         driver=driver.name,
         endpoint=f"{SIMULATED}{agent}.{name}",
         safe_state=manifest.default_safe_state,
-        options={o.name: o.default for o in manifest.options if o.default is not None},
+        options=manifest.fake_options(resources.get(agent, "")),
         waivers=[waiver for waiver, _ in manifest.waivers],
     )
 

@@ -45,10 +45,18 @@ _UNITS = {"B": 1, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 _SIZE = re.compile(r"([0-9]{1,12})\s*(B|KiB|MiB|GiB)")
 
 
-def read_bindings(path: Path | None, needed: Needed, drivers: Drivers, *, simulate: bool = False) -> Bindings:
+def read_bindings(
+    path: Path | None,
+    needed: Needed,
+    drivers: Drivers,
+    *,
+    simulate: bool = False,
+    resources: dict[str, str] | None = None,
+) -> Bindings:
     """The bindings in a file (None: there is no file), checked against what the mission needs.
 
-    With `simulate`, needed devices that are not bound get defaults, and every endpoint is SIMULATED.
+    With `simulate`, needed devices that are not bound get what is usual for their agent's resource type (of
+    `resources`), and every endpoint is SIMULATED.
     Raises BindingError with all problems, InputFileError when the file cannot be read.
     """
     found = Diagnostics()
@@ -63,7 +71,7 @@ def read_bindings(path: Path | None, needed: Needed, drivers: Drivers, *, simula
         problems += _unbound(bindings, needed, drivers, path)
     if problems:
         raise BindingError(problems)
-    return on_fakes(bindings, needed, drivers) if simulate else bindings
+    return on_fakes(bindings, needed, drivers, resources) if simulate else bindings
 
 
 def _without_driver(needed: Needed, drivers: Drivers) -> list[str]:

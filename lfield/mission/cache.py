@@ -21,7 +21,7 @@ from pathlib import Path
 
 import msgspec
 
-from lfield import __version__
+from lfield import __version__, exits
 from lfield.errors import BundleError, InputFileError, OutputFileError
 from lfield.mission import bundle
 from lfield.mission.inputs import Inputs
@@ -127,7 +127,7 @@ def _build(order: Order, workshop: Path) -> Path:
     command = [sys.executable, "-m", "lfield", "build", *order.words, *options]
     status = subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode
     if status:
-        raise NotBuilt(status if status > 0 else 70)
+        raise NotBuilt(status if status > 0 else exits.SOFTWARE)
     return made
 
 

@@ -45,7 +45,9 @@ def load_mission(
     deployment = read_deployment(deploy, loaded.units)
     team = team_of(deployment.rows, deployment.kinds, deployment.ports)
     needed = needed_devices(loaded, team)
-    bindings = read_bindings(devices or beside(deploy, DEVICES), needed, plugins, simulate=simulate)
+    bindings = read_bindings(
+        devices or beside(deploy, DEVICES), needed, plugins, simulate=simulate, resources=team.types
+    )
     drivers = makers_of(plugins, {device.type for device in bindings.all})
     registry = _settled(types.registry, loaded, plugins) if ways(loaded) else None
     shown = tuple(warning.render() for warning in warnings)
@@ -66,7 +68,10 @@ def open_mission(path: Path, devices: Path | None = None) -> Mission:
 
 def rebound(mission: Mission, devices: Path, *, simulate: bool = False) -> Mission:
     """A mission with the bindings of another devices file. Raises BindingError, InputFileError."""
-    return mission.with_bindings(read_bindings(devices, mission.needed, mission.drivers, simulate=simulate))
+    bindings = read_bindings(
+        devices, mission.needed, mission.drivers, simulate=simulate, resources=mission.team.types
+    )
+    return mission.with_bindings(bindings)
 
 
 def beside(path: Path, suffix: str) -> Path | None:

@@ -60,7 +60,7 @@ class Mission:
 
     def on_fakes(self) -> Mission:
         """The same mission with a fake for each device."""
-        return replace(self, bindings=on_fakes(self.bindings, self.needed, self.drivers))
+        return replace(self, bindings=on_fakes(self.bindings, self.needed, self.drivers, self.team.types))
 
     def at(self, team: Team) -> Mission:
         """The same mission with its team at other addresses."""

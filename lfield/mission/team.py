@@ -47,6 +47,11 @@ class Team:
         return [m for m in self.members if m.host == host]
 
     @property
+    def types(self) -> dict[str, str]:
+        """The types of all agents, by their ids."""
+        return {member.id: member.type for member in self.members}
+
+    @property
     def coordinators(self) -> list[Member]:
         """All coordinators."""
         return [m for m in self.members if m.kind == "coordinator"]

@@ -9,6 +9,7 @@ from __future__ import annotations
 SUITE = "it would run these tests, or hours of them"
 HARDWARE = "hardware: a port or a bus of the robot"
 INSTALLS = "installs software on the system"
+SIMULATOR = "needs the autopilots' own simulators: tests/sitl runs them where they are given"
 SERVICE = "needs systemd, and a robot that is set up"
 LONG = "runs for minutes: "
 RUNNING = "about a mission that runs: "
@@ -93,6 +94,27 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "HOST    AGENT   TYPE    STATE                                HOPS  SERVED   HEAP": TEAM,
         "lfield inspect dumps/survey.block": INSPECT,
         "$ lfield inspect dumps/survey.block": INSPECT,
+    },
+    "sim-adapters/REAL.md": {
+        "make test-sitl ARDUCOPTER=~/ardupilot/build/sitl/bin/arducopter "
+        "PX4=~/PX4-Autopilot/build/px4_sitl_default/bin/px4": SIMULATOR,
+        "arducopter --model + --speedup 1 --serial0 tcp:0 --defaults "
+        "sim-adapters/real/arducopter.parm": SIMULATOR,
+        "arducopter --model + --speedup 1 --serial0 tcp:0 --defaults sim-adapters/real/arducopter.parm "
+        "--instance 1 --sysid 2": SIMULATOR,
+        "ardurover --model rover --speedup 1 --serial0 tcp:0 --defaults "
+        "sim-adapters/real/ardurover.parm": SIMULATOR,
+        "PX4_SIM_MODEL=sihsim_quadx px4 -i 0 -d -w /tmp/px4-0 build/px4_sitl_default/etc": SIMULATOR,
+        "PX4_SIM_MODEL=sihsim_quadx px4 -i 1 -d -w /tmp/px4-1 build/px4_sitl_default/etc": SIMULATOR,
+        "lfield setup --deploy examples/01-first-flight/mission.dL "
+        "--devices sim-adapters/real/arducopter/01-first-flight.devices.yaml": SIMULATOR,
+        "lfield up --deploy examples/01-first-flight/mission.dL "
+        "--devices sim-adapters/real/arducopter/01-first-flight.devices.yaml --all --until-done": SIMULATOR,
+        "lfield kit mavlink --endpoint tcp:127.0.0.1:5760 --set 'waivers=[device_watchdog]' "
+        "--set 'limits={speed: 3}'": SIMULATOR,
+        "lfield sim can --listen socketcand:127.0.0.1:29536 --device cia402:5,counts=10000": KIT,
+        "lfield sim dynamixel --servo 1:XM540-W270 --servo 2:XM540-W270 --listen /tmp/lfield-arm": KIT,
+        "lfield sim dynamixel --servo 1:XM430-W350 --listen /tmp/lfield-hand --fault obstacle=-0.1": KIT,
     },
     "lfield/driver/skeleton/README.md.in": {
         "pip install -e .": DRIVER,

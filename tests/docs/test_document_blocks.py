@@ -58,8 +58,10 @@ def run(line: str, folder: Path) -> tuple[int | str, str]:
             status = shell.wait(PATIENCE)
         except subprocess.TimeoutExpired:
             status = "it did not end"
-        with suppress(ProcessLookupError):
-            os.killpg(shell.pid, signal.SIGTERM)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(shell.pid, signal.SIGTERM)
+            shell.wait(PATIENCE)
         said.seek(0)
         return status, said.read().decode("utf-8", "replace")
 

@@ -94,6 +94,7 @@ def test_what_a_driver_for_a_team_needs_besides():
         (b"effect: query, blocking: true", b"effect: query", "'ask' is a query that asks nobody"),
         (b"max_age: 0.5", b"max_age: 0", "'max_age' must be at least 0.001, not 0"),
         (b"unit: rad/s}", b"unit: rad/s, min: 1}", "'speed' takes no 'min'"),
+        (b"limits:\n", b"fakes: {any: {id: 3, wings: 2}}\nlimits:\n", "'any' takes no 'wings'"),
     ],
 )
 def test_mistakes_are_drawn_at_their_place(old, new, drawn):
@@ -101,6 +102,13 @@ def test_mistakes_are_drawn_at_their_place(old, new, drawn):
     with pytest.raises(PluginError) as error:
         load_manifest("m.yaml", SERVO.replace(old, new))
     assert drawn in str(error.value)
+
+
+def test_a_fake_that_no_binding_describes_is_what_its_resource_needs():
+    fakes = b"fakes: {Gripper: {id: 7, model: [1, 2]}, any: {id: 3}}\noptions:\n  model: {type: 'int[]'}\n"
+    manifest = load_manifest("m.yaml", SERVO.replace(b"options:\n", fakes))
+    assert manifest.fake_options("Gripper") == {"id": 7, "model": [1, 2]}
+    assert manifest.fake_options("Servo") == {"id": 3}
 
 
 def test_all_mistakes_are_told_at_once():

@@ -102,7 +102,7 @@ def test_the_metadata_names_licence_extras_and_entry_points(wheel):
     assert any(word.startswith("pymavlink") and "'mavlink'" in word for word in needed)
     assert "Apache License" in _metadata(wheel, "licenses/LICENSE")
     points = _metadata(wheel, "entry_points.txt")
-    assert "lfield = lfield.cli.main:main" in points
+    assert "lfield = lfield.__main__:main" in points
     for name in ("can", "dynamixel", "mavlink"):
         assert f"{name} = lfield_{name}:PLUGIN" in points
         assert f"{name} = lfield_sim.{name}:SIM" in points
@@ -141,7 +141,7 @@ def test_the_installed_wheel_finds_its_plugins(installed, tmp_path):
 
 def test_the_editable_install_finds_its_plugins():
     assert [point.value for point in entry_points(group="console_scripts", name="lfield")] == [
-        "lfield.cli.main:main"
+        "lfield.__main__:main"
     ]
     plugins = discover()
     assert sorted(plugins.by_driver) == ["can", "dynamixel", "mavlink"]

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield import exits
 from lfield.errors import UsageError
 
 if TYPE_CHECKING:
@@ -124,6 +125,6 @@ def _check(args: argparse.Namespace) -> int:
     counted = f"{errors} error(s), {len(found) - errors} warning(s)"
     if errors:
         print(f"lfield: {counted}", file=sys.stderr)
-        return 65
+        return exits.DATA
     print(f"no mistakes{f', {len(found)} warning(s)' if found else ''}")
     return 0

@@ -6,6 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
+from lfield import exits
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
@@ -23,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     warnings = len(found) - errors
     if found:
         print(f"lfield: {errors} error(s), {warnings} warning(s)", file=sys.stderr)
-    return 65 if errors else 0
+    return exits.DATA if errors else exits.DONE
 
 
 def _findings(path: Path) -> list[tuple[str, bool]]:

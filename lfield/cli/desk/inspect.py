@@ -37,7 +37,7 @@ def _show_dump(file: Path) -> int:
     except BlockError as error:
         raise BlockError(f"{file}: {error.reason}", word=error.word) from None
     shown = view(block, program, record.members)
-    trail = " → ".join(record.hosts[n] if n < len(record.hosts) else str(n) for n in shown.trail)
+    trail = " → ".join(record.hosts[n] if 0 <= n < len(record.hosts) else str(n) for n in shown.trail)
     print(f"agent     {shown.id} ({shown.kind} {shown.type})")
     print(f"on        {record.host}, after {shown.hops} hop(s): {trail}")
     print(f"program   {program.digest.hex()[:16]}")

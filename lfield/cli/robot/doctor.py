@@ -7,6 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield import exits
+from lfield.cli.mission_argument import setup_command
+
 if TYPE_CHECKING:
     from lfield.operator.doctor import Finding
 
@@ -40,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         told(finding)
     # On the loop of a host: it is its lateness that is measured.
     loop.run(_look(told) if args.deploy is None else _try_devices(args, told))
-    return 69 if any(finding.state == "problem" for finding in findings) else 0
+    return exits.UNAVAILABLE if any(finding.state == "problem" for finding in findings) else exits.DONE
 
 
 async def _look(told: Callable[[Finding], None]) -> None:
@@ -64,7 +67,8 @@ async def _try_devices(args: argparse.Namespace, told: Callable[[Finding], None]
     devices = mission.bindings.of([member.id for host in hosts for member in team.on(host)])
     drivers = installed_here(mission.drivers, {device.driver for device in devices})
     told(await lateness(mission.bindings.silence, SystemClock(), bound=mission.world == "hardware"))
-    await endpoints(drivers, devices, SystemClock(), told)
+    setup = setup_command(args.deploy, args.host or "", args.devices)
+    await endpoints(drivers, devices, SystemClock(), told, setup)
 
 
 def _tell(finding: Finding) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
+from lfield import exits
 from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
 
 
@@ -30,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"lfield: {unseen()}", file=sys.stderr)
     if args.json:
         print(picture.as_json(named) if named_mission(args) else run_table.as_json(parties, answers))
-        return 69 if silent(named) else 0
+        return exits.UNAVAILABLE if silent(named) else exits.DONE
     if named_mission(args) is None:
         run_table.show(runs)
     for party in parties:
@@ -38,4 +39,4 @@ def run(args: argparse.Namespace) -> int:
             print(f"\n{party.id}")
         picture.show(by_host(answers, party))
     tell_silent(silent(named))
-    return 69 if silent(named) else 0
+    return exits.UNAVAILABLE if silent(named) else exits.DONE

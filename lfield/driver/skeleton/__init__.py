@@ -6,6 +6,8 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
+from lfield.errors import OutputFileError
+
 #: Where each template goes, below the folder of the new distribution.
 PLACES = {
     "pyproject.toml": "pyproject.toml",
@@ -21,13 +23,16 @@ PLACES = {
 
 
 def write(name: str, folder: Path) -> list[Path]:
-    """Write the driver `name` (letters and digits) below a folder; the files. Raises OSError."""
+    """Write the driver `name` (letters and digits) below a folder; the files. Raises OutputFileError."""
     words = {"name": name, "Type": name.capitalize()}
     written = []
     for template, place in PLACES.items():
         text = (files(__package__) / f"{template}.in").read_text(encoding="utf-8")
         path = folder / Template(place).substitute(words)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(Template(text).substitute(words), encoding="utf-8")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(Template(text).substitute(words), encoding="utf-8")
+        except OSError as error:
+            raise OutputFileError(str(path), error.strerror or str(error)) from None
         written.append(path)
     return written

@@ -16,7 +16,8 @@ from typing import Any
 import cantools
 from cantools.database.can import Message, Signal
 
-from lfield.errors import UsageError
+from lfield.errors import BindingError, InputFileError, UsageError
+from lfield.text.files import reason
 from lfield_sim.can.bus import Flaw, Frame
 from lfield_sim.can.motor import AMBIENT, OVERHEATED
 from lfield_sim.state_log import Facts
@@ -146,16 +147,17 @@ class DbcDevice:
 
 
 def load(file: str, *, node: str = "", commands: str = "", command: str = "", status: str = "") -> DbcData:
-    """What a DBC file describes. Raises UsageError.
+    """What a DBC file describes. Raises UsageError, InputFileError, and BindingError for what is no DBC file.
 
     The device is `node`, or all messages but `commands` (names with + between), or whoever sends the signal
     `status` that the signal `command` drives; else the only node that sends no signal called a command.
     """
     try:
         database: Any = cantools.database.load_file(file, database_format="dbc")
+    except OSError as error:
+        raise InputFileError(file, reason(error)) from None
     except Exception as error:  # cantools raises what its parsers raise
-        why = getattr(error, "strerror", None) or error
-        raise UsageError(f"{file} cannot be read as a DBC file: {why}") from None
+        raise BindingError([f"{file} cannot be read as a DBC file: {error}"]) from None
     plain = [m for m in database.messages if not m.is_multiplexed() and not m.is_container]
     links = {_place(plain, status): _place(plain, command)} if command or status else {}
     if commands:

@@ -1,0 +1,145 @@
+"""The table of exit statuses is true: each command ends with those that it has there, and says a sentence."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lfield import errors, exits
+from lfield.cli.main import COMMANDS
+
+pytestmark = pytest.mark.process
+
+TABLE = (Path(__file__).parents[3] / "lfield/docs/exit-statuses.md").read_text(encoding="utf-8")
+
+GOOD = "resource Bell { init(string[] arg) { } portal ring() { } }\n"
+DEPLOYMENT = "//Bell:bell@alpha\n"
+FLIES = "resource Sky { Mavlink fc; init(string[] arg) { } }\n"
+
+#: Command lines by command and status, with words of what is said.
+REACHED: dict[tuple[str, int], tuple[str, str]] = {
+    ("check", 65): ("check latin.L", "latin.L:1:4: error["),
+    ("check", 66): ("check none.L", "cannot read none.L"),
+    ("build", 65): ("build latin.dL", "latin.L:1:4: error["),
+    ("build", 66): ("build mission.dL --devices none.yaml", "cannot read none.yaml"),
+    ("build", 73): ("build mission.dL -o none/x.lfm", "cannot write none/x.lfm"),
+    ("disasm", 65): ("disasm latin.lb", "not a sound L program"),
+    ("disasm", 66): ("disasm none.lb", "cannot read none.lb"),
+    ("inspect", 65): ("inspect latin.block", "not a sound block"),
+    ("inspect", 66): ("inspect none.block", "cannot read none.block"),
+    ("up", 65): ("up mission.dL --devices latin.yaml --host alpha", "latin.yaml:1:4: error["),
+    ("up", 66): ("up none.lfm --host alpha", "cannot read none.lfm"),
+    ("up", 69): ("up mission.dL --host alpha --map alpha=no.such.host.invalid:1", "leads to no address"),
+    ("ps", 65): ("ps latin.lfm", "not a sound bundle"),
+    ("ps", 66): ("ps none.lfm", "cannot read none.lfm"),
+    ("ps", 69): ("ps mission.dL --map alpha=127.0.0.1:1", "nobody listens there"),
+    ("query", 65): ("query Lift mission.dL --capabilities latin.yaml", "latin.yaml:1:4: error["),
+    ("query", 66): ("query Lift mission.dL --capabilities none.yaml", "cannot read none.yaml"),
+    ("query", 69): ("query Lift", "no mission runs here"),
+    ("capabilities", 65): ("capabilities check latin.yaml", "latin.yaml:1:4: error["),
+    ("capabilities", 66): ("capabilities check none.yaml", "cannot read none.yaml"),
+    ("estop", 65): ("estop latin.dL", "latin.dL:1:4: error["),
+    ("estop", 66): ("estop none.dL", "cannot read none."),
+    ("estop", 69): ("estop", "no mission runs here"),
+    ("doctor", 65): ("doctor --deploy latin.lfm", "not a sound bundle"),
+    ("doctor", 66): ("doctor --deploy none.lfm", "cannot read none.lfm"),
+    ("doctor", 69): ("doctor --deploy sky.dL --devices sky.yaml", "cannot open"),
+    ("driver", 73): ("driver new lamp --into mission.L/lamp", "cannot write mission.L/lamp"),
+    ("kit", 65): ("kit mavlink --devices latin.yaml", "latin.yaml:1:4: error["),
+    ("kit", 66): ("kit mavlink --devices none.yaml", "cannot read none.yaml"),
+    ("kit", 69): ("kit mavlink --endpoint serial:none:57600", "none"),
+    ("sim", 65): ("sim can --device dbc:latin.L", "latin.L cannot be read as a DBC file"),
+    ("sim", 66): ("sim can --device dbc:none.dbc", "cannot read none.dbc"),
+    ("sim", 69): ("sim mavlink --listen udp:192.0.2.1:14550", "cannot use"),
+    ("sim", 73): ("sim mavlink --listen udp:127.0.0.1:0 --log none/x", "cannot write none/x"),
+}
+#: Where the others are tried.
+ELSEWHERE: dict[tuple[str, int], str] = {
+    ("up", 1): "run/test_up_life_and_death.py",
+    ("up", 3): "stops",
+    ("up", 4): "run/test_up_life_and_death.py",
+    ("up", 73): "run/test_up_dumps.py",
+    ("up", 76): "run",
+    ("estop", 3): "team",
+    ("kit", 1): "robot/test_kit_command.py",
+    ("kit", 3): "robot/test_kit_command.py",
+}
+
+
+def documented() -> set[tuple[str, int]]:
+    """Commands and statuses as the table has them."""
+    rows = re.findall(r"^\| `(\w+)` \| ([0-9 ]+) \|", TABLE, re.MULTILINE)
+    return {(name, int(status)) for name, statuses in rows for status in statuses.split()}
+
+
+def test_every_command_is_in_the_table_and_every_status_of_the_table_is_tried() -> None:
+    assert {name for name, _ in documented()} == set(COMMANDS)
+    assert documented() == REACHED.keys() | ELSEWHERE.keys()
+    for place in ELSEWHERE.values():
+        assert (Path(__file__).parents[1] / place).exists(), place
+
+
+def test_the_meanings_of_the_table_are_those_of_the_code() -> None:
+    rows = re.findall(r"^\| (\d+) \| `(\w+)` \| (.*) \|$", TABLE, re.MULTILINE)
+    assert {int(status): words for status, _, words in rows} == dict(exits.MEANINGS)
+    assert all(getattr(exits, constant) == int(status) for status, constant, _ in rows)
+
+
+def test_every_exception_has_a_status_of_the_table() -> None:
+    kinds = [
+        kind for kind in vars(errors).values() if isinstance(kind, type) and hasattr(kind, "exit_status")
+    ]
+    assert {kind.exit_status for kind in kinds} <= exits.MEANINGS.keys()
+
+
+@pytest.fixture
+def files(lfield):
+    """Good files, and files of every kind with a byte that is no UTF-8."""
+    lfield.mission(GOOD, DEPLOYMENT)
+    lfield.mission(FLIES, "//Sky:sky@alpha\n", name="sky")
+    bound = "agents: {sky: {devices: {fc: {driver: mavlink, endpoint: 'serial:none:57600'}}}}\n"
+    lfield.write("sky.yaml", bound)
+    for ending in ("L", "dL", "lb", "lfm", "yaml", "block"):
+        lfield.write(f"latin.{ending}", b"abc\xe9")
+    return lfield
+
+
+@pytest.mark.parametrize(("command", "status"), REACHED)
+def test_it_ends_with_it(files, here, command: str, status: int) -> None:
+    line, words = REACHED[command, status]
+    done = here(*line.split())
+    assert done.status == status, done.err
+    assert words in "\n".join([*done.err, *done.out])
+
+
+@pytest.mark.parametrize("streams", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_stream_that_is_closed_is_no_bug(files, streams: str) -> None:
+    line = f"{sys.executable} -m lfield check mission.L none.L {streams}"
+    assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 66
+
+
+#: Interrupts itself while the command is being imported.
+INTERRUPTED = """
+import _thread, sys
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "{module}":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Finder())
+from lfield.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("module", ["lfield.cli", "argparse", "lfield.text.outlet", "lfield.cli.desk.check"])
+def test_a_ctrl_c_while_it_starts_is_no_traceback(files, module: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", INTERRUPTED.format(module=module), "check", "mission.L"],
+        cwd=files.folder, capture_output=True, text=True, check=False,
+        env={"PYTHONPATH": ":".join(sys.path)},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (exits.INTERRUPTED, "")

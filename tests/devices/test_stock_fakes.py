@@ -1,0 +1,63 @@
+"""Every resource that a driver ships runs on a fake that fits it, though no devices file says what it is."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from lfield.clock import SystemClock
+from lfield.driver.plugins import discover
+from lfield.errors import BindingError
+from lfield.mission import bundle
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.operator.doctor import Finding, endpoints
+
+ROOT = Path(__file__).parents[2]
+#: `driver/file.L` of every shipped resource.
+STOCK = sorted(
+    f"{file.parts[-3].removeprefix('lfield_')}/{file.name}" for file in ROOT.glob("drivers/*/L/*.L")
+)
+#: What a fake must tell of itself, where a driver has several.
+KINDS = {"mavlink/copter.L": "copter", "mavlink/rover.L": "rover"}
+
+
+def mission(folder: Path, program: str, resource: str) -> Mission:
+    """A mission with one agent, bound nowhere, on fakes."""
+    (folder / "m.L").write_text(program, encoding="utf-8")
+    (folder / "m.dL").write_text(f"//{resource}:one@alpha\n", encoding="utf-8")
+    return load_mission(folder / "m.dL", simulate=True)
+
+
+def stock_mission(folder: Path, include: str) -> Mission:
+    """That of a shipped resource, which is named like its file."""
+    return mission(folder, f"include <{include}>;\n", Path(include).stem.capitalize())
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("include", STOCK)
+def test_it_opens_on_a_fake_of_its_kind(tmp_path: Path, include: str) -> None:
+    found: list[Finding] = []
+    devices = stock_mission(tmp_path, include).bindings.all
+    asyncio.run(endpoints(discover(), devices, SystemClock(), found.append))
+    assert [finding.what for finding in found if finding.state != "ok"] == []
+    assert len(found) == 1
+    assert KINDS.get(include, "") in found[0].what
+
+
+def test_a_bundle_knows_it_too(tmp_path: Path) -> None:
+    """A robot has neither L nor manifests; what it needs of them travels."""
+    built = stock_mission(tmp_path, "mavlink/rover.L")
+    read = bundle.decode(bundle.encode(built))
+    unbound = read.with_bindings(type(read.bindings)()).on_fakes()
+    (device,) = unbound.bindings.all
+    assert device.option("kind") == "rover"
+
+
+def test_what_only_a_binding_can_know_is_asked_for(tmp_path: Path) -> None:
+    program = "resource Jaw { CanSignals jaw; init(string[] arg) { } }\n"
+    with pytest.raises(BindingError) as told:
+        mission(tmp_path, program, "Jaw")
+    assert str(told.value) == "one.jaw (CanSignals) needs dbc also on a fake: bind it in a devices file"
