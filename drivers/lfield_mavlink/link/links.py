@@ -83,8 +83,8 @@ class SerialLink:
     def why_silent(self) -> str:
         """An autopilot's port has a baud rate, and speaks MAVLink if it was set up so."""
         return (
-            f"nothing comes from {self.port.path}; check the cable, the baud rate of {self.port.baud}, and that "
-            "the autopilot speaks MAVLink there (SERIALn_PROTOCOL 2, MAV_n_CONFIG)"
+            f"nothing comes from {self.port.path}; check the cable, the baud rate of {self.port.baud}, and "
+            "that the autopilot speaks MAVLink there (SERIALn_PROTOCOL 2, MAV_n_CONFIG)"
         )
 
     def close(self) -> None:
