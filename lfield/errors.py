@@ -93,7 +93,7 @@ class DevicesError(BindingError):
 
     def cured_by(self, command: str) -> DevicesError:
         """The same, with the command that sets up what is not."""
-        told = [f"{p}; '{command}' sets it up" if p in self.not_set_up else p for p in self.problems]
+        told = [f"{p}; this sets it up: {command}" if p in self.not_set_up else p for p in self.problems]
         return DevicesError(told)
 
 

@@ -9,7 +9,7 @@ from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, R
 from lfield_can.bus.bus import Bus
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols import PROTOCOLS, Wiring
-from lfield_can.timing import News
+from lfield_can.timing import News, Sync
 
 #: Seconds between two looks at a device that says nothing.
 LOOK = 0.1
@@ -29,11 +29,17 @@ class CanAxis(Device):
     """One axis: the instructions of axis.yaml for every protocol."""
 
     def __init__(
-        self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports, bus: Bus
+        self,
+        binding: DeviceBinding,
+        manifest: Manifest,
+        clock: Clock,
+        reports: Reports,
+        bus: Bus,
+        sync: Sync,
     ) -> None:
         super().__init__(binding, manifest, clock, reports)
         self._news = News(clock)
-        wiring = Wiring(binding, bus, clock, self._news, self.note, self.error)
+        wiring = Wiring(binding, bus, sync, clock, self._news, self.note, self.error)
         self.protocol = PROTOCOLS[binding.option("protocol")](wiring)
         self.malformed = 0
         self._heard_at: float | None = None
@@ -151,6 +157,9 @@ class CanAxis(Device):
             if await self._news.seen(is_safe, SAFE_AGAIN):
                 # Its speed may come in a frame of its own; `_moving` tells it.
                 await self._news.seen(lambda: self.protocol.state.velocity is not None, SAFE_AGAIN)
+                if self.protocol.state.velocity is not None:
+                    # It may have been asked for, and then nobody has heard of it yet.
+                    self.publish(velocity=self.protocol.state.velocity)
                 return
             if self.clock.monotonic() >= begun + SAFE_BY or self._silence() > self.protocol.silence:
                 break

@@ -8,7 +8,9 @@ from lfield.driver import Clock, DeviceBinding, Driver, Manifest, Reports
 from lfield_can.axis import CanAxis
 from lfield_can.bus.bus import Bus
 from lfield_can.bus.frames import Frame
+from lfield_can.protocols.cia402_tables import EVERY
 from lfield_can.signals import CanSignals
+from lfield_can.timing import Sync
 
 CanDevice = CanAxis | CanSignals
 #: Makes the bus at an endpoint, with what is to be called for every frame and for every note.
@@ -33,12 +35,13 @@ class CanDriver(Driver):
     def _set_up(self) -> None:
         first = self.bindings[0].name
         self._bus = self._make_bus(self.endpoint, self._received, lambda text: self.reports.note(first, text))
+        self._sync = Sync(self.clock, self._bus.post, EVERY)
         self._members: list[CanDevice] = []
         self._listeners: dict[int, list[CanDevice]] = {}
 
     def _device(self, binding: DeviceBinding) -> CanDevice:
-        kind = CanAxis if binding.type == "CanAxis" else CanSignals
-        device = kind(binding, self.manifests[binding.type], self.clock, self.reports, self._bus)
+        given = binding, self.manifests[binding.type], self.clock, self.reports, self._bus
+        device = CanAxis(*given, self._sync) if binding.type == "CanAxis" else CanSignals(*given)
         self._members.append(device)
         return device
 

@@ -1,4 +1,4 @@
-"""Waiting for what a device reports, and doing something again and again; both on the loop."""
+"""Waiting for what a device reports, and doing something again and again, SYNC too; on the loop."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 
 from lfield.driver import Clock
+from lfield_can.bus.frames import Frame
 
 
 class News:
@@ -76,6 +77,35 @@ class Repeating:
             if self._clock.monotonic() >= end:
                 return
             self._work()
+
+
+class Sync:
+    """The SYNC of a bus (CiA 301, 7.2.5), every `period` seconds while a node needs it.
+
+    There is one for all: two producers on one bus would have every node answer twice.
+    """
+
+    def __init__(self, clock: Clock, post: Callable[[Frame], None], period: float) -> None:
+        self._post, self._period = post, period
+        self._wanted: dict[int, int] = {}
+        self._repeating = Repeating(clock)
+
+    def want(self, node: int, identifier: int) -> None:
+        """A node needs it, by the id of its object 0x1005."""
+        idle = not self._wanted
+        self._wanted[node] = identifier
+        if idle:
+            self._repeating.start(self._period, self._send)
+
+    def leave(self, node: int) -> None:
+        """It needs it no more, or shall not have it while the bus is quiet."""
+        self._wanted.pop(node, None)
+        if not self._wanted:
+            self._repeating.stop()
+
+    def _send(self) -> None:
+        for identifier in set(self._wanted.values()):
+            self._post(Frame(identifier))
 
 
 def _nothing() -> None:

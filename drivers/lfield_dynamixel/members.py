@@ -7,15 +7,15 @@ end, by name: one that is dead keeps nobody else from being made safe.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
-from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
+from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports, Setting
 from lfield_dynamixel.bus.bus import COMMAND, POLL, SAFETY
 from lfield_dynamixel.bus.chain import Chain, Node
 from lfield_dynamixel.bus.packets import Status
-from lfield_dynamixel.servo import FIRED, Condition, Present, Servo, condition, present
+from lfield_dynamixel.servo import ALL, ANSWERS, FIRED, Condition, Present, Servo, condition, present
 
 #: Every so many polls the conditions are read too.
 CONDITIONS_EVERY = 10
@@ -85,6 +85,30 @@ class Members(Device):
         self._watchdog = longest
         times = await self.each(self.servos.values(), lambda servo: servo.set_watchdog(longest))
         return None if None in times else max(time for time in times if time is not None)
+
+    async def _settings(self) -> Sequence[Setting]:
+        """What servos answer, where they keep it; a write that is not answered cannot be confirmed."""
+        return [
+            Setting(name, await servo.get(ANSWERS), ALL, "it answers writes")
+            for name, servo in self._keepers().items()
+        ]
+
+    async def _write_setting(self, name: str, value: float) -> None:
+        servo = self._keepers()[name]
+        if value == ALL:
+            await servo.answer_all()
+        else:
+            await self.chain.write(
+                servo.node, servo.item(ANSWERS).address, servo.item(ANSWERS).encode(int(value))
+            )
+
+    def _keepers(self) -> dict[str, Servo]:
+        """The members that keep what they answer, by the name of that setting."""
+        keepers = [servo for servo in self.servos.values() if servo.keeps_answers]
+        return {f"{ANSWERS} of servo {servo.node.number}": servo for servo in keepers}
+
+    def _in_use(self) -> str:
+        return "its torque is on" if any(now.torque for now in self.conditions.values()) else ""
 
     async def do_release(self) -> None:
         """The owner takes the device back: members that their watchdog has stopped follow goals again."""

@@ -12,6 +12,8 @@ from lfield_dynamixel.bus.packets import Status
 from lfield_dynamixel.bus.words import alerted, faults
 from lfield_dynamixel.tables import Item, Model, models
 
+#: What a servo answers, and the level at which it answers everything.
+ANSWERS, ALL = "status_return_level", 2
 #: Operating modes: the name in L and the value of the register (e-manual, address 11).
 MODES = {"current": 0, "velocity": 1, "position": 3, "extended": 4, "currentPosition": 5, "pwm": 16}
 POSITION_MODES = ("position", "extended", "currentPosition")
@@ -128,9 +130,8 @@ class Servo:
 
     async def read_settings(self) -> None:
         """Read what the driver relies on: mode, kind of profile, limits of position and speed."""
-        if await self.get("status_return_level") < 2:
-            item = self.item("status_return_level")
-            await self.chain.tell(self.node, item.address, item.encode(2))
+        if not self.keeps_answers and await self.get(ANSWERS) < ALL:
+            await self.answer_all()
         if self.model.has("operating_mode"):
             value = await self.get("operating_mode")
             self.mode = next((name for name, number in MODES.items() if number == value), f"mode {value}")
@@ -138,6 +139,18 @@ class Servo:
             self.top_speed = await self.get("velocity_limit") * self.model.velocity
         low, high = await self.get("min_position_limit"), await self.get("max_position_limit")
         self.reach = self.model.to_angle(low), self.model.to_angle(high)
+
+    @property
+    def keeps_answers(self) -> bool:
+        """Whether what it answers is in its EEPROM, as that of an AX."""
+        return self.item(ANSWERS).address < self.model.ram
+
+    async def answer_all(self) -> None:
+        """Have it answer writes too; it need not answer this one. Seen to be so; raises DeviceError."""
+        item = self.item(ANSWERS)
+        await self.chain.tell(self.node, item.address, item.encode(ALL))
+        if await self.get(ANSWERS) != ALL:
+            raise self.error("does not take that it answers writes: switch its torque off first")
 
     # -- the control table ------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from typing import Any
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, dialect
 from lfield_mavlink.link.links import AGAIN, Link, make_link, split_endpoint
-from lfield_mavlink.link.ports import LinkCounts, Port, Route
+from lfield_mavlink.link.ports import LinkCounts, Neighbours, Port, Route
 from lfield_mavlink.link.signing import open_signing, sign_link
 from lfield_mavlink.vehicle import MavlinkVehicle
 
@@ -24,11 +24,15 @@ class MavlinkDriver(Driver):
     def _device(self, binding: DeviceBinding) -> MavlinkVehicle:
         send = partial(self._send_to, binding.option("system"))
         manifest = self.manifests[binding.type]
-        return MavlinkVehicle(binding, manifest, self.clock, self.reports, send, self._counts)
+        return MavlinkVehicle(
+            binding, manifest, self.clock, self.reports, send, self._counts, self._why_silent
+        )
 
     async def _open(self) -> None:
         self._quieted = False
         self._ports: list[Port] = []
+        self._neighbours = Neighbours()
+        self._received_bytes = 0
         self._vehicles: dict[int, MavlinkVehicle] = {}
         for device in self.devices.values():
             assert isinstance(device, MavlinkVehicle)
@@ -102,12 +106,23 @@ class MavlinkDriver(Driver):
 
     # -- messages -------------------------------------------------------------------------------------
 
+    def _why_silent(self) -> str:
+        """Why a vehicle may not be heard: somebody else is, or noise, or nothing at all."""
+        if heard := str(self._neighbours):
+            return f"heard: {heard}; is 'system' in its binding right?"
+        if self._received_bytes:
+            count = self._received_bytes
+            return f"the {count} bytes that came hold no heartbeat; is it the right port and baud rate?"
+        return "; ".join(port.link.why_silent() for port in self._ports)
+
     def _received(self, link: int, reader: Reader, data: bytes) -> None:
+        self._received_bytes += len(data)
         for message in reader.feed(data, self._is_spare):
             system = message.get_srcSystem()
             vehicle = self._vehicles.get(system)
             # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
             if vehicle is None or message.get_srcComponent() != AUTOPILOT:
+                self._neighbours.heard(message)
                 continue
             if self._routes[system].heard(link, message.get_msgbuf(), self.clock.monotonic()):
                 vehicle.on_message(message)
@@ -119,7 +134,7 @@ class MavlinkDriver(Driver):
         """
         vehicle = self._vehicles.get(header.system)
         if vehicle is None or header.component != AUTOPILOT:
-            return True
+            return header.kind != int(dialect.MAVLINK_MSG_ID_HEARTBEAT)
         return len(self._ports) == 1 and vehicle.is_spare(header.kind, header.sequence)
 
     def _send_to(self, system: int, message: Any) -> None:

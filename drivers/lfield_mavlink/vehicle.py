@@ -10,6 +10,7 @@ from lfield.driver import Clock, DeviceBinding, DeviceError, Manifest, Reports, 
 from lfield_mavlink.contact.contact import LINK_LOST, Contact
 from lfield_mavlink.contact.link_health import LinkHealth
 from lfield_mavlink.contact.streams import Streams
+from lfield_mavlink.limit_keeper import LimitKeeper
 from lfield_mavlink.link.ports import LinkCounts
 from lfield_mavlink.parts.fences import Fences, Rally
 from lfield_mavlink.parts.flight import Flight
@@ -18,6 +19,7 @@ from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.missions import Missions
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.payload import Payload
+from lfield_mavlink.parts.readiness import Readiness
 from lfield_mavlink.parts.rest import Rest
 from lfield_mavlink.parts.storage import Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
@@ -30,7 +32,8 @@ from lfield_mavlink.services.plan_transfer import PlanTransfer
 class MavlinkVehicle(Contact):
     """A vehicle with an autopilot that speaks MAVLink 2.
 
-    `send` sends it a message, `counts` tells what the readers of its links have counted.
+    `send` sends it a message, `counts` tells what the readers of its links have counted, and `why_silent`
+    why it may not be heard.
     """
 
     def __init__(
@@ -41,8 +44,10 @@ class MavlinkVehicle(Contact):
         reports: Reports,
         send: Callable[[Any], None],
         counts: Callable[[], LinkCounts] = LinkCounts,
+        why_silent: Callable[[], str] = lambda: "",
     ) -> None:
         super().__init__(binding, manifest, clock, reports, send)
+        self._why_silent = why_silent
         self._streams, self._health = Streams(self), LinkHealth(self, counts)
         self.parameters = Parameters(self, EncodingQuestion(self).ask)
         self.files = FileTransfer(self)
@@ -50,10 +55,13 @@ class MavlinkVehicle(Contact):
         self.motion = Motion(self, self.parameters)
         self.watchdog = Watchdog(self, self.parameters)
         limits = Limits(binding, self.error)
-        self._flight = Flight(self, self.motion, limits)
+        readiness = Readiness(self, self.motion)
+        self._flight = Flight(self, self.motion, limits, readiness)
         self._rest = Rest(self, self.motion)
+        self._keeper = LimitKeeper(self, self.motion)
         self.parts = (
             self._flight,
+            readiness,
             Guidance(self, self.motion, limits),
             Missions(self, self.motion, limits, self.plans),
             Fences(self, self.plans, self.parameters),
@@ -89,7 +97,7 @@ class MavlinkVehicle(Contact):
         if not await self.seen(lambda: self.state.heard is not None, patience):
             raise self.error(
                 f"no heartbeat from system {self.system} at {self.binding.endpoint} within {patience:g} s; "
-                "check that the vehicle is on, the endpoint, and the id in the bindings",
+                f"{self._why_silent()}",
                 timeout=True,
             )
         self.check_identity()
@@ -103,7 +111,7 @@ class MavlinkVehicle(Contact):
 
     def keep(self) -> tuple[Coroutine[Any, Any, None], ...]:
         """What runs beside the calls while the vehicle is open."""
-        return (self._watch(), self._streams.keep(), self._health.keep())
+        return (self._watch(), self._streams.keep(), self._health.keep(), self._keeper.keep())
 
     async def _watch(self) -> None:
         """Tell when the link is lost and found; when it is back, what it was told is told again."""

@@ -26,6 +26,7 @@ COMMANDS = {
     "inspect": "explain a dumped agent",
     "doctor": "look for what stands between this computer and its devices",
     "driver": "list the drivers, or begin a new one",
+    "setup": "write what devices must keep for their bindings, after a yes, or put back what was there",
     "kit": "try a device, fake or real, against what its driver promises",
     "sim": "run a stand-alone fake of a device, or make one go wrong",
 }
@@ -33,7 +34,7 @@ _ROOMS = {
     "desk": ("check", "build", "disasm", "inspect", "capabilities"),
     "run": ("up",),
     "team": ("ps", "query", "estop"),
-    "robot": ("doctor", "driver", "kit", "sim"),
+    "robot": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of every subcommand.
 MODULES = {name: f"lfield.cli.{room}.{name}" for room, names in _ROOMS.items() for name in names}

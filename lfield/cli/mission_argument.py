@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,13 @@ def mission_path(args: argparse.Namespace) -> Path:
     path = named_mission(args)
     assert path is not None
     return path
+
+
+def setup_command(path: Path, host: str = "", devices: Path | None = None) -> str:
+    """The command that sets up the devices of a mission, or of one of its hosts."""
+    words = ["lfield", "setup", "--deploy", str(path)]
+    words += ["--devices", str(devices)] if devices is not None else []
+    return shlex.join([*words, *(["--host", host] if host else [])])
 
 
 def named_mission(args: argparse.Namespace) -> Path | None:

@@ -8,14 +8,16 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from lfield.driver.binding import DeviceBinding
-from lfield.driver.sims import Sims
+import msgspec
+
+from lfield.driver.binding import SIMULATED, DeviceBinding, by_bus
+from lfield.driver.sims import Sims, sims_of
 from lfield.errors import PluginError
 
 #: Seconds for a fake to be ready, and to end when it is told.
 READY, END = 20.0, 3.0
-#: How many pieces of what a fake says while it starts are kept.
-MOST = 64
+#: How many characters of what a fake says while it starts are kept, the last ones.
+MOST = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +86,36 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> Fake:
     return fake
 
 
+async def on_running_fakes(
+    devices: Sequence[DeviceBinding], running: list[Fake], problems: list[str]
+) -> list[DeviceBinding]:
+    """The same devices, the simulated ones at the endpoints of fakes that now run.
+
+    The fakes are added to `running`, and a sentence to `problems` for each that does not start.
+    """
+    simulated = by_bus(device for device in devices if device.endpoint.startswith(SIMULATED))
+    if not simulated:
+        return list(devices)
+    sims = sims_of({driver for driver, _ in simulated})
+    fakes = (start_fake(sims, bus) for bus in simulated.values())
+    started = await asyncio.gather(*fakes, return_exceptions=True)
+    running += [fake for fake in started if isinstance(fake, Fake)]
+    endpoints: dict[tuple[str, str], str] = {}
+    for bus, fake in zip(simulated, started, strict=True):
+        if isinstance(fake, Fake):
+            endpoints[bus] = fake.endpoint
+        elif isinstance(fake, PluginError):
+            problems.append(str(fake))
+        else:
+            raise fake
+    return [msgspec.structs.replace(d, endpoint=endpoints.get(d.bus, d.endpoint)) for d in devices]
+
+
 class Words:
     """What a fake writes to stderr: kept while it starts, since it may say why not, then passed on."""
 
     def __init__(self, stream: asyncio.StreamReader) -> None:
-        self._kept: list[str] | None = []
+        self._kept: str | None = ""
         self._reading = asyncio.create_task(self._read(stream))
 
     async def _read(self, stream: asyncio.StreamReader) -> None:
@@ -97,17 +124,17 @@ class Words:
             if self._kept is None:
                 sys.stderr.write(text)
                 sys.stderr.flush()
-            elif len(self._kept) < MOST:
-                self._kept.append(text)
+            else:
+                self._kept = (self._kept + text)[-MOST:]
 
     def let_out(self) -> None:
         """Pass on what was said, and from now on all that is."""
         kept, self._kept = self._kept, None
-        sys.stderr.write("".join(kept or ()))
+        sys.stderr.write(kept or "")
 
     def why(self, what: str, said: str) -> str:
         """`what` with the words of a fake that has ended, on stderr or in `said`; of a traceback the last."""
-        lines = [line.strip() for line in f"{''.join(self._kept or ())}\n{said}".splitlines() if line.strip()]
+        lines = [line.strip() for line in f"{self._kept or ''}\n{said}".splitlines() if line.strip()]
         if any(line.startswith("Traceback") for line in lines):
             lines = lines[-1:]
         return f"{what}; it said: {' '.join(lines)}" if lines else f"{what}, and said nothing"

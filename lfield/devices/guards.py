@@ -7,18 +7,15 @@ import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import msgspec
-
 from lfield import loop
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
-from lfield.devices.fakes import Fake, start_fake
+from lfield.devices.fakes import Fake, on_running_fakes
 from lfield.devices.keeper import Answered, Guard
 from lfield.devices.lateness import Lateness, Limit
-from lfield.driver.binding import SIMULATED, DeviceBinding
+from lfield.driver.binding import SIMULATED, DeviceBinding, by_bus
 from lfield.driver.known import Drivers
-from lfield.driver.sims import sims_of
-from lfield.errors import DeviceError, DevicesError, PluginError
+from lfield.errors import DeviceError, DevicesError
 from lfield.guard.core import SILENCE
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction, Observation
 from lfield.vm.contract import Reading
@@ -74,10 +71,10 @@ class Guards:
 
     async def _open(self, devices: Sequence[DeviceBinding], problems: list[str]) -> None:
         problems += _shared_ports(devices)
-        placed = await self._with_fakes(devices, problems) if not problems else []
+        placed = await on_running_fakes(devices, self._fakes, problems) if not problems else []
         if problems:
             return
-        for bus in _by_bus(placed).values():
+        for bus in by_bus(placed).values():
             driver = self._drivers.by_driver[bus[0].driver]
             guard = Guard(driver, bus, self._clock, self._note, self.lateness, self._turned)
             self._guards.append(guard)
@@ -90,25 +87,6 @@ class Guards:
                 self._not_set_up.extend(answer.not_set_up)
             elif isinstance(answer, BaseException):
                 raise answer
-
-    async def _with_fakes(self, devices: Sequence[DeviceBinding], problems: list[str]) -> list[DeviceBinding]:
-        """The same devices, the simulated ones at the endpoints of fakes that now run."""
-        simulated = _by_bus([device for device in devices if device.endpoint.startswith(SIMULATED)])
-        if not simulated:
-            return list(devices)
-        sims = sims_of({driver for driver, _ in simulated})
-        fakes = (start_fake(sims, bus) for bus in simulated.values())
-        started = await asyncio.gather(*fakes, return_exceptions=True)
-        self._fakes += [fake for fake in started if isinstance(fake, Fake)]
-        endpoints: dict[tuple[str, str], str] = {}
-        for bus, fake in zip(simulated, started, strict=True):
-            if isinstance(fake, Fake):
-                endpoints[bus] = fake.endpoint
-            elif isinstance(fake, PluginError):
-                problems.append(str(fake))
-            else:
-                raise fake
-        return [msgspec.structs.replace(d, endpoint=endpoints.get(d.bus, d.endpoint)) for d in devices]
 
     def query(self, agent: str, field: str, instruction: str) -> DeviceValue | Pending:
         """The value of a query, PENDING for what the device itself must do (`call`).
@@ -249,10 +227,3 @@ def _shared_ports(devices: Sequence[DeviceBinding]) -> list[str]:
         for device in devices
         if (rival := first.setdefault(device.endpoint, device)).driver != device.driver
     ]
-
-
-def _by_bus(devices: Sequence[DeviceBinding]) -> dict[tuple[str, str], list[DeviceBinding]]:
-    buses: dict[tuple[str, str], list[DeviceBinding]] = {}
-    for device in devices:
-        buses.setdefault(device.bus, []).append(device)
-    return buses

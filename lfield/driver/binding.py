@@ -62,6 +62,14 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
         return self.options[name]
 
 
+def by_bus(devices: Iterable[DeviceBinding]) -> dict[tuple[str, str], list[DeviceBinding]]:
+    """The devices of each bus, in their order."""
+    buses: dict[tuple[str, str], list[DeviceBinding]] = {}
+    for device in devices:
+        buses.setdefault(device.bus, []).append(device)
+    return buses
+
+
 def longest_rest(devices: Iterable[DeviceBinding]) -> float:
     """How long the slowest of these devices may take to come to rest, in seconds; 0 without any.
 

@@ -150,9 +150,12 @@ async def lateness(silence: float, clock: Clock, *, bound: bool) -> Finding:
 
 
 async def endpoints(
-    drivers: Drivers, devices: list[DeviceBinding], clock: Clock, told: Callable[[Finding], None]
+    drivers: Drivers, devices: list[DeviceBinding], clock: Clock, told: Callable[[Finding], None], setup: str
 ) -> None:
-    """What answers at every bound endpoint. Devices are opened one by one, and nothing is moved."""
+    """What answers at every bound endpoint. Devices are opened one by one, and nothing is moved or written.
+
+    `setup` is the command that sets up those that are not.
+    """
     for device in devices:
         notes: list[str] = []
         guards = Guards(drivers, clock, notes.append)
@@ -160,7 +163,9 @@ async def endpoints(
             await guards.open([device])
         except DevicesError as error:
             for problem in error.problems:
-                told(Finding("problem", problem, "check power, cable, endpoint and ids"))
+                unset = problem in error.not_set_up
+                cure = f"{setup} (it asks first)" if unset else "check power, cable, endpoint and ids"
+                told(Finding("problem", problem, cure))
         else:
             identity = guards.guard_of(device.name).identities[device.name]
             told(Finding("ok", f"{device.name}: {identity} at {device.endpoint}"))

@@ -82,10 +82,11 @@ def _check(starts: int) -> int:
 def record_file(folder: Path | None, deployment: str, host: str) -> Path:
     """Where the record of a host is: in the folder that is named, else in the service's or the user's own."""
     place = f"{quote(deployment, safe='')}@{quote(host, safe='')}"
-    return (folder or _state_folder()) / place / "starts.json"
+    return (folder or state_folder()) / place / "starts.json"
 
 
-def _state_folder() -> Path:
+def state_folder() -> Path:
+    """The folder of what outlives a run: the service's, else the user's own."""
     # systemd names all state folders of a unit, with colons between.
     service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     if service:

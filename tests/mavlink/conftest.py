@@ -45,6 +45,9 @@ class MemoryLink:
             for packet in fake.receive(f"link {self.number}", data):
                 self.bench.filter(self, packet)
 
+    def why_silent(self) -> str:
+        return f"nothing on link {self.number}"
+
     def close(self) -> None:
         pass
 

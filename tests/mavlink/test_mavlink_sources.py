@@ -68,6 +68,6 @@ def test_every_instruction_has_its_method(bench):
     bench().run(look, opened=False)
 
 
-def test_every_quantity_that_is_asked_for_has_a_rate():
+def test_every_message_that_is_asked_for_has_a_rate():
     rates = {quantity.name: quantity.rate for quantity in DEVICES["Mavlink"].telemetry}
-    assert all(rates[name] > 0.0 for names in SOURCES.values() for name in names)
+    assert all(max(rates[name] for name in names) > 0.0 for names in SOURCES.values())

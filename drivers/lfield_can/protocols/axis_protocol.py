@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from lfield.driver import Clock, DeviceBinding, DeviceError
 from lfield_can.bus.bus import Bus
 from lfield_can.bus.frames import Frame
-from lfield_can.timing import News
+from lfield_can.timing import News, Sync
 
 
 @dataclass(slots=True)
@@ -34,6 +34,7 @@ class Wiring:
 
     binding: DeviceBinding
     bus: Bus
+    sync: Sync
     clock: Clock
     news: News
     note: Callable[[str], None]

@@ -17,7 +17,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from lfield.driver import DeviceError
 from lfield_can.bus.frames import Frame
-from lfield_can.protocols.cia402_tables import OBJECTS, SDO_ANSWER, SDO_REQUEST
+from lfield_can.protocols.cia402_tables import OBJECTS, SDO_ANSWER, SDO_REQUEST, name_of
 
 T = TypeVar("T")
 
@@ -64,6 +64,8 @@ class CanopenNode:
         self._node = self._made()
         self._worker = ThreadPoolExecutor(1, f"sdo-{node}")
         self._answers = 0
+        #: Called with every object that was written, and its bytes.
+        self.on_written: Callable[[int, int, bytes], None] = lambda index, subindex, data: None
 
     def _made(self) -> canopen.RemoteNode:
         node = canopen.RemoteNode(self._id, self._dictionary)
@@ -89,7 +91,7 @@ class CanopenNode:
     async def read(self, index: int, subindex: int = 0) -> int:
         """The value of an object. Raises DeviceError."""
         variable = self._variable(index, subindex)
-        data = await self._run(lambda: self._upload(index, subindex), index, subindex)
+        data = await self.read_raw(index, subindex)
         try:
             value = variable.decode_raw(data[: len(variable) // 8])
         except Exception:  # of the wrong length; struct.error and others
@@ -97,6 +99,10 @@ class CanopenNode:
         if not isinstance(value, int):
             raise DeviceError(self._name, f"{self._label(index, subindex)} came as {data.hex() or 'nothing'}")
         return value
+
+    async def read_raw(self, index: int, subindex: int) -> bytes:
+        """The bytes of an object. Raises DeviceError."""
+        return await self._run(lambda: self._upload(index, subindex), index, subindex)
 
     async def write(self, index: int, subindex: int, value: int) -> None:
         """Write an object and read it back. Raises DeviceError."""
@@ -109,6 +115,7 @@ class CanopenNode:
     async def write_raw(self, index: int, subindex: int, data: bytes) -> None:
         """Write the bytes of an object. Raises DeviceError."""
         await self._run(lambda: self._node.sdo.download(index, subindex, data), index, subindex)
+        self.on_written(index, subindex, data)
 
     def has(self, index: int, subindex: int = 0) -> bool:
         """Whether the object dictionary has the object."""
@@ -165,8 +172,7 @@ class CanopenNode:
         return found if isinstance(found, ODVariable) and len(found) <= 32 else None
 
     def _label(self, index: int, subindex: int) -> str:
-        name, _ = OBJECTS.get((index, subindex), ("object", 0))
-        return f"{name} 0x{index:04X}:{subindex}"
+        return f"{name_of(index, subindex)} 0x{index:04X}:{subindex}"
 
 
 def standard_dictionary() -> canopen.ObjectDictionary:

@@ -33,6 +33,13 @@ class Cia402(Cia402Node):
         self._mode, self._commanded = 0, None
         super().forget(state)
 
+    def on_status(self, statusword: int) -> dict[str, object] | None:
+        """A stream may carry the control word: it must not lead a drive back that has stopped by itself."""
+        told = super().on_status(statusword)
+        if not self.state.enabled:
+            self._stream.stop()
+        return told
+
     def quiet(self, on: bool) -> None:
         """A stream feeds its watchdog too."""
         if on:
@@ -48,7 +55,7 @@ class Cia402(Cia402Node):
 
     async def enable(self) -> None:
         """Step by step up the state machine, without a target that is left from before."""
-        if t.VELOCITY in self.mapped:
+        if self.agreed.data.takes(t.TO_VELOCITY):
             await self.objects.write(0x60FF, 0, 0)
         await self._set_mode(t.PROFILE_POSITION)
         for _ in range(len(t.STATES)):
@@ -135,7 +142,7 @@ class Cia402(Cia402Node):
         """The next frame on the way to a goal."""
         assert self._commanded is not None
         self._commanded += max(-step, min(step, goal - self._commanded))
-        return self._frame(t.POSITION, self.units.to_counts(self._commanded))
+        return self._frame(t.TO_POSITION, self.units.to_counts(self._commanded))
 
     async def set_velocity(self, velocity: float) -> None:
         """One target velocity, or with `cyclic` a stream of it."""
@@ -143,7 +150,7 @@ class Cia402(Cia402Node):
             velocity,
             self.units.to_velocity(velocity),
             0x60FF,
-            t.VELOCITY,
+            t.TO_VELOCITY,
             t.PROFILE_VELOCITY,
             t.CYCLIC_VELOCITY,
         )
@@ -155,20 +162,22 @@ class Cia402(Cia402Node):
                 "setTorque needs 'rated_torque' in its binding: the drive does not tell it"
             )
         await self._set_target(
-            torque, self.units.to_torque(torque), 0x6071, t.TORQUE, t.PROFILE_TORQUE, t.CYCLIC_TORQUE
+            torque, self.units.to_torque(torque), 0x6071, t.TO_TORQUE, t.PROFILE_TORQUE, t.CYCLIC_TORQUE
         )
 
     async def _set_target(
         self, what: float, value: int, index: int, code: int, profile: int, cyclic: int
     ) -> None:
-        frame = self._frame(code, value)
+        # What cannot be sent is told before the mode changes; and a frame is made when it goes, since it may
+        # carry the mode and the control word too.
+        self._frame(code, value)
         if self.binding.option("cyclic"):
             await self._set_mode(cyclic, (index, value))
-            await self._begin_stream(lambda: frame)
+            await self._begin_stream(lambda: self._frame(code, value))
             return
         self._stream.stop()
         await self._set_mode(profile, (index, value))
-        await self.bus.send(frame)
+        await self.bus.send(self._frame(code, value))
 
     async def _begin_stream(self, frame: Callable[[], Frame]) -> None:
         """Now, and then every period until the setpoint's time-to-live is over."""
@@ -183,11 +192,11 @@ class Cia402(Cia402Node):
         """Quick stop, or voltage off. Where process data do not run, by SDO."""
         self._stream.stop()
         word = t.DISABLE_VOLTAGE if state == "torque_off" else t.QUICK_STOP
-        await self._control(word)
-        if not self.configured:
+        if self.agreed.data.takes(t.CONTROL):
+            await self._control(word)
+        if not self.configured or self.agreed.by_changes:
             await self.objects.write_raw(0x6040, 0, struct.pack("<H", word))
-            self.on_status(await self.objects.read(0x6041))
-            self.state.velocity = self.units.velocity(await self.objects.read(0x606C))
+            await self.ask()
 
     def is_safe(self, state: str, still: bool) -> bool:
         """By the status word; a drive that is off cannot hold, and need not."""
@@ -200,15 +209,15 @@ class Cia402(Cia402Node):
     async def _control(self, word: int) -> None:
         await self.bus.send(self._frame(t.CONTROL, word))
 
-    def _frame(self, code: int, *values: int) -> Frame:
+    def _frame(self, entry: int, value: int) -> Frame:
         """Process data to the drive. Raises DeviceError when a value does not fit, or has nowhere to go."""
-        if code in t.OPTIONAL and code not in self.mapped:
-            raise self.wiring.error(f"the drive does not {t.OPTIONAL[code]}")
+        if not self.agreed.data.takes(entry):
+            raise self.wiring.error(f"the drive does not {t.OPTIONAL.get(entry, 'take commands yet')}")
         try:
-            return Frame(code + self.node, t.LAYOUTS[code].pack(*values))
+            return Frame(*self.agreed.data.frame(entry, value))
         except struct.error:
             raise self.wiring.error(
-                f"{values[0]} is more than the drive can be told; check 'counts' and 'gear'"
+                f"{value} is more than the drive can be told; check 'counts' and 'gear'"
             ) from None
 
     async def _set_mode(self, mode: int, target: tuple[int, int] | None = None) -> None:

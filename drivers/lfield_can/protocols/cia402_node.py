@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols import cia402_setup as setting
 from lfield_can.protocols import cia402_tables as t
+from lfield_can.protocols import pdo_setup
 from lfield_can.protocols.axis_protocol import AxisProtocol, Wiring
 from lfield_can.protocols.canopen_node import CanopenNode
 from lfield_can.protocols.cia402_tables import Units
+from lfield_can.protocols.pdo_setup import Agreed
 from lfield_can.timing import Repeating
 
 #: Seconds for one step of a state machine.
@@ -40,18 +42,16 @@ class Cia402Node(AxisProtocol):
         )
         self.objects = CanopenNode(self.binding.field, self.node, self.bus.post)
         self._beats = Repeating(wiring.clock)
-        self._handlers: Mapping[int, Callable[..., Mapping[str, object] | None]] = {
-            t.HEARTBEAT: self._on_heartbeat,
-            t.STATUS: self.on_status,
-            t.MOTION: self._on_motion,
-            t.FORCE: self._on_force,
-            t.EMERGENCY: self._on_emergency,
-        }
+        #: Its process data, none before they are agreed on.
+        self.agreed = Agreed()
+        self._sync_id = t.SYNC
         self._longest = 0.0
+        #: Our heartbeat, which the drive watches.
+        self._beat = Frame(t.HEARTBEAT + self.binding.option("master"), bytes([t.OPERATIONAL]))
         self._nmt: int | None = None
         self.statusword = self._error_code = self._register = 0
-        self.mapped: frozenset[int] = frozenset()
-        self._motion_at = -OLD
+        #: When position and velocity were told last.
+        self._told_at = dict.fromkeys((t.POSITION, t.VELOCITY), -OLD)
         #: Bits of the modes that it has, 0 when it does not tell.
         self.modes = 0
         self.configured = False
@@ -61,7 +61,7 @@ class Cia402Node(AxisProtocol):
 
     def ids(self) -> frozenset[int]:
         """Everything that a node of this id sends."""
-        codes = (t.EMERGENCY, t.STATUS, t.MOTION, t.FORCE, t.SDO_ANSWER, t.HEARTBEAT)
+        codes = (t.EMERGENCY, *t.TRANSMITTED, t.SDO_ANSWER, t.HEARTBEAT)
         return frozenset(code + self.node for code in codes)
 
     def on_frame(self, frame: Frame) -> Mapping[str, object] | None:
@@ -70,13 +70,39 @@ class Cia402Node(AxisProtocol):
         if code == t.SDO_ANSWER:
             self.objects.on_answer(frame.data)
             return {}
-        if code in t.TRANSMITTED and code not in self.mapped:
-            return {}  # it is not ours yet: laid out as somebody else has set it up
+        if code in t.TRANSMITTED:
+            return self._on_process_data(frame)
         try:
             values = t.LAYOUTS[code].unpack(frame.data)
         except struct.error:
             return None
-        return self._handlers[code](*values)
+        return self._on_heartbeat(*values) if code == t.HEARTBEAT else self._on_emergency(*values)
+
+    def _on_process_data(self, frame: Frame) -> dict[str, object] | None:
+        if not self.agreed.data.tells(frame.id):
+            return {}  # it is not ours, or not yet: laid out as somebody else has set it up
+        values = self.agreed.data.read(frame.id, frame.data)
+        return None if values is None else self.on_values(values)
+
+    def on_values(self, values: Mapping[int, int]) -> dict[str, object] | None:
+        """What objects have told, by PDO or asked for; None for a status word that no drive has."""
+        told: dict[str, object] = {}
+        if t.STATUS in values:
+            status = self.on_status(values[t.STATUS])
+            if status is None:
+                return None
+            told.update(status)
+        now = self.wiring.clock.monotonic()
+        self._told_at.update({entry: now for entry in self._told_at if entry in values})
+        if t.POSITION in values:
+            told["position"] = self.state.position = self.units.position(values[t.POSITION])
+        if t.VELOCITY in values:
+            told["velocity"] = self.state.velocity = self.units.velocity(values[t.VELOCITY])
+        if t.TORQUE in values and self.units.rated_torque:
+            told["torque"] = self.units.torque(values[t.TORQUE])
+        if t.CURRENT in values and self.units.rated_current:
+            told["current"] = values[t.CURRENT] / 1000.0 * self.units.rated_current
+        return told
 
     def _on_heartbeat(self, value: int) -> dict[str, object]:
         self._nmt = value & 0x7F
@@ -85,7 +111,8 @@ class Cia402Node(AxisProtocol):
         if self.configured and self._nmt != t.OPERATIONAL:
             self.configured, self.needs_setup = False, True
             self.forget("not operational")
-        if self.wiring.clock.monotonic() - self._motion_at > OLD:
+        old = self.wiring.clock.monotonic() - min(self._told_at.values()) > OLD
+        if old and not self.agreed.by_changes:
             self.state.position = self.state.velocity = None
         return {}
 
@@ -100,22 +127,6 @@ class Cia402Node(AxisProtocol):
         words = t.error_words(self._error_code, self._register) or "fault"
         self.state.fault = words if state.startswith("fault") else ""
         return self._told()
-
-    def _on_motion(self, position: int, velocity: int) -> dict[str, object]:
-        self._motion_at = self.wiring.clock.monotonic()
-        self.state.position, self.state.velocity = (
-            self.units.position(position),
-            self.units.velocity(velocity),
-        )
-        return {"position": self.state.position, "velocity": self.state.velocity}
-
-    def _on_force(self, torque: int, current: int) -> dict[str, object]:
-        values: dict[str, object] = {}
-        if self.units.rated_torque:
-            values["torque"] = self.units.torque(torque)
-        if self.units.rated_current:
-            values["current"] = current / 1000.0 * self.units.rated_current
-        return values
 
     def _on_emergency(self, code: int, register: int) -> dict[str, object]:
         self._error_code, self._register = code, register
@@ -157,8 +168,12 @@ class Cia402Node(AxisProtocol):
         node, note, error = self.objects, self.wiring.note, self.wiring.error
         self.configured = False
         identity = await setting.identify(node, error)
-        await setting.set_heartbeat(node)
-        self.mapped = await setting.map_process_data(node, self.node, note)
+        # Some drives change their process data only before they are operational (CiA 301, 7.3.2.2).
+        await self.bus.send(Frame(t.NMT, bytes([t.NMT_PREPARE, self.node])))
+        await setting.set_heartbeat(node, error)
+        self.agreed = Agreed()
+        self.agreed = await pdo_setup.agree(node, self.node, error, note)
+        node.on_written = self.agreed.data.written
         await setting.read_ratings(node, self.units)
         await setting.set_limits(node, self.binding, self.units, note)
         await setting.set_quick_stop(node, self.binding.safe_state, error)
@@ -172,11 +187,16 @@ class Cia402Node(AxisProtocol):
     async def _start(self) -> None:
         """Operational, and telling its state and motion."""
         self._nmt = None
+        if self.agreed.by_sync:
+            self._sync_id = (await setting.optional(self.objects, 0x1005) or t.SYNC) & 0x7FF
+            self.wiring.sync.want(self.node, self._sync_id)
         await self.bus.send(Frame(t.NMT, bytes([t.NMT_START, self.node])))
         await self.expect(lambda: self._nmt == t.OPERATIONAL, STEP, "it did not become operational")
-        self.state.position = None
+        self.state.position = self.state.velocity = None
+        if self.agreed.by_changes:
+            await self.ask()
         await self.expect(
-            lambda: self.state.position is not None and bool(self.state.state),
+            lambda: None not in (self.state.position, self.state.velocity) and bool(self.state.state),
             STEP,
             "it sent no process data",
         )
@@ -185,17 +205,21 @@ class Cia402Node(AxisProtocol):
         """Its consumer heartbeat, which our own heartbeats feed from now on."""
         self._longest = longest
         master: int = self.binding.option("master")
-        beat = Frame(t.HEARTBEAT + master, bytes([t.OPERATIONAL]))
-        self._beats.start(longest / 4.0, lambda: self.bus.post(beat))
+        self._beats.start(longest / 4.0, lambda: self.bus.post(self._beat))
         note, safe_state = self.wiring.note, self.binding.safe_state
         seconds = await setting.set_watchdog(self.objects, master, longest, safe_state, note)
         # The drive begins to watch with the first heartbeat that it hears from now on (CiA 301, 7.2.8.2.2).
-        await self.bus.send(beat)
+        await self.bus.send(self._beat)
         return seconds
 
+    async def ask(self) -> dict[str, object]:
+        """Read by SDO what process data tell. Raises DeviceError."""
+        entries = (t.POSITION, t.VELOCITY, t.STATUS)
+        return self.on_values({entry: await self.objects.read(entry >> 16) for entry in entries}) or {}
+
     async def poll(self) -> Mapping[str, object]:
-        """The supply voltage, and the cause of a fault that was not told."""
-        values: dict[str, object] = {}
+        """The supply voltage, the cause of a fault that was not told, and what comes only when it changes."""
+        values: dict[str, object] = await self.ask() if self.agreed.by_changes else {}
         if self.state.fault and not self._error_code:
             self._error_code = await setting.optional(self.objects, 0x603F) or 0
             self._register = await setting.optional(self.objects, 0x1001) or 0
@@ -211,10 +235,17 @@ class Cia402Node(AxisProtocol):
         """Our heartbeats feed its watchdog."""
         if on:
             self._beats.stop()
-        elif self._longest:
+            self.wiring.sync.leave(self.node)
+            return
+        if self._longest:
+            # At once: its watchdog may be about to run out, with nobody left to blame.
+            self.bus.post(self._beat)
             self._beats.again()
+        if self.agreed.by_sync:
+            self.wiring.sync.want(self.node, self._sync_id)
 
     def close(self) -> None:
         """No heartbeats, no worker."""
         self._beats.stop()
+        self.wiring.sync.leave(self.node)
         self.objects.close()

@@ -12,10 +12,6 @@ from lfield_can.protocols.cia402_tables import Units
 
 #: Milliseconds between two heartbeats of the drive.
 HEARTBEAT_EVERY = 100
-#: Bit of the id of process data that says: not in use.
-UNUSED = 1 << 31
-#: The transmission type "when it changes, and by the event timer".
-BY_EVENT = 255
 #: The low half of 0x1000 of a drive.
 DRIVE_PROFILE = 402
 #: Bounds beyond which a position is not bounded at all.
@@ -43,41 +39,15 @@ async def optional(node: CanopenNode, index: int, subindex: int = 0) -> int | No
         return None
 
 
-async def set_heartbeat(node: CanopenNode) -> None:
-    """Have the drive say ten times a second that it is alive."""
-    await node.write(0x1017, 0, HEARTBEAT_EVERY)
-
-
-async def map_process_data(node: CanopenNode, number: int, note: Note) -> frozenset[int]:
-    """Set up all process data; the function codes of those that the drive has. Raises DeviceError."""
-    done = set()
-    for code, entries in {**t.TRANSMITTED, **t.RECEIVED}.items():
-        try:
-            await _map(node, code, number, entries)
-        except SdoRefused as refused:
-            if code not in t.OPTIONAL:
-                raise
-            note(f"it does not {t.OPTIONAL[code]}: {refused.reason}")
-            continue
-        done.add(code)
-    return frozenset(done)
-
-
-async def _map(node: CanopenNode, code: int, number: int, entries: tuple[int, ...]) -> None:
-    """One of them; it must not be in use while it is changed (CiA 301, 7.5.2.36)."""
-    transmitted = code in t.TRANSMITTED
-    place = (code - (t.STATUS if transmitted else t.CONTROL)) >> 8
-    how, what = (0x1800, 0x1A00) if transmitted else (0x1400, 0x1600)
-    await node.write_raw(how + place, 1, _u32(UNUSED | (code + number)))
-    await node.write_raw(what + place, 0, b"\0")
-    for position, entry in enumerate(entries, 1):
-        await node.write_raw(what + place, position, _u32(entry))
-    await node.write_raw(what + place, 0, bytes([len(entries)]))
-    await node.write_raw(how + place, 2, bytes([BY_EVENT]))
-    if transmitted:
-        every = t.STATUS_EVERY if code == t.STATUS else t.MOTION_EVERY
-        await node.write_raw(how + place, 5, struct.pack("<H", round(every * 1000)))
-    await node.write_raw(how + place, 1, _u32(code + number))
+async def set_heartbeat(node: CanopenNode, error: Callable[[str], DeviceError]) -> None:
+    """Have the drive say ten times a second that it is alive: that is how its silence is noticed."""
+    try:
+        await node.write(0x1017, 0, HEARTBEAT_EVERY)
+    except SdoRefused as refused:
+        raise error(
+            f"it sends no heartbeat ({refused.reason}), and nobody would notice when it is gone; "
+            "node guarding, the older way, is not spoken here"
+        ) from None
 
 
 async def read_ratings(node: CanopenNode, units: Units) -> None:

@@ -17,6 +17,7 @@ from canopen.objectdictionary import datatypes as t
 OBJECTS: Mapping[tuple[int, int], tuple[str, int]] = {
     (0x1000, 0): ("device type", t.UNSIGNED32),
     (0x1001, 0): ("error register", t.UNSIGNED8),
+    (0x1005, 0): ("id of SYNC", t.UNSIGNED32),
     (0x1016, 1): ("consumer heartbeat time", t.UNSIGNED32),
     (0x1017, 0): ("producer heartbeat time", t.UNSIGNED16),
     (0x1018, 1): ("vendor id", t.UNSIGNED32),
@@ -28,6 +29,7 @@ OBJECTS: Mapping[tuple[int, int], tuple[str, int]] = {
     (0x605A, 0): ("quick stop option code", t.INTEGER16),
     (0x6060, 0): ("mode of operation", t.INTEGER8),
     (0x6061, 0): ("mode of operation display", t.INTEGER8),
+    (0x6064, 0): ("position", t.INTEGER32),
     (0x606C, 0): ("velocity", t.INTEGER32),
     (0x6071, 0): ("target torque", t.INTEGER16),
     (0x6072, 0): ("max torque", t.UNSIGNED16),
@@ -52,47 +54,80 @@ OBJECTS: Mapping[tuple[int, int], tuple[str, int]] = {
 
 # Function codes: what is added to the node id to give the id of a frame (CiA 301, predefined connections).
 NMT, EMERGENCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x000, 0x080, 0x580, 0x600, 0x700
-STATUS, MOTION, FORCE = 0x180, 0x280, 0x380
-CONTROL, POSITION, VELOCITY, TORQUE = 0x200, 0x300, 0x400, 0x500
+#: Of the process data that a node sends.
+TRANSMITTED = (0x180, 0x280, 0x380, 0x480)
+#: The id of SYNC, unless object 0x1005 has another.
+SYNC = 0x080
 
 #: Seconds between two process data of each kind from the drive.
-STATUS_EVERY, MOTION_EVERY = 0.02, 0.02
+EVERY = 0.02
 
-#: Process data: function code -> what is mapped, as (index << 16) | (subindex << 8) | bits.
-TRANSMITTED: Mapping[int, tuple[int, ...]] = {
-    STATUS: (0x60410010,),
-    MOTION: (0x60640020, 0x606C0020),
-    FORCE: (0x60770010, 0x60780010),
-}
-RECEIVED: Mapping[int, tuple[int, ...]] = {
-    CONTROL: (0x60400010,),
-    POSITION: (0x607A0020,),
-    VELOCITY: (0x60FF0020,),
-    TORQUE: (0x60710010,),
-}
-#: Process data that a drive may do without, and what it then does not do.
-OPTIONAL: Mapping[int, str] = {
-    FORCE: "tell torque and current",
-    POSITION: "take a stream of positions",
-    VELOCITY: "take velocities",
-    TORQUE: "take torques",
-}
+# Objects in process data: index << 16 | subindex << 8 | bits.
+STATUS, POSITION, VELOCITY, TORQUE, CURRENT = 0x60410010, 0x60640020, 0x606C0020, 0x60770010, 0x60780010
+CONTROL, TO_POSITION, TO_VELOCITY, TO_TORQUE = 0x60400010, 0x607A0020, 0x60FF0020, 0x60710010
 
-#: How they are packed.
-LAYOUTS: Mapping[int, struct.Struct] = {
+#: How those are packed.
+NUMBERS: Mapping[int, struct.Struct] = {
     STATUS: struct.Struct("<H"),
-    MOTION: struct.Struct("<ii"),
-    FORCE: struct.Struct("<hh"),
-    CONTROL: struct.Struct("<H"),
     POSITION: struct.Struct("<i"),
     VELOCITY: struct.Struct("<i"),
     TORQUE: struct.Struct("<h"),
+    CURRENT: struct.Struct("<h"),
+    CONTROL: struct.Struct("<H"),
+    TO_POSITION: struct.Struct("<i"),
+    TO_VELOCITY: struct.Struct("<i"),
+    TO_TORQUE: struct.Struct("<h"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Direction:
+    """Process data of one direction: where their records are, how we map them, what must be among them."""
+
+    name: str
+    sent: bool
+    record: int
+    mapping: int
+    first: int
+    ours: tuple[tuple[int, ...], ...]
+    needed: frozenset[int]
+
+
+TOLD = Direction(
+    "TPDO",
+    True,
+    0x1800,
+    0x1A00,
+    0x180,
+    ((STATUS,), (POSITION, VELOCITY), (TORQUE, CURRENT)),
+    frozenset((STATUS, POSITION, VELOCITY)),
+)
+TAKEN = Direction(
+    "RPDO",
+    False,
+    0x1400,
+    0x1600,
+    0x200,
+    ((CONTROL,), (TO_POSITION,), (TO_VELOCITY,), (TO_TORQUE,)),
+    frozenset((CONTROL,)),
+)
+#: Objects that a drive may do without, and what it then does not do.
+OPTIONAL: Mapping[int, str] = {
+    TORQUE: "tell torque",
+    CURRENT: "tell current",
+    TO_POSITION: "take a stream of positions",
+    TO_VELOCITY: "take velocities",
+    TO_TORQUE: "take torques",
+}
+
+#: Emergencies and heartbeats.
+LAYOUTS: Mapping[int, struct.Struct] = {
     EMERGENCY: struct.Struct("<HB5x"),
     HEARTBEAT: struct.Struct("<B"),
 }
 
 OPERATIONAL, BOOTED = 0x05, 0x00
-NMT_START = 0x01
+NMT_START, NMT_PREPARE = 0x01, 0x80
 
 # Bits of the status word beyond the state.
 TARGET_REACHED, ACKNOWLEDGED, FAILED = 1 << 10, 1 << 12, 1 << 13
@@ -257,6 +292,15 @@ def error_words(code: int, register: int = 0) -> str:
         groups = (ERRORS.get(code & mask) for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000))
         return f"{next((g for g in groups if g), 'unknown error')} (0x{code:04X})"
     return ", ".join(text for bit, text in REGISTER.items() if register & bit)
+
+
+def name_of(index: int, subindex: int) -> str:
+    """What an object is called: `mapping of TPDO 2`."""
+    for direction in (TOLD, TAKEN):
+        for start, words in ((direction.record, "parameters of"), (direction.mapping, "mapping of")):
+            if start <= index < start + 0x200:
+                return f"{words} {direction.name} {index - start + 1}"
+    return OBJECTS.get((index, subindex), ("object", 0))[0]
 
 
 # -- units -----------------------------------------------------------------------------------------------

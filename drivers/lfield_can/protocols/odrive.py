@@ -28,7 +28,8 @@ class Odrive(AxisProtocol):
         self._axis_state: int | None = None
         self._errors = 0
         self._mode: tuple[int, int] | None = None
-        self._hold: float | None = None
+        #: Whether it was told to hold the position where it stands.
+        self._holds = False
 
     # -- what the device says ---------------------------------------------------------------------------
 
@@ -56,7 +57,7 @@ class Odrive(AxisProtocol):
     def _on_heartbeat(self, errors: int, axis_state: int) -> dict[str, object]:
         self._errors, self._axis_state = errors, axis_state
         if axis_state != t.CLOSED_LOOP:
-            self._mode = self._hold = None
+            self._mode, self._holds = None, False
         return self._told()
 
     def _told(self) -> dict[str, object]:
@@ -87,7 +88,8 @@ class Odrive(AxisProtocol):
     def silent(self) -> None:
         """Not heard for too long."""
         super().silent()
-        self._axis_state = self._mode = self._hold = None
+        self._axis_state = self._mode = None
+        self._holds = False
         self.state.state = "silent"
 
     # -- setting up -------------------------------------------------------------------------------------
@@ -148,7 +150,7 @@ class Odrive(AxisProtocol):
 
     async def begin_move(self, position: float, speed: float) -> None:
         """By its own trapezoidal profile."""
-        self._hold = None
+        self._holds = False
         await self._command(t.SET_TRAVEL_SPEED, abs(speed * self.turns))
         # The profile of a goal begins when the goal comes, so that the mode must be there before.
         if self._mode != (t.POSITION, t.TRAVEL):
@@ -163,13 +165,13 @@ class Odrive(AxisProtocol):
 
     async def set_velocity(self, velocity: float) -> None:
         """One velocity; the value before the mode, in which an old one must not act."""
-        self._hold = None
+        self._holds = False
         await self._command(t.SET_VELOCITY, velocity * self.turns, 0.0)
         await self._set_mode(t.VELOCITY, t.DIRECT)
 
     async def set_torque(self, torque: float) -> None:
         """One torque of the motor, in front of the gear."""
-        self._hold = None
+        self._holds = False
         await self._command(t.SET_TORQUE, torque / (self.turns * math.tau))
         await self._set_mode(t.TORQUE, t.DIRECT)
 
@@ -180,11 +182,13 @@ class Odrive(AxisProtocol):
         if state == "torque_off":
             await self._command(t.SET_STATE, t.IDLE)
             return
-        if state == "torque_hold" and self._hold is None and self._stands():
-            self._hold = self.state.position
+        # All is sent again even if it was sent before: it may have been lost, or another master has taken
+        # the axis over since. Then it is held where it now stands, never led back.
+        self._mode = None
+        if state == "torque_hold" and self._stands():
             await self._hold_here(t.DIRECT)
-        elif self._hold is None:
-            self._mode = None  # sent again even if it was sent before: it may have been lost
+            self._holds = True
+        else:
             await self.set_velocity(0.0)
 
     def is_safe(self, state: str, still: bool) -> bool:
@@ -192,7 +196,7 @@ class Odrive(AxisProtocol):
         idle = self._axis_state == t.IDLE
         if state == "torque_off":
             return idle
-        holds = self._hold is not None or state == "brake"
+        holds = self._holds or state == "brake"
         return still and (idle or (self._axis_state == t.CLOSED_LOOP and holds))
 
     def _stands(self) -> bool:

@@ -168,11 +168,13 @@ class Contact(Device):
         place: Place | None = None,
         once: bool = False,
         optional: bool = False,
+        absent: str = "",
         taken: Callable[[], bool] | None = None,
     ) -> bool:
         """Have a command accepted. Raises DeviceError with the result and the autopilot's own reason.
 
         With `optional`, false when the autopilot does not know the command: there is another one to try.
+        `absent` is what it may not have: PX4 says nothing to a command for what it has no driver of.
 
         `taken` is a state that shows that it was: when the first copy was taken and its answer lost, the
         second copy may be refused, as a takeoff is in the air. `once` is for what must not be done twice.
@@ -186,8 +188,9 @@ class Contact(Device):
         if optional and answer.result == dialect.MAV_RESULT_UNSUPPORTED:
             return False
         if answer.result is None:
+            why = f": it has no {absent} that it knows of" if absent and self.exchange.px4 else ""
             perhaps = "; it may have been done all the same" if once else ""
-            raise self.error(f"{what}: the autopilot did not answer{perhaps}", timeout=True)
+            raise self.error(f"{what}: the autopilot did not answer{why}{perhaps}", timeout=True)
         await self._hear_reasons(start)
         raise self.error(f"{what} refused: {result_words(answer.result)}{self.reasons(start)}")
 
@@ -205,13 +208,12 @@ class Contact(Device):
         start = self.clock.monotonic()
         for _ in range(ATTEMPTS):
             await self.command(what, number, *values, taken=state)
-            if await self.seen(lambda: state() or self.is_unavailable(start), SHOWS / ATTEMPTS):
-                break
-        if state():
-            return
+            if await self.seen(state, SHOWS / ATTEMPTS):
+                return
+            # Not before: the words may be late ones about another mode.
+            if self.is_unavailable(start):
+                raise self.error(f"{what} refused{self.reasons(start)}")
         self.check_link()
-        if self.is_unavailable(start):
-            raise self.error(f"{what} refused{self.reasons(start)}")
         raise self.error(f"{what} was accepted but did not happen within {SHOWS:g} s{self.reasons(start)}")
 
     def is_unavailable(self, start: float) -> bool:

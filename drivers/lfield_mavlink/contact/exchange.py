@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 from lfield_mavlink.geo import Place
 from lfield_mavlink.link.dialect import AUTOPILOT, COMPONENT, SYSTEM, dialect
 
-#: Seconds to wait for an answer, and how often to ask. One that is heard meanwhile is asked longer: at a loss of
-#: 20 % each way every third question has no answer.
+#: Seconds to wait for an answer, and how often to ask. One that is heard meanwhile is asked longer: at a loss
+#: of 20 % each way every third question has no answer.
 PATIENCE, ATTEMPTS, PERSISTENT = 0.5, 4, 12
 #: Seconds to wait after an IN_PROGRESS, each time; and in all.
 PROGRESS, LONGEST = 5.0, 60.0

@@ -13,7 +13,7 @@ from typing import Any
 
 from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.modes import PROFILES, Profile
+from lfield_mavlink.modes import PROFILES, PX4, Profile
 
 #: Which quantities of the manifest each message brings. The autopilot is asked for the message at the
 #: highest rate that the manifest names for one of them. ArduPilot's heartbeat is wanted faster than its 1 Hz,
@@ -69,7 +69,9 @@ class VehicleState:
     """The newest of everything; None is "not heard yet".
 
     Positions are metres of *home*: the autopilot reports and takes them about the origin of its estimator,
-    which is where it first knew its place, while home moves to where it was armed last.
+    which is where it first knew its place, while home moves to where it was armed last. PX4's also moves in
+    the air, up and down with what its satellites say: there it stays what it was when it took off. A rover
+    takes its home before it knows a height, so its height about home is that about the origin.
     """
 
     def __init__(self, kind: str) -> None:
@@ -90,6 +92,8 @@ class VehicleState:
         self.yaw: float | None = None
         self.home: Place | None = None
         self.booted: int | None = None
+        #: m/s north, east and down.
+        self.velocity: Vector = (0.0, 0.0, 0.0)
         #: m/s over ground and upwards, and when that was told.
         self.speeds: tuple[float, float] | None = None
         self.speeds_at = -math.inf
@@ -103,9 +107,12 @@ class VehicleState:
     @property
     def home_offset(self) -> Vector:
         """Home in the autopilot's local frame."""
+        # The origin first: older ArduPilots leave what HOME_POSITION says of the local frame at 0.
         if self.home is not None and self._origin is not None:
-            return self._origin.to(self.home)
-        return self._local_home or (0.0, 0.0, 0.0)
+            north, east, down = self._origin.to(self.home)
+        else:
+            north, east, down = self._local_home or (0.0, 0.0, 0.0)
+        return (north, east, 0.0 if self.kind == "rover" else down)
 
     @property
     def position(self) -> Vector | None:
@@ -168,7 +175,7 @@ class VehicleState:
         numbers = (message.x, message.y, message.z, message.vx, message.vy, message.vz)
         if not all(map(math.isfinite, numbers)):
             return {}
-        self._local, self.placed_at = numbers[:3], now
+        self._local, self.velocity, self.placed_at = numbers[:3], numbers[3:], now
         self.speeds, self.speeds_at = (math.hypot(message.vx, message.vy), -message.vz), now
         position = self.position
         assert position is not None
@@ -224,11 +231,13 @@ class VehicleState:
         return {"landed": self.landed}
 
     def _on_home(self, message: Any, _: float) -> Values:
-        self.home = Place.scaled(message.latitude, message.longitude, message.altitude) or self.home
+        flies_on = self.autopilot == PX4 and self.landed is False and self.knows_frames
+        home = Place.scaled(message.latitude, message.longitude, message.altitude)
+        if home is None or flies_on:
+            return {}
+        self.home = home
         local = (message.x, message.y, message.z)
-        # ArduPilot leaves it at 0, wherever home is.
-        if self.profile is not None and self.profile.px4 and all(map(math.isfinite, local)):
-            self._local_home = local
+        self._local_home = local if all(map(math.isfinite, local)) else None
         return {}
 
     def _on_origin(self, message: Any, _: float) -> Values:

@@ -39,6 +39,9 @@ class Link(Protocol):
     def send(self, data: bytes) -> None:
         """Send one packet; what cannot be sent is lost, as on a radio."""
 
+    def why_silent(self) -> str:
+        """What is to be said when nothing at all was heard on it: what is known, and what to do."""
+
     def close(self) -> None:
         """Give it back."""
 
@@ -73,6 +76,8 @@ class UdpLink:
     def __init__(self, host: str, port: int, on_data: OnData, *, listens: bool) -> None:
         self._address, self._on_data, self._listens = (host, port), on_data, listens
         self._socket: socket.socket | None = None
+        # Whether the other computer has said that nobody listens there.
+        self._unreachable = False
         # Several vehicles may send to one port; each leaves alone what is addressed to another.
         self._peers: dict[tuple[str, int], None] = {}
 
@@ -99,7 +104,9 @@ class UdpLink:
             data, peer = opened.recvfrom(LARGEST)
         except OSError:
             # Nobody listens there yet; the heartbeat says when somebody does.
+            self._unreachable = True
             return
+        self._unreachable = False
         if self._listens:
             # The newest is last; the one that was silent longest is forgotten.
             self._peers.pop(peer, None)
@@ -118,6 +125,19 @@ class UdpLink:
         for peer in tuple(self._peers):
             with suppress(OSError):
                 self._socket.sendto(data, peer)
+
+    def why_silent(self) -> str:
+        """Simulators do not listen on UDP as radios and routers do: which endpoint is meant instead."""
+        place = f"{self._address[0]}:{self._address[1]}"
+        if self._listens:
+            return (
+                f"nothing comes to udpin:{place}; does the vehicle, the simulator or the router send there?"
+            )
+        nobody = "nobody listens at" if self._unreachable else "nothing comes back from"
+        return (
+            f"{nobody} udp:{place}; a simulator is met otherwise: ArduPilot's at tcp:127.0.0.1:5760, "
+            "and PX4's sends to udpin:127.0.0.1:14550 and 14540"
+        )
 
     def close(self) -> None:
         """Close the socket."""
@@ -169,6 +189,15 @@ class TcpLink(asyncio.Protocol):
         """Into the stream, if there is one."""
         if self._transport is not None:
             self._transport.write(data)
+
+    def why_silent(self) -> str:
+        """Connected, or not any more."""
+        place = f"tcp:{self._address[0]}:{self._address[1]}"
+        if self._transport is None:
+            return f"{place} hung up"
+        return (
+            f"{place} is connected and says nothing; a simulator serves one client at a time: has it another?"
+        )
 
     def close(self) -> None:
         """Hang up."""

@@ -7,14 +7,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from lfield_mavlink.link.dialect import Reader, Writer
+from lfield_mavlink.link.dialect import Reader, Writer, dialect
 from lfield_mavlink.link.links import Link
 from lfield_mavlink.link.signing import LinkSigning, Signing
+from lfield_mavlink.modes import STACKS
 
 #: Seconds without a message after which a vehicle is looked for on its other links.
 STEADY = 1.5
 #: Packets remembered per vehicle: some seconds of all its streams.
 REMEMBERED = 512
+#: Others on the links whose names are kept.
+MOST_NEIGHBOURS = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,37 @@ class LinkCounts:
             bad_signatures=signing.bad if signing else 0,
             unsigned=sum(port.signing.unsigned for port in ports if port.signing),
         )
+
+
+class Neighbours:
+    """Who is heard on the links by a heartbeat and is no vehicle that somebody here is bound to."""
+
+    def __init__(self) -> None:
+        self._heard: dict[tuple[int, int], str] = {}
+
+    def heard(self, message: Any) -> None:
+        """A message of somebody else."""
+        who = message.get_srcSystem(), message.get_srcComponent()
+        if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT or who in self._heard:
+            return
+        if len(self._heard) < MOST_NEIGHBOURS:
+            words = [_name("MAV_TYPE", message.type), STACKS.get(message.autopilot, "")]
+            self._heard[who] = ", ".join(filter(None, words))
+
+    def __str__(self) -> str:
+        """`system 1, component 1 (quadrotor, ArduPilot)`, each; '' when there are none."""
+        return "; ".join(
+            f"system {system}, component {component} ({words})"
+            for (system, component), words in sorted(self._heard.items())
+        )
+
+
+def _name(group: str, number: int) -> str:
+    entry = dialect.enums[group].get(number)
+    if entry is None:
+        return f"{group} {number}"
+    name: str = entry.name.removeprefix(f"{group}_")
+    return name.lower().replace("_", " ")
 
 
 class Route:

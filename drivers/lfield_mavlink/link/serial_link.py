@@ -81,6 +81,13 @@ class SerialLink:
             with suppress(OSError):
                 os.write(self._port.fileno(), data)
 
+    def why_silent(self) -> str:
+        """An autopilot's port has a baud rate, and speaks MAVLink if it was set up so."""
+        return (
+            f"nothing comes from {self._path}; check the cable, the baud rate of {self._baud}, and that the "
+            "autopilot speaks MAVLink there (SERIALn_PROTOCOL 2, MAV_n_CONFIG)"
+        )
+
     def close(self) -> None:
         """Give the port back."""
         if self._task is not None:

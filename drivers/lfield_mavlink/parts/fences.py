@@ -7,10 +7,12 @@ PX4: https://docs.px4.io/main/en/flying/geofence.html
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.geo import Vector
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.services.parameters import Parameters
@@ -27,6 +29,8 @@ from lfield_mavlink.services.plan_items import (
 )
 from lfield_mavlink.services.plan_transfer import PlanTransfer
 
+#: Bits of FENCE_TYPE for the greatest height and the circle about home, which are parameters.
+CEILING, CIRCLE = 1, 2
 #: Bit of FENCE_TYPE for uploaded polygons and circles; the others are of fences that are parameters.
 ZONES = 4
 
@@ -40,6 +44,11 @@ ACTIONS: Mapping[tuple[int, str], Mapping[str, int]] = {
     (PX4, "rover"): {"report": 1, "hold": 2, "return": 3},
     (PX4, "plane"): {"report": 1, "hold": 2, "return": 3, "land": 5},
 }
+
+
+#: The name of a parameter and its value in metres; 0 for none.
+Edge = tuple[str, float]
+_NO_EDGE: Edge = ("", 0.0)
 
 
 class Fences:
@@ -124,6 +133,43 @@ class Fences:
         is_on = message.onboard_control_sensors_enabled & dialect.MAV_SYS_STATUS_GEOFENCE
         if self._vehicle.state.autopilot == ARDUPILOT and not is_on:
             self._vehicle.publish(fenceBreached=False)
+
+
+class OwnFence:
+    """The fence of the autopilot as a reason why it does not go somewhere."""
+
+    def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
+        self._vehicle, self._parameters = vehicle, parameters
+
+    async def why_beyond(self, goal: Vector) -> str:
+        """Which fence that is a parameter a goal, in metres of home, is beyond; '' for none.
+
+        ArduPilot ignores a setpoint there without a word; PX4 says that it is outside its fence, not which.
+        """
+        ceiling, circle = (
+            await self._edges("GF_ACTION", "GF_MAX_VER_DIST", "GF_MAX_HOR_DIST")
+            if self._vehicle.profile.px4
+            else await self._switched_edges()
+        )
+        far, height = math.hypot(*goal[:2]), -goal[2]
+        if 0.0 < circle[1] < far:
+            return f"the goal is {far:.1f} m from home, and its own fence {circle[0]} ends at {circle[1]:g} m"
+        if 0.0 < ceiling[1] < height and self._vehicle.profile.flies:
+            return f"the goal is {height:.1f} m up, and its own fence {ceiling[0]} ends at {ceiling[1]:g} m"
+        return ""
+
+    async def _switched_edges(self) -> tuple[Edge, Edge]:
+        """ArduPilot's, of the kinds that are switched on."""
+        ceiling, circle = await self._edges("FENCE_ENABLE", "FENCE_ALT_MAX", "FENCE_RADIUS")
+        kinds = int(await self._parameters.read("FENCE_TYPE") or 0)
+        return ceiling if kinds & CEILING else _NO_EDGE, circle if kinds & CIRCLE else _NO_EDGE
+
+    async def _edges(self, switch: str, ceiling: str, circle: str) -> tuple[Edge, Edge]:
+        """The height and the radius of a fence by their names; none when it is switched off."""
+        if not await self._parameters.read(switch):
+            return _NO_EDGE, _NO_EDGE
+        height, radius = await self._parameters.read(ceiling), await self._parameters.read(circle)
+        return (ceiling, height or 0.0), (circle, radius or 0.0)
 
 
 class Rally:

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+from typing import Any
 
+from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import LINK_LOST, SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.parts.limits import Limits
-from lfield_mavlink.parts.motion import CLOSER, Motion
+from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
 from lfield_mavlink.parts.orders import Order
+from lfield_mavlink.parts.progress import WayBack
+from lfield_mavlink.parts.readiness import Readiness
 
 #: Seconds for a heartbeat to come that is newer than a stop; one comes every second at least.
 NEWS = 2.5
+#: Seconds after a landing for the motors to go off: ArduPilot takes half a second, PX4 two and more.
+GOES_OFF = 6.0
+#: Metres of home within which a rover that went off by itself has returned.
+AT_HOME = 5.0
+#: Seconds after which ArduPilot has noticed our heartbeats, and between two attempts to arm until then.
+CLEARS, ARM_AGAIN = 1.5, 0.1
+#: What it says as long as it has not.
+STATION_FAILSAFE = "GCS failsafe on"
+#: How often it is asked where home is, once it is armed.
+HOMES = 5
 #: Seconds for which an arming may be under way after it was sent last.
 UNDER_WAY = 10.0
 
@@ -20,10 +35,11 @@ UNDER_WAY = 10.0
 class Flight:
     """What brings a vehicle into the air and down, and what keeps others' hands free."""
 
-    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits) -> None:
+    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits, readiness: Readiness) -> None:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
-        self._limits = limits
-        self._arming_until = -math.inf
+        self._limits, self._readiness = limits, readiness
+        self._arming_until = self._home_at = -math.inf
+        vehicle.on(dialect.MAVLINK_MSG_ID_HOME_POSITION, self._on_home)
         # The mode in which it was left to others last, '' when it was not.
         self._left_in = ""
 
@@ -39,9 +55,50 @@ class Flight:
         if self._state.mode != vehicle.profile.arming:
             await self._motion.set_mode(vehicle.profile.arming)
         try:
-            await vehicle.achieve("arm", lambda: self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
+            await self._arm()
         finally:
             self.may_be_arming()
+        await self._hear_home()
+
+    async def _arm(self) -> None:
+        """Arm; again while ArduPilot has not yet noticed our heartbeats. Raises DeviceError with the reason.
+
+        It raises its failsafe for the ground station while it is disarmed, too, and takes it back up to
+        0.35 s after a heartbeat. Until then it refuses.
+        """
+        vehicle, start = self._vehicle, self._vehicle.clock.monotonic()
+        await vehicle.seen(lambda: not self._state.critical, CLEARS)
+        while True:
+            begun = vehicle.clock.monotonic()
+            try:
+                return await vehicle.achieve(
+                    "arm", lambda: self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0
+                )
+            except DeviceError as refusal:
+                if STATION_FAILSAFE not in refusal.reason or begun - start > CLEARS:
+                    raise await self._reasoned(refusal, begun) from None
+            await asyncio.sleep(ARM_AGAIN)
+
+    async def _reasoned(self, refusal: DeviceError, begun: float) -> DeviceError:
+        """A refusal to arm with a reason: PX4 gives some of them without a word."""
+        if refusal.kind == "DeviceTimeoutException" or self._vehicle.reasons(begun):
+            return refusal
+        why = await self._readiness.do_why_not_ready()
+        return self._vehicle.error(f"{refusal.reason}, {why}") if why else refusal
+
+    async def _hear_home(self) -> None:
+        """Home moves to where it is armed: it is heard anew, since the word of it may have been lost."""
+        vehicle, since = self._vehicle, self._vehicle.clock.monotonic()
+        home = float(dialect.MAVLINK_MSG_ID_HOME_POSITION)
+        for _ in range(HOMES):
+            answer = await vehicle.exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, home)
+            if answer.result not in (None, dialect.MAV_RESULT_ACCEPTED):
+                return
+            if await vehicle.seen(lambda: self._home_at >= since, SHOWS / HOMES):
+                return
+
+    def _on_home(self, _: Any) -> None:
+        self._home_at = self._vehicle.clock.monotonic()
 
     async def do_disarm(self) -> None:
         """Motors off."""
@@ -65,7 +122,9 @@ class Flight:
         def climbing() -> bool:
             return bool(stood) and not state.landed
 
-        order = self._motion.orders.take_off(height)
+        if self._vehicle.profile.px4 and state.home is None:
+            raise self._vehicle.error("takeoff: the vehicle has not told where home is")
+        order = self._motion.orders.take_off(state, height)
         await self._motion.start("takeoff", order, taken=climbing)
         near = min(self._motion.tolerance, 0.1 * height)
         await self._motion.travel("takeoff", order, lambda place: abs(height + place[2]), near)
@@ -75,28 +134,40 @@ class Flight:
         mode = await self._leave_for("land", "land", dialect.MAV_CMD_NAV_LAND)
 
         def height(place: Vector) -> float:
-            return 0.0 if self._down else max(-place[2], CLOSER) + 1.0
+            return 0.0 if self._down else max(-place[2], 0.1) + 1.0
 
         await self._motion.travel("land", Order(frozenset({mode})), height, 0.0)
+        await self._go_off()
 
     async def do_return_home(self) -> None:
         """Back to where home is; what flies and can land is done when it stands there."""
         mode = await self._leave_for("returnHome", "return", dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
-        lands = self._vehicle.profile.kind == "copter"
-        way = _Way()
+        if self._vehicle.profile.kind == "copter":
+            way = WayBack()
+            await self._motion.travel(
+                "returnHome",
+                Order(frozenset({mode})),
+                lambda place: 0.0 if self._down else way.left(place),
+                0.0,
+            )
+            await self._go_off()
+            return
+        arrival, flies = await self._motion.arrival(), self._vehicle.profile.flies
 
         def left(place: Vector) -> float:
-            if lands:
-                return 0.0 if self._down else way.left(place)
-            return math.hypot(*place[:2])
+            far = math.hypot(*place[:2])
+            # PX4 switches a rover off that has returned.
+            return 0.0 if not self._state.armed and far <= AT_HOME else arrival.left(far)
 
-        near = 0.0 if lands else self._motion.tolerance
-        await self._motion.travel("returnHome", Order(frozenset({mode})), left, near)
+        patience = ON_ITS_WAY if flies else DRIVES
+        await self._motion.travel(
+            "returnHome", Order(frozenset({mode})), left, self._motion.tolerance, patience
+        )
 
     async def do_hold(self) -> None:
         """Stop and stay."""
         self._motion.begin("hold")
-        await self._motion.set_mode(self._vehicle.profile.hold)
+        await self._motion.hold()
 
     async def do_set_mode(self, name: str) -> None:
         """Any mode of the autopilot, by its own name for it."""
@@ -131,7 +202,8 @@ class Flight:
             if self._state.landed and vehicle.profile.flies and await self._disarmed():
                 return
         self._left_in = ""
-        await self._motion.set_mode(vehicle.profile.safe(state))
+        mode = vehicle.profile.safe(state)
+        await (self._motion.hold() if mode == vehicle.profile.hold else self._motion.set_mode(mode))
 
     @property
     def _is_not_to_be_moved(self) -> bool:
@@ -171,24 +243,23 @@ class Flight:
         """Whether it stands on the ground, or does not move by itself."""
         return bool(self._state.landed) or not self._state.armed
 
+    async def _go_off(self) -> None:
+        """Wait until the autopilot has switched the motors off, if it does so after a landing.
+
+        An arming in between would find them on, and lose them a moment later.
+        """
+        if self._vehicle.profile.flies:
+            await self._vehicle.seen(lambda: not self._state.armed, GOES_OFF)
+
     async def _leave_for(self, what: str, safe_state: str, command: int) -> str:
-        """Enter the mode of a safe state by the command that there is for it, such as NAV_LAND; the mode."""
+        """Enter the mode of a safe state by the command that there is for it, such as NAV_LAND; the mode.
+
+        What does not fly knows no such command, or does what it would in the air: there the mode is set.
+        """
         self._motion.begin(what)
         mode = self._vehicle.profile.safe(safe_state)
+        if not self._vehicle.profile.flies:
+            await self._motion.set_mode(mode)
+            return mode
         await self._motion.enter(what, mode, command, done=lambda: self._down)
         return mode
-
-
-class _Way:
-    """The way back of a flight that may first climb, as a number that only falls while it gets on."""
-
-    def __init__(self) -> None:
-        self._moved = 0.0
-        self._last: Vector | None = None
-
-    def left(self, place: Vector) -> float:
-        """Minus the metres flown so far: a return has a shape of its own, so any motion is progress."""
-        if self._last is not None:
-            self._moved += math.dist(place, self._last)
-        self._last = place
-        return 1e6 - self._moved

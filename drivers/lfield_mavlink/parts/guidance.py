@@ -9,11 +9,16 @@ from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.link.dialect import dialect, result_words
 from lfield_mavlink.parts.limits import Limits
-from lfield_mavlink.parts.motion import Motion
-from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Target
+from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
+from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Patience, Target
+from lfield_mavlink.parts.progress import Revolutions, Turning
 
-#: How exactly a heading is reached, in radians, and how long that may take, in seconds.
-HEADING_TOLERANCE, TURNING = math.radians(4.0), 30.0
+#: How exactly a heading is reached, in radians.
+HEADING_TOLERANCE = math.radians(4.0)
+#: What is not known of a frame before it is tried.
+CANNOT_TURN = "this frame cannot turn on the spot, only while it drives: use goTo or setVelocity"
+TURNS = Patience(closer=0.05, words="no progress for {seconds:g} s, {left:.2f} rad from its heading")
+TURNS_ON_THE_SPOT = Patience(2.0, 0.05, words="its heading did not change for {seconds:g} s; " + CANNOT_TURN)
 #: Seconds of setpoints that PX4 must have noticed before it is told to enter OFFBOARD.
 NOTICES = 0.15
 #: Seconds for its answer, and for the mode to show, before it is told again.
@@ -26,6 +31,7 @@ class Guidance:
     def __init__(self, vehicle: Contact, motion: Motion, limits: Limits) -> None:
         self._vehicle, self._state = vehicle, vehicle.state
         self._motion, self._limits = motion, limits
+        self._turning = Turning()
 
     # -- places ---------------------------------------------------------------------------------------
 
@@ -52,25 +58,30 @@ class Guidance:
         motion.begin(what)
         order = motion.orders.go_to(self._state, goal, motion.wanted_speed)
         await motion.start(what, order)
+        arrival = await motion.arrival()
 
         def distance(place: Vector) -> float:
-            return math.dist(goal, place) if vehicle.profile.flies else math.dist(goal[:2], place[:2])
+            flies = vehicle.profile.flies
+            return math.dist(goal, place) if flies else arrival.left(math.dist(goal[:2], place[:2]))
 
-        await motion.travel(what, order, distance, motion.tolerance)
+        patience = ON_ITS_WAY if vehicle.profile.flies else DRIVES
+        await motion.travel(what, order, distance, motion.tolerance, patience)
 
     async def do_yaw(self, heading: float) -> None:
         """Turn on the spot to a heading."""
         if not math.isfinite(heading):
             raise self._vehicle.error(f"yaw needs a finite heading, not {heading}")
         self._check_placed("yaw")
-        self._motion.begin("yaw")
-        await self._motion.start("yaw", self._motion.orders.turn(self._state, heading))
+        motion, state = self._motion, self._state
+        motion.begin("yaw")
+        order = motion.orders.turn(state, heading, motion.wanted_speed)
+        await motion.start("yaw", order)
 
-        def there() -> bool:
-            yaw = self._state.yaw
-            return yaw is not None and abs(math.remainder(yaw - heading, math.tau)) < HEADING_TOLERANCE
+        def left(_: Vector) -> float:
+            return math.inf if state.yaw is None else abs(math.remainder(state.yaw - heading, math.tau))
 
-        await self._vehicle.until(there, TURNING, "yaw")
+        patience = TURNS if order.command else TURNS_ON_THE_SPOT
+        await motion.travel("yaw", order, left, HEADING_TOLERANCE, patience)
 
     async def do_orbit(
         self, north: float, east: float, down: float, radius: float, speed: float, turns: float
@@ -80,15 +91,15 @@ class Guidance:
         limits.check_goal("orbit", centre)
         if not (all(map(math.isfinite, (radius, speed, turns))) and radius > 0.0 and speed > 0.0 and turns):
             raise self._vehicle.error("orbit needs a radius and a speed above 0, and turns other than 0")
-        limits.check_circle("orbit", centre, radius)
+        circle = Circle(centre, radius, speed, turns > 0.0)
+        limits.check_goal("orbit", circle.farthest)
         limits.check_speed("orbit", speed)
         self._check_placed("orbit")
         motion.begin("orbit")
-        circle = Circle(centre, radius, speed, turns > 0.0)
         order = motion.orders.orbit(self._state, circle)
         await motion.start("orbit", order)
         await motion.travel("orbit", order, Revolutions(circle, abs(turns)).left, 0.0)
-        await motion.set_mode(self._vehicle.profile.hold)
+        await motion.hold()
 
     # -- speeds ---------------------------------------------------------------------------------------
 
@@ -110,6 +121,10 @@ class Guidance:
         """One setpoint: it turns on the spot at this rate until the time-to-live."""
         if not math.isfinite(rate):
             raise self._vehicle.error(f"setYawRate needs a finite rate, not {rate}")
+        now, ttl = self._vehicle.clock.monotonic(), self._vehicle.binding.ttl
+        yaw = self._state.yaw
+        if self._state.kind == "rover" and yaw is not None and self._turning.fails(rate, yaw, ttl, now):
+            raise self._vehicle.error(f"setYawRate has not changed its heading for 2 s; {CANNOT_TURN}")
         await self._follow("setYawRate", Target(VELOCITY_AND_YAW_RATE, yaw_rate=rate))
 
     async def _follow(self, what: str, target: Target) -> None:
@@ -168,26 +183,3 @@ class Guidance:
 
 def _words(result: int | None) -> str:
     return "no answer" if result is None else result_words(result)
-
-
-class Revolutions:
-    """Counts the turns around a circle; `left` is the way still to go, in metres."""
-
-    def __init__(self, circle: Circle, turns: float) -> None:
-        self._circle, self._wanted = circle, turns * math.tau
-        self._turned = 0.0
-        self._last: float | None = None
-
-    def left(self, place: Vector) -> float:
-        """Metres to go, with the way onto the circle."""
-        north, east = place[0] - self._circle.centre[0], place[1] - self._circle.centre[1]
-        off = abs(math.hypot(north, east) - self._circle.radius)
-        angle = math.atan2(east, north)
-        if off > 0.5 * self._circle.radius:
-            self._last = None
-            return off + self._wanted * self._circle.radius
-        if self._last is not None:
-            step = math.remainder(angle - self._last, math.tau)
-            self._turned += step if self._circle.clockwise else -step
-        self._last = angle
-        return (self._wanted - self._turned) * self._circle.radius

@@ -1,12 +1,79 @@
-"""The limits of the binding: a goal or a speed beyond them is refused before anything is sent. Pure."""
+"""The limits of the binding, before and after: what is refused, and what telemetry says of the flight. Pure.
+
+A goal or a speed beyond a limit is refused before anything is sent. What is then flown is watched: an
+autopilot may keep its own speed, and a return its own height.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum, auto
 
 from lfield.driver import DeviceBinding, DeviceError
 from lfield_mavlink.geo import Vector
+
+#: The share of its greatest excess since the last look to which a correction that helps has brought it by the
+#: next. What was told to be slower while it still gained speed needs a moment to lose the first of it.
+HELPING = 0.9
+
+
+class Verdict(Enum):
+    """What becomes of a value: it must be corrected, cannot be, or is within its limit again."""
+
+    CORRECT = auto()
+    HELPLESS = auto()
+    WITHIN = auto()
+
+
+@dataclass(slots=True)
+class LimitWatch:
+    """Samples of one value against its limit, with room for gusts and noise.
+
+    `bound` is the limit with its tolerance. A value that is beyond it for `time` seconds without a break must
+    be corrected. Then, every `time` seconds, the excess must be on its way down, or at most `still`: else the
+    correction does not help. The excess of a speed is what is above the bound, that of a place the speed
+    at which it leads farther out. What was not heard for `time` is not known to have been beyond anything.
+    """
+
+    bound: float
+    time: float
+    still: float = 0.0
+    _beyond_since: float | None = None
+    _heard_at: float = -math.inf
+    _look_at: float | None = None
+    _excess: float = 0.0
+
+    def sample(self, value: float, excess: float, now: float) -> Verdict | None:
+        """Take one sample in; what is to be done about it, if that is news."""
+        gap, self._heard_at = now - self._heard_at, now
+        if value <= self.bound:
+            return self._within()
+        if self._beyond_since is None or (self._look_at is None and gap > self.time):
+            self._beyond_since = now
+        if self._look_at is None:
+            return self._correct(excess, now) if now - self._beyond_since >= self.time else None
+        self._excess = max(self._excess, excess)
+        return self._look(excess, now) if now >= self._look_at else None
+
+    def reset(self) -> None:
+        """Nothing is known any more, since its motors are off."""
+        self._beyond_since = self._look_at = None
+
+    def _within(self) -> Verdict | None:
+        corrected = self._look_at is not None
+        self.reset()
+        return Verdict.WITHIN if corrected else None
+
+    def _correct(self, excess: float, now: float) -> Verdict:
+        self._look_at, self._excess = now + self.time, excess
+        return Verdict.CORRECT
+
+    def _look(self, excess: float, now: float) -> Verdict | None:
+        helpless = excess > max(self.still, HELPING * self._excess)
+        self._look_at, self._excess = now + self.time, excess
+        return Verdict.HELPLESS if helpless else None
 
 
 class Limits:
@@ -38,15 +105,6 @@ class Limits:
             raise self._error(
                 f"{what} refused: {far:.1f} m from home is beyond the limit of {self._radius:g} m"
             )
-
-    def check_circle(self, what: str, centre: Vector, radius: float) -> None:
-        """Refuse a circle whose place farthest from home is beyond the limits. Raises DeviceError."""
-        far = math.hypot(*centre[:2])
-        if far == 0.0:
-            self.check_goal(what, (radius, 0.0, centre[2]))
-        else:
-            share = (far + radius) / far
-            self.check_goal(what, (centre[0] * share, centre[1] * share, centre[2]))
 
     def check_speed(self, what: str, speed: float) -> None:
         """Refuse a speed over ground above the limit. Raises DeviceError."""

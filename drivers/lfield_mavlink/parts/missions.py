@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
@@ -90,7 +91,11 @@ class Missions:
         self._count = len(items)
         start = dialect.MAV_CMD_MISSION_START
         await self._motion.enter("startMission", self._mission_mode, start, 0.0, 0.0)
-        await self._motion.keep_speed()
+        try:
+            await self._motion.keep_speed()
+        except DeviceError as error:
+            await self._motion.halt("its speed cannot be limited")
+            raise self._vehicle.error(f"startMission: it holds, since {error.reason}") from None
 
     async def do_pause_mission(self) -> None:
         """Stop and stay; startMission goes on from here."""
@@ -99,7 +104,7 @@ class Missions:
             raise self._vehicle.error(
                 f"pauseMission: no mission is being flown, the vehicle is in {self._state.mode}"
             )
-        await self._motion.set_mode(self._vehicle.profile.hold)
+        await self._motion.hold()
 
     async def do_set_mission_item(self, number: int) -> None:
         """The waypoint that is flown to next."""
@@ -142,7 +147,10 @@ class Missions:
                 self._limits.check_goal(f"{what}: waypoint {number}", self._goal(what, number, item))
 
     def _goal(self, what: str, number: int, item: Item) -> tuple[float, float, float]:
-        """Where an item leads, about home. Raises DeviceError when that is not known."""
+        """Where an item leads, about home. Raises DeviceError when that is not known.
+
+        The altitude of a rover's home is no altitude: it is taken before there is a good one.
+        """
         home = self._state.home
         if home is None or not self._state.knows_frames:
             raise self._vehicle.error(f"{what} needs to know where home is, and the vehicle has not told")
@@ -151,6 +159,8 @@ class Missions:
                 f"{what}: the height of item {number}, {command_name(item.command)}, is not known"
             )
         height = item.z if item.above_home else item.z - home.altitude
+        if self._state.kind == "rover":
+            height = 0.0
         if not (item.x or item.y):  # where the vehicle then is
             return (0.0, 0.0, -height)
         north, east, _ = home.to(Place(item.x / 1e7, item.y / 1e7, home.altitude))

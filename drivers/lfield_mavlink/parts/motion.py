@@ -12,13 +12,20 @@ from lfield.driver import Clock, DeviceError
 from lfield_mavlink.contact.contact import SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
-from lfield_mavlink.parts.orders import ORDERS, Order, Stack, Target
+from lfield_mavlink.parts.fences import OwnFence
+from lfield_mavlink.parts.orders import ONLY_POSITION, ORDERS, Order, Patience, Stack, Target
+from lfield_mavlink.parts.progress import Arrival, Progress
 from lfield_mavlink.services.parameters import Parameters
 
-#: Seconds without coming closer after which a motion has failed, and what counts as closer, in metres.
-STUCK, CLOSER = 10.0, 0.1
 #: Seconds between two setpoints of a stream; PX4 wants more than 2 per second.
 PERIOD = 0.05
+#: How often a vehicle is told to stay before it is told its speed, and the seconds after each: enough that
+#: one arrives on a bad link, and that ArduPilot's control of a position has begun.
+STAYS, BEGINS = 3, 0.1
+#: Of what flies to a goal, and of what drives there.
+ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0)
+#: m/s above which it moves, and the seconds after which one that does not is asked why.
+MOVES, ASKED_WHY = 0.3, 2.0
 
 
 class SetpointStream:
@@ -55,12 +62,18 @@ class Motion:
 
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
+        self._fence = OwnFence(vehicle, parameters)
         self.stream = SetpointStream(vehicle.clock, vehicle.send)
         self.tolerance: float = vehicle.binding.option("tolerance")
         # The modes that the last order leads to; any other mode is somebody else's doing.
         self._commanded: frozenset[str] = frozenset()
         # What setSpeed() asked for last; the autopilot forgets it with every change of mode.
         self._speed: float | None = None
+        # Whether ArduPilot's control of a position is running, which keeps the speed that it is told.
+        self._steady = False
+        # When the last motion was begun, and why it was stopped by this driver.
+        self._began, self._stopped = -math.inf, ""
+        vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_heartbeat)
 
     @property
     def orders(self) -> Stack:
@@ -90,7 +103,28 @@ class Motion:
                 f"{what} refused: the vehicle is in {self._state.mode}, which this program did not "
                 f"choose; {self._state.holder} has it. release() takes it back"
             )
+        self._began, self._stopped = self._vehicle.clock.monotonic(), ""
         self.stream.stop()
+
+    async def halt(self, why: str) -> None:
+        """Hold, whatever is under way; the motion that this ends says why. Raises DeviceError."""
+        self._stopped = why
+        self.stream.stop()
+        await self.hold()
+
+    async def hold(self) -> None:
+        """Into the mode for staying where it is, and stay there. Raises DeviceError.
+
+        PX4 flies a goal in that very mode, and goes on to it when the mode is asked for again: it is sent to
+        where it is instead.
+        """
+        profile, place = self._vehicle.profile, self._state.position
+        again = profile.px4 and self._state.mode == profile.hold
+        if again and place is not None and self._state.home is not None:
+            with suppress(DeviceError):
+                await self.start("hold", self.orders.go_to(self._state, place, self.wanted_speed))
+                return
+        await self.set_mode(profile.hold)
 
     async def set_mode(self, name: str) -> None:
         """Any mode that the vehicle has. Raises DeviceError."""
@@ -123,28 +157,36 @@ class Motion:
     # -- motions --------------------------------------------------------------------------------------
 
     async def start(self, what: str, order: Order, taken: Callable[[], bool] | None = None) -> None:
-        """Begin an order: parameters, mode, command, and the mode it leads to. Raises DeviceError."""
-        for name, value in order.parameters.items():
-            await self._parameters.write(name, value)
+        """Begin an order: mode, command, the mode it leads to, and its speed. Raises DeviceError."""
         if order.mode and self._state.mode != order.mode:
             await self.set_mode(order.mode)
         # As in `enter`: until the new order is seen, the mode it is still in is ours too.
         self._commanded |= order.modes
         if (command := order.command) is not None:
+            self._steady = False
             await self._vehicle.command(
                 what, command.number, *command.values, place=command.place, taken=taken
             )
         await self._vehicle.until(lambda: self._state.mode in order.modes, SHOWS, what)
         self.claim(*order.modes)
+        if order.speed is not None:
+            await self._keep_pace(order.speed)
 
-    async def travel(self, what: str, order: Order, distance: Callable[[Vector], float], near: float) -> None:
+    async def travel(
+        self,
+        what: str,
+        order: Order,
+        distance: Callable[[Vector], float],
+        near: float,
+        patience: Patience = ON_ITS_WAY,
+    ) -> None:
         """Wait until `distance` of the position is at most `near`, as long as it gets less.
 
         Raises DeviceError.
         """
         vehicle = self._vehicle
         start = vehicle.clock.monotonic()
-        best, best_at, sent_at = math.inf, start, -math.inf
+        progress, sent_at, asked = Progress(patience, start), -math.inf, False
         while True:
             now = vehicle.clock.monotonic()
             vehicle.check_link()
@@ -153,20 +195,47 @@ class Motion:
             if left <= near:
                 return
             self._check_underway(what, order.modes, start)
-            if left < best - CLOSER:
-                best, best_at = left, now
-            if now - best_at > STUCK:
+            if progress.is_over(left, self.moves, now):
                 await self._give_up(order)
-                raise vehicle.error(
-                    f"{what} gave up: no progress for {STUCK:g} s, {left:.1f} m from its goal"
-                )
+                words = patience.words.format(seconds=patience.seconds, left=left)
+                raise vehicle.error(f"{what} gave up: {words}")
+            if not asked and self._is_refused(order, progress, now):
+                asked = True
+                await self._check_fence(what, order)
             if order.target is not None and place is not None and now - sent_at >= order.period:
                 vehicle.send(self.setpoint(order.target(place)))
                 sent_at = now
             await vehicle.next_news(min(0.25, order.period))
 
+    @property
+    def moves(self) -> bool:
+        """Whether it moves over ground or up and down, as far as it tells."""
+        return self._state.speeds is not None and math.hypot(*self._state.speeds) > MOVES
+
+    def _is_refused(self, order: Order, progress: Progress, now: float) -> bool:
+        """Whether it looks as if the autopilot does not want to go there."""
+        told = "geofence" in self._vehicle.reasons(self._began)
+        return order.goal is not None and (told or progress.stood(now) > ASKED_WHY)
+
+    async def _check_fence(self, what: str, order: Order) -> None:
+        """Raise DeviceError when its own fence is why it does not move."""
+        assert order.goal is not None, "the caller has looked"
+        told = self._vehicle.reasons(self._began)
+        why = await self._fence.why_beyond(order.goal)
+        if why or "geofence" in told:
+            await self._give_up(order)
+            raise self._vehicle.error(f"{what} refused: {why or 'the goal is outside its own fence'}{told}")
+
+    async def arrival(self) -> Arrival:
+        """How what drives arrives: ArduPilot stops a rover within its WP_RADIUS of a goal."""
+        profile, radius = self._vehicle.profile, 0.0
+        if profile.kind == "rover" and not profile.px4:
+            radius = await self._parameters.read("WP_RADIUS") or 0.0
+        return Arrival(radius, lambda: self.moves, self._vehicle.clock.monotonic)
+
     def setpoint(self, target: Target) -> Any:
         """The message of a setpoint, in the autopilot's local frame."""
+        self._steady = self._steady and target.mask == ONLY_POSITION
         place = (g + h for g, h in zip(target.place, self._state.home_offset, strict=True))
         frame, acceleration = dialect.MAV_FRAME_LOCAL_NED, (0.0, 0.0, 0.0)
         return dialect.MAVLink_set_position_target_local_ned_message(
@@ -178,7 +247,7 @@ class Motion:
             *place,
             *target.velocity,
             *acceleration,
-            0.0,
+            target.yaw,
             target.yaw_rate,
         )
 
@@ -189,10 +258,12 @@ class Motion:
         """
         if order.command is not None or order.target is not None:
             with suppress(DeviceError):
-                await self.set_mode(self._vehicle.profile.hold)
+                await self.hold()
 
     def _check_underway(self, what: str, modes: frozenset[str], start: float) -> None:
         """Raise when somebody else has taken over, or the motors are off."""
+        if self._stopped:
+            raise self._vehicle.error(f"{what} was stopped, since {self._stopped}")
         if self._state.armed and self._state.mode in modes:
             return
         why = f"the vehicle went to {self._state.mode}" if self._state.armed else "the motors are off"
@@ -207,13 +278,52 @@ class Motion:
 
     async def set_speed(self, speed: float) -> None:
         """The speed over ground for this motion and those that follow. Raises DeviceError."""
-        await self._change_speed(speed)
+        if self._takes_speed:
+            await self._change_speed(speed)
         self._speed = speed
 
     async def keep_speed(self) -> None:
         """Have the autopilot keep the wanted speed in what it flies by itself. Raises DeviceError."""
         if self.wanted_speed is not None:
             await self._change_speed(self.wanted_speed)
+
+    async def slow_down(self, speed: float, why: str) -> None:
+        """Have it fly slower, or, where no speed can be told, hold. Raises DeviceError."""
+        if self._takes_speed:
+            await self._change_speed(speed)
+        else:
+            await self.halt(why)
+
+    @property
+    def _takes_speed(self) -> bool:
+        """Whether a speed that is told now is kept: ArduPilot needs something that it is kept for.
+
+        A rover refuses it otherwise, and a copter forgets it.
+        """
+        profile = self._vehicle.profile
+        return profile.px4 or self._steady or self._state.mode != profile.guided
+
+    async def _keep_pace(self, speed: float) -> None:
+        """Have control of a position begin where it is, with its own speed, and then tell it the wanted one.
+
+        So it never flies faster, also when the answer takes its time. While it runs it keeps what it is told.
+        """
+        for _ in range(0 if self._steady else STAYS):
+            place = self._state.position
+            assert place is not None, "the caller has looked"
+            self._vehicle.send(self.setpoint(Target(ONLY_POSITION, place)))
+            await asyncio.sleep(BEGINS)
+        await self._change_speed(speed)
+        self._steady = True
+
+    def _on_heartbeat(self, _: object) -> None:
+        """In another mode, or with its motors off, it forgets its speed."""
+        if self._state.profile is not None and not (self._state.armed and self._in_guided):
+            self._steady = False
+
+    @property
+    def _in_guided(self) -> bool:
+        return self._state.mode == self._vehicle.profile.guided
 
     async def _change_speed(self, speed: float) -> None:
         await self._vehicle.command("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, speed, -1.0)

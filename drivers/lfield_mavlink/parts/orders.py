@@ -2,13 +2,16 @@
 
 ArduPilot takes setpoints in its mode GUIDED and keeps the last one of a position. PX4 takes a DO_REPOSITION
 for that and does it by itself; its setpoint mode OFFBOARD is only for velocities, since it must be fed.
+
+Their speeds differ, too. ArduPilot's control of a position begins with the autopilot's own speed, whatever
+was told before, and then keeps what it is told; PX4 is told with each goal.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 from lfield_mavlink.contact.state import VehicleState
@@ -17,7 +20,7 @@ from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
 
 # type_mask of SET_POSITION_TARGET_LOCAL_NED: everything ignored but what the name says.
-ONLY_POSITION, ONLY_VELOCITY, VELOCITY_AND_YAW_RATE = 0x0DF8, 0x0DC7, 0x05C7
+ONLY_POSITION, ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, ONLY_YAW = 0x0DF8, 0x0DC7, 0x05C7, 0x09FF
 #: MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
 _CHANGE_MODE = 1.0
 #: How far ahead on an orbit the goal is, in radians.
@@ -31,6 +34,7 @@ class Target:
     mask: int
     place: Vector = (0.0, 0.0, 0.0)
     velocity: Vector = (0.0, 0.0, 0.0)
+    yaw: float = 0.0
     yaw_rate: float = 0.0
 
 
@@ -47,17 +51,32 @@ class Command:
 class Order:
     """How a motion is begun and kept up.
 
-    First the parameters are set, the mode is entered, and the command is accepted; then the mode must be
-    one of `modes`, and stays so until the motion is over. `target` gives the setpoint for the present
-    position, to be sent every `period` seconds.
+    First the mode is entered and the command is accepted; then the mode must be one of `modes`, and stays so
+    until the motion is over. `target` gives the setpoint for the present position, to be sent every `period`
+    seconds; `speed` is the one over ground that it is flown with, where a setpoint does not say. `goal` is
+    the place that is farthest from home on the way, as far as it is known.
     """
 
     modes: frozenset[str]
-    parameters: Mapping[str, float] = field(default_factory=dict)
     mode: str = ""
     command: Command | None = None
     target: Callable[[Vector], Target] | None = None
     period: float = 1.0
+    speed: float | None = None
+    goal: Vector | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long a motion may come no `closer`, and what is then said, with `{seconds}` and `{left}`.
+
+    While it moves it may take `turning` seconds: what steers like a car drives away from a goal behind it.
+    """
+
+    seconds: float = 10.0
+    closer: float = 0.1
+    turning: float = 0.0
+    words: str = "no progress for {seconds:g} s, {left:.1f} m from its goal"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,18 +88,26 @@ class Circle:
     speed: float
     clockwise: bool
 
+    @property
+    def farthest(self) -> Vector:
+        """The place on it that is farthest from home."""
+        north, east, down = self.centre
+        far = math.hypot(north, east)
+        share = (far + self.radius) / far if far else 0.0
+        return (north * share, east * share, down) if far else (self.radius, 0.0, down)
+
 
 class Stack(Protocol):
     """The orders of one autopilot. PX4's need a state with a position and a home."""
 
-    def take_off(self, height: float) -> Order:
+    def take_off(self, state: VehicleState, height: float) -> Order:
         """Straight up to a height above home."""
 
     def go_to(self, state: VehicleState, goal: Vector, speed: float | None) -> Order:
         """To a place, in metres of home, at a speed over ground; None leaves it to the autopilot."""
 
-    def turn(self, state: VehicleState, heading: float) -> Order:
-        """On the spot, to a heading."""
+    def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
+        """On the spot, to a heading; what cannot do that drives there at the speed."""
 
     def orbit(self, state: VehicleState, circle: Circle) -> Order:
         """Around a place."""
@@ -91,20 +118,21 @@ class ArduPilot:
 
     guided = frozenset({"GUIDED"})
 
-    def take_off(self, height: float) -> Order:
+    def take_off(self, state: VehicleState, height: float) -> Order:
         """NAV_TAKEOFF with the height above home."""
         command = Command(dialect.MAV_CMD_NAV_TAKEOFF, (None,) * 6 + (height,))
         return Order(self.guided, mode="GUIDED", command=command)
 
     def go_to(self, state: VehicleState, goal: Vector, speed: float | None) -> Order:
-        """The goal as a setpoint, repeated since a packet may be lost; the speed by DO_CHANGE_SPEED."""
-        command = None if speed is None else _at_speed(speed)
-        return Order(
-            self.guided, mode="GUIDED", command=command, target=lambda _: Target(ONLY_POSITION, goal)
-        )
+        """The goal as a setpoint, repeated since a packet may be lost."""
+        target = Target(ONLY_POSITION, goal)
+        return Order(self.guided, mode="GUIDED", target=lambda _: target, speed=speed, goal=goal)
 
-    def turn(self, state: VehicleState, heading: float) -> Order:
-        """CONDITION_YAW, in degrees."""
+    def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
+        """CONDITION_YAW, in degrees. A rover does not know it; it turns by setpoints, which end after 3 s."""
+        if state.kind == "rover":
+            target = Target(ONLY_YAW, yaw=math.remainder(heading, math.tau))
+            return Order(self.guided, mode="GUIDED", target=lambda _: target)
         command = Command(dialect.MAV_CMD_CONDITION_YAW, (math.degrees(heading) % 360.0,))
         return Order(self.guided, mode="GUIDED", command=command)
 
@@ -118,8 +146,9 @@ class ArduPilot:
             east = centre[1] + circle.radius * math.sin(angle)
             return Target(ONLY_POSITION, (north, east, centre[2]))
 
-        command = _at_speed(circle.speed)
-        return Order(self.guided, mode="GUIDED", command=command, target=ahead, period=0.2)
+        return Order(
+            self.guided, mode="GUIDED", target=ahead, period=0.2, speed=circle.speed, goal=circle.farthest
+        )
 
 
 class Px4:
@@ -127,38 +156,33 @@ class Px4:
 
     hold = frozenset({"AUTO.LOITER"})
 
-    def take_off(self, height: float) -> Order:
-        """NAV_TAKEOFF; the height is a parameter."""
+    def take_off(self, state: VehicleState, height: float) -> Order:
+        """NAV_TAKEOFF with the height above mean sea level; without one it would be MIS_TAKEOFF_ALT."""
         modes = frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"})
-        command = Command(dialect.MAV_CMD_NAV_TAKEOFF)
-        return Order(modes, parameters={"MIS_TAKEOFF_ALT": height}, command=command)
+        altitude = _global(state, (0.0, 0.0, -height)).altitude
+        return Order(modes, command=Command(dialect.MAV_CMD_NAV_TAKEOFF, (None,) * 6 + (altitude,)))
 
     def go_to(self, state: VehicleState, goal: Vector, speed: float | None) -> Order:
         """DO_REPOSITION, with the heading left as it is."""
         return self._reposition(state, goal, None, speed)
 
-    def turn(self, state: VehicleState, heading: float) -> Order:
+    def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
         """DO_REPOSITION to where it is, with the heading in radians."""
-        return self._reposition(state, state.position, math.remainder(heading, math.tau))
+        return self._reposition(state, state.position, math.remainder(heading, math.tau), speed)
 
     def orbit(self, state: VehicleState, circle: Circle) -> Order:
         """DO_ORBIT; a negative radius is counter-clockwise."""
         radius = circle.radius if circle.clockwise else -circle.radius
         place = _global(state, circle.centre)
         command = Command(dialect.MAV_CMD_DO_ORBIT, (radius, circle.speed, None, None), place)
-        return Order(frozenset({"POSCTL.ORBIT"}), command=command)
+        return Order(frozenset({"POSCTL.ORBIT"}), command=command, goal=circle.farthest)
 
     def _reposition(
-        self, state: VehicleState, goal: Vector | None, yaw: float | None, speed: float | None = None
+        self, state: VehicleState, goal: Vector | None, yaw: float | None, speed: float | None
     ) -> Order:
         place, speed = _global(state, goal), -1.0 if speed is None else speed
         command = Command(dialect.MAV_CMD_DO_REPOSITION, (speed, _CHANGE_MODE, 0.0, yaw), place)
-        return Order(self.hold, command=command)
-
-
-def _at_speed(speed: float) -> Command:
-    """The speed over ground, which ArduPilot forgets with every change of mode."""
-    return Command(dialect.MAV_CMD_DO_CHANGE_SPEED, (1.0, speed, -1.0))
+        return Order(self.hold, command=command, goal=goal)
 
 
 def _global(state: VehicleState, place: Vector | None) -> Place:

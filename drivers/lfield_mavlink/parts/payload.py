@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from lfield_mavlink.contact.contact import SHOWS, Contact
@@ -48,13 +49,13 @@ class Payload:
     async def do_close_gripper(self) -> None:
         """Grab."""
         await self._vehicle.command(
-            "closeGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_GRAB
+            "closeGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_GRAB, absent="gripper"
         )
 
     async def do_open_gripper(self) -> None:
         """Let go."""
         await self._vehicle.command(
-            "openGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_RELEASE
+            "openGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_RELEASE, absent="gripper"
         )
 
     # -- winch ----------------------------------------------------------------------------------------
@@ -66,7 +67,7 @@ class Payload:
         before = await self._ask(WINCH)
         relative = float(dialect.WINCH_RELATIVE_LENGTH_CONTROL)
         await self._vehicle.command(
-            "winch", dialect.MAV_CMD_DO_WINCH, 1.0, relative, length, speed, once=True
+            "winch", dialect.MAV_CMD_DO_WINCH, 1.0, relative, length, speed, once=True, absent="winch"
         )
         if before is not None:
             goal, bound = before.line_length + length, abs(length) / speed + WINDING
@@ -111,8 +112,9 @@ class Payload:
     async def do_trigger_camera(self) -> None:
         """One picture: the camera protocol's command, or the older one."""
         capture, older = dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL
-        if not await self._vehicle.command("triggerCamera", capture, 0.0, 0.0, 1.0, once=True, optional=True):
-            await self._vehicle.command("triggerCamera", older, 0.0, 0.0, 0.0, 0.0, 1.0, once=True)
+        camera = partial(self._vehicle.command, "triggerCamera", once=True, absent="camera")
+        if not await camera(capture, 0.0, 0.0, 1.0, optional=True):
+            await camera(older, 0.0, 0.0, 0.0, 0.0, 1.0)
 
     async def do_point_gimbal(self, pitch: float, yaw: float) -> None:
         """Radians; pitch above the horizon, yaw clockwise from the nose."""
@@ -121,10 +123,11 @@ class Payload:
         degrees = (math.degrees(pitch), math.degrees(yaw))
         manager, mount = dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, dialect.MAV_CMD_DO_MOUNT_CONTROL
         values = (*degrees, None, None, 0.0, None, 0.0)
-        if not await self._vehicle.command("pointGimbal", manager, *values, optional=True):
+        gimbal = partial(self._vehicle.command, "pointGimbal", absent="gimbal")
+        if not await gimbal(manager, *values, optional=True):
             targeting = float(dialect.MAV_MOUNT_MODE_MAVLINK_TARGETING)
             older = (degrees[0], 0.0, degrees[1], 0.0, 0.0, 0.0, targeting)
-            await self._vehicle.command("pointGimbal", mount, *older)
+            await gimbal(mount, *older)
         await self._shows("pointGimbal", GIMBAL, lambda now: _points(now.q, pitch, yaw))
 
     # -- what shows it --------------------------------------------------------------------------------

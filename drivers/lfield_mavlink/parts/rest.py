@@ -117,7 +117,9 @@ class Rest:
         words = [self._place(), *self._motions()]
         if self._is_a_pilots:
             return [f"{'flown' if profile.flies else 'steered'} by a pilot in {state.mode}", *words]
-        if state.mode != profile.safe(self._vehicle.binding.safe_state):
+        # PX4 leaves its landing when it switches its motors off, and tells that first.
+        over = self._standing and state.mode in profile.own
+        if state.mode != profile.safe(self._vehicle.binding.safe_state) and not over:
             words.append(f"in {state.mode}")
         return words
 

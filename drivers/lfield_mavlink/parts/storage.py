@@ -8,6 +8,8 @@ from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.services.file_transfer import FileTransfer
 from lfield_mavlink.services.parameters import Parameters
 
+#: ArduPilot's file of all parameters, which is binary.
+PACKED = "@PARAM/param.pck"
 #: Bytes of the largest file that becomes a string of a program.
 MAX_TEXT = 256 * 1024
 
@@ -57,8 +59,9 @@ class Files:
         try:
             return data.decode()
         except UnicodeDecodeError:
+            instead = "; parameters() tells what is in it" if path.startswith(PACKED) else ""
             raise self._vehicle.error(
-                f"readFile: {path} holds {len(data)} bytes that are not text (UTF-8)"
+                f"readFile: {path} holds {len(data)} bytes that are not text (UTF-8){instead}"
             ) from None
 
     async def do_write_file(self, path: str, text: str) -> None:

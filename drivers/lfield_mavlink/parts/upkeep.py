@@ -12,6 +12,8 @@ from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 
 #: Seconds within which an autopilot restarts.
 RESTART = 60.0
+#: Seconds of silence after which it has begun to, and milliseconds by which packets overtake one another.
+GONE, OVERTAKEN = 1.0, 500
 #: How near the reported home must be to the one that was set, in metres.
 HOME_TOLERANCE = 1.0
 
@@ -71,13 +73,20 @@ class Upkeep:
             raise self._vehicle.error("reboot refused: the vehicle is armed")
         before = self._state.booted
         restarted = asyncio.Event()
-        await self._vehicle.command("reboot", dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0)
+        # The answer may be lost, and then nobody is there to be asked again.
+        await self._vehicle.command(
+            "reboot",
+            dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN,
+            1.0,
+            taken=lambda: self._vehicle.silence > GONE,
+        )
 
         def back() -> bool:
-            """A clock that runs again from 0; or, of one that told no time, a heartbeat after a silence."""
+            """A clock that runs again from 0; or, of one that told no time, a word after a silence."""
             if self._vehicle.silence > LINK_LOST:
                 restarted.set()
-            told = before is not None and self._state.booted is not None and self._state.booted < before
+            now = self._state.booted
+            told = before is not None and now is not None and now < before - OVERTAKEN
             return (told or restarted.is_set()) and self._vehicle.silence < 1.0
 
         end = self._vehicle.clock.monotonic() + RESTART

@@ -55,7 +55,7 @@ _WORDS: Mapping[int, str] = {
     Refusal.FAIL: "it failed there",
     3: "the packet had a wrong size",
     4: "the session is not open",
-    Refusal.NO_SESSIONS: "no session is free; another client may be transferring files",
+    Refusal.NO_SESSIONS: "no session is free",
     Refusal.END_OF_FILE: "the end of the file",
     Refusal.UNKNOWN_COMMAND: "the autopilot does not offer this",
     Refusal.EXISTS: "it is there already",

@@ -30,6 +30,8 @@ from lfield_mavlink.services.peer import Inbox, Peer
 PATIENCE, QUESTIONS, PERSISTENT = 0.5, 10, 16
 #: Bytes of the largest file, entries of the largest folder, bytes of the longest path.
 MAX_FILE, MAX_ENTRIES, MAX_PATH = 1 << 20, 5000, 200
+#: How the names of files begin that are no files, but made anew by each reading.
+MADE = "@"
 #: Packets of one burst that are taken in; more is a vehicle gone mad.
 MAX_BURST = MAX_FILE // 32
 
@@ -53,13 +55,15 @@ class FileTransfer:
     async def read(self, path: str, most: int = MAX_FILE) -> bytes:
         """The bytes of a file, if they are not more than `most`, and as its checksum says if there is one.
 
-        Raises DeviceError.
+        ArduPilot makes what begins with @ while it is read: it ends where it ends, whatever size was told,
+        and the checksum is that of another reading. Raises DeviceError.
         """
-        what = f"reading {path}"
+        what, made = f"reading {path}", path.startswith(MADE)
         async with self._transfer(path) as name:
             async with self._session(what, Opcode.OPEN_READ, name) as opened:
-                data = await self._read(what, opened.session, opened.number, most)
-            await self._check(path, name, data)
+                data = await self._read(what, opened, most, made=made)
+            if not made:
+                await self._check(path, name, data)
         return data
 
     async def write(self, path: str, data: bytes) -> None:
@@ -106,7 +110,7 @@ class FileTransfer:
     async def _session(self, what: str, opcode: Opcode, name: bytes) -> AsyncIterator[Packet]:
         """An open file; yields the answer to its opening. Raises DeviceError."""
         try:
-            opened = await self._do(what, opcode, data=name)
+            opened = self._opened(what, await self._ask(opcode, data=name))
         except BaseException:
             # It may have been opened all the same, in a session that nobody knows of.
             self._reset = False
@@ -114,10 +118,21 @@ class FileTransfer:
         try:
             yield opened
         except BaseException:
-            # Without waiting for an answer: the call may have been cancelled.
+            # Without waiting for an answer: the call may have been cancelled. Where this is lost, the file
+            # stays open, and ArduPilot and PX4 open no second one: the next transfer begins anew.
             self._request(Opcode.TERMINATE, session=opened.session)
+            self._reset = False
             raise
         await self._ask(Opcode.TERMINATE, session=opened.session)
+
+    def _opened(self, what: str, answer: Packet | None) -> Packet:
+        """Of an opening. ArduPilot has one session, and says of a second only that it failed."""
+        if answer is not None and answer.refusal in (Refusal.FAIL, Refusal.NO_SESSIONS):
+            raise self._peer.error(
+                f"{what} refused: {refusal_words(answer)}; it opens one file at a time, and another client "
+                "may have one: try again"
+            )
+        return self._checked(what, answer)
 
     async def _list(self, opcode: Opcode, path: str) -> list[Entry] | None:
         """The entries by one kind of request; None when the vehicle does not know this kind."""
@@ -137,11 +152,14 @@ class FileTransfer:
             if place > MAX_ENTRIES:
                 raise self._peer.error(f"listing {path}: it has more than {MAX_ENTRIES} entries")
 
-    async def _read(self, what: str, session: int, size: int | None, most: int) -> bytes:
+    async def _read(self, what: str, opened: Packet, most: int, *, made: bool) -> bytes:
         """The whole of an open file: in bursts to its end, then one by one what the bursts have left out."""
+        size, session = opened.number, opened.session
         if size is None:
             raise self._peer.error(f"{what}: the autopilot does not tell its size")
-        if size > most:
+        if made:
+            size = min(size, most + 1)
+        elif size > most:
             raise self._peer.error(f"{what}: its {size} bytes are more than the {most} that may be")
         file = Pieces(size)
         while file.reached < size and await self._burst(file, session):
@@ -153,7 +171,10 @@ class FileTransfer:
                 break
             if not file.put(start, self._checked(what, answer).data):
                 raise self._peer.error(f"{what}: an empty answer at byte {start}")
-        return file.until_gap()
+        data = file.until_gap()
+        if len(data) > most:
+            raise self._peer.error(f"{what}: it has more than the {most} bytes that may be")
+        return data
 
     async def _burst(self, file: Pieces, session: int) -> bool:
         """Have the vehicle send what comes after the farthest byte yet; whether anything came."""

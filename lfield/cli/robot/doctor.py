@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exits
+from lfield.cli.mission_argument import setup_command
 
 if TYPE_CHECKING:
     from lfield.operator.doctor import Finding
@@ -66,7 +67,8 @@ async def _try_devices(args: argparse.Namespace, told: Callable[[Finding], None]
     devices = mission.bindings.of([member.id for host in hosts for member in team.on(host)])
     drivers = installed_here(mission.drivers, {device.driver for device in devices})
     told(await lateness(mission.bindings.silence, SystemClock(), bound=mission.world == "hardware"))
-    await endpoints(drivers, devices, SystemClock(), told)
+    setup = setup_command(args.deploy, args.host or "", args.devices)
+    await endpoints(drivers, devices, SystemClock(), told, setup)
 
 
 def _tell(finding: Finding) -> None:

@@ -7,16 +7,15 @@ import asyncio
 import json
 import sys
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exits
-from lfield.errors import UsageError
+from lfield.cli.robot.device_argument import add_devices, named_devices, named_driver, setup_command
+from lfield.errors import DevicesError
 
 if TYPE_CHECKING:
     from lfield.driver.binding import DeviceBinding
     from lfield.driver.kit import Check, Finding
-    from lfield.driver.plugins import Installed, Plugins
 
 _MARKS = {"passed": "ok     ", "failed": "FAILED ", "not run": "not run"}
 
@@ -24,17 +23,7 @@ _MARKS = {"passed": "ok     ", "failed": "FAILED ", "not run": "not run"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     parser.add_argument("driver", metavar="DRIVER", help="the driver: mavlink, can, dynamixel, ...")
-    parser.add_argument("--endpoint", metavar="E", default="", help="where it is, as in a devices file")
-    parser.add_argument("--devices", metavar="FILE", type=Path, help="take ids, limits and waivers from here")
-    parser.add_argument("--type", default="", help="the device type in L, if the driver has several")
-    parser.add_argument(
-        "--set",
-        dest="settings",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="a key of its binding: --set id=3 --set 'limits={speed: 1}'",
-    )
+    add_devices(parser)
     parser.add_argument(
         "--silence",
         type=_seconds,
@@ -59,35 +48,21 @@ def run(args: argparse.Namespace) -> int:
     from lfield.driver.plugins import discover
 
     plugins = discover()
-    installed = plugins.by_driver.get(args.driver)
-    if installed is None:
-        known = ", ".join(sorted(plugins.by_driver)) or "none"
-        raise UsageError(
-            "; ".join([f"there is no driver '{args.driver}' (installed: {known})", *plugins.problems])
-        )
-    devices = _devices(args, installed, plugins)
+    installed = named_driver(args.driver, plugins)
+    devices = named_devices(args, installed, plugins)
     checks = checks_of(installed)
     may_move = args.yes or _agreed(checks, devices)
     show = _printer(args.json)
-    findings = asyncio.run(try_devices(plugins, devices, checks, may_move, show, silence=args.silence))
+    try:
+        findings = asyncio.run(try_devices(plugins, devices, checks, may_move, show, silence=args.silence))
+    except DevicesError as error:
+        raise error.cured_by(setup_command(args)) from None
     if not args.json:
         counts = {outcome: sum(f.outcome == outcome for f in findings) for outcome in _MARKS}
         print(", ".join(f"{count} {outcome}" for outcome, count in counts.items()))
     if any(finding.check == LEFT for finding in findings):
         return exits.UNSAFE
     return exits.FAILED if any(finding.outcome == "failed" for finding in findings) else exits.DONE
-
-
-def _devices(args: argparse.Namespace, installed: Installed, plugins: Plugins) -> list[DeviceBinding]:
-    from lfield.mission.one_device import devices_in_file, one_device
-
-    if args.devices is not None:
-        if args.settings or args.type:
-            raise UsageError("--set and --type are for one device without --devices")
-        return devices_in_file(args.devices, installed, plugins, args.endpoint)
-    if not args.endpoint:
-        raise UsageError("where is the device? give --endpoint, or --devices with a file that says it")
-    return one_device(installed, plugins, args.endpoint, args.type, args.settings)
 
 
 def _agreed(checks: Iterable[Check], devices: Iterable[DeviceBinding]) -> bool:

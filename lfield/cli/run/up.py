@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.cli.mission_argument import add_mission, mission_path
-from lfield.errors import OutputFileError, UsageError
+from lfield.cli.mission_argument import add_mission, mission_path, setup_command
+from lfield.errors import DevicesError, OutputFileError, UsageError
 
 if TYPE_CHECKING:
     from lfield.mission.mission import Mission
@@ -66,10 +66,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="listen beyond this machine without keys: whoever reaches the port controls the robots",
     )
     # For processes that `--all` starts: the listening socket they inherit, the address where commands find
-    # them, and to end with their parent.
+    # them, to end with their parent, and the command that sets up their devices.
     parser.add_argument("--listen-fd", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--door", default="", help=argparse.SUPPRESS)
     parser.add_argument("--leash", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--setup", default="", help=argparse.SUPPRESS)
 
 
 def _seconds(word: str) -> float:
@@ -150,7 +151,7 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
     from lfield.net.local import own_host
 
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
-    with _door(mission, name, args) as door:
+    with _door(mission, name, args) as door, _setup_named(args, name):
         return loop.run(
             run_host(
                 _with_own_drivers(mission, name),
@@ -166,6 +167,16 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
                 first_start=args.first_start,
             )
         )
+
+
+@contextmanager
+def _setup_named(args: argparse.Namespace, host: str) -> Iterator[None]:
+    """Devices that are not set up are told with the command that does it."""
+    try:
+        yield
+    except DevicesError as error:
+        command = args.setup or setup_command(mission_path(args), host, args.devices)
+        raise error.cured_by(command) from None
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from asyncio.subprocess import PIPE, Process
 from typing import TYPE_CHECKING, TextIO
 
 from lfield import exits
-from lfield.cli.mission_argument import mission_path
+from lfield.cli.mission_argument import mission_path, setup_command
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
 from lfield.host.process import leash
@@ -155,6 +155,7 @@ class _Team:
         words = [sys.executable, "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
         # One word each: what begins with a dash would be taken for another option.
         words += ["--listen-fd", str(descriptor), f"--door={self.doors.addresses.get(host, '')}"]
+        words.append(f"--setup={setup_command(mission_path(args), host, args.devices)}")
         for name, address in self.addresses.items():
             words.append(f"--map={name}={address}")
         for option in ("dump", "unreachable_after"):

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from lfield_sim.autopilot.failsafes import Failsafes
 from lfield_sim.autopilot.flavours import Control, Kind, Result, Role, Severity
-from lfield_sim.autopilot.flight import disarm_when_idle, fly, suffer
+from lfield_sim.autopilot.flight import fly, suffer
+from lfield_sim.autopilot.lifting import begin_takeoff, disarm_when_idle, rise
 from lfield_sim.autopilot.missions import why_no_mission
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.readiness import Unfit, why_unfit
 from lfield_sim.autopilot.stacks import ardupilot, px4
-from lfield_sim.autopilot.vehicle import Circle, Goal, Reach, Vector
+from lfield_sim.autopilot.vehicle import ZERO, Circle, Goal, Keep, Lean, Reach, Vector
+from lfield_sim.autopilot.watch.failsafes import Failsafes
 
 #: Every vehicle there is, by flavour and kind.
 FLAVOURS: Mapping[str, Mapping[str, Kind]] = {"ardupilot": ardupilot.KINDS, "px4": px4.KINDS}
@@ -58,6 +59,7 @@ class Autopilot(Pilot):
         self.payload.step(dt)
         self.battery.step(dt, armed=self.armed, flying=self.vehicle.airborne)
         fly(self)
+        rise(self)
         disarm_when_idle(self)
         suffer(self)
         if self.armed or self.vehicle.airborne:
@@ -71,20 +73,22 @@ class Autopilot(Pilot):
         rule = self.flavour.gcs
         if rule.forbids and self.failsafes.station_lost:
             return Unfit((rule.refusal,) if rule.refusal else None)
+        if self.failsafes.fences.breach and self.flavour.submodes:
+            return Unfit(())
         return why_unfit(self)
 
-    def arm(self, *, force: bool = False) -> Result:
+    def arm(self, *, force: bool = False, text: str = "") -> Result:
         """COMPONENT_ARM_DISARM 1: accepted too when it is armed already."""
-        if self.armed:
+        if self.armed or self.deaf_to_arming:
             return Result.ACCEPTED
         if not self.kind.modes[self.mode].armable:
             return self._deny_arming(Unfit((self.flavour.unarmable.format(mode=self.mode),)))
         if (unfit := self.unfit) and not force:
             return self._deny_arming(unfit)
-        self.armed, self.armed_at, self.touched_at = True, self.now, None
+        self.armed, self.armed_at, self.armed_first, self.touched_at = True, self.now, self.now, None
         self.take_home(self.vehicle.place)
         self.pace.arm()
-        self.say(self.flavour.armed)
+        self.say(text or self.flavour.armed)
         return Result.ACCEPTED
 
     def _deny_arming(self, unfit: Unfit) -> Result:
@@ -106,24 +110,35 @@ class Autopilot(Pilot):
     # -- modes ----------------------------------------------------------------------------------------
 
     def set_mode(self, number: int) -> Result:
-        """DO_SET_MODE with a custom mode, or SET_MODE."""
+        """DO_SET_MODE with a custom mode, or SET_MODE. PX4 says yes to one that it does not have."""
         name = self.kind.mode_name(number)
-        if not name:
-            self.say(f"No such mode {number}", Severity.WARNING)
-            return Result.FAILED
-        return self.command_mode(name)
+        if name:
+            return self.command_mode(name)
+        if self.flavour.submodes:
+            return Result.ACCEPTED
+        self.say(f"No such mode {number}", Severity.WARNING)
+        return Result.FAILED
 
     def command_mode(self, name: str) -> Result:
         """A mode by name. PX4 says yes to one that is not available, and stays in the one that it is in."""
-        role = self.kind.modes[name].role
-        if role is Role.MISSION and (reason := why_no_mission(self)):
-            return self.refuse(reason)
-        if role is Role.GUIDED and self.flavour.needs_stream and not self.streams:
-            self.say(self.flavour.unavailable.format(mode="Offboard"), Severity.CRITICAL)
-            return Result.ACCEPTED
+        if texts := self._why_not(name):
+            for text in texts:
+                self.say(text, Severity.CRITICAL)
+            return Result.ACCEPTED if self.flavour.submodes else Result.FAILED
         self.failsafes.commanded()
         self.command(name)
         return Result.ACCEPTED
+
+    def _why_not(self, name: str) -> tuple[str, ...]:
+        """What is said when a mode cannot be entered now, nothing when it can."""
+        role, flavour = self.kind.modes[name].role, self.flavour
+        if role is Role.MISSION:
+            return why_no_mission(self)
+        if role is Role.GUIDED and flavour.needs_stream and not self.streams:
+            return (flavour.unavailable.format(mode="Offboard"),)
+        if role is Role.MANUAL and flavour.submodes and self.vehicle.airborne:
+            return (flavour.unavailable.format(mode="Altitude" if name == "ALTCTL" else "Position"),)
+        return ()
 
     def command_role(self, role: Role) -> Result:
         """The mode that has a role; UNSUPPORTED when there is none (a rover does not land)."""
@@ -135,26 +150,34 @@ class Autopilot(Pilot):
 
         ArduPilot: only armed, in GUIDED, from the ground. PX4 enters a mode and says yes in any case.
         """
-        if not self.flies:
+        if not self.kind.lands:
             return Result.UNSUPPORTED
         if self.flavour.takeoff_mode:
-            self.takeoff_goal = height if height is not None and 0.0 < height < 1e4 else None
-            return self.command_role(Role.TAKEOFF)
-        if not self.armed:
-            return self.refuse("Takeoff: not armed")
-        if self.role is not Role.GUIDED:
-            return self.refuse(f"Takeoff: not possible in {self.mode}")
-        if self.vehicle.airborne or height is None or not 0.0 < height < 1e4:
+            return self._enter_takeoff(height)
+        ready = self.armed and self.role is Role.GUIDED and not self.vehicle.airborne
+        if not ready or height is None or not 0.0 < height < 1e4:
             return Result.FAILED
-        north, east, _ = self.vehicle.place
-        self.pace.enter(guided=True)
-        self.vehicle.goal = Reach((north, east, self.home[2] - height))
+        begin_takeoff(self, self.home[2] - height)
         return Result.ACCEPTED
+
+    def _enter_takeoff(self, height: float | None) -> Result:
+        """PX4's mode for it, disarmed too; whoever is higher already stays there."""
+        self.takeoff_goal = height if height is not None and 0.0 < height < 1e4 else None
+        if self.takeoff_goal is None:
+            self.say(f"Using default takeoff altitude: {self.takeoff_height:.1f} m\t")
+        if self.vehicle.airborne and self.homing.ground - self.vehicle.place[2] > self.takeoff_height:
+            self.say("Already higher than takeoff altitude\t", Severity.WARNING)
+            return self.command_role(Role.HOLD)
+        return self.command_role(Role.TAKEOFF)
 
     def start_mission(self, first: int | None = None) -> Result:
         """MISSION_START: the mission mode, from an item or from where it was left."""
         if first is not None and not self.mission.jump(first):
             return self.refuse(f"Mission: there is no item {first}")
+        if self.flavour.takeoff_mode and self.mission.items and not self.armed:
+            self.enter(self.kind.mode_for(Role.HOLD))
+            if (result := self.arm(text="Armed by mission start\t")) is not Result.ACCEPTED:
+                return result
         return self.command_role(Role.MISSION)
 
     def go_home(self) -> Result:
@@ -183,8 +206,8 @@ class Autopilot(Pilot):
         self, place: Vector, yaw: float | None, *, change_mode: bool, speed: float | None = None
     ) -> Result:
         """DO_REPOSITION, with a speed or None: ArduPilot goes there in GUIDED, PX4 holds there."""
-        if self.fence_at(place)[0] and not self.flavour.needs_stream:
-            return Result.FAILED
+        if not self.failsafes.fences.takes(place):
+            return Result.ACCEPTED if self.flavour.needs_stream else Result.FAILED
         role = Role.HOLD if self.flavour.needs_stream else Role.GUIDED
         if self.role is not role and not change_mode:
             return Result.DENIED
@@ -212,7 +235,15 @@ class Autopilot(Pilot):
         lifted = self.vehicle.airborne or not self.flies or self.flavour.needs_stream
         if self.role is not Role.GUIDED or not self.armed or not lifted:
             return
-        if setpoint.goal is None and not self.flavour.needs_stream and self.flies:
+        if isinstance(setpoint.goal, Lean) and self.flavour.ignored_text:
+            self.say(self.flavour.ignored_text)
+            return
+        if setpoint.goal is None and not self.flavour.needs_stream:
+            if self.flies:
+                return
+            # A rover takes a heading alone for a velocity of nothing.
+            setpoint = replace(setpoint, goal=Keep(ZERO))
+        if isinstance(setpoint.goal, Reach) and not self.failsafes.fences.takes(setpoint.goal.place):
             return
         if setpoint.goal is not None:
             self.pace.begin(setpoint.control)

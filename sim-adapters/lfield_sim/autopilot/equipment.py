@@ -17,6 +17,8 @@ LINE, LINE_SPEED, GIMBAL_RATE = 20.0, 0.5, math.radians(90.0)
 PITCH_RANGE = (math.radians(-90.0), math.radians(30.0))
 YAW_RANGE = (math.radians(-170.0), math.radians(170.0))
 SERVOS, RELAYS = 16, 6
+#: What may hang on a vehicle; servos and relays are outputs that each autopilot has.
+HARDWARE = frozenset({"gripper", "winch", "camera", "gimbal"})
 
 
 @dataclass(slots=True)
@@ -48,8 +50,12 @@ class Battery:
 
 @dataclass(slots=True)
 class Payload:
-    """What hangs on it. Servos are in microseconds by number from 1, `line` is what the winch paid out."""
+    """What hangs on it, of HARDWARE what is `fitted`.
 
+    Servos are in microseconds by number from 1, `line` is what the winch paid out.
+    """
+
+    fitted: frozenset[str] = HARDWARE
     servos: dict[int, int] = field(default_factory=lambda: dict.fromkeys(range(1, SERVOS + 1), 0))
     relays: dict[int, bool] = field(default_factory=lambda: dict.fromkeys(range(RELAYS), False))
     gripped: bool = False

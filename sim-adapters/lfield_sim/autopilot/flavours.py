@@ -78,11 +78,15 @@ PaceMaker = Callable[[Callable[[], float], Callable[[], float]], Pace]
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """A flight mode: HEARTBEAT.custom_mode, what it does, and whether one may arm in it."""
+    """A flight mode: HEARTBEAT.custom_mode, what it does, and whether one may arm in it.
+
+    `by_hand` needs a transmitter: without one the throttle counts as down, and it sinks.
+    """
 
     number: int
     role: Role
     armable: bool = True
+    by_hand: bool = False
 
 
 Actions = Mapping[int, Role]
@@ -96,7 +100,8 @@ class GcsRule:
     landing go on (`goes_on` is said then); `station` is the only system whose heartbeats count. `late` is
     how much longer than the timeout it takes, in s, or the parameter that says so. While it lasts arming is
     refused when it `forbids` that, with `refusal` ('': without a word). `stands` says that what is not armed
-    takes the action too. It is over `clears` seconds after the next heartbeat.
+    takes the action too, unless it holds or returns already; `lost_texts` are said by what is not armed. It
+    is over `clears` seconds after the next heartbeat.
     """
 
     action: str
@@ -113,6 +118,7 @@ class GcsRule:
     forbids: bool = False
     refusal: str = ""
     stands: bool = False
+    lost_texts: tuple[str, ...] = ()
     clears: float = 0.0
 
 
@@ -132,7 +138,11 @@ class BatteryLevel:
 class FenceRule:
     """The fence failsafe; the texts are for circle, ceiling and what was uploaded.
 
-    `blind_text` is why nobody arms behind a fence without a position ('' where that has no text of its own).
+    `avoid` is the parameter by which it stays inside (`margin` m from the edge), '' where it has none.
+    `refuses` says that it does not set out for a goal beyond, which is told with `outside_text`.
+    `recovery_text` is said with each change of mode outside; `pause` is the parameter for seconds of hold
+    before the action, `hold_text` what is said to that, and then the breach is told once more. `blind_text`
+    is why nobody arms behind a fence without a position ('' where that has no text of its own).
     """
 
     enable: str
@@ -144,19 +154,27 @@ class FenceRule:
     ceiling_text: str
     shape_text: str
     blind_text: str = ""
+    avoid: str = ""
+    margin: str = ""
+    refuses: bool = True
+    outside_text: str = ""
+    recovery_text: str = ""
+    hold_text: str = ""
+    pause: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Warming:
     """A cold start, in shares of the time that it takes until it may be armed.
 
-    `fix`, `home` and `position` are when GPS has one, when home and origin are told, and when the local
-    position is; from `estimate` on the estimator trusts that. `reasons` are why arming is refused, each until
-    its share; None is a refusal without a word.
+    `fix`, `home`, `origin` and `position` are when GPS has one and when the others are told; from `estimate`
+    on the estimator trusts its position. `reasons` are why arming is refused, each until its share; None is
+    a refusal without a word.
     """
 
     fix: float
     home: float
+    origin: float
     position: float
     estimate: float
     reasons: tuple[tuple[float, tuple[str, ...] | None], ...]
@@ -180,12 +198,19 @@ class Flavour:
     landed_text         said when it switches its motors off after a landing
     unsupported         MAV_CMDs that it does not know
     lacks               messages that it does not have
+    streamed_only       messages that it streams and does not send for REQUEST_MESSAGE
+    heeds_groups        it obeys REQUEST_DATA_STREAM
+    fastest             the highest rate of a stream that it takes, Hz
+    return_cone         how steep the cone about home is, within which it climbs less for its return (0: none)
     unasked_only        messages that it sends as often as it likes, whatever it is asked
     stream_time, grace  seconds of setpoints that make a stream, and that one may be late beyond its timeout
     unavailable         said when a mode is not available, which is accepted all the same ('': it is refused)
+    ignored_text        said when an acceleration alone is ignored ('': it is followed)
     setpoint_text       said when a setpoint is too old
     mute                seconds without a ground station after which it says no texts; they come later
     tells_modes         a heartbeat goes out with each change of mode, not only once a second
+    no_mission          said when there is no mission to fly
+    airborne_text       said when it is not disarmed because it flies
     idle_text           said when it disarms because nothing follows an arming
     drifts              home's height moves with GNSS while it flies
     """
@@ -217,15 +242,22 @@ class Flavour:
     unsupported: frozenset[int] = frozenset()
     lacks: frozenset[int] = frozenset()
     unasked_only: frozenset[int] = frozenset()
+    streamed_only: frozenset[int] = frozenset()
+    heeds_groups: bool = True
+    fastest: float = 1000.0
+    return_cone: float = 0.0
     verdict: str = ""
     unarmable: str = "{mode} mode not armable"
     stream_time: float = 0.0
     grace: float = 0.0
     unavailable: str = ""
     setpoint_text: str = ""
+    ignored_text: str = ""
     mute: float = math.inf
     tells_modes: bool = False
     idle_text: str = ""
+    no_mission: tuple[str, ...] = ()
+    airborne_text: str = ""
     drifts: bool = False
 
 
@@ -236,7 +268,8 @@ class Kind:
     `speeds` are the parameters of the limits of motion with how many of their units make one SI unit;
     `return_height` and `return_pause` likewise; `takeoff_height` is PX4's in metres. `limits` are those that
     no parameter sets, `pace` how fast it goes to a place, `turning_radius` that of a rover (0: on the spot),
-    `home_altitude` the height above mean sea level that it takes for home's, wherever that is.
+    `home_altitude` the height above mean sea level that it takes for home's, wherever that is; `lands` says
+    that it knows takeoff, landing and being landed.
     """
 
     name: str
@@ -251,6 +284,7 @@ class Kind:
     limits: Limits = field(default_factory=Limits)
     turning_radius: float = 0.0
     home_altitude: float | None = None
+    lands: bool = True
     return_height: tuple[str, float] = ("", 1.0)
     takeoff_height: str = ""
     return_pause: tuple[str, float] = ("", 1.0)

@@ -9,7 +9,8 @@ import math
 from collections.abc import Callable, Mapping
 
 from lfield_sim.autopilot.flavours import Role, Severity
-from lfield_sim.autopilot.missions import AT_HEIGHT, fly_mission
+from lfield_sim.autopilot.lifting import AT_HEIGHT, begin_takeoff
+from lfield_sim.autopilot.missions import fly_mission
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.vehicle import Descend, Fall, Reach, Rest
 
@@ -25,7 +26,8 @@ def _return(pilot: Pilot) -> None:
     vehicle, home = pilot.vehicle, pilot.home
     north, east, down = vehicle.place
     far = math.dist((north, east), home[:2])
-    height = home[2] - pilot.return_height
+    cone = pilot.flavour.return_cone
+    height = home[2] - min(pilot.return_height, cone * far if cone else pilot.return_height)
     if not pilot.flies:
         vehicle.goal = Reach(home)
     elif not vehicle.airborne:
@@ -41,49 +43,30 @@ def _return(pilot: Pilot) -> None:
 
 
 def _take_off(pilot: Pilot) -> None:
-    """PX4's mode: up to MIS_TAKEOFF_ALT, then hold there."""
+    """PX4's mode: up to MIS_TAKEOFF_ALT, then hold there; a rover is where it is to be at once."""
     goal = pilot.homing.ground - pilot.takeoff_height
-    north, east, down = pilot.vehicle.place
-    if down <= goal + AT_HEIGHT:
+    if not pilot.flies:
         pilot.go_on(Role.HOLD)
-        pilot.vehicle.goal = Reach((north, east, goal))
-    elif not isinstance(pilot.vehicle.goal, Reach):
-        pilot.vehicle.goal = Reach((north, east, goal))
+    elif pilot.vehicle.place[2] <= goal + AT_HEIGHT:
+        place = (*pilot.vehicle.place[:2], goal)
+        pilot.go_on(Role.HOLD)
+        pilot.vehicle.goal = Reach(place)
+    elif pilot.lifts_at is None:
+        begin_takeoff(pilot, goal)
+
+
+def _land(pilot: Pilot) -> None:
+    """Down where it is, when it is to go down."""
+    if pilot.flies and isinstance(pilot.vehicle.goal, Rest) and pilot.now >= pilot.sinks_at:
+        pilot.vehicle.goal = Descend()
 
 
 _MODES: Mapping[Role, Callable[[Pilot], None]] = {
+    Role.LAND: _land,
     Role.RETURN: _return,
     Role.TAKEOFF: _take_off,
     Role.MISSION: fly_mission,
 }
-
-
-def disarm_when_idle(pilot: Pilot) -> None:
-    """A copter that landed, or never took off, disarms itself."""
-    if not pilot.flies or not pilot.armed:
-        return
-    if pilot.vehicle.airborne:
-        pilot.touched_at, pilot.armed_at = math.inf, pilot.now
-        return
-    if pilot.touched_at == math.inf:
-        pilot.touched_at = pilot.now
-    delay = pilot.value(pilot.flavour.disarm_delay)
-    if _is_over(pilot):
-        pilot.disarm(text=pilot.flavour.landed_text)
-        if pilot.flavour.takeoff_mode:
-            # PX4 leaves a mode that has done what it is for.
-            pilot.go_on(Role.HOLD)
-    elif isinstance(pilot.vehicle.goal, Rest) and 0.0 < delay < pilot.now - pilot.armed_at:
-        pilot.disarm(text=pilot.flavour.idle_text)
-
-
-def _is_over(pilot: Pilot) -> bool:
-    """Whether a landing has ended so long ago that the motors go off."""
-    if pilot.role not in (Role.LAND, Role.RETURN) or not pilot.landed:
-        return False
-    delay = pilot.flavour.land_delay
-    wait = pilot.value(delay) if isinstance(delay, str) else delay
-    return pilot.touched_at is None or pilot.now - pilot.touched_at >= pilot.flavour.settles + wait
 
 
 def suffer(pilot: Pilot) -> None:

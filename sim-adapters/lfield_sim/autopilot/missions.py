@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from lfield_sim.autopilot.flavours import Role
+from lfield_sim.autopilot.lifting import AT_HEIGHT, begin_takeoff
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.plans import MissionItem
 from lfield_sim.autopilot.vehicle import Circle, Descend, Reach, Vector
@@ -12,23 +13,29 @@ from lfield_sim.autopilot.vehicle import Circle, Descend, Reach, Vector
 # MAV_CMDs of mission items that are flown; others are done at once.
 WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME, RETURN, LAND, TAKEOFF = 16, 17, 18, 19, 20, 21, 22
 DELAY, JUMP = 93, 177
+#: How ArduPilot calls what it begins, for its texts.
+NAMES = {
+    WAYPOINT: "WP", LOITER: "LoitUnlim", LOITER_TURNS: "LoitTurns", LOITER_TIME: "LoitTime", RETURN: "RTL",
+    LAND: "Land", TAKEOFF: "Takeoff", DELAY: "Delay",
+}  # fmt: skip
 #: What needs to be in the air.
 FLOWN = frozenset({WAYPOINT, LOITER, LOITER_TURNS, LOITER_TIME})
-#: Metres within which a place and a height are reached.
-AT_PLACE, AT_HEIGHT = 1.0, 0.3
+#: Metres within which a place is reached.
+AT_PLACE = 1.0
 #: Half the longest time that an item can wait, in seconds.
 LONGEST = 1e6
 
 
-def why_no_mission(pilot: Pilot) -> str:
-    """Why a mission cannot be flown, '' when it can."""
+def why_no_mission(pilot: Pilot) -> tuple[str, ...]:
+    """What is said when a mission cannot be flown, nothing when it can. PX4 on the ground enters the mode."""
     items = pilot.mission.items[1 if pilot.flavour.home_item else 0 :]
     if not items:
-        return f"Mode change to {pilot.kind.mode_for(Role.MISSION)} failed: no mission"
+        waits = pilot.flavour.takeoff_mode and not pilot.armed
+        return () if waits else pilot.flavour.no_mission
     grounded = pilot.flies and pilot.armed and not pilot.vehicle.airborne
     if grounded and not pilot.flavour.takeoff_mode and items[0].command != TAKEOFF:
-        return "Auto: Missing Takeoff Cmd"
-    return ""
+        return ("Auto: Missing Takeoff Cmd",)
+    return ()
 
 
 def fly_mission(pilot: Pilot) -> None:
@@ -36,7 +43,7 @@ def fly_mission(pilot: Pilot) -> None:
     mission = pilot.mission
     item = mission.item
     if item is None:
-        if pilot.flavour.takeoff_mode:
+        if pilot.flavour.takeoff_mode and mission.items:
             pilot.say("Mission finished, loitering")
             pilot.go_on(Role.HOLD)
         return
@@ -44,9 +51,31 @@ def fly_mission(pilot: Pilot) -> None:
         return
     if mission.begun != mission.current:
         mission.begun = mission.current
+        _tell_begun(pilot, item)
         _begin(pilot, item)
     if pilot.role is Role.MISSION and mission.item is item and _done(pilot, item):
+        _tell_reached(pilot, item)
         mission.reach()
+
+
+def _tell_begun(pilot: Pilot, item: MissionItem) -> None:
+    number = pilot.mission.current
+    if pilot.flavour.home_item and item.command in NAMES:
+        pilot.say(f"Mission: {number} {NAMES[item.command]}")
+    elif pilot.flavour.takeoff_mode and number == 0:
+        pilot.say("Executing Mission\t")
+        if item.command == TAKEOFF and item.place is not None:
+            pilot.say(f"Climb to {pilot.home[2] - item.place[2]:.1f} meters above home\t")
+
+
+def _tell_reached(pilot: Pilot, item: MissionItem) -> None:
+    """ArduPilot's words, of what is flown to; a rover also says when the last one is reached."""
+    mission = pilot.mission
+    if not pilot.flavour.home_item or item.command not in FLOWN:
+        return
+    pilot.say(f"Reached {'command' if pilot.flies else 'waypoint'} #{mission.current}")
+    if not pilot.flies and mission.current == len(mission.items) - 1:
+        pilot.say("Mission Complete")
 
 
 def _must_climb_first(pilot: Pilot, item: MissionItem) -> bool:
@@ -64,7 +93,7 @@ def _begin(pilot: Pilot, item: MissionItem) -> None:
     if item.command in FLOWN or item.command == LAND:
         pilot.vehicle.goal = Reach(place)
     elif item.command == TAKEOFF and pilot.flies:
-        pilot.vehicle.goal = Reach((*pilot.vehicle.place[:2], place[2]))
+        begin_takeoff(pilot, place[2])
     elif item.command == RETURN:
         # The mission has done its part; the way home is the other mode's.
         pilot.mission.reach()

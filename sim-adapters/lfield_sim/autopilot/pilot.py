@@ -16,10 +16,12 @@ from lfield_sim.autopilot.vehicle import (
     Circle,
     Descend,
     Fall,
+    Goal,
     GroundVehicle,
     Keep,
     Lean,
     Rest,
+    Sink,
     Vector,
     Vehicle,
 )
@@ -31,6 +33,10 @@ REBOOT = 3.0
 STILL = 0.05
 #: Seconds that a setpoint lasts where no parameter says so.
 SETPOINT_TIMEOUT = 3.0
+#: PX4's rover: metres from home at which its return is over, seconds after arming until it counts as aloft.
+AT_HOME, ROLLS = 0.5, 0.55
+#: Seconds that an ArduCopter stands still before it lands for a failsafe.
+LANDING_PAUSE = 4.0
 #: Texts that are kept until somebody takes them.
 KEPT_TEXTS = 100
 
@@ -40,12 +46,20 @@ class Pilot:
     """What is so, and what becomes of it when a mode is entered; it takes no commands (`Autopilot` does).
 
     Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `motor_failed`; `warm_up`
-    are the seconds after a start in which it is not healthy yet. `altitude` is that of the local frame's
-    origin above mean sea level. `setpoint_at` is when the last setpoint came, `stream_at` when the first of
-    those that came without a pause; `takeoff_goal` the height in m that a takeoff of PX4 was given.
-    `intended` is the mode that somebody commanded, whatever a failsafe made of it. `station_at` is when a
-    ground station was heard. `perform` carries out what a mission has beside places; `dice` are those of
-    GNSS.
+    are the seconds after a start in which it is not healthy yet.
+
+    altitude             of the local frame's origin above mean sea level, m
+    setpoint_at          when the last setpoint came; stream_at the first of those without a pause
+    takeoff_goal         the height in m that a takeoff of PX4 was given
+    lifts_at, lift_goal  when the motors are up for a takeoff under way, and how far down it leads
+    sinks_at             when a landing goes down: ArduCopter's failsafes stand still for a while first
+    stood                what was last said about standing
+    intended             the mode that somebody commanded, whatever a failsafe made of it
+    station_at           when a ground station was heard
+    perform              carries out what a mission has beside places
+    dice                 those of GNSS
+    ailing, calibrating  why a calibration keeps it from being armed, or ''; whether one runs
+    deaf_to_arming       after a motor test while armed it says yes and stays disarmed, until it is restarted
     """
 
     kind: Kind
@@ -72,13 +86,21 @@ class Pilot:
     booting_until: float = -1.0
     boots: int = 0
     armed_at: float = 0.0
+    armed_first: float = 0.0
     touched_at: float | None = None
+    stood: bool = True
+    lifts_at: float | None = None
+    sinks_at: float = 0.0
+    lift_goal: float = 0.0
     over_home_at: float | None = None
     setpoint_at: float = -math.inf
     stream_at: float = math.inf
     station_at: float = -math.inf
     takeoff_goal: float | None = None
     perform: Callable[[MissionItem], object] = lambda _: None
+    ailing: str = ""
+    calibrating: bool = False
+    deaf_to_arming: bool = False
     _texts: list[tuple[Severity, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -109,11 +131,25 @@ class Pilot:
         return self.kind.name == "copter"
 
     @property
+    def aloft(self) -> bool:
+        """Whether it counts as off the ground: a copter that is, and PX4's rover on its way."""
+        if self.flies or not self.kind.lands or not self.armed:
+            return self.vehicle.airborne
+        back = math.dist(self.vehicle.place[:2], self.home[:2]) < AT_HOME
+        ends = self.role is Role.LAND or (self.role is Role.RETURN and back)
+        return not ends and self.now - self.armed_first >= ROLLS
+
+    @property
+    def settles(self) -> float:
+        """Seconds that it stands until it says that it has landed."""
+        return self.flavour.settles if self.flies else 0.0
+
+    @property
     def landed(self) -> bool:
         """Whether it stands, and has done so for long enough to say so."""
-        if self.vehicle.airborne:
+        if self.aloft:
             return False
-        return self.touched_at is None or self.now - self.touched_at >= self.flavour.settles
+        return self.touched_at is None or self.now - self.touched_at >= self.settles
 
     @property
     def home(self) -> Vector:
@@ -252,7 +288,7 @@ class Pilot:
         vehicle = self.vehicle
         self.pace.enter(guided=self.role is Role.GUIDED)
         vehicle.yaw_goal = vehicle.yaw_rate_goal = None
-        vehicle.goal = Descend() if self.role is Role.LAND and self.armed else Rest()
+        vehicle.goal = self._first_goal()
         if self.role is Role.MISSION:
             first = 1 if self.flavour.home_item else 0
             self.mission.jump(max(self.mission.current, first) if self.mission.item else first)
@@ -261,12 +297,22 @@ class Pilot:
         if self.role is Role.GUIDED:
             self.armed_at = self.now
 
+    def _first_goal(self) -> Goal:
+        """What a mode does as soon as it is entered; without a transmitter ArduCopter's throttle is down."""
+        if not self.armed or not self.flies:
+            return Rest()
+        if self.role is Role.LAND:
+            return Descend()
+        return Sink() if self.kind.modes[self.mode].by_hand and self.vehicle.airborne else Rest()
+
     def fall_back(self, role: Role) -> None:
         """What a failsafe does; a rover stops where a copter would land."""
         if role is Role.TERMINATE:
             self.terminate()
         else:
             self.enter(self.kind.mode_for(role) or self.kind.mode_for(Role.HOLD))
+        if self.role is Role.LAND and self.kind.lands and not self.flavour.takeoff_mode:
+            self.vehicle.goal, self.sinks_at = Rest(), self.now + LANDING_PAUSE
 
     def stop_moving(self) -> None:
         """The setpoint is over: stand still where it is."""
@@ -275,6 +321,8 @@ class Pilot:
     def disarm(self, *, force: bool = False, text: str = "") -> Result:
         """COMPONENT_ARM_DISARM 0: refused until it has landed, unless forced."""
         if self.armed and not (self.landed or force):
+            if self.flavour.airborne_text:
+                self.say(self.flavour.airborne_text, Severity.CRITICAL)
             return self.flavour.refusal
         if self.armed:
             self.say(text or self.flavour.disarmed)
@@ -286,21 +334,32 @@ class Pilot:
         return Result.ACCEPTED
 
     def terminate(self) -> Result:
-        """DO_FLIGHTTERMINATION: the motors stop, wherever it is."""
+        """DO_FLIGHTTERMINATION: the motors stop, wherever it is; PX4 stays armed in a mode for it."""
         self.critical = True
-        return self.disarm(force=True)
+        name = self.kind.mode_for(Role.TERMINATE)
+        if not name or not self.armed:
+            return self.disarm(force=True)
+        self.say("Failsafe activated\t", Severity.CRITICAL)
+        self.enter(name)
+        self.vehicle.goal = Fall() if self.vehicle.airborne else Rest()
+        return Result.ACCEPTED
 
     def restart(self) -> None:
         """Begin again: silent for a moment, then as after a start; parameters and plans are kept."""
         self.booting_until = self.booted = self.now + REBOOT
         self.boots += 1
-        self.payload, self.critical = Payload(), False
+        self.payload, self.critical = Payload(self.payload.fitted), False
+        self.ailing, self.calibrating, self.deaf_to_arming = "", False, False
         self.mission.jump(0)
         self.mode = self.intended = self.kind.start
         self._texts, self.setpoint_at, self.stream_at = [], -math.inf, math.inf
         self.apply_parameters()
         self.pace.enter(guided=False)
         self.take_home(ZERO)
+
+    def switch_off(self) -> None:
+        """Silent for ever."""
+        self.booting_until = math.inf
 
     def _circle_ahead(self) -> Circle:
         """ArduCopter's CIRCLE: the centre is a radius (cm) ahead; CIRCLE_RATE is in degrees per second."""

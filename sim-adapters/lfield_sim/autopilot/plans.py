@@ -10,6 +10,8 @@ from typing import Protocol
 
 from lfield_sim.autopilot.vehicle import Vector
 
+#: Of a mission none of whose items was reached yet.
+NO_ITEM = 65535
 #: FENCE_BREACH.
 NO_BREACH, CEILING, BOUNDARY = 0, 2, 3
 
@@ -28,7 +30,7 @@ class Mission:
     """The items and how far they are flown.
 
     `begun` is the index whose flight has begun, -1 for none; `arrived` is when its place was reached, in
-    seconds; `jumps` counts how often each DO_JUMP was taken.
+    seconds; `jumps` counts how often each DO_JUMP was taken; `last_reached` is NO_ITEM before the first.
     """
 
     items: list[MissionItem] = field(default_factory=list)
@@ -36,6 +38,7 @@ class Mission:
     begun: int = -1
     arrived: float | None = None
     jumps: dict[int, int] = field(default_factory=dict)
+    last_reached: int = NO_ITEM
     _reached: list[int] = field(default_factory=list)
 
     @property
@@ -50,9 +53,16 @@ class Mission:
         self.current, self.begun, self.arrived = index, -1, None
         return True
 
+    def begin_again(self) -> None:
+        """It is a new one."""
+        self.last_reached = NO_ITEM
+        self.jumps.clear()
+        self.jump(0)
+
     def reach(self) -> None:
         """The current item is done; on to the next."""
         self._reached.append(self.current)
+        self.last_reached = self.current
         self.current, self.begun, self.arrived = self.current + 1, -1, None
 
     def take_reached(self) -> list[int]:

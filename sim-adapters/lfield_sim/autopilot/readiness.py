@@ -32,8 +32,13 @@ def has_fix(pilot: Pilot) -> bool:
 
 
 def has_home(pilot: Pilot) -> bool:
-    """Whether it knows home and the origin of its frame."""
+    """Whether it knows home."""
     return warmth(pilot) >= pilot.kind.warming.home
+
+
+def has_origin(pilot: Pilot) -> bool:
+    """Whether it knows the origin of its frame."""
+    return warmth(pilot) >= pilot.kind.warming.origin
 
 
 def has_position(pilot: Pilot) -> bool:
@@ -48,8 +53,8 @@ def trusts_position(pilot: Pilot) -> bool:
 
 def why_unfit(pilot: Pilot) -> Unfit | None:
     """Why it cannot be armed now, None when it can."""
-    if pilot.refuse_arming:
-        return Unfit((pilot.refuse_arming,))
+    if reason := pilot.refuse_arming or pilot.ailing:
+        return Unfit((reason,))
     if pilot.gps_lost:
         fence = pilot.flavour.fence
         fenced = fence.blind_text and pilot.parameters[fence.enable]

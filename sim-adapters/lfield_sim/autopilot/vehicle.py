@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 GRAVITY = 9.80665
 #: What counts as in the air, in metres.
 AIRBORNE = 0.05
+#: How fast a copter comes down with its throttle down, in m/s.
+SINK = 2.5
 #: Metres from a place within which a rover has reached it.
 AT_PLACE = 0.05
 
@@ -35,9 +37,11 @@ class Response:
 class Limits:
     """Speeds in m/s, accelerations in m/s2, jerk in m/s3, yaw rate in rad/s.
 
-    `cruise` bounds the way to a place, `top` everything over ground. `braking` is how hard it slows down
-    before a place. What is flown is never quite what was asked: `goal_response` and `velocity_response` say
-    how a speed asked for comes out, for places and for velocities.
+    `cruise` bounds the way to a place, `top` everything over ground; `braking` is how hard it slows down
+    before a place. `spool` are the seconds that motors need before they lift it, `awake` those from arming,
+    `lift` is how it leaves the ground (m/s2), `takeoff` how fast it climbs then. `nose_follows` turns the
+    nose along a velocity. What is flown is never quite what was asked: `goal_response` and
+    `velocity_response` say how a speed asked for comes out, for places and velocities.
     """
 
     cruise: float = 5.0
@@ -49,7 +53,12 @@ class Limits:
     vertical_acceleration: float = 2.5
     braking: float = 2.5
     jerk: float = 5.0
+    spool: float = 0.0
+    awake: float = 0.0
+    lift: float = 2.5
+    takeoff: float = 2.5
     yaw_rate: float = math.radians(60.0)
+    nose_follows: bool = True
     goal_response: Response = Response()
     velocity_response: Response = Response()
 
@@ -97,11 +106,33 @@ class Descend:
 
 
 @dataclass(frozen=True, slots=True)
+class Rise:
+    """Goal: straight up to a height, no faster than a speed in m/s."""
+
+    down: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sink:
+    """Goal: come down as with the throttle down, to the ground and hard."""
+
+
+@dataclass(frozen=True, slots=True)
+class Corral:
+    """A circle about a place north and east, with a radius in m, that velocities stop inside of."""
+
+    north: float
+    east: float
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
 class Fall:
     """Goal of a copter without motors."""
 
 
-Goal = Rest | Reach | Keep | Circle | Lean | Descend | Fall
+Goal = Rest | Reach | Keep | Circle | Lean | Rise | Descend | Sink | Fall
 
 
 @dataclass(slots=True)
@@ -117,6 +148,8 @@ class Vehicle:
     yaw_rate_goal: float | None = None
     yaw_rate: float = 0.0
     goal: Goal = field(default_factory=Rest)
+    corral: Corral | None = None
+    lifting: bool = True
 
     @property
     def airborne(self) -> bool:
@@ -143,12 +176,10 @@ class Vehicle:
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
         before, limits = self.velocity, self.limits
-        north, east, down = self._wanted()
-        lean = _eased(
-            self.acceleration[:2], (north - before[0], east - before[1]), limits.acceleration, limits.jerk, dt
-        )
-        rate = GRAVITY if isinstance(self.goal, Fall) else limits.vertical_acceleration
-        vertical = _towards(before[2], down, rate * dt)
+        north, east, down = self._kept_in(self._wanted())
+        missing = (north - before[0], east - before[1])
+        lean = _eased(self.acceleration[:2], missing, self._strongest, limits.jerk, dt)
+        vertical = _towards(before[2], down, self._vertical(down) * dt)
         self.velocity = (before[0] + lean[0] * dt, before[1] + lean[1] * dt, vertical)
         self._move(dt)
         self.acceleration = (*lean, (self.velocity[2] - before[2]) / dt)
@@ -169,11 +200,50 @@ class Vehicle:
                 # A second of leaning ahead: the bound on acceleration makes a lean of it.
                 ahead = (self.velocity[0] + north, self.velocity[1] + east)
                 return self._bounded((*ahead, down))
+            case Rise(down, speed):
+                return (
+                    0.0,
+                    0.0,
+                    -_braking(max(0.0, self.place[2] - down), speed, self.limits.vertical_acceleration),
+                )
+            case Sink():
+                return (0.0, 0.0, SINK)
             case Descend():
                 return (0.0, 0.0, self.limits.land if self.place[2] > -10.0 else self.limits.descend)
             case Fall():
                 return (self.velocity[0], self.velocity[1], 50.0)
         return ZERO
+
+    @property
+    def _strongest(self) -> float:
+        """How hard it may be sped up or slowed down over ground now."""
+        if isinstance(self.goal, Lean):
+            return math.hypot(self.goal.north, self.goal.east)
+        return self.limits.acceleration
+
+    def _vertical(self, down: float) -> float:
+        """How hard its speed up or down is changed; gently until it has left the ground at its speed."""
+        if isinstance(self.goal, Fall):
+            return GRAVITY
+        if self.place[2] >= 0.0:
+            self.lifting = True
+        elif self.velocity[2] <= down + 0.01:
+            self.lifting = False
+        return self.limits.lift if self.lifting else self.limits.vertical_acceleration
+
+    def _kept_in(self, velocity: Vector) -> Vector:
+        """A velocity as far as it may go on: towards the edge of the corral only so that it stops inside."""
+        if self.corral is None:
+            return velocity
+        north, east = self.place[0] - self.corral.north, self.place[1] - self.corral.east
+        far = math.hypot(north, east)
+        if far < 1e-6:
+            return velocity
+        out = (north / far, east / far)
+        outward = velocity[0] * out[0] + velocity[1] * out[1]
+        allowed = _braking(max(0.0, self.corral.radius - far), math.inf, self.limits.braking)
+        over = max(0.0, outward - allowed)
+        return (velocity[0] - out[0] * over, velocity[1] - out[1] * over, velocity[2])
 
     def _approach(self, place: Vector) -> Vector:
         limits = self.limits
@@ -215,7 +285,8 @@ class Vehicle:
             self.yaw = wrap(self.yaw + rate * dt)
             return
         goal = self.yaw_goal
-        if goal is None and math.hypot(*self.velocity[:2]) > 0.5 and self.airborne:
+        follows = self.limits.nose_follows or isinstance(self.goal, Reach)
+        if goal is None and follows and math.hypot(*self.velocity[:2]) > 0.5 and self.airborne:
             goal = math.atan2(self.velocity[1], self.velocity[0])
         if goal is not None:
             error = wrap(goal - self.yaw)
@@ -243,7 +314,7 @@ class GroundVehicle(Vehicle):
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
         before, heading = self.velocity, self.yaw
-        north, east, _ = self._wanted()
+        north, east, _ = self._kept_in(self._wanted())
         wanted, along = math.hypot(north, east), math.hypot(*before[:2])
         course = math.atan2(east, north) if wanted > 1e-3 else self.yaw_goal
         turn = self._turning(along) * dt

@@ -13,8 +13,18 @@ from lfield_sim.mavlink.geo import ABOVE_HOME, Place, is_near
 #: What an integer coordinate is when it means nothing.
 NO_COORDINATE = 0x7FFFFFFF
 
-#: A result, and messages that follow the acknowledgement.
-Answer = tuple[Result, list[Any]]
+
+@dataclass(frozen=True, slots=True)
+class Late:
+    """A result that comes after some seconds; `progress`: IN_PROGRESS is said meanwhile."""
+
+    result: Result
+    seconds: float
+    progress: bool = False
+
+
+#: A result, or None for silence, and messages that follow the acknowledgement.
+Answer = tuple[Result | Late | None, list[Any]]
 
 
 @dataclass(frozen=True, slots=True)

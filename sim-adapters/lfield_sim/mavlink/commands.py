@@ -10,7 +10,6 @@ from pymavlink.dialects.v20 import all as dialect
 from lfield_sim.autopilot.flavours import Result, Role
 from lfield_sim.autopilot.vehicle import Circle, Vector
 from lfield_sim.mavlink.command import Answer, Command
-from lfield_sim.mavlink.equipment_commands import EQUIPMENT
 from lfield_sim.mavlink.sender import Sender
 
 #: param2 of an arming or disarming that is meant whatever the checks say, even in the air.
@@ -23,8 +22,6 @@ def answer(sender: Sender, command: Command) -> Answer:
     """Carry a command out: its result, and messages that follow the acknowledgement."""
     if command.number in sender.autopilot.flavour.unsupported:
         return Result.UNSUPPORTED, []
-    if command.number in EQUIPMENT:
-        return EQUIPMENT[command.number](sender.autopilot, sender.place, command)
     handler = _COMMANDS.get(command.number)
     return handler(sender, command) if handler else (Result.UNSUPPORTED, [])
 
@@ -46,10 +43,14 @@ def _takeoff(sender: Sender, command: Command) -> Answer:
 
 
 def _land(sender: Sender, _: Command) -> Answer:
+    if sender.autopilot.flavour.submodes:
+        sender.autopilot.say("Landing at current position\t")
     return sender.autopilot.command_role(Role.LAND), []
 
 
 def _return(sender: Sender, _: Command) -> Answer:
+    if sender.autopilot.flavour.submodes:
+        sender.autopilot.say("Returning to launch\t")
     return sender.autopilot.go_home(), []
 
 
@@ -110,11 +111,16 @@ def _set_home(sender: Sender, command: Command) -> Answer:
 
 
 def _reboot(sender: Sender, command: Command) -> Answer:
+    if command.whole(1) == 2 and sender.autopilot.flavour.submodes and not sender.autopilot.armed:
+        sender.autopilot.switch_off()
+        return None, []
     return (sender.reboot() if command.whole(1) in (1, 3) else Result.UNSUPPORTED), []
 
 
 def _terminate(sender: Sender, command: Command) -> Answer:
-    return (sender.autopilot.terminate() if command.value(1) > 0.5 else Result.ACCEPTED), []
+    if command.value(1) > 0.5:
+        return sender.autopilot.terminate(), []
+    return (Result.DENIED if sender.autopilot.flavour.submodes else Result.FAILED), []
 
 
 def _set_interval(sender: Sender, command: Command) -> Answer:
@@ -122,6 +128,8 @@ def _set_interval(sender: Sender, command: Command) -> Answer:
     flavour = sender.autopilot.flavour
     if not sender.can_send(kind) or kind in flavour.unasked_only:
         return (Result.FAILED if flavour.submodes else Result.DENIED), []
+    if micros > 0 and 1e6 / micros > flavour.fastest:
+        return Result.DENIED, []
     # -1 stops the stream; 0 asks for the default rate, which on ArduPilot is none.
     sender.stream(kind, 1e6 / micros if micros > 0 else sender.default_rate(kind) if micros == 0 else 0.0)
     return Result.ACCEPTED, []
@@ -137,9 +145,10 @@ def _get_interval(sender: Sender, command: Command) -> Answer:
 
 def _request_message(sender: Sender, command: Command) -> Answer:
     kind = command.whole(1)
-    if not sender.can_send(kind) or sender.withholds(kind):
+    found = sender.find(kind)
+    if found is None or kind in sender.autopilot.flavour.streamed_only:
         return (Result.DENIED if sender.autopilot.flavour.submodes else Result.FAILED), []
-    return Result.ACCEPTED, [sender.build(kind)]
+    return Result.ACCEPTED, found
 
 
 def _place(sender: Sender, command: Command) -> Vector | None:

@@ -16,16 +16,20 @@ from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Result
 from lfield_sim.autopilot.plans import MissionItem
 from lfield_sim.faults import Faults
-from lfield_sim.mavlink.command import Answer, Command
+from lfield_sim.mavlink.command import Answer, Command, Late
 from lfield_sim.mavlink.commands import answer
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.link.codec import Readers, Writer
 from lfield_sim.mavlink.link.signing import Signing
 from lfield_sim.mavlink.link.wire import KNOWN, Wire, make_faults
 from lfield_sim.mavlink.sender import Sender
+from lfield_sim.mavlink.services.equipment import Equipment
 from lfield_sim.mavlink.services.files import Files
+from lfield_sim.mavlink.services.information import Information
+from lfield_sim.mavlink.services.motor_test import MotorTest
 from lfield_sim.mavlink.services.parameters import Parameters
 from lfield_sim.mavlink.services.plans import Plans
+from lfield_sim.mavlink.services.preflight import Preflight
 from lfield_sim.mavlink.services.service import Service
 from lfield_sim.mavlink.setpoints import attitude_target, global_target, local_target
 from lfield_sim.mavlink.telemetry.messages import DATA_STREAMS
@@ -35,7 +39,9 @@ COMPONENT = 1
 #: Length of a model step, in seconds.
 STEP = 0.02
 #: The services of every vehicle, made anew for each.
-SERVICES: tuple[type[Service], ...] = (Parameters, Plans, Files)
+SERVICES: tuple[type[Service], ...] = (
+    Parameters, Plans, Files, Equipment, Information, MotorTest, Preflight,
+)  # fmt: skip
 #: Faults that are a state of the vehicle: the attribute of the autopilot.
 STATES = {
     "refuse_arming": "refuse_arming",
@@ -145,6 +151,11 @@ class MavlinkFake:
         if self.sender.is_late(command.number):
             return [ack(Result.IN_PROGRESS)]
         result, replies = self._answer(command)
+        if result is None:
+            return replies
+        if isinstance(result, Late):
+            self.sender.acknowledge_later(command.number, ack(result.result), result.seconds)
+            return [ack(Result.IN_PROGRESS), *replies] if result.progress else replies
         slow: float = self.faults.get("slow_acks", self.system)
         if slow > 0.0 and result is not Result.UNSUPPORTED:
             self.sender.acknowledge_later(command.number, ack(result), slow)
@@ -182,8 +193,8 @@ class MavlinkFake:
     def _on_request_data_stream(self, message: Any) -> list[Any]:
         every = [kind for kinds in DATA_STREAMS.values() for kind in kinds]
         wanted = DATA_STREAMS.get(message.req_stream_id, ()) if message.req_stream_id else every
-        for kind in wanted:
-            self.sender.stream(kind, float(message.req_message_rate) if message.start_stop else 0.0)
+        if self.autopilot.flavour.heeds_groups:
+            self.sender.stream_group(wanted, float(message.req_message_rate) if message.start_stop else 0.0)
         return []
 
     def _on_timesync(self, message: Any) -> list[Any]:

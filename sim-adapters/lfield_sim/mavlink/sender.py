@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,10 +11,10 @@ from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Result
-from lfield_sim.autopilot.readiness import has_home, has_position
+from lfield_sim.autopilot.readiness import has_home, has_origin, has_position
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
-from lfield_sim.mavlink.telemetry.messages import HOMES, MESSAGES, POSITIONS
+from lfield_sim.mavlink.telemetry.messages import MESSAGES, POSITIONS
 
 #: Nothing is streamed faster than this, in Hz.
 MAX_RATE = 100.0
@@ -35,6 +35,7 @@ class Sender:
         self._streams = self._first_streams()
         self._late_acks: dict[int, tuple[float, Any]] = {}
         self._texts = _Texts()
+        self._groups: dict[int, float] = {}
         self._mode = autopilot.mode
         self._told: tuple[tuple[str, str], float] = (("", ""), -math.inf)
 
@@ -45,10 +46,25 @@ class Sender:
         return kind in MESSAGES or any(kind in service.messages for service in self._services)
 
     def withholds(self, kind: int) -> bool:
-        """Whether it cannot tell this now: positions without GPS, home before there is one."""
-        if kind in HOMES:
-            return not has_home(self.autopilot)
-        return kind in POSITIONS and not has_position(self.autopilot)
+        """Whether it cannot tell this now: a position or home that is not known, a fence that is off."""
+        pilot = self.autopilot
+        match kind:
+            case dialect.MAVLINK_MSG_ID_HOME_POSITION:
+                return not has_home(pilot)
+            case dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
+                return not has_origin(pilot)
+            case dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT:
+                return pilot.gps_lost
+            case dialect.MAVLINK_MSG_ID_FENCE_STATUS:
+                return not pilot.value(pilot.flavour.fence.enable)
+        return kind in POSITIONS and not has_position(pilot)
+
+    def find(self, kind: int) -> list[Any] | None:
+        """What answers a request for a message, which may be nothing; None when it is refused."""
+        for service in self._services:
+            if kind in service.requests:
+                return service.requests[kind]()
+        return [self.build(kind)] if self.can_send(kind) and not self.withholds(kind) else None
 
     def build(self, kind: int) -> Any:
         """A message as it is now. KeyError when there is no such message."""
@@ -66,8 +82,14 @@ class Sender:
         return self._streams.interval(kind)
 
     def default_rate(self, kind: int) -> float:
-        """How often it is sent without being asked for, in Hz."""
-        return self.autopilot.flavour.streams.get(kind, 0.0)
+        """How often it is sent without being asked for by itself, in Hz: as its group is."""
+        return self._groups.get(kind, self.autopilot.flavour.streams.get(kind, 0.0))
+
+    def stream_group(self, kinds: Iterable[int], rate: float) -> None:
+        """REQUEST_DATA_STREAM: stream messages at a rate, which is their own from now on."""
+        for kind in kinds:
+            self._groups[kind] = rate
+            self.stream(kind, rate)
 
     def acknowledge_later(self, command: int, ack: Any, seconds: float) -> None:
         """Send a COMMAND_ACK of a MAV_CMD in some seconds."""

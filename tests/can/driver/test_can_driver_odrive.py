@@ -213,6 +213,28 @@ def test_safe_states_are_seen(rig, state):
     }[state]
 
 
+def test_an_axis_that_another_master_has_taken_from_its_hold_is_held_again(rig):
+    b = rig(safe_state="torque_hold")
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.make_safe()
+        await asyncio.sleep(0.1)
+        before = b.axis.position
+        b.axis.mode, b.axis.rate = (2, 1), 3.0  # of somebody else on the bus
+        await asyncio.sleep(0.5)
+        assert "turning" in axis.moving()
+        await axis.make_safe()
+        assert axis.moving() == ""
+        await asyncio.sleep(0.1)
+        assert b.axis.mode[0] == 3
+        # Where it was stopped, and not where it once stood.
+        assert b.axis.position - before > 1.0
+        assert b.axis.goal == pytest.approx(b.axis.position, abs=0.02)
+
+    b.run(mission)
+
+
 def test_a_safe_state_that_is_lost_on_the_way_is_sent_again(rig):
     b = rig()
 

@@ -21,8 +21,18 @@ from lfield_can.bus.frames import EXTENDED, Frame
 from lfield_can.bus.frames import error_words as bus_error_words
 from lfield_can.protocols import PROTOCOLS
 from lfield_can.protocols.canopen_node import read_eds, standard_dictionary
-from lfield_can.protocols.cia402_tables import OBJECTS, STATES, Units, error_words, state_of
+from lfield_can.protocols.cia402_tables import (
+    OBJECTS,
+    STATES,
+    TOLD,
+    TRANSMITTED,
+    Units,
+    error_words,
+    state_of,
+)
 from lfield_can.protocols.odrive_tables import error_words as odrive_error_words
+from lfield_can.protocols.pdo_setup import Agreed
+from lfield_can.protocols.process_data import Pdo, ProcessData
 from lfield_can.timing import Repeating
 
 MANIFESTS = PLUGIN.read_manifests()
@@ -226,7 +236,11 @@ def test_any_frames_of_a_node_are_survived(bench, binding, frames):
     b = bench(binding("CanAxis", options={"protocol": "cia402", "node": 5, "counts": 1000}))
 
     async def mission(axis):
-        axis.protocol.mapped = frozenset({0x180, 0x280, 0x380})
+        told = [
+            Pdo(n + 1, first + 5, entries)
+            for n, (first, entries) in enumerate(zip(TRANSMITTED, TOLD.ours, strict=False))
+        ]
+        axis.protocol.agreed = Agreed(ProcessData(told))
         for code, data in frames:
             b.bus.say(code + 5, data)
         assert axis.malformed <= len(frames)

@@ -173,6 +173,20 @@ def test_homing_and_calibration_take_time_and_end_idle(bench):
     assert bench.beat[1:3] == (State.IDLE, Result.CANCELLED)
 
 
+@pytest.mark.parametrize("rest", [b"", bytes(4)])
+def test_a_parameter_is_read_by_four_bytes_or_by_eight(bench, rest):
+    """ODrive's own examples send `struct.pack("<BHB", 0, endpoint, 0)`, its DBC file a frame of 8 bytes."""
+    bench.command(0x04, "<BHB", 0, 3, 0) if not rest else bench.command(0x04, "<BHB4s", 0, 3, 0, rest)
+    bench.wait(0.01)
+    assert struct.unpack("<BHBf", bench.last(0x65)) == (0, 3, 0, 10.0)
+
+
+def test_a_write_without_its_value_changes_nothing(bench):
+    bench.command(0x04, "<BHB", 1, 3, 0)
+    bench.wait(0.01)
+    assert bench.axis.ramp_rate == 10.0
+
+
 def test_the_watchdog_is_an_endpoint_and_bites(bench):
     bench.command(0x04, "<BHB?3x", 1, 1, 0, True)
     bench.command(0x04, "<BHBf", 1, 2, 0, 0.25)

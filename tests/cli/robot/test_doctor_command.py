@@ -16,7 +16,8 @@ DEPLOYMENT = "//Copter:lead@alpha\n//Copter:wing@bravo\n//Nobody:one@alpha\n"
 @pytest.fixture
 def deployment(lfield):
     """Two copters on a link where only the first one answers."""
-    fake = lfield.start("sim", "mavlink", "--listen", "udp:127.0.0.1:0", "--until-stdin-closes", stdin=True)
+    words = ("--listen", "udp:127.0.0.1:0", "--set-up", "--until-stdin-closes")
+    fake = lfield.start("sim", "mavlink", *words, stdin=True)
     endpoint = fake.wait_for(r"^ready (\S+)")[1]
     copter = f"driver: mavlink, endpoint: '{endpoint}', waivers: [device_watchdog]"
     devices = (

@@ -8,7 +8,7 @@ import math
 import pytest
 from dynamixel_bench import Bench, call
 
-from lfield.errors import DeviceError
+from lfield.errors import DeviceError, NotSetUp
 
 
 def ax(*ids: int, **more) -> Bench:
@@ -36,6 +36,23 @@ def test_it_has_no_watchdog_and_the_binding_must_say_so():
             await servo.open()
 
     Bench(4, fake="AX-12A", protocol=1).run(story, opened=False)
+
+
+def test_what_it_keeps_is_not_written_at_opening():
+    bench = ax(4)
+    bench.servos[4].table.put("status_return_level", 1)
+
+    async def story(servo):
+        with pytest.raises(NotSetUp, match="status_return_level of servo 4 is 1 and must be 2"):
+            await servo.open()
+        assert bench.servos[4].table["status_return_level"] == 1
+        (setting,) = await servo.settings()
+        await servo.write_setting(setting.name, 2)
+        await servo.open()
+        await servo.write_setting(setting.name, 1)
+        assert bench.servos[4].table["status_return_level"] == 1
+
+    bench.run(story, opened=False)
 
 
 @pytest.mark.parametrize(

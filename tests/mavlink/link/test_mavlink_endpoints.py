@@ -62,6 +62,23 @@ def test_udpin_answers_all_who_speak():
     asyncio.run(talk())
 
 
+def test_a_port_where_nobody_listens_is_told_with_what_is_meant():
+    async def talk():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        link = make_link(f"udp:127.0.0.1:{port}", lambda data: None)
+        await link.open()
+        assert link.why_silent().startswith(f"nothing comes back from udp:127.0.0.1:{port}; a simulator")
+        link.send(b"anybody")
+        await until(lambda: link.why_silent().startswith(f"nobody listens at udp:127.0.0.1:{port}; "))
+        assert "tcp:127.0.0.1:5760" in link.why_silent()
+        assert "udpin:127.0.0.1:14550" in link.why_silent()
+        link.close()
+
+    asyncio.run(talk())
+
+
 def test_tcp_comes_back_after_a_broken_connection(monkeypatch):
     monkeypatch.setattr("lfield_mavlink.link.links.AGAIN", 0.01)
 
@@ -77,6 +94,7 @@ def test_tcp_comes_back_after_a_broken_connection(monkeypatch):
         link = make_link(f"tcp:127.0.0.1:{port}", got.extend)
         await link.open()
         await until(lambda: got == b"hello")
+        assert "is connected and says nothing" in link.why_silent()
         writers[0].transport.abort()
         await until(lambda: got == b"hellohello")
         link.send(b"x")

@@ -11,6 +11,7 @@ from lfield.errors import DeviceError
 from lfield_mavlink.contact.state import SOURCES
 from lfield_mavlink.link.dialect import Writer, dialect
 from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.mavlink.link.codec import Writer as FakeWriter
 
 
 async def up(fc, height=5.0):
@@ -186,9 +187,39 @@ def test_nobody_there_is_an_error_within_its_bound(bench):
 
     async def mission(fc):
         start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match=r"no heartbeat from system 1 at udp:127.0.0.1:1 within 2 s"):
+        with pytest.raises(
+            DeviceError, match=r"from system 1 at udp:127.0.0.1:1 within 2 s; nothing on link 0"
+        ):
             await fc.open()
         assert asyncio.get_running_loop().time() - start < 2.1
+
+    b.run(mission, opened=False)
+
+
+def test_who_is_heard_instead_is_named(bench):
+    b = bench(systems=(1,), options={"connect": 2.0})
+    b.bindings[0].options["system"] = 2
+    camera = FakeWriter(1, 100)
+
+    async def mission(fc):
+        b.links[0].on_data(camera.pack(dialect.MAVLink_heartbeat_message(30, 8, 0, 0, 4, 3)))
+        with pytest.raises(DeviceError) as error:
+            await fc.open()
+        return refusal(error)
+
+    kind, reason = b.run(mission, opened=False)
+    assert kind == "DeviceTimeoutException"
+    assert reason.startswith("no heartbeat from system 2 at ")
+    assert "; heard: system 1, component 1 (quadrotor, ArduPilot); system 1, component 100 (camera" in reason
+
+
+def test_what_is_no_mavlink_is_named(bench):
+    b = bench(options={"connect": 1.0}, faults=("silence=true",))
+
+    async def mission(fc):
+        b.links[0].on_data(b"login: ")
+        with pytest.raises(DeviceError, match=r"the 7 bytes that came hold no heartbeat.*baud rate"):
+            await fc.open()
 
     b.run(mission, opened=False)
 
@@ -239,7 +270,7 @@ def test_a_stuck_vehicle_gives_up(bench):
 
     async def mission(fc):
         await up(fc)
-        b.autopilot.vehicle.limits.cruise = 0.0
+        b.autopilot.pace.own = lambda: 0.0
         with pytest.raises(DeviceError, match="goTo gave up: no progress for 10 s, 30"):
             await fc.execute("goTo", [30.0, 0.0, -5.0])
         # It does not set out after all when what held it has gone.

@@ -19,6 +19,7 @@ from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.parts.fences import Fences, Rally
 from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import Motion
+from lfield_mavlink.parts.orders import Circle
 from lfield_mavlink.parts.payload import Payload
 from lfield_mavlink.parts.storage import MAX_TEXT, Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
@@ -246,14 +247,18 @@ def test_the_wanted_speed_is_what_was_asked_for_last_else_the_limit():
     assert vehicle.asked == [("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0, -1.0)] * 2
 
 
+def farthest(centre, radius):
+    return Circle(centre, radius, 1.0, True).farthest
+
+
 @pytest.mark.parametrize(
     ("check", "words"),
     [
         (lambda limits: limits.check_goal("goTo", (0.0, math.nan, 0.0)), "goTo needs finite numbers"),
         (lambda limits: limits.check_goal("goTo", (0.0, 0.0, -31.0)), "31 m is above the limit of 30 m"),
         (lambda limits: limits.check_goal("goTo", (60.0, 60.0, 0.0)), "84.9 m from home is beyond the limit"),
-        (lambda limits: limits.check_circle("orbit", (60.0, 0.0, -5.0), 30.0), "90.0 m from home is beyond"),
-        (lambda limits: limits.check_circle("orbit", (0.0, 0.0, -5.0), 81.0), "81.0 m from home is beyond"),
+        (lambda limits: limits.check_goal("orbit", farthest((60.0, 0.0, -5.0), 30.0)), "90.0 m from home is"),
+        (lambda limits: limits.check_goal("orbit", farthest((0.0, 0.0, -5.0), 81.0)), "81.0 m from home is"),
         (lambda limits: limits.check_speed("setSpeed", 5.1), "setSpeed of 5.1 m/s is above the limit of 5"),
         (lambda limits: limits.check_way_out((79.5, 0.0, 0.0), (1.0, 0.0, 0.0)), "beyond the limit of 80 m"),
         (lambda limits: limits.check_way_out((0.0, 0.0, -29.5), (0.0, 0.0, -1.0)), "above the limit of 30 m"),
@@ -269,7 +274,7 @@ def test_what_is_beyond_the_limits(check, words):
 def check_all_allowed(limits: Limits) -> None:
     assert limits.bound_places
     limits.check_goal("goTo", (80.0, 0.0, -30.0))
-    limits.check_circle("orbit", (50.0, 0.0, -5.0), 30.0)
+    limits.check_goal("orbit", farthest((50.0, 0.0, -5.0), 30.0))
     limits.check_speed("setSpeed", 5.0)
     # Who is outside already may come back.
     limits.check_way_out((90.0, 0.0, -40.0), (-1.0, 0.0, 1.0))

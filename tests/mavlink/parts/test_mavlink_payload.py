@@ -11,6 +11,8 @@ from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.parts.upkeep import REFUSED
 
+ACK = dialect.MAVLINK_MSG_ID_COMMAND_ACK
+
 
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 def test_payload_is_moved_and_seen_to_have_moved(bench, flavour):
@@ -171,6 +173,29 @@ def test_reboot_is_done_when_it_is_back_and_set_up_again(bench):
     b.run(mission)
 
 
+@pytest.mark.parametrize("seconds", [2.0, 5.0])
+@pytest.mark.parametrize("answered", [True, False])
+def test_a_reboot_takes_its_time_and_its_answer_may_be_lost(bench, monkeypatch, seconds, answered):
+    """As measured on ArduPilot: accepted, the link closes, heartbeats again 2 to 5 s later."""
+    monkeypatch.setattr("lfield_sim.autopilot.pilot.REBOOT", seconds)
+    b = bench()
+    deliver = b.filter
+
+    async def mission(fc):
+        await asyncio.sleep(20.0)
+        b.filter = lambda link, data: deliver(link, data) if answered or data[7] != ACK else None
+        asyncio.get_running_loop().call_later(1.0, setattr, b, "filter", deliver)
+        start = asyncio.get_running_loop().time()
+        await fc.execute("reboot", [])
+        # One that is back before it was asked for the last time restarts once more, which does no harm.
+        assert 1 <= b.autopilot.boots <= (1 if answered else 2)
+        assert asyncio.get_running_loop().time() - start < 2.0 * seconds + 5.0
+        await fc.execute("waitReady", [60.0])
+        await fc.execute("arm", [])
+
+    b.run(mission)
+
+
 def test_raw_commands_give_their_result(bench):
     async def mission(fc):
         known = await fc.execute("command", [int(dialect.MAV_CMD_DO_SET_RELAY), [0.0, 1.0]])
@@ -214,3 +239,21 @@ def test_raw_commands_that_move_are_refused(bench, number):
 
     b.run(mission)
     assert number in REFUSED
+
+
+def test_what_px4_says_nothing_to_it_does_not_have(bench):
+    """As measured: PX4 leaves commands unanswered for which it has no driver, such as 203 and 205."""
+    b = bench(flavour="px4")
+    deliver = b.filter
+
+    async def mission(fc):
+        b.filter = lambda link, data: None if data[7] == ACK else deliver(link, data)
+        with pytest.raises(
+            DeviceError, match="it has no camera that it knows of; it may have been done"
+        ) as raised:
+            await fc.execute("triggerCamera", [])
+        assert raised.value.kind == "DeviceTimeoutException"
+        with pytest.raises(DeviceError, match="pointGimbal: the autopilot did not answer: it has no gimbal"):
+            await fc.execute("pointGimbal", [0.0, 0.0])
+
+    b.run(mission)

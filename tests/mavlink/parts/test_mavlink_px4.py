@@ -35,7 +35,7 @@ def test_a_whole_flight(px4):
     async def mission(fc):
         await up(fc, 6.0)
         assert b.values["altitude"] == pytest.approx(6.0, abs=0.6)
-        assert b.autopilot.parameters["MIS_TAKEOFF_ALT"] == 6.0
+        assert b.autopilot.parameters["MIS_TAKEOFF_ALT"] == 2.5  # it is another's, and stays as it was
         await fc.execute("goTo", [10.0, -4.0, -6.0])
         assert math.dist(b.values["position"], (10.0, -4.0, -6.0)) <= 0.5
         await fc.execute("yaw", [2.0])
@@ -80,7 +80,8 @@ def test_velocities_that_are_renewed_fly_on(px4):
             await fc.execute("setVelocity", [2.0, 0.0, 0.0])
             await asyncio.sleep(0.3)
         assert b.values["mode"] == "OFFBOARD"
-        assert b.values["velocity"][0] == pytest.approx(2.0, abs=0.1)
+        # PX4 flies a little slower than it is told.
+        assert 1.6 < b.values["velocity"][0] < 2.1
         # Another motion ends the stream at once.
         await fc.execute("hold", [])
         before = len(b.sent)
@@ -90,15 +91,19 @@ def test_velocities_that_are_renewed_fly_on(px4):
     b.run(mission)
 
 
-def test_an_accepted_offboard_that_is_not_entered_is_an_error(px4):
-    b = px4()
+def test_an_accepted_offboard_that_is_not_available_is_refused_at_once(px4):
+    b = px4(ttl=2.0)
 
     async def mission(fc):
         await up(fc)
-        # As measured: PX4 accepts OFFBOARD without a stream and does not enter it.
-        b.driver.devices["a1.fc"].motion.stream.start = lambda message, until: None
-        with pytest.raises(DeviceError, match=r"OFFBOARD was not entered within .* \(ACCEPTED"):
+        # As measured: PX4 accepts OFFBOARD without a stream, does not enter it, and says so.
+        fc.motion.stream.start = lambda message, until: None
+        start = asyncio.get_running_loop().time()
+        with pytest.raises(DeviceError, match=r"OFFBOARD refused \(.*to Offboard is currently not available"):
             await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+        assert asyncio.get_running_loop().time() - start < 0.6
+        # The words about OFFBOARD do not speak against another mode.
+        await fc.execute("setMode", ["AUTO.RTL"])
 
     b.run(mission)
 
@@ -170,7 +175,7 @@ def test_the_speed_of_the_binding_is_kept(px4):
             fastest = max(fastest, b.values["groundSpeed"])
         return fastest
 
-    assert 1.8 < b.run(mission) <= 2.05
+    assert 1.6 < b.run(mission) <= 2.05
 
 
 def test_global_goals(px4):
@@ -195,20 +200,42 @@ def test_parameters_of_whole_numbers_are_packed_by_bytes(px4):
     b.run(mission)
 
 
-def test_offboard_is_asked_for_again_when_the_setpoints_were_not_noticed_yet(px4):
+def test_offboard_is_asked_for_again_when_a_packet_was_lost(px4):
     b = px4(ttl=1.0)
 
     async def mission(fc):
         await up(fc)
-        start, stream = asyncio.get_running_loop().time(), fc.motion.stream
-        begin = stream.start
-        # The first setpoints are lost, so the first request is accepted and not followed.
-        stream.start = lambda message, until: asyncio.get_running_loop().call_later(
-            0.3, begin, message, until
-        )
+        send, lost = b.links[0].send, []
+
+        def lose_two(data):
+            if data[7] == dialect.MAVLINK_MSG_ID_COMMAND_LONG and len(lost) < 2:
+                lost.append(data)
+            else:
+                send(data)
+
+        b.links[0].send = lose_two
         await fc.execute("setVelocity", [1.0, 0.0, 0.0])
         assert b.values["mode"] == "OFFBOARD"
-        assert 0.3 < asyncio.get_running_loop().time() - start < 0.9
+        assert len(lost) == 2
+
+    b.run(mission)
+
+
+def test_what_its_failsafe_has_taken_is_told_from_what_a_pilot_has(px4):
+    b = px4(ttl=0.5)
+
+    async def mission(fc):
+        await up(fc)
+        await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+        # Nobody renews it, and PX4's own failsafe for setpoints takes it down.
+        await asyncio.sleep(3.0)
+        assert b.values["failsafe"] is True
+        with pytest.raises(DeviceError, match="its failsafe, instead of OFFBOARD, has it"):
+            await fc.execute("goTo", [1.0, 0.0, -5.0])
+        b.autopilot.command_mode("POSCTL")
+        await asyncio.sleep(1.5)
+        with pytest.raises(DeviceError, match=r"in POSCTL, .* a pilot or another station has it"):
+            await fc.execute("goTo", [1.0, 0.0, -5.0])
 
     b.run(mission)
 

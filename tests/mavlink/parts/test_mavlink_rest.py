@@ -245,6 +245,9 @@ class Known:
     def send(self, message):
         pass
 
+    def on(self, message_id, handler):
+        pass
+
     def moving(self, ours=True):
         motion = Motion(self, None)
         if ours:

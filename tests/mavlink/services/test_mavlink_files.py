@@ -227,6 +227,48 @@ def test_a_damaged_file_is_an_error():
         run(files.read("/a"), 5.0)
 
 
+@pytest.mark.parametrize("told", [100_000, 1 << 22])
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_made_while_it_is_read_ends_where_it_ends(told, seed):
+    """As measured on ArduPilot: @PARAM/param.pck told 15996 bytes and was 14701, its checksum another's."""
+    server = Server({"@SYS/uarts.txt": BIG}, burst=1000)
+    server.on_crc32 = lambda request: [server.ack(request, (1).to_bytes(4, "little"))]
+    opened = server.opened
+    server.opened = lambda request, path, data: opened(request, path, told.to_bytes(4, "little"))
+    _, files = joined(server, seed=seed, loss=0.2 if seed else 0.0)
+
+    async def story():
+        with pytest.raises(DeviceError, match="more than the 100 bytes"):
+            await files.read("@SYS/uarts.txt", 100)
+        return await files.read("@SYS/uarts.txt", 256 * 1024)
+
+    assert run(story(), 200.0) == BIG
+
+
+@pytest.mark.parametrize("refusal", [Refusal.FAIL, Refusal.NO_SESSIONS])
+def test_a_second_file_that_is_not_opened_says_why(refusal):
+    server = Server({"/a": b"1"})
+    server.opened = lambda request, path, data: [server.nak(request, refusal)]
+    _, files = joined(server)
+    with pytest.raises(DeviceError, match="one file at a time, and another client may have one"):
+        run(files.read("/a"), 5.0)
+
+
+def test_a_session_that_could_not_be_ended_is_reset_by_the_next_transfer():
+    server = Server({"/a": b"1", "/big": BIG})
+    end, server.on_terminate = server.on_terminate, lambda request: []
+    _, files = joined(server)
+
+    async def story():
+        with pytest.raises(DeviceError, match="more than the 100"):
+            await files.read("/big", 100)
+        server.on_terminate = end
+        assert await files.read("/a") == b"1"
+
+    run(story(), 20.0)
+    assert server.resets == 2
+
+
 def test_a_cancelled_read_ends_its_session():
     server = Server({"/a": BIG}, burst=1, unknown=())
     _, files = joined(server)

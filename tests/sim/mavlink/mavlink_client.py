@@ -78,7 +78,7 @@ class Client:
         assert self.command(MODE, 1, GUIDED) == ACCEPTED
         assert self.command(ARM, 1) == ACCEPTED
         assert self.command(TAKEOFF, 0, 0, 0, 0, 0, 0, height) == ACCEPTED
-        self.wait(8.0)
+        self.wait(5.0 + height)
 
     def target(self, mask, place=(0, 0, 0), velocity=(0, 0, 0), frame=1):
         zero = (0, 0, 0)

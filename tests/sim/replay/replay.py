@@ -99,7 +99,7 @@ def main() -> None:
         )
         for each in verdict.found if args.traces else ():
             print(f"  {each.key}  {each.detail}  [{reason(name, each, table) or 'NOT LISTED'}]")
-        for each in verdict.stale:
+        for each in verdict.stale if args.traces else ():
             print(f"  listed and gone: {each}")
         if args.write:
             renew(table, name, verdict)

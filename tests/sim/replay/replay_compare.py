@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from replay_player import Played, is_motion
+from replay_player import IDS, Played, is_motion
 from replay_services import services
 from replay_trace import PRE_ARM, Line, Trace
 
@@ -307,7 +307,7 @@ def _came(real: Trace, played: Played) -> Iterator[Difference]:
         )
         if not found:
             continue
-        kind, came = found.group(2), int(found.group(4)) > 0
+        kind, came = IDS.get(int(found.group(1)), ""), int(found.group(4)) > 0
         start = note.t - 0.3 - float(found.group(3)) - 0.02
         fake = any(start <= t < note.t for t in played.counts.get(kind, ()))
         if came != fake:

@@ -18,6 +18,7 @@ from replay_inputs import inputs
 from replay_trace import PRE_ARM, Line, Trace
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.autopilot.equipment import Payload
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.link.wire import make_faults
 from lfield_sim.mavlink.protocol import MavlinkFake
@@ -39,6 +40,8 @@ FTP_OPS = {
     "list_time": 16,
 }  # fmt: skip
 NAK = 129
+#: Seconds of a start, of ArduPilot and of PX4, where the recording ends before it is over.
+WARM_UP = (42.6, 6.0)
 #: Commands after which a vehicle moves, stops or may.
 MOTIONS = {20, 21, 22, 34, 115, 176, 178, 185, 192, 193, 209, 213, 300, 310, 400}
 TYPES = {cls.msgname: (number, cls) for number, cls in dialect.mavlink_map.items()}
@@ -67,7 +70,7 @@ def make_fake(trace: Trace) -> MavlinkFake:
     """The fake of this vehicle, standing where it stood, with its warm-up."""
     kinds = FLAVOURS["px4" if trace.px4 else "ardupilot"]
     name = str(trace.header["vehicle"])
-    name = f"{name}-skid" if "skid" in trace.name and f"{name}-skid" in kinds else name
+    name = "rover_skid" if "skid" in trace.name else name
     origin = (trace.out("GPS_GLOBAL_ORIGIN") or trace.out("HOME_POSITION") or [None])[0]
     place = Place()
     if origin is not None:
@@ -77,8 +80,10 @@ def make_fake(trace: Trace) -> MavlinkFake:
         (int(line.get("target_system")) for line in trace.inputs if "target_system" in line.fields), 1
     )
     ready = trace.first("SYS_STATUS", lambda s: bool(int(s.get("onboard_control_sensors_health")) & PRE_ARM))
-    faults = make_faults(*([f"warm_up={max(0.0, ready - 1.0)}"] if ready else []), systems=(system,))
-    return MavlinkFake(Autopilot(kinds[name]), system=system, place=place, faults=faults)
+    warm_up = WARM_UP[trace.px4] if ready is None else max(0.1, ready - 0.3)
+    faults = make_faults(f"warm_up={min(warm_up, 600.0)}", systems=(system,))
+    bare = Autopilot(kinds[name], payload=Payload(frozenset()))
+    return MavlinkFake(bare, system=system, place=place, faults=faults)
 
 
 @dataclass
@@ -101,6 +106,7 @@ class _Player:
         self.closed = False
         self.started_mission = 0.0
         self.moved_at = 0.0
+        self.reached: set[float] = set()
 
     def feed(self, line: Line) -> None:
         """One input at its time, or when the fake is where the real one was."""
@@ -122,6 +128,7 @@ class _Player:
             step = min(TICK, t - self.now)
             self.now += step
             self._take(self.fake.advance(step))
+        self.now = max(self.now, t)
 
     # -- waiting for the fake -------------------------------------------------------------------------
 
@@ -183,8 +190,7 @@ class _Player:
         real = {
             line.get("seq") for line in self.trace.between(self.started_mission, t, "MISSION_ITEM_REACHED")
         }
-        own = {line.get("seq") for line in self.said if line.type == "MISSION_ITEM_REACHED"}
-        return bool(real) and self.started_mission > 0.0 and max(real) not in own
+        return bool(real) and self.started_mission > 0.0 and max(real) not in self.reached
 
     # -- packets --------------------------------------------------------------------------------------
 
@@ -211,6 +217,8 @@ class _Player:
             line = Line(self.now, "out", name, _fields(message))
             self.said.append(line)
             self.newest[name] = line
+            if name == "MISSION_ITEM_REACHED":
+                self.reached.add(line.get("seq"))
 
 
 def is_motion(line: Line) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 
@@ -41,9 +42,9 @@ def services(real: Trace, fake: Trace) -> Iterator[Found]:
 
 def _parameters(real: Trace, fake: Trace) -> Iterator[Found]:
     asked = [line for line in real.inputs if line.type in ("PARAM_REQUEST_READ", "PARAM_SET")]
-    others = [line.t for line in real.inputs if line.type.startswith("PARAM_")]
     for line in asked:
-        end = min([t for t in others if t > line.t] + [line.t + PARAMETER_WINDOW])
+        same = (each.t for each in asked if each.t > line.t and _name(each) == _name(line))
+        end = min(next(same, math.inf), line.t + PARAMETER_WINDOW)
         ours, theirs = (_told(trace, line, end) for trace in (real, fake))
         what = f"{line.t:.1f} {_question(line)}"
         mine, other = _value(ours), _value(theirs)
@@ -51,6 +52,10 @@ def _parameters(real: Trace, fake: Trace) -> Iterator[Found]:
             yield f"{what}: {mine} / {other}", ""
         elif ours and abs(ours[0].t - theirs[0].t) > PARAMETER_TIME:
             yield f"{what}: time", f"{ours[0].t - line.t:.3f} / {theirs[0].t - line.t:.3f} s"
+
+
+def _name(line: Line) -> object:
+    return line.fields.get("param_id") or line.fields.get("param_index")
 
 
 def _told(trace: Trace, line: Line, end: float) -> list[Line]:

@@ -79,6 +79,9 @@ COPTER_FLAVOUR = Flavour(
         ceiling_text="Max Alt fence breached",
         shape_text="Polygon fence breached",
         blind_text="Fence enabled, need position estimate",
+        avoid="AVOID_ENABLE",
+        margin="FENCE_MARGIN",
+        recovery_text="Manual recovery started",
     ),
     position_lost="EKF Failsafe: changed to LAND Mode",
     capacity="BATT_CAPACITY",
@@ -88,13 +91,19 @@ COPTER_FLAVOUR = Flavour(
     lacks=frozenset({105, 230, 331, 436}),
     tells_modes=True,
     idle_text="Disarming motors",
+    no_mission=("Mode change to AUTO failed: init failed",),
 )  # fmt: skip
 ROVER_FLAVOUR = replace(
     COPTER_FLAVOUR,
     armed="Throttle armed",
     disarmed="Throttle disarmed",
     unarmable="Mode not armable",
+    no_mission=("No Mission. Can't set AUTO.", "Flight mode change failed"),
     setpoint_timeout="",
+    # It streams every group once a second, and nothing faster than half its loop of 50 Hz.
+    streams=dict.fromkeys((1, 2, 24, 30, 32, 33, 36, 42, 65, 74, 147, 193), 1.0),
+    fastest=49.0,
+    ignored_text="Ignoring SET_POSITION_TARGET_LOCAL_NED; set ACC_IGNORE in mask",
     setpoint_text="target not received last 3secs, stopping",
     # NAV_LAND, NAV_TAKEOFF, CONDITION_YAW, DO_FLIGHTTERMINATION, NAV_SET_YAW_SPEED
     unsupported=COPTER_FLAVOUR.unsupported | {21, 22, 115, 185, 213},
@@ -113,6 +122,8 @@ ROVER_FLAVOUR = replace(
         COPTER_FLAVOUR.fence,
         actions={1: Role.RETURN, 2: Role.HOLD, 3: Role.RETURN, 4: Role.RETURN},
         ceiling="",
+        circle_text="",
+        refuses=False,
     ),
     position_lost="EKF failsafe",
 )
@@ -121,6 +132,7 @@ _UNLEVEL = ("Need Alt Estimate", "Accels inconsistent", "EKF attitude is bad", "
 COPTER_WARMING = Warming(
     fix=0.237,
     home=0.47,
+    origin=0.47,
     position=0.98,
     estimate=0.985,
     reasons=(
@@ -135,6 +147,7 @@ COPTER_WARMING = Warming(
 ROVER_WARMING = Warming(
     fix=0.237,
     home=0.244,
+    origin=0.5,
     position=0.247,
     estimate=1.0,
     reasons=(
@@ -157,6 +170,7 @@ COMMON: Mapping[str, float] = {
     "AVOID_ENABLE": 3,
     "FENCE_ACTION": 1,
     "FENCE_ENABLE": 0,
+    "FENCE_MARGIN": 2,
     "FENCE_RADIUS": 300,
     "FENCE_TOTAL": 0,
     "FENCE_TYPE": 7,
@@ -218,6 +232,7 @@ ACKERMANN = Kind(
     Limits(braking=1.0, jerk=2.0, velocity_response=Response(1.22)),
     turning_radius=1.4,
     home_altitude=0.19,
+    lands=False,
 )
 
 KINDS = {
@@ -226,18 +241,18 @@ KINDS = {
         2,
         COPTER_FLAVOUR,
         {
-            "STABILIZE": Mode(0, Role.MANUAL),
-            "ACRO": Mode(1, Role.MANUAL),
-            "ALT_HOLD": Mode(2, Role.MANUAL),
+            "STABILIZE": Mode(0, Role.MANUAL, by_hand=True),
+            "ACRO": Mode(1, Role.MANUAL, by_hand=True),
+            "ALT_HOLD": Mode(2, Role.MANUAL, by_hand=True),
             "AUTO": Mode(3, Role.MISSION, armable=False),
             "GUIDED": Mode(4, Role.GUIDED),
             # Before LOITER: it is what ArduCopter falls back to when it is to hold.
             "BRAKE": Mode(17, Role.HOLD, armable=False),
-            "LOITER": Mode(5, Role.HOLD),
+            "LOITER": Mode(5, Role.HOLD, by_hand=True),
             "RTL": Mode(6, Role.RETURN, armable=False),
             "CIRCLE": Mode(7, Role.ORBIT, armable=False),
             "LAND": Mode(9, Role.LAND, armable=False),
-            "POSHOLD": Mode(16, Role.HOLD),
+            "POSHOLD": Mode(16, Role.HOLD, by_hand=True),
         },
         "STABILIZE",
         COPTER_PARAMETERS,
@@ -251,7 +266,7 @@ KINDS = {
         },
         CopterPace,
         COPTER_WARMING,
-        Limits(braking=2.5, jerk=5.0),
+        Limits(braking=2.5, jerk=5.0, spool=0.6, awake=3.3, lift=1.0, takeoff=2.5),
         return_height=("RTL_ALT", 100.0),
         return_pause=("RTL_LOIT_TIME", 1000.0),
     ),

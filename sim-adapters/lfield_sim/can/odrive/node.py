@@ -49,6 +49,8 @@ class OdriveNode:
         command = frame.identifier & 0x1F
         if command in table.GETTERS and (frame.remote or not frame.data):
             return [self._answer(command)]
+        if command == table.RX_SDO and not frame.remote:
+            return self._sdo(frame.data)
         layout = table.SETTERS.get(command)
         if layout is None or frame.remote or len(frame.data) < struct.calcsize(layout):
             return []
@@ -104,12 +106,18 @@ class OdriveNode:
     def _estop(self) -> None:
         self.axis.fail(table.Error.ESTOP_REQUESTED)
 
-    def _sdo(self, operation: int, endpoint: int, _: int, value: bytes) -> list[Frame]:
+    def _sdo(self, data: bytes) -> list[Frame]:
+        """A parameter: of a read the first four bytes count, a write has its value behind them."""
+        if len(data) < struct.calcsize(table.SDO_HEAD):
+            return []
+        operation, endpoint, _ = struct.unpack_from(table.SDO_HEAD, data)
         if endpoint not in table.ENDPOINTS:
             return []
         name, layout = table.ENDPOINTS[endpoint]
-        if operation == 1:
-            self._set(name, struct.unpack(layout, value)[0])
+        if operation == table.WRITE:
+            value = data[struct.calcsize(table.SDO_HEAD) :]
+            if len(value) == struct.calcsize(layout):
+                self._set(name, struct.unpack(layout, value)[0])
             return []
         data = struct.pack("<BHB", 0, endpoint, 0) + struct.pack(layout, self._get(name))
         return [self._frame(table.TX_SDO, data)]
@@ -145,7 +153,6 @@ class OdriveNode:
 
     _setters: Mapping[int, Callable[..., list[Frame] | None]] = {
         table.ESTOP: _estop,
-        table.RX_SDO: _sdo,
         0x07: lambda self, state: self.axis.request(state),
         0x0B: lambda self, control, mode: self.axis.set_mode(control, mode),
         0x0C: lambda self, p, v, t: self.axis.set_position(p, 0.001 * v, 0.001 * t),

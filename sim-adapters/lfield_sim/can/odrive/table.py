@@ -8,6 +8,8 @@ from enum import IntEnum, IntFlag
 HEARTBEAT, ESTOP, GET_VERSION = 0x01, 0x02, 0x00
 RX_SDO, TX_SDO = 0x04, 0x05
 REBOOT, CLEAR_ERRORS = 0x16, 0x18
+#: How RxSdo begins: what to do, endpoint, reserved. A read is that alone, or has a value that nobody heeds.
+SDO_HEAD, WRITE = "<BHB", 1
 
 
 class State(IntEnum):
@@ -66,7 +68,6 @@ class Input(IntEnum):
 #: Messages to the axis: command -> layout of what it brings.
 SETTERS: Mapping[int, str] = {
     ESTOP: "<",
-    RX_SDO: "<BHB4s",
     0x07: "<I",
     0x0B: "<II",
     0x0C: "<fhh",

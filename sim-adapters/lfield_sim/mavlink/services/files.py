@@ -4,32 +4,51 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.mavlink.geo import Place
-from lfield_sim.mavlink.services.ftp import FtpServer
+from lfield_sim.mavlink.services.ftp import ARDUPILOT, PX4, FtpServer
 from lfield_sim.mavlink.services.parameters import ParameterType, parameter_table
 from lfield_sim.mavlink.services.service import Service
-from lfield_sim.mavlink.services.tree import FtpError, Tree
+from lfield_sim.mavlink.services.tree import Made, Tree
 
 ARDUPILOT_FILES: Mapping[str, bytes] = {
     "/APM/LOGS/00000001.BIN": bytes(range(256)) * 40,
     "/APM/LOGS/LASTLOG.TXT": b"1\n",
     "/APM/scripts/README.txt": b"Scripts in this folder are run at start.\n",
     "/APM/terrain/.keep": b"",
+    "/eeprom.bin": bytes(16384),
+    "/terrain/.keep": b"",
 }
 PX4_FILES: Mapping[str, bytes] = {
     "/etc/extras/parameters.json": b'{"version": 1, "parameters": []}',
     "/fs/microsd/dataman": bytes(8192),
     "/fs/microsd/log/2026-11-20/10_00_00.ulg": b"ULog\x01\x12\x35\x01" + bytes(range(256)) * 40,
     "/fs/microsd/etc/.keep": b"",
+    "/etc/extras/component_general.json.xz": bytes(364),
+    "/etc/init.d/rc.vehicle_setup": b"#!/bin/sh\n",
+    "/etc/init.d-posix/rcS": b"#!/bin/sh\n",
+    "/log/2026-11-20/10_00_00.ulg": b"ULog\x01\x12\x35\x01",
+    "/parameters.bson": bytes(348),
 }
+#: What ArduPilot lists of folders that are none, and the size that it tells of a file not made yet.
+SYSTEM_SIZE, MISSION_SIZE = 100_000, 1 << 20
+SHOWN: Mapping[str, tuple[str, ...]] = {
+    "@SYS": tuple(
+        f"F{name}.txt\t{SYSTEM_SIZE}" for name in ("threads", "tasks", "dma", "memory", "uarts", "timers")
+    ),
+    "@ROMFS": ("Flocations.txt\t4727", "Dmodels"),
+}
+#: The head of @MISSION/*.dat: magic number, type, options, first item, how many.
+_MISSION_HEAD = struct.Struct("<HHHHH")
+_MISSION_MAGIC = 0x763D
 #: Where ArduPilot has all parameters as one file (https://ardupilot.org/dev/docs/common-mavftp.html).
 PACKED_PARAMETERS = "@PARAM/param.pck"
-_PACK_MAGIC, _LONGEST_RUN = 0x671B, 15
+_PACK_MAGIC, _DEFAULTS_MAGIC, _HAS_DEFAULT, _LONGEST_RUN = 0x671B, 0x671C, 0x10, 15
 #: Of a packed parameter: the number of its type, and how its value is written.
 _PACKED = {
     ParameterType.INT8: (1, "<b"),
@@ -45,11 +64,10 @@ class Files(Service):
     def __init__(self, autopilot: Autopilot, place: Place) -> None:
         super().__init__(autopilot, place)
         if autopilot.flavour.name == "px4":
-            self._server = FtpServer(Tree(PX4_FILES), own_sessions=True)
+            self._server = FtpServer(Tree(PX4_FILES), PX4)
         else:
-            # Of an opcode that it does not know ArduPilot says that it failed, not that it is unknown.
-            made = {PACKED_PARAMETERS: self._packed_parameters}
-            self._server = FtpServer(Tree(ARDUPILOT_FILES, made), unknown=FtpError.FAIL)
+            tree = Tree(ARDUPILOT_FILES, self._made(), SHOWN)
+            self._server = FtpServer(tree, ARDUPILOT, autopilot.say)
         self.handles = {dialect.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: self._on_request}
 
     def advance(self, now: float) -> list[Any]:
@@ -64,26 +82,72 @@ class Files(Service):
         peer = message.get_srcSystem(), message.get_srcComponent()
         return [_message(peer, payload) for payload in self._server.receive(peer, bytes(message.payload))]
 
+    def _made(self) -> dict[str, Made]:
+        """Files that ArduPilot makes when they are read; those of missions and tasks keep their checksum."""
+
+        def size() -> int:
+            return 12 * len(self.autopilot.parameters)
+
+        def system() -> int:
+            return SYSTEM_SIZE
+
+        def mission() -> int:
+            return MISSION_SIZE
+
+        found = {
+            PACKED_PARAMETERS: Made(self._packed_parameters, size, checks=False),
+            f"{PACKED_PARAMETERS}?withdefaults=1": Made(self._with_defaults, size, checks=False),
+            "@SYS/tasks.txt": Made(lambda: b"TasksV2\n", system),
+            "@SYS/uarts.txt": Made(lambda: b"UARTV1\n", system, checks=False),
+        }
+        for kind, name in enumerate(("mission", "fence", "rally")):
+            found[f"@MISSION/{name}.dat"] = Made(partial(_empty_plan, kind), mission)
+        return found
+
+    def _with_defaults(self) -> bytes:
+        return packed_parameters(self._rows(), self._defaults())
+
     def _packed_parameters(self) -> bytes:
+        return packed_parameters(self._rows())
+
+    def _defaults(self) -> Mapping[str, float]:
         table = parameter_table(self.autopilot.flavour.name, self.autopilot.kind.name)
-        rows = {
+        return {name: row.value for name, row in table.items()} | dict(self.autopilot.kind.parameters)
+
+    def _rows(self) -> Mapping[str, tuple[ParameterType, float]]:
+        table = parameter_table(self.autopilot.flavour.name, self.autopilot.kind.name)
+        return {
             name: (table[name].type if name in table else ParameterType.REAL32, value)
             for name, value in self.autopilot.parameters.items()
         }
-        return packed_parameters(rows)
 
 
-def packed_parameters(rows: Mapping[str, tuple[ParameterType, float]]) -> bytes:
-    """ArduPilot's param.pck: sorted names, each told by how much of it is new, with its value."""
-    data = struct.pack("<HHH", _PACK_MAGIC, len(rows), len(rows))
+def _empty_plan(kind: int) -> bytes:
+    """A plan without items, whatever was uploaded: what is in one by this way is not modelled."""
+    return _MISSION_HEAD.pack(_MISSION_MAGIC, kind, 0, 0, 0)
+
+
+def packed_parameters(
+    rows: Mapping[str, tuple[ParameterType, float]], defaults: Mapping[str, float] | None = None
+) -> bytes:
+    """ArduPilot's param.pck: sorted names, each told by how much of it is new, with its value.
+
+    With `defaults` the default follows a value that is another.
+    """
+    magic = _PACK_MAGIC if defaults is None else _DEFAULTS_MAGIC
+    data = struct.pack("<HHH", magic, len(rows), len(rows))
     before = ""
     for name in sorted(rows):
         kind, value = rows[name]
         number, form = _PACKED[kind]
         common = min(_common(before, name), _LONGEST_RUN, len(name) - 1)
         rest = name[common:]
+        values = [value]
+        if defaults is not None and defaults.get(name, value) != value:
+            values, number = [value, defaults[name]], number | _HAS_DEFAULT
         data += bytes((number, (len(rest) - 1) << 4 | common)) + rest.encode()
-        data += struct.pack(form, value if kind is ParameterType.REAL32 else int(value))
+        for each in values:
+            data += struct.pack(form, each if kind is ParameterType.REAL32 else int(each))
         before = name
     return data
 

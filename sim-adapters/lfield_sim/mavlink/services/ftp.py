@@ -19,8 +19,8 @@ from lfield_sim.mavlink.services.tree import FtpError, Tree, TreeError
 PAYLOAD, HEADER = 251, struct.Struct("<HBBBBBxI")
 DATA = PAYLOAD - HEADER.size
 ACK, NAK = 128, 129
-#: Open files at a time, of all peers; peers whose last reply is kept.
-MAX_SESSIONS, MAX_PEERS = 5, 16
+#: Open files at a time, of all peers (both autopilots have one); peers whose last reply is kept.
+MAX_SESSIONS, MAX_PEERS = 1, 16
 #: Packets of a burst that go out in one step, and of one burst until it must be asked to go on.
 BURST_STEP, BURST_LENGTH = 10, 200
 
@@ -42,6 +42,8 @@ class Op(IntEnum):
     MAKE_FOLDER = 9
     REMOVE_FOLDER = 10
     OPEN_WRITE = 11
+    TRUNCATE = 12
+    RENAME = 13
     CRC32 = 14
     BURST_READ = 15
 
@@ -118,17 +120,62 @@ class _Burst:
         return replace(reply, burst_over=1) if piece and self.sent == BURST_LENGTH else reply
 
 
-@dataclass(slots=True)
-class FtpServer:
-    """The files of one vehicle.
+@dataclass(frozen=True, slots=True)
+class FtpStyle:
+    """How an autopilot serves files.
 
-    `own_sessions`: it numbers sessions itself (PX4), else the client does (ArduPilot). `unknown` is the
-    error for an opcode that it does not know.
+    own_sessions     it numbers sessions itself, else the client does
+    unknown          the error for an opcode that it does not know
+    unknown_text     what it says of one, '' for nothing
+    busy             the error for a file more than can be open
+    no_session       the error for a session that is not; `lenient`: but ending one is fine
+    empty_is_root    a folder without a name is the root, else no name
+    creates          opening a file to write makes it; making and writing tell a size
     """
 
+    own_sessions: bool
+    unknown: FtpError
+    unknown_text: str
+    busy: FtpError
+    no_session: FtpError
+    lenient: bool
+    empty_is_root: bool
+    creates: bool
+
+
+ARDUPILOT = FtpStyle(
+    own_sessions=False,
+    unknown=FtpError.FAIL,
+    unknown_text="Unsupported FTP: {opcode}",
+    busy=FtpError.FAIL,
+    no_session=FtpError.NOT_FOUND,
+    lenient=True,
+    empty_is_root=False,
+    creates=False,
+)
+PX4 = FtpStyle(
+    own_sessions=True,
+    unknown=FtpError.UNKNOWN_COMMAND,
+    unknown_text="",
+    busy=FtpError.NO_SESSIONS,
+    no_session=FtpError.INVALID_SESSION,
+    lenient=False,
+    empty_is_root=True,
+    creates=True,
+)
+
+
+def _silence(_: str) -> None:
+    pass
+
+
+@dataclass(slots=True)
+class FtpServer:
+    """The files of one vehicle; `say` says a text."""
+
     tree: Tree
-    own_sessions: bool = False
-    unknown: FtpError = FtpError.UNKNOWN_COMMAND
+    style: FtpStyle = PX4
+    say: Callable[[str], None] = _silence
     _sessions: OrderedDict[tuple[Peer, int], _Session] = field(default_factory=OrderedDict)
     _bursts: dict[tuple[Peer, int], _Burst] = field(default_factory=dict)
     _last: OrderedDict[Peer, tuple[FtpPacket, FtpPacket]] = field(default_factory=OrderedDict)
@@ -166,13 +213,17 @@ class FtpServer:
         if request.size > DATA:
             raise TreeError(FtpError.INVALID_DATA_SIZE)
         handler = _HANDLERS.get(request.opcode)
-        if handler is None:
-            raise TreeError(self.unknown)
+        if handler is None or (request.opcode == Op.TRUNCATE and not self.style.creates):
+            if self.style.unknown_text:
+                self.say(self.style.unknown_text.format(opcode=request.opcode))
+            raise TreeError(self.style.unknown)
         return handler(self, peer, request)
 
     # -- folders and whole files ----------------------------------------------------------------------
 
     def _list(self, _: Peer, request: FtpPacket) -> FtpPacket:
+        if not request.path and not self.style.empty_is_root:
+            raise TreeError(FtpError.INVALID_DATA_SIZE)
         data = b""
         for entry in self.tree.entries(request.path)[request.offset :]:
             text = entry.encode() + b"\0"
@@ -196,34 +247,52 @@ class FtpServer:
         return request.ack()
 
     def _crc32(self, _: Peer, request: FtpPacket) -> FtpPacket:
-        return request.ack(struct.pack("<I", ftp_crc32(self.tree.read(request.path))))
+        return request.ack(struct.pack("<I", ftp_crc32(self.tree.checked(request.path))))
+
+    def _rename(self, _: Peer, request: FtpPacket) -> FtpPacket:
+        old, new = [*request.data.split(b"\0"), b""][:2]
+        self.tree.rename(_text(old), _text(new))
+        return request.ack()
+
+    def _truncate(self, _: Peer, request: FtpPacket) -> FtpPacket:
+        self.tree.truncate(request.path, request.offset)
+        return request.ack()
 
     # -- sessions -------------------------------------------------------------------------------------
 
     def _open_read(self, peer: Peer, request: FtpPacket) -> FtpPacket:
         content = self.tree.read(request.path)
         session = self._open(peer, request, _Session(request.path, content))
-        return request.ack(struct.pack("<I", len(content)), session=session)
+        return request.ack(struct.pack("<I", self.tree.size(request.path)), session=session)
 
     def _open_write(self, peer: Peer, request: FtpPacket) -> FtpPacket:
+        if self.style.creates and not self.tree.has(request.path):
+            self.tree.create(request.path)
         self.tree.write(request.path, 0, b"")
-        return request.ack(session=self._open(peer, request, _Session(request.path)))
+        session = self._open(peer, request, _Session(request.path))
+        return request.ack(self._size(0), session=session)
 
     def _create(self, peer: Peer, request: FtpPacket) -> FtpPacket:
         self.tree.create(request.path)
-        return request.ack(session=self._open(peer, request, _Session(request.path)))
+        session = self._open(peer, request, _Session(request.path))
+        return request.ack(self._size(0), session=session)
+
+    def _size(self, size: int) -> bytes:
+        return struct.pack("<I", size) if self.style.creates else b""
 
     def _open(self, peer: Peer, request: FtpPacket, session: _Session) -> int:
         taken = {number for _, number in self._sessions}
-        number = min(set(range(MAX_SESSIONS + 1)) - taken) if self.own_sessions else request.session
-        if (peer, number) not in self._sessions and len(self._sessions) >= MAX_SESSIONS:
-            raise TreeError(FtpError.NO_SESSIONS)
+        number = request.session
+        if self.style.own_sessions:
+            number = min(set(range(MAX_SESSIONS + 1)) - taken)
+        if len(self._sessions) >= MAX_SESSIONS:
+            raise TreeError(self.style.busy)
         self._sessions[peer, number] = session
         return number
 
     def _session(self, peer: Peer, request: FtpPacket) -> _Session:
         if (peer, request.session) not in self._sessions:
-            raise TreeError(FtpError.INVALID_SESSION)
+            raise TreeError(self.style.no_session)
         return self._sessions[peer, request.session]
 
     def _content(self, peer: Peer, request: FtpPacket) -> bytes:
@@ -258,9 +327,11 @@ class FtpServer:
         if session.content is not None:
             raise TreeError(FtpError.FAIL)
         self.tree.write(session.path, request.offset, request.data)
-        return request.ack(struct.pack("<I", len(request.data)))
+        return request.ack(self._size(len(request.data)))
 
     def _terminate(self, peer: Peer, request: FtpPacket) -> FtpPacket:
+        if self.style.lenient and (peer, request.session) not in self._sessions:
+            return request.ack()
         self._session(peer, request)
         del self._sessions[peer, request.session]
         self._bursts.pop((peer, request.session), None)
@@ -274,6 +345,10 @@ class FtpServer:
 
     def _none(self, _: Peer, request: FtpPacket) -> FtpPacket:
         return request.ack()
+
+
+def _text(data: bytes) -> str:
+    return data.split(b"\0", 1)[0].decode("utf-8", "replace")
 
 
 def ftp_crc32(data: bytes) -> int:
@@ -294,6 +369,8 @@ _HANDLERS: Mapping[int, Callable[[FtpServer, Peer, FtpPacket], FtpPacket | None]
     Op.MAKE_FOLDER: FtpServer._make_folder,
     Op.REMOVE_FOLDER: FtpServer._remove_folder,
     Op.OPEN_WRITE: FtpServer._open_write,
+    Op.TRUNCATE: FtpServer._truncate,
+    Op.RENAME: FtpServer._rename,
     Op.CRC32: FtpServer._crc32,
     Op.BURST_READ: FtpServer._burst_read,
 }

@@ -25,12 +25,15 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.autopilot.flavours import Severity
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
 
 #: Values of a list that go out after one step of the model: 1500 a second.
 PER_STEP = 30
+#: ArduPilot looks up names at 10 Hz, and tells no index with what it found.
+LOOK_UP, NO_INDEX = 0.1, 65535
+#: Names that wait to be looked up at most.
+MOST_NAMES = 100
 
 
 class ParameterType(IntEnum):
@@ -67,7 +70,11 @@ def parameter_table(flavour: str, kind: str) -> Mapping[str, ParameterRow]:
 
 
 class Parameters(Service):
-    """The parameter protocol. An unknown name gets no answer, from ArduPilot and from PX4."""
+    """The parameter protocol.
+
+    An unknown name gets no answer, nor does a wrong type from PX4, or NaN from
+    ArduPilot; PX4 takes NaN, and what is beyond a parameter's range.
+    """
 
     def __init__(self, autopilot: Autopilot, place: Place) -> None:
         super().__init__(autopilot, place)
@@ -79,6 +86,7 @@ class Parameters(Service):
         self._names = sorted(autopilot.parameters)
         self._numbers = {name: number for number, name in enumerate(self._names)}
         self._listing: deque[str] = deque()
+        self._looked_up: deque[tuple[float, str]] = deque(maxlen=MOST_NAMES)
         self.handles = {
             dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._on_request_read,
             dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: self._on_request_list,
@@ -86,18 +94,28 @@ class Parameters(Service):
         }
 
     def advance(self, now: float) -> list[Any]:
-        """The next values of a list that was asked for."""
-        return [self._value(self._listing.popleft()) for _ in range(min(PER_STEP, len(self._listing)))]
+        """The names that were looked up, and the next values of a list that was asked for."""
+        found: list[Any] = []
+        while self._looked_up and now >= self._looked_up[0][0]:
+            found.append(self._value(self._looked_up.popleft()[1], named=True))
+        listed = [self._listing.popleft() for _ in range(min(PER_STEP, len(self._listing)))]
+        return found + [self._value(name) for name in listed]
 
     def reboot(self) -> None:
         """A list that was under way is not gone on with; values stay."""
         self._listing.clear()
+        self._looked_up.clear()
 
     def _on_request_read(self, message: Any) -> list[Any]:
         name, number = message.param_id, message.param_index
         if number >= 0:
             name = self._names[number] if number < len(self._names) else ""
-        return [self._value(name)] if name in self._numbers else []
+        if name not in self._numbers:
+            return []
+        if number < 0 and not self._bytewise:
+            self._looked_up.append((self.autopilot.now + LOOK_UP, name))
+            return []
+        return [self._value(name)]
 
     def _on_request_list(self, _: Any) -> list[Any]:
         self._listing = deque(self._names)
@@ -109,19 +127,25 @@ class Parameters(Service):
             return []
         kind = self._row(name).type
         if self._bytewise and message.param_type != kind:
-            self.autopilot.say(f"param types mismatch param: {name}", Severity.WARNING)
             return []
         value = self._decoded(message.param_value, kind)
-        if math.isfinite(value):
-            self.autopilot.parameters[name] = value
-            self.autopilot.apply_parameters()
-        return [self._value(name)]
+        if not self._bytewise and not math.isfinite(value):
+            return []
+        changed = self.autopilot.parameters[name] != value
+        self.autopilot.parameters[name] = value
+        self.autopilot.apply_parameters()
+        # PX4 answers, and then tells everybody what has changed.
+        told = [self._value(name, named=True)]
+        return told * 2 if self._bytewise and changed else told
 
     def _row(self, name: str) -> ParameterRow:
         return self._rows.get(name, ParameterRow(ParameterType.REAL32, 0.0))
 
-    def _value(self, name: str) -> Any:
+    def _value(self, name: str, *, named: bool = False) -> Any:
+        """PARAM_VALUE 22; `named`: it was asked for, or set, by its name."""
         kind, number = self._row(name).type, self._numbers[name]
+        if named and not self._bytewise:
+            number = NO_INDEX
         value = self._encoded(self.autopilot.parameters[name], kind)
         return dialect.MAVLink_param_value_message(name.encode(), value, kind, len(self._names), number)
 

@@ -142,6 +142,11 @@ def check_fence(items: Sequence[Item]) -> PlanResult:
     return PlanResult.INVALID if left else PlanResult.ACCEPTED
 
 
+def is_too_small(item: Item) -> bool:
+    """Whether an item is of a polygon that says it has fewer than three corners."""
+    return item.command in POLYGONS and not item.values[0] >= 3
+
+
 def _has_place(item: Item, kind: PlanType) -> bool:
     return kind is not PlanType.MISSION or item.command in PLACE_COMMANDS
 

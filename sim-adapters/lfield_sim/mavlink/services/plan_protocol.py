@@ -1,23 +1,35 @@
 """Plans by the mission protocol: missions, fences and rally points are sent, fetched and cleared alike.
 
-The vehicle leads an upload: it asks for item after item, asks again when one does not come, and gives up
-in the end. A plan changes only when all of a new one has come and is right. Pure: messages in, messages out.
+The vehicle leads an upload: it asks for item after item, asks again when one does not come, and gives up in
+the end. PX4 changes a plan only when all of a new one has come and is right. ArduPilot writes a mission over
+the old one item by item: one that fails leaves the new items that came, and of the old ones as many as the
+new count says. Pure: messages in, messages out.
 
 Protocol: https://mavlink.io/en/services/mission.html; what the two autopilots do with it was measured.
 """
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pymavlink.dialects.v20 import all as dialect
 
-from lfield_sim.mavlink.services.plan_items import Item, PlanResult, PlanType, check, check_fence
+from lfield_sim.mavlink.services.plan_items import (
+    Item,
+    PlanResult,
+    PlanType,
+    check,
+    check_fence,
+    is_too_small,
+)
 
 #: mission_type of a CLEAR_ALL that means every plan.
 ALL = 255
+#: What the sum of steps may be short of a time, in seconds; and whose lists are remembered at most.
+HAIR, MAX_PEERS = 1e-6, 16
 
 Peer = tuple[int, int]
 
@@ -26,9 +38,12 @@ Peer = tuple[int, int]
 class PlanStyle:
     """How an autopilot speaks the protocol.
 
-    `home_first`: item 0 of a mission is home, whatever was uploaded. `old_request`: asks by the deprecated
-    MISSION_REQUEST 40. `refuses_disorder`: an item out of turn ends the upload, instead of being asked for
-    again. Times in seconds.
+    `home_first`: item 0 of a mission is home, whatever was uploaded, and is there before anything was.
+    `old_request`: asks by the deprecated MISSION_REQUEST 40. `refuses_disorder`: an item out of turn ends
+    the upload, instead of being asked for again. `writes_at_once`: see above. `needs_list`: who did not ask
+    for the list gets no item. `cancels`: an upload that is given up gets an acknowledgement. `frames`: which
+    frame is read back instead of which. `texts`: what is said of what happens (`timeout`, `received`,
+    `fence`, `invalid`, `polygon`, `old`). Times in seconds.
     """
 
     home_first: bool
@@ -38,6 +53,11 @@ class PlanStyle:
     ask_again: float
     give_up: float
     capacity: Mapping[PlanType, int]
+    writes_at_once: bool
+    needs_list: bool
+    cancels: bool
+    frames: Mapping[int, int]
+    texts: Mapping[str, str]
 
 
 ARDUPILOT = PlanStyle(
@@ -48,6 +68,17 @@ ARDUPILOT = PlanStyle(
     ask_again=1.0,
     give_up=8.0,
     capacity={PlanType.MISSION: 724, PlanType.FENCE: 84, PlanType.RALLY: 10},
+    writes_at_once=True,
+    needs_list=False,
+    cancels=True,
+    frames={5: 0, 6: 3, 11: 10},
+    texts={
+        "timeout": "Mission upload timeout",
+        "received": "Flight plan received",
+        "fence": "Fence Indexed OK",
+        "polygon": "Fence validation failed",
+        "old": "got MISSION_REQUEST; use MISSION_REQUEST_INT!",
+    },
 )
 PX4 = PlanStyle(
     home_first=False,
@@ -57,6 +88,11 @@ PX4 = PlanStyle(
     ask_again=0.25,
     give_up=5.0,
     capacity={PlanType.MISSION: 500, PlanType.FENCE: 32, PlanType.RALLY: 32},
+    writes_at_once=False,
+    needs_list=True,
+    cancels=False,
+    frames={0: 5, 3: 6, 10: 11},
+    texts={"timeout": "Operation timeout\t", "invalid": "IGN MISSION_ITEM: Invalid item\t"},
 )
 
 
@@ -72,18 +108,34 @@ class _Upload:
     items: list[Item] = field(default_factory=list)
 
 
-def _nothing(_: PlanType) -> None:
+def _nothing(_: PlanType, whole: bool) -> None:
+    pass
+
+
+def _silence(_: str) -> None:
     pass
 
 
 class PlanProtocol:
-    """The plans of one vehicle: `home` is item 0 of an ArduPilot mission, `changed` hears of new plans."""
+    """The plans of one vehicle.
+
+    `home` is item 0 of an ArduPilot mission, None while there is none; `changed` hears of new plans, and
+    whether they are whole; `say` says a text.
+    """
 
     def __init__(
-        self, style: PlanStyle, home: Callable[[], Item], changed: Callable[[PlanType], None] = _nothing
+        self,
+        style: PlanStyle,
+        home: Callable[[], Item | None],
+        changed: Callable[[PlanType, bool], None] = _nothing,
+        say: Callable[[str], None] = _silence,
     ) -> None:
-        self._style, self._home, self._changed = style, home, changed
+        self._style, self._home, self._changed, self._speak = style, home, changed, say
         self.items: dict[PlanType, list[Item]] = {kind: [] for kind in PlanType}
+        #: Whether no mission was ever stored or cleared: ArduPilot has its home as one, then.
+        self.untouched = style.home_first
+        self._listed: OrderedDict[Peer, PlanType] = OrderedDict()
+        self._warned = False
         #: The item of the mission that is flown now, for downloads.
         self.current = 0
         self._upload: _Upload | None = None
@@ -104,10 +156,12 @@ class PlanProtocol:
         upload = self._upload
         if upload is None:
             return []
-        if now - upload.heard > self._style.give_up:
+        if now - upload.heard > self._style.give_up - HAIR:
             self._upload = None
-            return [_ack(upload.peer, PlanResult.OPERATION_CANCELLED, upload.kind)]
-        if now - upload.asked > self._style.ask_again:
+            self._say("timeout")
+            cancelled = _ack(upload.peer, PlanResult.OPERATION_CANCELLED, upload.kind)
+            return [cancelled] if self._style.cancels else []
+        if now - upload.asked > self._style.ask_again - HAIR:
             return [self._request(upload, now)]
         return []
 
@@ -125,7 +179,10 @@ class PlanProtocol:
         if message.count > self._style.capacity[kind]:
             return [_ack(peer, PlanResult.NO_SPACE, kind)]
         if message.count == 0:
+            self._say("received" if kind is PlanType.MISSION else "fence")
             return self._clear(peer, [kind], kind)
+        if self._style.writes_at_once and kind is PlanType.MISSION:
+            self._write(kind, self.stored(kind)[: message.count])
         self._upload = _Upload(peer, kind, message.count, now, now)
         return [self._request(self._upload, now)]
 
@@ -138,9 +195,15 @@ class PlanProtocol:
             return self._out_of_turn(upload, message.seq, now)
         item = Item.read(message)
         result = check(item, kind, nan_means_unset=self._style.nan_means_unset)
+        if result is PlanResult.ACCEPTED and self._style.needs_list and is_too_small(item):
+            result = PlanResult.ERROR
         if result is not PlanResult.ACCEPTED:
+            if kind is PlanType.MISSION:
+                self._say("invalid")
             return self._end(upload, result)
         upload.items.append(item)
+        if self._style.writes_at_once and kind is PlanType.MISSION:
+            self._write(kind, [*upload.items, *self.items[kind][len(upload.items) :]])
         upload.heard = now
         return self._finish(upload) if len(upload.items) == upload.count else [self._request(upload, now)]
 
@@ -156,7 +219,19 @@ class PlanProtocol:
         result = check_fence(upload.items) if upload.kind is PlanType.FENCE else PlanResult.ACCEPTED
         if result is PlanResult.ACCEPTED:
             self._store(upload.kind, upload.items)
+            if upload.kind is not PlanType.RALLY:
+                self._say("received" if upload.kind is PlanType.MISSION else "fence")
+        elif self._style.writes_at_once:
+            result = self._refuse_fence(upload.items)
         return self._end(upload, result)
+
+    def _refuse_fence(self, items: list[Item]) -> PlanResult:
+        """ArduPilot has one result for all that may be wrong with a fence, and says what it was."""
+        corners = next((int(item.values[0]) for item in items if is_too_small(item)), None)
+        if corners is not None:
+            self._speak(f"Invalid vertex count ({corners})")
+        self._say("polygon")
+        return PlanResult.ERROR
 
     def _end(self, upload: _Upload, result: PlanResult) -> list[Any]:
         self._upload = None
@@ -172,29 +247,46 @@ class PlanProtocol:
     # -- downloads and the rest -----------------------------------------------------------------------
 
     def _on_request_list(self, message: Any, kind: PlanType, _: float) -> list[Any]:
-        peer, count = _peer(message), len(self.items[kind])
+        peer, count = _peer(message), len(self.stored(kind))
         if self._upload is not None and self._upload.kind is kind:
             return [_ack(peer, PlanResult.DENIED, kind)]
+        self._listed[peer] = kind
+        self._listed.move_to_end(peer)
+        if len(self._listed) > MAX_PEERS:
+            self._listed.popitem(last=False)
         return [dialect.MAVLink_mission_count_message(*peer, count, int(kind))]
 
     def _on_request(self, message: Any, kind: PlanType, _: float) -> list[Any]:
-        peer, number, items = _peer(message), message.seq, self.items[kind]
+        peer, number, items = _peer(message), message.seq, self.stored(kind)
+        if self._style.needs_list and self._listed.get(peer) is not kind:
+            return []
         if number >= len(items):
-            return [_ack(peer, PlanResult.INVALID_SEQUENCE, kind)]
+            refused = _ack(peer, PlanResult.INVALID_SEQUENCE, kind)
+            count = dialect.MAVLink_mission_count_message(*peer, len(items), int(kind))
+            return [count, refused] if self._style.home_first else [refused]
         is_home = number == 0 and kind is PlanType.MISSION and self._style.home_first
-        item = self._home() if is_home else items[number]
+        item = (self._home() if is_home else None) or items[number]
         whole = message.get_msgId() == dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT
-        current = kind is PlanType.MISSION and number == self.current
-        return [item.write(peer, number, kind, current=current, whole=whole)]
+        if not whole and not self._warned:
+            self._warned = True
+            self._say("old")
+        # PX4 takes the first item of a fence or of rally points for the current one; ArduPilot never home.
+        current = self.current if kind is PlanType.MISSION else 0
+        is_current = number == current and not (self._style.home_first and number == 0)
+        item = replace(item, frame=self._style.frames.get(item.frame, item.frame))
+        return [item.write(peer, number, kind, current=is_current, whole=whole)]
 
     def _on_ack(self, message: Any, kind: PlanType, _: float) -> list[Any]:
         """The end of a download needs nothing; anything but ACCEPTED calls an upload off."""
         upload = self._upload
+        self._listed.pop(_peer(message), None)
         if upload is not None and (upload.peer, upload.kind) == (_peer(message), kind) and message.type:
             self._upload = None
         return []
 
     def _on_clear_all(self, message: Any, kind: PlanType, _: float) -> list[Any]:
+        if kind is PlanType.FENCE:
+            self._say("fence")
         return self._clear(_peer(message), [kind], kind)
 
     def _clear(self, peer: Peer, kinds: list[PlanType], told: int) -> list[Any]:
@@ -205,9 +297,25 @@ class PlanProtocol:
             self._store(kind, [])
         return [_ack(peer, PlanResult.ACCEPTED, told)]
 
+    def stored(self, kind: PlanType) -> list[Item]:
+        """The items of a plan as they are read back; an ArduPilot that never had a mission has its home."""
+        if kind is PlanType.MISSION and self.untouched:
+            home = self._home()
+            return [home] if home is not None else []
+        return self.items[kind]
+
     def _store(self, kind: PlanType, items: list[Item]) -> None:
+        self._write(kind, items, whole=True)
+
+    def _write(self, kind: PlanType, items: list[Item], *, whole: bool = False) -> None:
         self.items[kind] = items
-        self._changed(kind)
+        if kind is PlanType.MISSION:
+            self.untouched = False
+        self._changed(kind, whole)
+
+    def _say(self, event: str) -> None:
+        if event in self._style.texts:
+            self._speak(self._style.texts[event])
 
 
 def _peer(message: Any) -> Peer:

@@ -7,11 +7,11 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.autopilot.flavours import Result, Role
-from lfield_sim.autopilot.plans import MissionItem
+from lfield_sim.autopilot.flavours import Result, Role, Severity
+from lfield_sim.autopilot.plans import NO_ITEM, MissionItem
 from lfield_sim.autopilot.vehicle import Vector
 from lfield_sim.mavlink.command import Answer, Command
-from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.geo import Place, is_near
 from lfield_sim.mavlink.services.fences import Fence, shapes_of
 from lfield_sim.mavlink.services.plan_items import (
     ABOVE_HOME,
@@ -20,11 +20,16 @@ from lfield_sim.mavlink.services.plan_items import (
     TAKEOFF,
     WAYPOINT,
     Item,
+    PlanResult,
     PlanType,
 )
 from lfield_sim.mavlink.services.plan_protocol import ARDUPILOT, HANDLED, PX4, PlanProtocol
 from lfield_sim.mavlink.services.service import Service
 
+#: MISSION_ITEM.current of an item for guided flight; the messages of items; PX4's total of no mission.
+GUIDED_PLACE, GUIDED_HEIGHT = 2, 3
+ITEMS = (dialect.MAVLINK_MSG_ID_MISSION_ITEM, dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT)
+NO_TOTAL = 65535
 #: The parameters in which ArduPilot counts what is stored.
 COUNTS = {PlanType.MISSION: "MIS_TOTAL", PlanType.FENCE: "FENCE_TOTAL", PlanType.RALLY: "RALLY_TOTAL"}
 
@@ -36,7 +41,7 @@ class Plans(Service):
         super().__init__(autopilot, place)
         self._home_first = autopilot.flavour.home_item
         style = ARDUPILOT if self._home_first else PX4
-        self._protocol = PlanProtocol(style, self._home, self._changed)
+        self._protocol = PlanProtocol(style, self._home, self._changed, autopilot.say)
         self._fence = autopilot.fence = Fence()
         self._told = self._progress
         self.handles = dict.fromkeys(HANDLED, self._on_plan)
@@ -67,16 +72,30 @@ class Plans(Service):
     # -- the protocol ---------------------------------------------------------------------------------
 
     def _on_plan(self, message: Any) -> list[Any]:
+        guided = getattr(message, "current", 0) in (GUIDED_PLACE, GUIDED_HEIGHT)
+        if guided and message.get_msgId() in ITEMS and self._home_first:
+            return self._on_guided(message)
         return self._protocol.receive(message, self.autopilot.now)
 
-    def _changed(self, kind: PlanType) -> None:
-        """A new plan is complete: fly it when asked to, or keep to it from now on."""
+    def _on_guided(self, message: Any) -> list[Any]:
+        """An item that is no part of a mission but a goal (2) or a new height (3, which moves nothing)."""
+        place = self._place(Item.read(message))
+        accepted = message.current == GUIDED_HEIGHT
+        if message.current == GUIDED_PLACE and place is not None and is_near(place):
+            accepted = self.autopilot.reposition(place, None, change_mode=False) is Result.ACCEPTED
+        result = PlanResult.ACCEPTED if accepted else PlanResult.ERROR
+        peer = message.get_srcSystem(), message.get_srcComponent()
+        return [dialect.MAVLink_mission_ack_message(*peer, int(result), int(PlanType.MISSION))]
+
+    def _changed(self, kind: PlanType, whole: bool) -> None:
+        """A plan has changed: a `whole` one is flown when asked to, or kept to from now on."""
         items = self._protocol.items[kind]
         if COUNTS[kind] in self.autopilot.parameters:
             self.autopilot.parameters[COUNTS[kind]] = float(len(items))
         if kind is PlanType.MISSION:
             self.autopilot.mission.items = [self._to_fly(item) for item in items]
-            self.autopilot.mission.jump(0)
+            if whole:
+                self.autopilot.mission.begin_again()
         elif kind is PlanType.FENCE:
             self._fence.shapes = shapes_of(items, self.place)
 
@@ -119,8 +138,15 @@ class Plans(Service):
 
     @property
     def _progress(self) -> tuple[int, int, int]:
-        """The current item, how many there are, and the MISSION_STATE."""
-        return self._number, len(self.autopilot.mission.items), self._state
+        """The current item, how many there are (home is none), and the MISSION_STATE."""
+        total = len(self.autopilot.mission.items)
+        if self._home_first:
+            total = max(0, total - 1)
+        return self._number, total or self._no_total, self._state
+
+    @property
+    def _no_total(self) -> int:
+        return 0 if self._home_first else NO_TOTAL
 
     @property
     def _state(self) -> int:
@@ -129,16 +155,27 @@ class Plans(Service):
             return int(dialect.MISSION_STATE_NO_MISSION)
         if mission.current >= total:
             return int(dialect.MISSION_STATE_COMPLETE)
-        if self.autopilot.role is Role.MISSION and self.autopilot.armed:
+        if self.autopilot.role is Role.MISSION and (self.autopilot.armed or self._home_first):
             return int(dialect.MISSION_STATE_ACTIVE)
-        begun = mission.current > int(self._home_first)
+        begun = mission.last_reached != NO_ITEM
         return int(dialect.MISSION_STATE_PAUSED if begun else dialect.MISSION_STATE_NOT_STARTED)
 
     def _on_set_current(self, message: Any) -> list[Any]:
-        return [self._current()] if self.autopilot.mission.jump(message.seq) else []
+        if self._jump_to(message.seq):
+            return [self._current()]
+        if not self._home_first:
+            self.autopilot.say("WPM: WP CURR CMD: Not in list\t", Severity.CRITICAL)
+        return []
+
+    def _jump_to(self, number: int) -> bool:
+        """Item 0 of ArduPilot's is home: 1 is meant."""
+        mission = self.autopilot.mission
+        return mission.jump(max(number, 1) if self._home_first and len(mission.items) > 1 else number)
 
     def _jump(self, command: Command) -> Answer:
-        if not self.autopilot.mission.jump(command.whole(1)):
+        if not self._home_first:
+            return Result.UNSUPPORTED, []
+        if not self._jump_to(command.whole(1)):
             return Result.DENIED, []
         return Result.ACCEPTED, [self._current()]
 

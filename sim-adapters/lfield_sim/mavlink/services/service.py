@@ -1,13 +1,16 @@
 """What a service of the fake is: missions, fences, parameters, files, each in a file of its own.
 
-A service belongs to one vehicle and sees whole messages, never packets. Three tables say what it takes:
+A service belongs to one vehicle and sees whole messages, never packets. Four tables say what it takes:
 
 - `handles`: message id -> handler. Called with the message (addressed to this vehicle or to all); returns
   the messages that answer it, which go to the asking peer alone.
-- `commands`: MAV_CMD -> handler. Called with the `Command`; returns the result and messages that follow
-  the acknowledgement. A command of a service goes before one of `commands.py`.
+- `commands`: MAV_CMD -> handler. Called with the `Command`; returns the result (`Late`: one that comes later,
+  None: silence) and messages that follow the acknowledgement. A command of a service goes before one of
+  `commands.py`.
 - `messages`: message id -> builder. What can be asked for with REQUEST_MESSAGE (512), SET_MESSAGE_INTERVAL
   (511) and, for PX4, is streamed.
+- `requests`: message id -> what answers REQUEST_MESSAGE instead: several messages, none (it is accepted all
+  the same), or None, which refuses it.
 
 `advance(now)` is called after every step of the model (`now` is `autopilot.now`, in seconds; it goes on over
 a reboot); what it returns goes to every peer. Long answers (a parameter list, a burst read) belong there,
@@ -48,6 +51,7 @@ from lfield_sim.mavlink.geo import Place
 Handler = Callable[[Any], list[Any]]
 CommandHandler = Callable[[Command], Answer]
 MessageBuilder = Callable[[], Any]
+RequestHandler = Callable[[], list[Any] | None]
 
 
 class Service:
@@ -58,6 +62,7 @@ class Service:
         self.handles: Mapping[int, Handler] = {}
         self.commands: Mapping[int, CommandHandler] = {}
         self.messages: Mapping[int, MessageBuilder] = {}
+        self.requests: Mapping[int, RequestHandler] = {}
 
     def advance(self, now: float) -> list[Any]:
         """Messages for every peer, after a step of the model."""

@@ -6,7 +6,8 @@ Paths are absolute and plain: `/a/b`. Every error is one of FTP's own (https://m
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 
 #: Bytes of one file, entries of the tree, characters of a path.
@@ -37,13 +38,29 @@ class TreeError(Exception):
         self.error, self.number = error, number
 
 
+@dataclass(frozen=True, slots=True)
+class Made:
+    """A file that is made when it is read, as ArduPilot's @PARAM/param.pck.
+
+    `told` is the size that is told before anybody knows it. Whether its checksum is that of what was read is
+    `checks`: one that is made anew for each reading has another.
+    """
+
+    content: Callable[[], bytes]
+    told: Callable[[], int]
+    checks: bool = True
+
+
 class Tree:
-    """Folders and files. `made` are files made when they are read, as ArduPilot's @PARAM/param.pck."""
+    """Folders and files. `made` are files made when they are read; in `shown` is what their folders list."""
 
     def __init__(
-        self, files: Mapping[str, bytes], made: Mapping[str, Callable[[], bytes]] | None = None
+        self,
+        files: Mapping[str, bytes],
+        made: Mapping[str, Made] | None = None,
+        shown: Mapping[str, Sequence[str]] | None = None,
     ) -> None:
-        self._made = dict(made or {})
+        self._made, self._shown = dict(made or {}), dict(shown or {})
         self._folders: set[str] = {"/"}
         self._files: dict[str, bytearray] = {}
         for path, data in files.items():
@@ -53,14 +70,30 @@ class Tree:
     def read(self, path: str) -> bytes:
         """The whole of a file. Raises TreeError."""
         if path in self._made:
-            return self._made[path]()
+            return self._made[path].content()
         path = _plain(path)
         if path in self._files:
             return bytes(self._files[path])
         raise TreeError(FtpError.FAIL if path in self._folders else FtpError.NOT_FOUND)
 
+    def checked(self, path: str) -> bytes:
+        """What the checksum of a file is made of. Raises TreeError."""
+        content = self.read(path)
+        checks = path not in self._made or self._made[path].checks
+        return content if checks else content + b"\0"
+
+    def size(self, path: str) -> int:
+        """The size that is told of a file. Raises TreeError."""
+        return self._made[path].told() if path in self._made else len(self.read(path))
+
+    def has(self, path: str) -> bool:
+        """Whether there is such a file. Raises TreeError for what is no path."""
+        return path in self._made or _plain(path) in self._files
+
     def entries(self, path: str) -> list[str]:
         """What is in a folder: `D<name>`, `F<name>\\t<size>`. Raises TreeError."""
+        if path.rstrip("/") in self._shown:
+            return list(self._shown[path.rstrip("/")])
         path = _plain(path)
         if path not in self._folders:
             raise TreeError(FtpError.NOT_FOUND)
@@ -85,6 +118,22 @@ class Tree:
             raise TreeError(FtpError.FAIL_ERRNO, errno.ENOSPC)
         file.extend(bytes(max(0, offset - len(file))))
         file[offset : offset + len(data)] = data
+
+    def truncate(self, path: str, size: int) -> None:
+        """Cut a file to a size. Raises TreeError."""
+        path = _plain(path)
+        if path not in self._files:
+            raise TreeError(FtpError.NOT_FOUND)
+        del self._files[path][size:]
+
+    def rename(self, old: str, new: str) -> None:
+        """Give a file another path. Raises TreeError."""
+        old, new = _plain(old), self._new(new, there=self._files)
+        if old not in self._files:
+            raise TreeError(FtpError.NOT_FOUND)
+        if new in self._folders:
+            raise TreeError(FtpError.FAIL_ERRNO, errno.EISDIR)
+        self._files[new] = self._files.pop(old)
 
     def remove(self, path: str) -> None:
         """Remove a file. Raises TreeError."""

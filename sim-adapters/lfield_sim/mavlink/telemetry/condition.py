@@ -8,12 +8,14 @@ from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Role
-from lfield_sim.autopilot.readiness import has_fix, trusts_position
-from lfield_sim.autopilot.vehicle import Descend
+from lfield_sim.autopilot.lifting import landed_state
+from lfield_sim.autopilot.readiness import has_fix, trusts_position, warmth
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.telemetry.motion import micros, millis
 
 NO_VALUE_16 = 0xFFFF
+#: The share of a cold start that ArduPilot calls booting.
+BOOTED = 0.07
 #: Seconds since 1970 when the fake's GPS clock begins: 2026-11-01, so that runs are alike.
 EPOCH = 1_793_491_200
 #: MAV_SYS_STATUS_SENSOR: inertial, magnetic, pressure, GPS, control, motors, battery, pre-arm checks.
@@ -48,6 +50,8 @@ def _state(autopilot: Autopilot) -> int:
     """MAV_STATE: an ArduCopter is active in the air, a rover unless it holds, PX4 when it is armed."""
     if autopilot.critical:
         return int(dialect.MAV_STATE_CRITICAL)
+    if warmth(autopilot) < BOOTED and not autopilot.flavour.submodes:
+        return int(dialect.MAV_STATE_BOOT if autopilot.flies else dialect.MAV_STATE_CALIBRATING)
     if autopilot.flavour.submodes:
         if not autopilot.armed and autopilot.unfit:
             return int(dialect.MAV_STATE_UNINIT)
@@ -75,7 +79,7 @@ def sys_status(autopilot: Autopilot, _: Place) -> Any:
         health &= ~GPS
     if autopilot.unfit and not autopilot.armed:
         health &= ~PREARM
-    if autopilot.failsafes.breach:
+    if autopilot.failsafes.fences.breach:
         health &= ~FENCE
     volts, amperes = round(battery.volts * 1000), round(battery.current * 100)
     return dialect.MAVLink_sys_status_message(
@@ -124,23 +128,15 @@ def home_position(autopilot: Autopilot, place: Place) -> Any:
 
 
 def extended_sys_state(autopilot: Autopilot, _: Place) -> Any:
-    """EXTENDED_SYS_STATE 245: the landed state of a copter, undefined for a rover."""
-    if not autopilot.flies:
-        landed = dialect.MAV_LANDED_STATE_UNDEFINED
-    elif autopilot.landed:
-        landed = dialect.MAV_LANDED_STATE_ON_GROUND
-    elif autopilot.role is Role.LAND or isinstance(autopilot.vehicle.goal, Descend):
-        landed = dialect.MAV_LANDED_STATE_LANDING
-    elif autopilot.role is Role.TAKEOFF:
-        landed = dialect.MAV_LANDED_STATE_TAKEOFF
-    else:
-        landed = dialect.MAV_LANDED_STATE_IN_AIR
-    return dialect.MAVLink_extended_sys_state_message(dialect.MAV_VTOL_STATE_UNDEFINED, landed)
+    """EXTENDED_SYS_STATE 245: what it says about being on the ground."""
+    return dialect.MAVLink_extended_sys_state_message(
+        dialect.MAV_VTOL_STATE_UNDEFINED, int(landed_state(autopilot))
+    )
 
 
 def fence_status(autopilot: Autopilot, _: Place) -> Any:
     """FENCE_STATUS 162."""
-    watch = autopilot.failsafes
+    watch = autopilot.failsafes.fences
     at = int(max(0.0, watch.breached_at - autopilot.booted) * 1000)
     return dialect.MAVLink_fence_status_message(
         1 if watch.breach else 0, watch.breaches, watch.breach, at & 0xFFFFFFFF

@@ -46,16 +46,13 @@ MESSAGES: Mapping[int, Builder] = {
     9005: equipment.winch_status,
 }
 
-#: What cannot be told before home and origin are known.
-HOMES = frozenset({49, 242})
-
 #: What cannot be told without a position: nothing of it is streamed while GPS is lost.
-POSITIONS = frozenset({32, 33, 331})
+POSITIONS = frozenset({32, 331})
 
 #: What REQUEST_DATA_STREAM (66) means by a stream number; 0 is all of them.
 DATA_STREAMS: Mapping[int, tuple[int, ...]] = {
     1: (24, 26),
-    2: (1, 24, 162, 245),
+    2: (1, 24, 42, 162),
     3: (36, 65),
     6: (32, 33),
     10: (30,),

@@ -58,8 +58,10 @@ def local_position_ned(autopilot: Autopilot, _: Place) -> Any:
 
 
 def global_position_int(autopilot: Autopilot, place: Place) -> Any:
-    """GLOBAL_POSITION_INT 33."""
+    """GLOBAL_POSITION_INT 33; all of it nothing before there is a fix."""
     vehicle = autopilot.vehicle
+    if not has_fix(autopilot):
+        return dialect.MAVLink_global_position_int_message(millis(autopilot), *[0] * 8)
     north, east, down = vehicle.place
     return dialect.MAVLink_global_position_int_message(
         millis(autopilot),

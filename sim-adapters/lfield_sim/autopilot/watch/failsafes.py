@@ -1,4 +1,4 @@
-"""What an autopilot watches by itself: ground station, setpoints, battery, fence, position.
+"""The failsafes of one autopilot: ground station, setpoints, battery, position.
 
 The rules are data (`flavours`); times and texts are those measured on the real ones. The mode that
 a failsafe chose stays until somebody commands another.
@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from lfield_sim.autopilot.flavours import BatteryLevel, Role, Severity
 from lfield_sim.autopilot.pilot import Pilot
-from lfield_sim.autopilot.plans import NO_BREACH
+from lfield_sim.autopilot.watch.fences import Fences
 
 #: FS_OPTIONS bit 3: a landing goes on whatever fails.
 CONTINUE_LANDING = 0x8
 #: COM_OBL_RC_ACT: what PX4 does when the setpoints end; without a radio control the rest is to return.
 SETPOINT_ACTIONS = {4: Role.LAND, 5: Role.HOLD}
+#: What PX4 says when it takes over at once.
+FAILSAFE = "Failsafe activated\t"
 #: Seconds without a position after which it is not trusted any more.
 POSITION_LOST = 1.0
 
@@ -31,9 +33,7 @@ class Failsafes:
         self._low: set[str] = set()
         self._blind: float = 0.0
         self._was_blind = False
-        self.breach = NO_BREACH
-        self.breaches = 0
-        self.breached_at = 0.0
+        self.fences = Fences(pilot)
 
     def heartbeat(self, system: int, *, station: bool) -> None:
         """A heartbeat of another system; ArduPilot counts one system's, PX4 every ground station's."""
@@ -52,12 +52,14 @@ class Failsafes:
     def commanded(self) -> None:
         """Somebody took over: what was still to come does not come."""
         self._later = None
+        self.fences.commanded()
         if self._rules.needs_stream and not self.gcs_lost:
             self._pilot.critical = False
 
     def check(self, dt: float) -> None:
         """Look at everything once."""
-        self._check_fence()
+        if (role := self.fences.check()) is not None:
+            self._leave_fence(role)
         self._check_gcs()
         self._check_setpoints()
         self._check_battery()
@@ -78,7 +80,11 @@ class Failsafes:
         late = pilot.value(rule.late) if isinstance(rule.late, str) else rule.late
         if pilot.now - self.gcs_seen <= pilot.value(rule.timeout) + late:
             return
+        if rule.stands and pilot.role in (Role.HOLD, Role.RETURN):
+            return
         self.gcs_lost, self._clears_at = True, None
+        for text in () if pilot.armed else rule.lost_texts:
+            pilot.say(text, Severity.WARNING)
         if pilot.armed or rule.stands:
             self._lose_gcs(rule.actions.get(action))
         elif not rule.pause:
@@ -90,7 +96,9 @@ class Failsafes:
         pilot, rule = self._pilot, self._rules.gcs
         if self._clears_at is None or pilot.now < self._clears_at:
             return
-        self.gcs_lost = pilot.critical = False
+        # What PX4 did about it stays a failsafe until somebody commands a mode.
+        pilot.critical = pilot.critical and bool(rule.pause) and pilot.mode != pilot.intended
+        self.gcs_lost = False
         self._clears_at = self._later = None
         pilot.say(rule.cleared, Severity.WARNING)
 
@@ -99,15 +107,29 @@ class Failsafes:
         pilot.critical = True
         pause = pilot.value(rule.pause) if rule.pause else 0.0
         lands_on = self._lands_on()
-        text = rule.goes_on if lands_on else rule.text.format(pause=pause)
-        pilot.say(text, Severity.WARNING)
-        if role is None or lands_on:
+        pilot.say(rule.goes_on if lands_on else rule.text, Severity.WARNING)
+        if role is not None and not lands_on:
+            self._act_after(pause, role)
+
+    def _leave_fence(self, role: Role) -> None:
+        """Outside its fence ArduPilot acts at once and is not critical; PX4 holds for a while first."""
+        pilot, rule = self._pilot, self._rules.fence
+        if not rule.pause:
+            if not self._lands_on():
+                pilot.fall_back(role)
             return
+        pilot.critical = True
+        pause = 0.0 if role is Role.HOLD else pilot.value(rule.pause)
+        pilot.say(rule.hold_text.format(pause=pause) if pause else FAILSAFE, Severity.CRITICAL)
+        self._act_after(pause, role)
+
+    def _act_after(self, pause: float, role: Role) -> None:
+        """Take a role; after a hold of so many seconds, when there is one."""
         if pause > 0.0:
-            pilot.fall_back(Role.HOLD)
-            self._later = (pilot.now + pause, role)
+            self._pilot.fall_back(Role.HOLD)
+            self._later = (self._pilot.now + pause, role)
         else:
-            pilot.fall_back(role)
+            self._pilot.fall_back(role)
 
     def _lands_on(self) -> bool:
         """Whether it is landing and is told to go on with that (FS_OPTIONS bit 3)."""
@@ -126,7 +148,7 @@ class Failsafes:
             pilot.stop_moving()
         elif pilot.armed:
             pilot.critical = True
-            pilot.say("Failsafe activated\t", Severity.WARNING)
+            pilot.say(FAILSAFE, Severity.WARNING)
             pilot.fall_back(SETPOINT_ACTIONS.get(int(pilot.value("COM_OBL_RC_ACT")), Role.RETURN))
 
     # -- battery ---------------------------------------------------------------------------------------
@@ -152,17 +174,6 @@ class Failsafes:
         if role is not None and not self._lands_on():
             self._pilot.critical = True
             self._pilot.fall_back(role)
-
-    # -- fence -----------------------------------------------------------------------------------------
-
-    def _check_fence(self) -> None:
-        pilot = self._pilot
-        breach, text = pilot.fence_at(pilot.vehicle.place)
-        if breach and breach != self.breach and pilot.armed:
-            self.breaches, self.breached_at = min(self.breaches + 1, 0xFFFF), pilot.now
-            pilot.say(text, Severity.WARNING)
-            self._act(self._rules.fence.actions.get(int(pilot.value(self._rules.fence.action))))
-        self.breach = breach if pilot.armed else NO_BREACH
 
     # -- position --------------------------------------------------------------------------------------
 

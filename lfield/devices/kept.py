@@ -1,0 +1,86 @@
+"""What devices had before `lfield setup` wrote to them: on the disk before the first write.
+
+One file of this user, read by people too. An entry has the whole binding, so that the device is found again
+without the mission; the newest is last, and is put back first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from lfield.driver.binding import DeviceBinding
+from lfield.errors import InputFileError, OutputFileError
+from lfield.text.files import reason
+from lfield.text.private import read_private, write_private
+from lfield.text.record import state_folder
+
+#: A larger file is none of ours, in bytes.
+_MOST = 16 << 20
+
+
+class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One setting: what it was, and what was written."""
+
+    name: str
+    was: float
+    now: float
+
+
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What was written to one device at once: when (ISO 8601), to whom, and how it is reached."""
+
+    when: str
+    identity: str
+    changes: list[Change]
+    binding: DeviceBinding
+
+
+class _Pages(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The file, in JSON; another `version` is not read."""
+
+    version: int
+    entries: list[Entry]
+
+
+class Kept:
+    """The entries in a file, the oldest first."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def entries(self) -> list[Entry]:
+        """All of them; none without a file. Raises InputFileError: what cannot be read is not overwritten."""
+        try:
+            pages = msgspec.json.decode(read_private(self.path, _MOST), type=_Pages)
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise InputFileError(str(self.path), reason(error)) from None
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+            told = f"it is damaged ({error}); what devices had before is in it: move it away to go on"
+            raise InputFileError(str(self.path), told) from None
+        if pages.version != 1:
+            raise InputFileError(str(self.path), f"it is of version {pages.version}; this lfield knows 1")
+        return pages.entries
+
+    def write(self, entries: Sequence[Entry]) -> None:
+        """Have these and no others, on the disk when this returns; no file for none.
+
+        Raises OutputFileError.
+        """
+        if entries:
+            data = msgspec.json.format(msgspec.json.encode(_Pages(1, list(entries))), indent=1)
+            write_private(self.path, data, durable=True)
+            return
+        try:
+            self.path.unlink(missing_ok=True)
+        except OSError as error:
+            raise OutputFileError(str(self.path), error.strerror or str(error)) from None
+
+
+def kept_file(folder: Path | None) -> Path:
+    """Where it is: in the folder that is named, else in the service's or the user's own."""
+    return (folder or state_folder()) / "setup.json"

@@ -1,0 +1,109 @@
+"""Leaving the ground and coming back to it: takeoff, landing, what is said of both, and when it disarms.
+
+Times by the traces `f-fence-landing` and `l-px4-rover`. A takeoff is accepted at once; the motors come up
+first, and only then does it leave the ground. PX4's rover "takes off" and "lands" where it stands.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+from lfield_sim.autopilot.flavours import Role
+from lfield_sim.autopilot.pilot import Pilot
+from lfield_sim.autopilot.vehicle import Descend, Reach, Rest, Rise
+
+#: Metres within which a height is reached; what an ArduCopter has risen by until it says so.
+AT_HEIGHT, LIFTED = 0.3, 0.2
+
+
+class LandedState(IntEnum):
+    """MAV_LANDED_STATE."""
+
+    UNDEFINED = 0
+    ON_GROUND = 1
+    IN_AIR = 2
+    TAKEOFF = 3
+    LANDING = 4
+
+
+def landed_state(pilot: Pilot) -> LandedState:
+    """What it says about being on the ground; ArduPilot's rover does not say."""
+    if not pilot.kind.lands:
+        return LandedState.UNDEFINED
+    if not pilot.flies:
+        return LandedState.ON_GROUND if pilot.landed else LandedState.IN_AIR
+    if pilot.lifts_at is not None:
+        return LandedState.TAKEOFF if _has_lifted(pilot) else LandedState.ON_GROUND
+    if pilot.landed:
+        return LandedState.ON_GROUND
+    descends = pilot.role is Role.LAND or isinstance(pilot.vehicle.goal, Descend)
+    return LandedState.LANDING if descends else LandedState.IN_AIR
+
+
+def _has_lifted(pilot: Pilot) -> bool:
+    if pilot.flavour.takeoff_mode:
+        return pilot.now >= (pilot.lifts_at or 0.0)
+    return pilot.vehicle.place[2] < -LIFTED
+
+
+def begin_takeoff(pilot: Pilot, down: float) -> None:
+    """Up to a height, straight from where it is, when the motors are up to it."""
+    pilot.pace.enter(guided=True)
+    pilot.lifts_at = pilot.now
+    if not pilot.vehicle.airborne:
+        limits = pilot.kind.limits
+        pilot.lifts_at = max(pilot.now + limits.spool, pilot.armed_first + limits.awake)
+    pilot.lift_goal = down
+    pilot.vehicle.goal = Rest()
+
+
+def rise(pilot: Pilot) -> None:
+    """Go on with a takeoff, until it is at its height or somebody wants something else."""
+    if pilot.lifts_at is None:
+        return
+    vehicle = pilot.vehicle
+    if not pilot.armed or not isinstance(vehicle.goal, Rest | Rise):
+        pilot.lifts_at = None
+    elif vehicle.place[2] <= pilot.lift_goal + AT_HEIGHT:
+        pilot.lifts_at = None
+        vehicle.goal = Reach((*vehicle.place[:2], pilot.lift_goal))
+    elif pilot.now >= pilot.lifts_at:
+        vehicle.goal = Rise(pilot.lift_goal, vehicle.limits.takeoff)
+
+
+def disarm_when_idle(pilot: Pilot) -> None:
+    """A vehicle that landed, or never took off, disarms itself; ArduPilot's rover does not."""
+    if not pilot.kind.lands or not pilot.armed:
+        return
+    _say_landed(pilot)
+    if pilot.aloft:
+        pilot.touched_at, pilot.armed_at = math.inf, pilot.now
+        return
+    if pilot.touched_at == math.inf:
+        pilot.touched_at = pilot.now
+    delay = pilot.value(pilot.flavour.disarm_delay)
+    if _is_over(pilot):
+        pilot.disarm(text=pilot.flavour.landed_text)
+        if pilot.flavour.takeoff_mode:
+            # PX4 leaves a mode that has done what it is for.
+            pilot.go_on(Role.HOLD)
+    elif isinstance(pilot.vehicle.goal, Rest) and 0.0 < delay < pilot.now - pilot.armed_at:
+        pilot.disarm(text=pilot.flavour.idle_text)
+
+
+def _say_landed(pilot: Pilot) -> None:
+    """PX4 says when it has left the ground, and when it is back."""
+    stands = pilot.landed
+    if stands != pilot.stood and pilot.flavour.takeoff_mode:
+        pilot.say("Landing detected\t" if stands else "Takeoff detected\t")
+    pilot.stood = stands
+
+
+def _is_over(pilot: Pilot) -> bool:
+    """Whether a landing has ended so long ago that the motors go off."""
+    if pilot.role not in (Role.LAND, Role.RETURN) or not pilot.landed:
+        return False
+    delay = pilot.flavour.land_delay
+    wait = pilot.value(delay) if isinstance(delay, str) else delay
+    return pilot.touched_at is None or pilot.now - pilot.touched_at >= pilot.settles + wait

@@ -1,0 +1,1 @@
+"""What an autopilot watches by itself: `failsafes` (station, setpoints, battery, position), `fences`."""

@@ -1,0 +1,114 @@
+"""The driver and its kit against drives that somebody else has built: canopen's LocalNode, another object
+dictionary, other readings of CiA 301. In real time and over a socketcand door, as hardware would be."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import ExitStack
+
+import pytest
+from foreign_drive import foreign
+from foreign_objects import UNFIT, UNUSED, VARIANTS
+
+from lfield.devices.try_out import checks_of, try_devices
+from lfield.driver.plugins import discover
+from lfield.errors import DevicesError
+from lfield.testing.driver_bench import guarded, running_fake
+
+pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(120)]
+
+#: Seconds that the host of a test may be silent: the machine may be busy.
+SILENCE = 1.0
+OPTIONS = {"protocol": "cia402", "node": 9, "counts": 10_000, "homing_method": 37}
+
+
+@pytest.fixture
+def bus():
+    """Make a bus with one foreign drive on it: its endpoint and the drive."""
+    with ExitStack() as running:
+
+        def make(variant):
+            fake = running.enter_context(running_fake("can", "--device", "odrive:60"))
+            return fake.endpoint, running.enter_context(foreign(fake.endpoint, OPTIONS["node"], variant))
+
+        yield make
+
+
+@pytest.fixture
+def bound(binding):
+    def make(endpoint, field="axis", **changes):
+        given = {"limits": {"speed": 5.0}, "ttl": 1.5, **changes}
+        options = {**OPTIONS, **given.pop("options", {})}
+        return binding("CanAxis", field=field, endpoint=endpoint, options=options, **given)
+
+    return make
+
+
+def test_every_foreign_drive_passes_the_kit(bus, bound):
+    plugins, names = discover(), [variant.name for variant in VARIANTS]
+
+    async def kit(name, binding):
+        found = await try_devices(
+            plugins,
+            [binding],
+            checks_of(plugins.by_driver["can"]),
+            True,
+            lambda finding: None,
+            silence=SILENCE,
+        )
+        return [f"{name}: {f.check}: {f.outcome}: {f.seen}" for f in found if f.outcome != "passed"]
+
+    async def all_at_once():
+        drives = [bound(bus(variant)[0], f"axis{n}") for n, variant in enumerate(VARIANTS)]
+        return await asyncio.gather(*map(kit, names, drives))
+
+    wrong = [line for lines in asyncio.run(all_at_once()) for line in lines]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_what_does_not_fit_is_said_with_what_the_drive_has_and_answered(bus, bound):
+    async def open_it():
+        async with guarded(bound(bus(UNFIT)[0])):
+            raise AssertionError("it must not be opened")
+
+    with pytest.raises(DevicesError) as error:
+        asyncio.run(open_it())
+    told = str(error.value)
+    assert (
+        "no TPDO holds velocity (0x606C), and it cannot be mapped: mapping of TPDO 2 0x1A01:0 refused" in told
+    )
+    assert "Attempt to write a read only object" in told
+    assert "It has TPDO 1 with 0x6041, TPDO 2 with 0x6041 0x6064" in told
+
+
+@pytest.mark.parametrize("variant", VARIANTS[4:], ids=lambda variant: variant.name)
+def test_a_stream_in_process_data_that_carry_the_control_word_too(bus, bound, variant):
+    """The word, the mode and the targets that share a frame never bring one another's old values back."""
+
+    async def mission():
+        endpoint, drive = bus(variant)
+        binding = bound(endpoint, waivers=["no_homing"], options={"cyclic": True})
+        async with guarded(binding, silence=SILENCE) as (axis,):
+            await axis.call("enable")
+            await axis.call("setVelocity", 1.0)
+            await axis.reads("velocity", lambda speed: abs(speed - 1.0) < 0.1)
+            await axis.call("setPosition", await axis.call("position") + 0.5)
+            assert (drive.mode, drive.word) == (8, 0x0F)
+            await axis.call("stop")
+            await asyncio.sleep(0.2)
+            assert drive.state != 0x0237
+            assert abs(drive.velocity) < 100
+
+    asyncio.run(mission())
+
+
+def test_the_ids_of_process_data_keep_what_the_drive_wants_of_them(bus, bound):
+    async def mission():
+        endpoint, drive = bus(VARIANTS[1])
+        async with guarded(bound(endpoint)):
+            assert drive.get(0x1800, 1) == 1 << 30 | 0x189
+            assert drive.get(0x1400, 1) == 1 << 30 | 0x209
+            assert [drive.get(0x1801, n) for n in (2, 3, 5)] == [255, 100, 20]
+            assert drive.get(0x1803, 1) & UNUSED == 0  # not ours, and left as it was
+
+    asyncio.run(mission())

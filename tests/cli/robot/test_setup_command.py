@@ -1,0 +1,115 @@
+"""`lfield setup`: what `doctor`, `kit` and `up` only name, written after a yes, and put back."""
+
+from __future__ import annotations
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Copter { Mavlink fc; init(string[] arg) { while (true) yield(); } }
+coordinator Nobody { init(string[] arg) { } }
+"""
+DEPLOYMENT = "//Copter:lead@alpha\n//Nobody:one@alpha\n"
+STOCK = "FS_GCS_ENABLE is 0 and must be 5"
+
+
+@pytest.fixture
+def endpoint(lfield):
+    """A copter as it comes out of the box."""
+    words = ("--listen", "udp:127.0.0.1:0", "--until-stdin-closes", "--param", "WPNAV_SPEED=1000")
+    return lfield.start("sim", "mavlink", *words, stdin=True).wait_for(r"^ready (\S+)")[1]
+
+
+@pytest.fixture
+def deployment(lfield, endpoint):
+    copter = f"driver: mavlink, endpoint: '{endpoint}', ttl: 1.0, limits: {{speed: 3.0}}"
+    return lfield.mission(PROGRAM, DEPLOYMENT, f"agents:\n  lead: {{devices: {{fc: {{{copter}}}}}}}\n")
+
+
+@pytest.fixture
+def setup(lfield, here):
+    return lambda *words, state="state": here("setup", *words, "--state", lfield.folder / state)
+
+
+def test_what_is_not_set_up_is_told_written_and_put_back(lfield, here, setup, endpoint, deployment):
+    command = f"lfield setup --deploy {deployment}"
+
+    doctor = here("doctor", "--deploy", deployment)
+    assert doctor.status == 69
+    (number,) = [number for number, line in enumerate(doctor.out) if "lead.fc" in line]
+    assert f"PROBLEM lead.fc: it is not set up for its binding: {STOCK}, FS_GCS" in doctor.out[number]
+    assert "WPNAV_SPEED is 1000 and must be 300" in doctor.out[number]
+    assert doctor.out[number + 1] == f"        -> {command} (it asks first)"
+
+    up = lfield("up", "--deploy", deployment, "--all")
+    assert lfield.status(up) == 69, up.said
+    assert any(STOCK in line and f"this sets it up: {command} --host alpha" in line for line in up.err)
+
+    words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0")
+    kit = here("kit", *words, "--silence", "2", "--yes")
+    assert kit.status == 69
+    assert STOCK in kit.err[0]
+    assert kit.err[0].endswith(f"this sets it up: lfield setup {' '.join(words)}")
+
+    # Nobody who could be asked: it is still as it was.
+    asked = setup("--deploy", deployment)
+    assert asked.status == 64
+    assert asked.out[1].split()[:4] == ["lead.fc", "FS_GCS_ENABLE", "0", "5"]
+    assert asked.err == [
+        "lfield: nothing was written: nobody can be asked here; add --yes if that is to be written"
+    ]
+
+    done = setup("--deploy", deployment, "--host", "alpha", "--yes")
+    assert done.status == 0
+    assert "lead.fc: WPNAV_SPEED was 1000 and is now 300" in done.out
+    assert setup("--deploy", deployment).out == ["nothing to do: every device keeps what its binding needs"]
+    assert here("doctor", "--deploy", deployment).status == 0
+
+    back = setup("--back", "--yes")
+    assert back.status == 0
+    assert "lead.fc: WPNAV_SPEED was 300 and is 1000 again" in back.out
+    assert setup("--back").out[0].startswith("nothing to put back")
+    assert setup("--deploy", deployment).out == asked.out
+
+
+def test_what_somebody_else_has_written_since_is_left_alone(setup, endpoint):
+    words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--yes")
+    assert setup(*words, "--set", "safe_state=land").status == 0
+    assert setup(*words, "--set", "safe_state=return").status == 0
+    back = setup("--back", "--yes")
+    # The last first.
+    told = [line for line in back.out if "FS_GCS_ENABLE was" in line]
+    assert told == [
+        "kit.device: FS_GCS_ENABLE was 1 and is 5 again", "kit.device: FS_GCS_ENABLE was 5 and is 0 again"
+    ]  # fmt: skip
+    assert setup(*words).status == 0
+    assert setup(*words, "--set", "safe_state=hold", state="elsewhere").status == 0
+    back = setup("--back", "--yes")
+    assert back.status == 69
+    assert back.err[0] == "kit.device: FS_GCS_ENABLE is 7, by somebody else: left alone; it was 0 before"
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "sentence"),
+    [
+        ([], 64, "whose devices? give --deploy MISSION, or DRIVER --endpoint E"),
+        (["mavlink"], 64, "where is the device?"),
+        (["mavlink", "--deploy", "mission.dL"], 64, "name a mission by --deploy, or a driver; not both"),
+        (["mavlink", "--endpoint", "udp:127.0.0.1:1", "--sim"], 64, "name it by --deploy"),
+        (["--deploy", "none.dL"], 66, "none"),
+        (["mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "connect=0.3"], 69, "no heartbeat"),
+    ],
+)
+def test_what_is_wrong_is_a_sentence(setup, words, status, sentence):
+    said = setup(*words)
+    assert said.status == status, said
+    assert sentence in "\n".join(said.err)
+    assert said.out == []
+
+
+def test_the_fakes_of_a_mission_come_set_up(setup, lfield):
+    copter = "driver: mavlink, endpoint: 'udp:127.0.0.1:1', ttl: 1.0, limits: {speed: 3.0}, safe_state: hold"
+    devices = f"agents:\n  lead: {{devices: {{fc: {{{copter}}}}}}}\n"
+    looked = setup("--deploy", lfield.mission(PROGRAM, DEPLOYMENT, devices), "--sim")
+    assert looked.out == ["nothing to do: every device keeps what its binding needs"], looked

@@ -1,0 +1,111 @@
+"""Writing what devices must keep: kept before it is written, and put back the last first."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import asynccontextmanager
+
+import pytest
+
+from lfield.clock import ManualClock
+from lfield.devices import setup
+from lfield.devices.kept import Change, Kept
+from lfield.devices.setup import Found, put_back, set_up
+from lfield.driver import DeviceBinding, DeviceError, Setting
+from lfield.driver.known import KnownDrivers
+from lfield.errors import DevicesError, InputFileError
+
+
+class Lamp:
+    """A device that keeps a colour and a level; after `writes` of them it is gone."""
+
+    def __init__(self, name="lamp", writes=10, in_use=False):
+        self.binding = DeviceBinding(
+            agent=name, field="l", type="Lamp", driver="lamp", endpoint=name, safe_state="off"
+        )
+        self.kept = {"LEVEL": 1.0, "COLOUR": 2.0}
+        self.wanted = {"LEVEL": 5.0, "COLOUR": 6.0}
+        self.writes, self.in_use = writes, in_use
+
+    def found(self):
+        kept = [Setting(name, self.kept[name], self.wanted[name], "it is seen") for name in self.kept]
+        return Found(self, "a lamp", kept)
+
+    def check_idle(self):
+        if self.in_use:
+            raise DeviceError("l", "nothing was written: it shines")
+
+    async def write_setting(self, name, value):
+        if self.writes == 0:
+            raise DeviceError("l", "it is gone")
+        self.writes -= 1
+        self.kept[name] = value
+
+    async def check_settings(self):
+        pass
+
+
+@pytest.fixture
+def kept(tmp_path):
+    return Kept(tmp_path / "own" / "setup.json")
+
+
+@pytest.fixture
+def restore(kept, monkeypatch):
+    """Puts everything back on lamps; what could not be."""
+
+    def run(*lamps):
+        @asynccontextmanager
+        async def reached(drivers, bindings, clock, tell):
+            found = [lamp.found() for lamp in lamps if lamp.binding in bindings]
+            if not found:
+                raise DevicesError(["not there"])
+            yield found
+
+        monkeypatch.setattr(setup, "reached", reached)
+        return asyncio.run(put_back(kept, lambda _: True, KnownDrivers({}), ManualClock(), print))
+
+    return run
+
+
+def test_what_was_there_is_kept_before_the_first_write(kept, restore):
+    lamp, other = Lamp(writes=1), Lamp("other")
+    with pytest.raises(DevicesError, match=r"^lamp\.l: it is gone$"):
+        asyncio.run(set_up([lamp.found(), other.found()], kept, "now", print))
+    # Only one of two was written, and the other device all the same.
+    assert lamp.kept == {"LEVEL": 5.0, "COLOUR": 2.0}
+    assert other.kept == other.wanted
+    assert [entry.changes[1] for entry in kept.entries()] == [Change("COLOUR", 2.0, 6.0)] * 2
+    lamp.writes = 10
+    assert restore(lamp, other) == []
+    assert lamp.kept == other.kept == {"LEVEL": 1.0, "COLOUR": 2.0}
+    assert kept.entries() == []
+    assert not kept.path.exists()
+
+
+def test_the_last_is_put_back_first_and_what_is_not_there_stays_kept(kept, restore):
+    lamp = Lamp()
+    asyncio.run(set_up([lamp.found()], kept, "one", print))
+    lamp.wanted = {"LEVEL": 8.0, "COLOUR": 6.0}
+    asyncio.run(set_up([lamp.found()], kept, "two", print))
+    assert restore() == ["not there", "not there"]
+    assert [entry.when for entry in kept.entries()] == ["one", "two"]
+    assert restore(lamp) == []
+    assert lamp.kept == {"LEVEL": 1.0, "COLOUR": 2.0}
+
+
+def test_nothing_is_kept_or_written_while_one_of_them_is_in_use(kept):
+    lamp, shining = Lamp(), Lamp("shining", in_use=True)
+    with pytest.raises(DevicesError, match=r"shining\.l: nothing was written: it shines"):
+        asyncio.run(set_up([lamp.found(), shining.found()], kept, "now", print))
+    assert lamp.kept == {"LEVEL": 1.0, "COLOUR": 2.0}
+    assert not kept.path.exists()
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"version": 2, "entries": []}', "[" * 10000])
+def test_a_file_that_cannot_be_read_is_not_overwritten(kept, text):
+    kept.path.parent.mkdir(mode=0o700)
+    kept.path.write_text(text)
+    with pytest.raises(InputFileError, match=r"setup\.json"):
+        asyncio.run(set_up([Lamp().found()], kept, "now", print))
+    assert kept.path.read_text() == text

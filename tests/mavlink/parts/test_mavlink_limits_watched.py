@@ -1,0 +1,206 @@
+"""Limits in telemetry: the core by samples, and the driver with an autopilot that does not keep them."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.errors import DeviceError
+from lfield_mavlink.link.dialect import Reader, dialect
+from lfield_mavlink.parts.limits import LimitWatch, Verdict
+from lfield_sim.autopilot.autopilot import Autopilot, Setpoint
+from lfield_sim.autopilot.flavours import Control, Result
+from lfield_sim.autopilot.vehicle import Reach
+
+BOUND, TIME, STEP = 3.6, 1.0, 0.1
+
+
+def verdicts(values, *, still=0.0, step=STEP, excess=lambda value: value - BOUND):
+    """What a watch says to samples at a rate: (seconds, verdict)."""
+    watch = LimitWatch(BOUND, TIME, still)
+    found = ((n * step, watch.sample(value, excess(value), n * step)) for n, value in enumerate(values))
+    return [(round(at, 6), verdict) for at, verdict in found if verdict is not None]
+
+
+@given(st.lists(st.tuples(st.integers(1, 10), st.floats(3.61, 50.0)), max_size=30))
+def test_gusts_that_are_shorter_than_its_time_are_no_breach(gusts):
+    values = [value for samples, value in gusts for value in [*[value] * samples, 3.0]]
+    assert verdicts(values) == []
+
+
+@given(st.integers(0, 40), st.lists(st.floats(5.0, 50.0), min_size=40, max_size=40))
+def test_what_stays_beyond_is_corrected_once_and_only_then_given_up(before, beyond):
+    found = verdicts([*[2.0] * before, *beyond])
+    corrected_at, first = found[0]
+    assert first is Verdict.CORRECT
+    assert corrected_at == pytest.approx(before * STEP + TIME, abs=1.01 * STEP)
+    assert all(v is Verdict.HELPLESS and at >= corrected_at + TIME - 1e-6 for at, v in found[1:])
+
+
+@given(st.floats(5.0, 30.0), st.floats(0.3, 0.74))
+def test_a_correction_that_helps_is_given_its_time(speed, share):
+    """However fast it was: as long as each second leaves less of the excess, and at the end it is within."""
+    excesses = [(speed - BOUND) * share ** (n * STEP) for n in range(11, 400)]
+    values = [*[speed] * 11, *(BOUND + e if e > 0.01 else BOUND - 0.1 for e in excesses)]
+    assert [verdict for _, verdict in verdicts(values)] == [Verdict.CORRECT, Verdict.WITHIN]
+
+
+def test_a_hold_beyond_a_radius_helps_although_it_stays_there():
+    out = [5.0, *[5.0] * 10, *[max(5.0 - 0.25 * n, 0.0) for n in range(60)]]
+    watch, said = LimitWatch(96.0, TIME, 0.5), []
+    said = [watch.sample(100.0, speed, n * STEP) for n, speed in enumerate(out)]
+    assert [v for v in said if v] == [Verdict.CORRECT]
+    # And when it then goes on outwards it does not.
+    assert Verdict.HELPLESS in [watch.sample(101.0, 2.0, (len(out) + n) * STEP) for n in range(12)]
+
+
+def test_what_was_not_heard_is_not_known_to_have_been_beyond():
+    assert verdicts([9.0, 9.0, 9.0], step=TIME + 0.1) == []
+    watch = LimitWatch(BOUND, TIME)
+    watch.sample(9.0, 5.4, 0.0)
+    watch.reset()
+    assert watch.sample(9.0, 5.4, TIME) is None
+
+
+# -- the driver ---------------------------------------------------------------------------------------
+
+OPTIONS = {"limit_tolerance": 0.2, "limit_time": 1.0}
+
+
+@pytest.fixture
+def limited(bench):
+    return lambda **given: bench(options=OPTIONS, **given)
+
+
+async def fastest(b, work):
+    """The highest speed over ground while something is done."""
+    flight, most = asyncio.create_task(work), 0.0
+    while not flight.done():
+        await asyncio.sleep(0.05)
+        most = max(most, math.hypot(*b.autopilot.vehicle.velocity[:2]))
+    await flight
+    return most
+
+
+@pytest.mark.parametrize("kind", ["copter", "rover"])
+def test_ardupilot_is_told_its_speed_when_it_keeps_it(limited, kind):
+    b = limited(limits={"speed": 3.0}, kind=kind)
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        if kind == "copter":
+            await fc.execute("takeoff", [5.0])
+        # It may be asked for before there is anything that it could be kept for.
+        await fc.execute("setSpeed", [2.0])
+        assert await fastest(b, fc.execute("goTo", [15.0, 0.0, -5.0])) <= 2.05
+        await fc.execute("setSpeed", [3.0])
+        assert 2.9 < await fastest(b, fc.execute("goTo", [30.0, 0.0, -5.0])) <= 3.06
+        await fc.execute("setVelocity", [1.0, 0.0, 0.0])
+        await asyncio.sleep(0.3)
+        latitude, longitude, _ = b.values["globalPosition"]
+        assert await fastest(b, fc.execute("goToGlobal", [latitude - 1e-4, longitude, 5.0])) <= 3.06
+        await fc.execute("hold", [])
+        assert await fastest(b, fc.execute("goTo", [15.0, 0.0, -5.0])) <= 3.06
+        assert await fastest(b, fc.execute("orbit", [15.0, 0.0, -5.0, 4.0, 2.0, 0.3])) <= 2.1
+
+    b.run(mission)
+    assert [note for note in b.notes if "limit" in note] == []
+
+
+def test_a_speed_that_was_lost_is_said_and_told_again(limited):
+    b = limited(limits={"speed": 3.0})
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
+        await asyncio.sleep(3.0)
+        b.autopilot.pace.change(7.0)  # by another ground station
+        await flight
+
+    b.run(mission)
+    assert [note.split(", ", 1)[1] for note in b.notes if "beyond" in note] == [
+        "beyond its limit of 3 m/s; told to be slower"
+    ]
+    assert "within its limit of 3 m/s again" in b.notes
+    assert b.breaches == []
+
+
+def test_a_speed_that_no_correction_lowers_is_a_breach(limited, monkeypatch):
+    b = limited(limits={"speed": 3.0})
+    monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: Result.ACCEPTED)
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        b.autopilot.pace.own = lambda: 7.0
+        flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
+        await asyncio.sleep(6.0)
+        flight.cancel()
+
+    b.run(mission)
+    assert b.breaches[0].endswith("beyond its limit of 3 m/s, and no correction has helped")
+
+
+def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited, monkeypatch):
+    b, guide = limited(limits={"radius": 20.0}), Autopilot.guide
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        astray = Setpoint(Reach((60.0, 0.0, -5.0)), control=Control.PLACE)
+        monkeypatch.setattr(Autopilot, "guide", lambda self, _: guide(self, astray))
+        flight = asyncio.create_task(fc.execute("goTo", [0.0, 15.0, -5.0]))
+        with pytest.raises(DeviceError, match=r"goTo was stopped, since .* m from home, beyond its limit"):
+            await flight
+        await asyncio.sleep(5.0)
+
+    b.run(mission)
+    assert b.autopilot.mode == "BRAKE"
+    assert b.breaches == []
+
+
+def test_a_pilot_is_only_told(limited):
+    b = limited(limits={"speed": 3.0})
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        b.autopilot.enter("RTL")
+        b.autopilot.parameters["RTL_ALT"] = 500
+        b.autopilot.vehicle.place = (90.0, 0.0, -5.0)
+        b.autopilot.pace.change(7.0)
+        await asyncio.sleep(8.0)
+
+    b.run(mission)
+    (said,) = [note for note in b.notes if "beyond" in note]
+    assert said.endswith("in RTL, by a pilot or a failsafe: left to them")
+    assert b.breaches == []
+
+
+def test_px4_is_sent_to_where_it_is_to_hold_it(limited):
+    """As recorded: asked for AUTO.LOITER while it flies to a goal in it, PX4 accepts and flies on."""
+    b = limited(flavour="px4", limits={"speed": 3.0})
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
+        await asyncio.sleep(5.0)
+        sent = len(b.sent)
+        flight.cancel()
+        await fc.execute("hold", [])
+        (goal,) = [
+            m for data in b.sent[sent:] for m in Reader().feed(data)
+            if m.get_type() == "COMMAND_INT" and m.command == dialect.MAV_CMD_DO_REPOSITION
+        ]  # fmt: skip
+        here = b.values["globalPosition"]
+        assert (goal.x / 1e7, goal.y / 1e7) == pytest.approx(here[:2], abs=2e-5)
+        await asyncio.sleep(5.0)
+        assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
+
+    b.run(mission)

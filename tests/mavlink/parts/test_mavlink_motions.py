@@ -1,0 +1,213 @@
+"""Motions as real autopilots need them: heights on PX4, turning rovers, their fences, a landing's end."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import replace
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield_mavlink.parts.orders import Circle, Patience
+from lfield_mavlink.parts.progress import Arrival, Progress, Turning
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.vehicle import Reach
+
+
+async def up(fc, height=5.0):
+    await fc.execute("arm", [])
+    await fc.execute("takeoff", [height])
+
+
+# -- heights ------------------------------------------------------------------------------------------
+
+
+def test_heights_are_those_of_the_takeoff_however_home_drifts(bench):
+    b = bench(flavour="px4")
+
+    async def mission(fc):
+        await up(fc, 6.0)
+        homes, heights = set(), []
+        for way in (3.0, 0.0, 3.0, 0.0):
+            await fc.execute("goTo", [way, 0.0, -6.0])
+            homes.add(b.autopilot.home[2])
+            heights.append(-b.autopilot.vehicle.place[2])
+            assert b.values["altitude"] == pytest.approx(heights[-1], abs=0.3)
+        assert len(homes) == 4
+        assert max(homes) - min(homes) > 0.2
+        assert heights == pytest.approx([6.0] * 4, abs=0.6)
+
+    b.run(mission)
+
+
+def test_a_rover_has_no_height_of_a_home_that_was_taken_before_there_was_one(bench):
+    b = bench(kind="rover", limits={"altitude": 20.0})
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await asyncio.sleep(5.0)
+        assert b.values["altitude"] == pytest.approx(0.0, abs=0.5)
+        await fc.execute("goTo", [6.0, 0.0, b.values["position"][2]])
+
+    b.run(mission)
+    assert [note for note in b.notes if "limit" in note] == []
+
+
+# -- rovers -------------------------------------------------------------------------------------------
+
+
+async def turn_on(fc, times):
+    for _ in range(times):
+        await fc.execute("setYawRate", [0.5])
+        await asyncio.sleep(0.4)
+
+
+def test_a_rover_turns_by_setpoints(bench):
+    b = bench(kind="rover")
+    b.autopilot.vehicle.turning_radius = 0.0
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        for heading in (2.0, -1.0):
+            await fc.execute("yaw", [heading])
+            assert math.remainder(b.values["heading"] - heading, math.tau) == pytest.approx(0.0, abs=0.08)
+        await turn_on(fc, 8)
+        assert b.values["yawRate"] == pytest.approx(0.5, abs=0.05)
+
+    b.run(mission)
+
+
+def test_what_steers_like_a_car_says_that_it_does_not_turn_on_the_spot(bench):
+    b = bench(kind="rover")
+
+    async def mission(fc):
+        loop = asyncio.get_running_loop()
+        await fc.execute("arm", [])
+        start = loop.time()
+        with pytest.raises(DeviceError, match="did not change for 2 s; this frame cannot turn on the spot"):
+            await fc.execute("yaw", [2.0])
+        assert loop.time() - start < 3.5
+        with pytest.raises(DeviceError, match="setYawRate has not changed its heading for 2 s; this frame"):
+            await turn_on(fc, 10)
+        await fc.execute("hold", [])
+        # It turns round for a goal behind it, driving away from it first.
+        await fc.execute("goTo", [-12.0, 0.0, 0.0])
+        await fc.execute("returnHome", [])
+        await fc.execute("land", [])
+
+    b.run(mission)
+    assert math.hypot(*b.autopilot.vehicle.place[:2]) < 2.5
+    assert b.autopilot.mode == "HOLD"
+
+
+def test_a_rate_is_judged_by_what_it_should_have_turned():
+    turning, slow = Turning(), Turning()
+    assert not any(turning.fails(0.5, 0.5 * n * 0.4, 1.0, n * 0.4) for n in range(40))
+    assert not any(slow.fails(0.05, 0.0, 1.0, n * 0.4) for n in range(9))
+    assert not any(turning.fails(0.5, 0.0, 1.0, 50.0 + n * 1.5) for n in range(9))  # told anew each time
+    assert any(turning.fails(0.5, 0.0, 1.0, 90.0 + n * 0.4) for n in range(9))
+
+
+# -- what is left of a way ------------------------------------------------------------------------------
+
+
+def test_a_rover_has_arrived_where_its_autopilot_stops_it():
+    now, moves = 0.0, True
+    arrival = Arrival(2.0, lambda: moves, lambda: now)
+    assert arrival.left(1.9) == 1.9
+    moves = False
+    assert arrival.left(2.2) == 2.2
+    now = 1.1
+    assert arrival.left(2.4) == 2.4  # it has drifted out
+    assert arrival.left(2.1) == 2.1
+    now = 2.2
+    assert arrival.left(2.1) == 0.0
+    assert Arrival(0.0, lambda: False, lambda: now).left(0.0) == 0.0
+
+
+def test_a_detour_is_given_time_and_a_stand_is_not():
+    patience = Patience(10.0, 0.1, turning=40.0)
+    detour, stand = Progress(patience, 0.0), Progress(patience, 0.0)
+    assert not detour.is_over(20.0, True, 0.0)
+    assert not detour.is_over(30.0, True, 39.0)
+    assert detour.is_over(30.0, True, 41.0)
+    assert not stand.is_over(20.0, False, 1.0)
+    assert stand.is_over(20.0, False, 11.1)
+
+
+def test_the_farthest_place_of_a_circle():
+    assert Circle((3.0, 4.0, -5.0), 5.0, 1.0, True).farthest == pytest.approx((6.0, 8.0, -5.0))
+
+
+# -- its own fence ------------------------------------------------------------------------------------
+
+
+def test_ardupilots_fence_is_named_when_it_ignores_a_goal(bench, monkeypatch):
+    """As recorded: a setpoint beyond its fence is ignored without a word."""
+    b, guide = bench(), Autopilot.guide
+    b.autopilot.parameters.update(FENCE_ENABLE=1, FENCE_TYPE=7, FENCE_RADIUS=30, FENCE_ALT_MAX=25)
+
+    def guarded(self, setpoint):
+        beyond = isinstance(setpoint.goal, Reach) and self.fence_at(setpoint.goal.place)[0]
+        guide(self, replace(setpoint, goal=None) if beyond else setpoint)
+
+    monkeypatch.setattr(Autopilot, "guide", guarded)
+
+    async def mission(fc):
+        await up(fc)
+        loop = asyncio.get_running_loop()
+        for goal, words in (
+            ([40.0, 0.0, -5.0], r"goTo refused: the goal is 40.0 m from home, .* FENCE_RADIUS ends at 30 m"),
+            ([0.0, 0.0, -26.0], r"goTo refused: the goal is 26.0 m up, .* FENCE_ALT_MAX ends at 25 m"),
+        ):
+            start = loop.time()
+            with pytest.raises(DeviceError, match=words):
+                await fc.execute("goTo", goal)
+            assert loop.time() - start < 5.0
+        await fc.execute("goTo", [10.0, 0.0, -5.0])
+
+    b.run(mission)
+
+
+def test_px4s_fence_is_named_as_soon_as_it_says_so(bench, monkeypatch):
+    b, reposition = bench(flavour="px4"), Autopilot.reposition
+    b.autopilot.parameters.update(GF_ACTION=2, GF_MAX_HOR_DIST=30)
+
+    def guarded(self, place, yaw, **given):
+        if not self.fence_at(place)[0]:
+            return reposition(self, place, yaw, **given)
+        self.say("Reposition is outside geofence")
+        return 0
+
+    monkeypatch.setattr(Autopilot, "reposition", guarded)
+
+    async def mission(fc):
+        await up(fc)
+        start = asyncio.get_running_loop().time()
+        with pytest.raises(DeviceError) as raised:
+            await fc.execute("goTo", [60.0, 0.0, -5.0])
+        assert asyncio.get_running_loop().time() - start < 1.0
+        return raised.value.reason
+
+    reason = b.run(mission)
+    assert reason.startswith("goTo refused: the goal is 60.0 m from home, and its own fence GF_MAX_HOR_DIST")
+    assert reason.endswith("ends at 30 m, Reposition is outside geofence")
+
+
+# -- a landing ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_after_a_landing_it_can_be_armed_and_fly_again(bench, flavour):
+    b = bench(flavour=flavour)
+
+    async def mission(fc):
+        for instruction in ("land", "returnHome"):
+            await up(fc)
+            await fc.execute(instruction, [])
+            assert not b.autopilot.armed
+        await up(fc)
+
+    b.run(mission)
+    assert b.autopilot.vehicle.airborne

@@ -1,0 +1,162 @@
+"""Readiness: by the checks before arming and a position, with the autopilot's own reasons, cold and warm."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield_mavlink.contact.state import PREARM, VehicleState
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import ARDUPILOT, PX4
+from lfield_mavlink.parts.readiness import lack
+
+GYRO = dialect.MAV_SYS_STATUS_SENSOR_3D_GYRO
+
+
+def told(autopilot, *, present=0, enabled=0, healthy=0, status=3, position=True, armed=False):
+    """A state that has heard these at 1.0 s."""
+    state = VehicleState("copter")
+    mode = 3 << 24 | 4 << 16 if autopilot == PX4 else 4
+    flags = dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0
+    messages = [
+        dialect.MAVLink_heartbeat_message(2, autopilot, 1 | flags, mode, status, 3),
+        dialect.MAVLink_sys_status_message(present, enabled, healthy, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0),
+    ]
+    if position:
+        messages.append(dialect.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0))
+    for message in messages:
+        state.update(message, 1.0)
+    return state
+
+
+CHECKED = {"present": PREARM | GYRO, "enabled": PREARM | GYRO}
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "told_of_it", "words"),
+    [
+        (ARDUPILOT, {**CHECKED, "healthy": PREARM | GYRO}, ""),
+        (ARDUPILOT, {**CHECKED, "healthy": GYRO}, "its checks before arming have not passed"),
+        (ARDUPILOT, CHECKED, "its checks before arming have not passed; not well: 3d gyro"),
+        # In STABILIZE the bit is there 19 s before a position is.
+        (ARDUPILOT, {**CHECKED, "healthy": PREARM | GYRO, "position": False}, "it has told no position"),
+        # Where nothing is checked, there is nothing to pass.
+        (ARDUPILOT, {"present": PREARM, "healthy": 0}, ""),
+        (ARDUPILOT, {**CHECKED, "healthy": PREARM | GYRO, "status": 5}, "its failsafe is on"),
+        # PX4 has the bit in its health only.
+        (PX4, {"healthy": PREARM}, ""),
+        (PX4, {"healthy": GYRO}, "its checks before arming have not passed"),
+        (PX4, {"armed": True}, ""),
+    ],
+)  # fmt: skip
+def test_what_a_vehicle_lacks(autopilot, told_of_it, words):
+    state = told(autopilot, **told_of_it)
+    assert lack(state, 0.5, px4=autopilot == PX4) == words
+
+
+def test_what_was_told_long_ago_is_not_known():
+    state = told(ARDUPILOT, **CHECKED, healthy=PREARM | GYRO)
+    assert lack(state, 2.0, px4=False) == "it has not told whether its checks before arming have passed"
+
+
+@pytest.mark.parametrize(
+    ("kind", "flavour"), [("copter", "ardupilot"), ("rover", "ardupilot"), ("copter", "px4")]
+)
+def test_from_cold_it_waits_until_it_can_be_armed_and_is(bench, kind, flavour):
+    b = bench(kind=kind, flavour=flavour, warm_up=43.0, options={"connect": 45.0})
+
+    async def mission(fc):
+        assert await fc.execute("isReady", []) is False
+        with pytest.raises(DeviceError, match="arm refused"):
+            await fc.execute("arm", [])
+        await fc.execute("waitReady", [90.0])
+        assert await fc.execute("isReady", []) is True
+        assert await fc.execute("whyNotReady", []) == ""
+        assert 42.0 < b.autopilot.uptime < 50.0
+        await fc.execute("arm", [])
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_a_wait_in_vain_is_bounded_and_says_why(bench, flavour):
+    b = bench(flavour=flavour, refuse_arming="Compass not calibrated")
+
+    async def mission(fc):
+        assert await fc.execute("isReady", []) is False
+        with pytest.raises(DeviceError, match="Compass not calibrated"):
+            await fc.execute("arm", [])
+        before = len(b.sent)
+        assert "Compass not calibrated" in await fc.execute("whyNotReady", [])
+        assert any(data[7] == dialect.MAVLINK_MSG_ID_COMMAND_LONG for data in b.sent[before:])
+        start = asyncio.get_running_loop().time()
+        with pytest.raises(DeviceError, match=r"cannot be armed after 10 s: .*Compass not calibrated"):
+            await fc.execute("waitReady", [10.0])
+        assert asyncio.get_running_loop().time() - start < 13.0
+        assert any(note.startswith("waiting until it can be armed: ") for note in b.notes)
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("seconds", [-1.0, math.nan, math.inf])
+def test_a_wait_needs_a_bound(bench, seconds):
+    async def mission(fc):
+        with pytest.raises(DeviceError, match="needs seconds from 0 on"):
+            await fc.execute("waitReady", [seconds])
+
+    bench().run(mission)
+
+
+def test_one_that_is_not_heard_is_not_ready(bench):
+    b = bench()
+
+    async def mission(fc):
+        assert await fc.execute("isReady", []) is True
+        b.cut = True
+        await asyncio.sleep(4.0)
+        assert await fc.execute("isReady", []) is False
+        assert "nothing heard for" in await fc.execute("whyNotReady", [])
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("gap", [n * 0.02 for n in range(50)])
+def test_a_warm_copter_is_armed_right_after_it_was_opened(bench, gap):
+    """As measured: its failsafe for the station is up, and comes down up to 0.35 s after a heartbeat."""
+    b = bench(ttl=1.0, waivers=())
+    b.autopilot.parameters |= {"FS_GCS_ENABLE": 5, "FS_GCS_TIMEOUT": 2}
+
+    async def mission(fc):
+        # Somebody was a station here, and went.
+        await b.until(lambda: b.autopilot.failsafes.gcs_seen is not None)
+        b.driver.quiet()
+        await asyncio.sleep(4.0 + gap)
+        assert b.autopilot.failsafes.gcs_lost
+        b.driver.resume()
+        await fc.open()
+        await fc.execute("arm", [])
+
+    b.run(mission, opened=False)
+    assert b.autopilot.armed
+
+
+def test_one_that_refuses_since_it_has_not_noticed_us_is_armed_again(bench):
+    b = bench(ttl=1.0, waivers=())
+    deliver = b.filter
+
+    async def mission(fc):
+        await fc.execute("setMode", ["GUIDED"])
+        # Its failsafe is up, and no heartbeat has told so.
+        b.filter = lambda link, data: None if data[7] == 0 else deliver(link, data)
+        b.driver.quiet()
+        await asyncio.sleep(4.0)
+        b.driver.resume()
+        asyncio.get_running_loop().call_later(0.2, setattr, b, "filter", deliver)
+        await fc.execute("arm", [])
+        assert "GCS failsafe on" in str(fc.texts.since(0.0))
+
+    b.run(mission)
+    assert b.autopilot.armed
