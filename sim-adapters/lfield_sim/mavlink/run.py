@@ -83,9 +83,9 @@ class Setup:
         fake = MavlinkFake(autopilot, system=option.system, place=place, faults=faults)
         for limit, (name, scale) in kind.speeds.items():
             # What speeds up both ways does so up and down, too.
-            option = "acceleration" if limit == "vertical_acceleration" else limit
-            if option in self.limits:
-                autopilot.parameters[name] = self.limits[option] * scale
+            source = "acceleration" if limit == "vertical_acceleration" else limit
+            if source in self.limits:
+                autopilot.parameters[name] = self.limits[source] * scale
         if self.capacity is not None:
             autopilot.parameters[kind.flavour.capacity] = self.capacity
             for level in kind.flavour.battery[:1]:
