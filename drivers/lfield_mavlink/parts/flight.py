@@ -9,8 +9,8 @@ from typing import Any
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import LINK_LOST, SHOWS, Contact
 from lfield_mavlink.geo import Vector
+from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
 from lfield_mavlink.parts.orders import Order
 from lfield_mavlink.parts.progress import WayBack

@@ -6,8 +6,8 @@ import math
 
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect, result_words
-from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
 from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Patience, Target
 from lfield_mavlink.parts.progress import Revolutions, Turning

@@ -14,10 +14,10 @@ from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
 from lfield_mavlink.contact.exchange import Answer
 from lfield_mavlink.contact.state import VehicleState
+from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.parts.fences import Fences, Rally
-from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.orders import Circle
 from lfield_mavlink.parts.payload import Payload
