@@ -15,7 +15,7 @@ from lfield_sim.autopilot.flight import fly, suffer
 from lfield_sim.autopilot.lifting import begin_takeoff, disarm_when_idle, rise
 from lfield_sim.autopilot.missions import why_no_mission
 from lfield_sim.autopilot.pilot import Pilot
-from lfield_sim.autopilot.readiness import Unfit, why_unfit
+from lfield_sim.autopilot.readiness import Unfit, news, why_unfit
 from lfield_sim.autopilot.stacks import ardupilot, px4
 from lfield_sim.autopilot.vehicle import ZERO, Circle, Goal, Keep, Lean, Reach, Vector
 from lfield_sim.autopilot.watch.failsafes import Failsafes
@@ -52,6 +52,8 @@ class Autopilot(Pilot):
         self.now += dt
         if self.booting:
             return
+        for text in news(self, dt):
+            self.say(text)
         self.failsafes.check(dt)
         if self.flavour.drifts:
             self.homing.step(dt, self.vehicle.place, flying=self.vehicle.airborne)
@@ -75,6 +77,8 @@ class Autopilot(Pilot):
             return Unfit((rule.refusal,) if rule.refusal else None)
         if self.failsafes.fences.breach and self.flavour.submodes:
             return Unfit(())
+        if not (self.flies or self.flavour.submodes or self.kind.modes[self.mode].armable):
+            return Unfit((self.flavour.unarmable.format(mode=self.mode),))
         return why_unfit(self)
 
     def arm(self, *, force: bool = False, text: str = "") -> Result:
@@ -192,9 +196,9 @@ class Autopilot(Pilot):
     # -- guided flight --------------------------------------------------------------------------------
 
     def set_yaw(self, yaw: float) -> Result:
-        """CONDITION_YAW to an absolute heading in radians."""
+        """CONDITION_YAW to an absolute heading in radians; other modes accept it and do not turn."""
         if self.role not in (Role.GUIDED, Role.MISSION):
-            return Result.FAILED
+            return Result.ACCEPTED
         self.vehicle.yaw_goal, self.vehicle.yaw_rate_goal = yaw, None
         return Result.ACCEPTED
 
@@ -219,9 +223,9 @@ class Autopilot(Pilot):
         return Result.ACCEPTED
 
     def orbit(self, circle: Circle) -> Result:
-        """DO_ORBIT: only what flies."""
+        """DO_ORBIT, PX4's: accepted on the ground too, where nothing comes of it."""
         if not self.vehicle.airborne or circle.radius <= 0.0:
-            return self.refuse("Orbit: not possible now")
+            return Result.ACCEPTED
         result = self.command_role(Role.ORBIT)
         self.vehicle.goal = circle
         return result

@@ -48,6 +48,13 @@ def _land(sender: Sender, _: Command) -> Answer:
     return sender.autopilot.command_role(Role.LAND), []
 
 
+def _loiter(sender: Sender, _: Command) -> Answer:
+    """ArduCopter's mode LOITER."""
+    pilot = sender.autopilot
+    loiters = pilot.flies and not pilot.flavour.submodes
+    return (pilot.command_mode("LOITER") if loiters else Result.UNSUPPORTED), []
+
+
 def _return(sender: Sender, _: Command) -> Answer:
     if sender.autopilot.flavour.submodes:
         sender.autopilot.say("Returning to launch\t")
@@ -79,6 +86,8 @@ def _speed(sender: Sender, command: Command) -> Answer:
 
 
 def _reposition(sender: Sender, command: Command) -> Answer:
+    if command.frame is None and not sender.autopilot.flavour.submodes:
+        return Result.UNSUPPORTED, []
     place = _place(sender, command)
     if place is None:
         return Result.DENIED, []
@@ -107,6 +116,10 @@ def _set_home(sender: Sender, command: Command) -> Answer:
     if place is None:
         return Result.DENIED, []
     sender.autopilot.take_home(place)
+    if not sender.autopilot.flies and not sender.autopilot.flavour.submodes:
+        latitude, longitude = (each / 1e7 for each in sender.place.at(*place[:2]))
+        height = sender.place.altitude - place[2]
+        sender.autopilot.say(f"Set HOME to {latitude:.5f} {longitude:.4f} at {height:.2f}m")
     return Result.ACCEPTED, []
 
 
@@ -127,8 +140,11 @@ def _set_interval(sender: Sender, command: Command) -> Answer:
     kind, micros = command.whole(1), command.value(2)
     flavour = sender.autopilot.flavour
     if not sender.can_send(kind) or kind in flavour.unasked_only:
+        if not flavour.submodes:
+            sender.autopilot.say(f"No ap_message for mavlink id ({kind})")
         return (Result.FAILED if flavour.submodes else Result.DENIED), []
     if micros > 0 and 1e6 / micros > flavour.fastest:
+        sender.autopilot.say(f"Requested rate for message ID {kind} too fast. Increase SCHED_LOOP_RATE")
         return Result.DENIED, []
     # -1 stops the stream; 0 asks for the default rate, which on ArduPilot is none.
     sender.stream(kind, 1e6 / micros if micros > 0 else sender.default_rate(kind) if micros == 0 else 0.0)
@@ -156,6 +172,7 @@ def _place(sender: Sender, command: Command) -> Vector | None:
 
 
 _COMMANDS: Mapping[int, Callable[[Sender, Command], Answer]] = {
+    dialect.MAV_CMD_NAV_LOITER_UNLIM: _loiter,
     dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _return,
     dialect.MAV_CMD_NAV_LAND: _land,
     dialect.MAV_CMD_NAV_TAKEOFF: _takeoff,

@@ -44,7 +44,8 @@ def _parameters(real: Trace, fake: Trace) -> Iterator[Found]:
     asked = [line for line in real.inputs if line.type in ("PARAM_REQUEST_READ", "PARAM_SET")]
     for line in asked:
         same = (each.t for each in asked if each.t > line.t and _name(each) == _name(line))
-        end = min(next(same, math.inf), line.t + PARAMETER_WINDOW)
+        lists = (each.t for each in real.inputs if each.t > line.t and each.type == "PARAM_REQUEST_LIST")
+        end = min(next(same, math.inf), next(lists, math.inf), line.t + PARAMETER_WINDOW)
         ours, theirs = (_told(trace, line, end) for trace in (real, fake))
         what = f"{line.t:.1f} {_question(line)}"
         mine, other = _value(ours), _value(theirs)

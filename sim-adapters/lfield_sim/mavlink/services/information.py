@@ -19,6 +19,8 @@ from lfield_sim.mavlink.telemetry.condition import autopilot_version, fence_stat
 
 #: Messages that PX4 says yes to and that no client here can read: protocol version, component information.
 UNREAD = (300, 395, 397)
+#: Messages that PX4 sends when it likes, and not on request: MISSION_CURRENT, RELAY_STATUS.
+REFUSED = (42, 376)
 #: REQUEST_PROTOCOL_VERSION and REQUEST_CAMERA_INFORMATION, which the dialect has no more.
 PROTOCOL_VERSION, CAMERA_INFORMATION = 519, 521
 #: Seconds from a request to the list of PX4's logs; bytes of the one log that each has.
@@ -43,7 +45,7 @@ class Information(Service):
         self.messages = {} if self._px4 else {dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT: self._navigation}
         self.requests = {dialect.MAVLINK_MSG_ID_AVAILABLE_MODES: self._modes}
         if self._px4:
-            self.requests |= dict.fromkeys(UNREAD, list)
+            self.requests |= dict.fromkeys(UNREAD, list) | dict.fromkeys(REFUSED, _nothing)
         else:
             self.requests[dialect.MAVLINK_MSG_ID_MISSION_ITEM_REACHED] = self._last_reached
             self.requests[dialect.MAVLINK_MSG_ID_FENCE_STATUS] = self._fence
@@ -103,6 +105,10 @@ class Information(Service):
             return [_log(1)]
         self._logs_at = self.autopilot.now + LOG_PAUSE
         return []
+
+
+def _nothing() -> None:
+    return None
 
 
 def _log(number: int) -> Any:

@@ -227,9 +227,9 @@ class PlanProtocol:
 
     def _refuse_fence(self, items: list[Item]) -> PlanResult:
         """ArduPilot has one result for all that may be wrong with a fence, and says what it was."""
-        corners = next((int(item.values[0]) for item in items if is_too_small(item)), None)
+        corners = next((item.values[0] for item in items if is_too_small(item)), None)
         if corners is not None:
-            self._speak(f"Invalid vertex count ({corners})")
+            self._speak(f"Invalid vertex count ({corners:.0f})")
         self._say("polygon")
         return PlanResult.ERROR
 

@@ -30,6 +30,8 @@ from lfield_sim.mavlink.services.service import Service
 GUIDED_PLACE, GUIDED_HEIGHT = 2, 3
 ITEMS = (dialect.MAVLINK_MSG_ID_MISSION_ITEM, dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT)
 NO_TOTAL = 65535
+#: How much later PX4 tells again which item was reached, in seconds.
+REPEATS = (1.0, 2.0)
 #: The parameters in which ArduPilot counts what is stored.
 COUNTS = {PlanType.MISSION: "MIS_TOTAL", PlanType.FENCE: "FENCE_TOTAL", PlanType.RALLY: "RALLY_TOTAL"}
 
@@ -44,6 +46,7 @@ class Plans(Service):
         self._protocol = PlanProtocol(style, self._home, self._changed, autopilot.say)
         self._fence = autopilot.fence = Fence()
         self._told = self._progress
+        self._repeats: list[tuple[float, int]] = []
         self.handles = dict.fromkeys(HANDLED, self._on_plan)
         self.handles[dialect.MAVLINK_MSG_ID_MISSION_SET_CURRENT] = self._on_set_current
         self.commands = {
@@ -58,6 +61,10 @@ class Plans(Service):
         """What the protocol waits for, which items were reached, and how the mission is when that changes."""
         messages = self._protocol.advance(now)
         reached = self.autopilot.mission.take_reached()
+        if reached:
+            self._repeats = [] if self._home_first else [(now + pause, reached[-1]) for pause in REPEATS]
+        while self._repeats and now >= self._repeats[0][0]:
+            reached.append(self._repeats.pop(0)[1])
         messages += [dialect.MAVLink_mission_item_reached_message(number) for number in reached]
         self._protocol.current = self._number
         if self._progress != self._told:
@@ -180,11 +187,17 @@ class Plans(Service):
         return Result.ACCEPTED, [self._current()]
 
     def _start(self, command: Command) -> Answer:
+        """PX4 begins at the item that is told, ArduPilot goes on where it is when that is 0."""
         first = command.whole(1)
-        return self.autopilot.start_mission(first if first > 0 else None), []
+        goes_on = first < 0 or (first == 0 and self._home_first)
+        return self.autopilot.start_mission(None if goes_on else first), []
 
     def _pause_or_go_on(self, command: Command) -> Answer:
         wanted = command.whole(1)
+        if not self._home_first:
+            return Result.UNSUPPORTED, []
+        if wanted in (0, 1) and self.autopilot.role is Role.GUIDED:
+            return Result.ACCEPTED, []
         if wanted not in (0, 1) or (self.autopilot.role is not Role.MISSION and not wanted):
             return Result.DENIED, []
         if wanted:

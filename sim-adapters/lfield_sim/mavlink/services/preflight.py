@@ -37,6 +37,7 @@ TURNING: Sequence[tuple[float, str]] = (
     (2.45, "[cal] down orientation detected"),
     (2.5, "[cal] Rotate vehicle"),
 )
+RADIO_RUNS = "RC calibrating"
 REBOOT_NEEDED = "Compass calibrated requires reboot"
 
 
@@ -80,8 +81,6 @@ class Preflight(Service):
         pilot = self.autopilot
         unfit = pilot.unfit
         reasons = (unfit.reasons or ()) if unfit else ()
-        if not unfit and not pilot.flies and not pilot.kind.modes[pilot.mode].armable:
-            reasons = ("Mode not armable",)
         for reason in () if pilot.flavour.submodes else reasons:
             pilot.say(f"PreArm: {reason}", Severity.CRITICAL)
         return Result.ACCEPTED, []
@@ -119,6 +118,11 @@ class Preflight(Service):
             return Late(Result.ACCEPTED, busy), []
         if which == ACCELEROMETER and kind in (WHOLE, LEVEL, SIMPLE):
             return (Result.TEMPORARILY_REJECTED if self._running else Result.ACCEPTED), []
+        if which == RADIO and pilot.flies and not pilot.ailing:
+            pilot.ailing = RADIO_RUNS
+            self._say_later(1.1, f"PreArm: {RADIO_RUNS}", Severity.CRITICAL)
+        elif pilot.ailing == RADIO_RUNS:
+            pilot.ailing = ""
         if which == PRESSURE:
             pilot.say("Updating barometer calibration")
             pilot.say("Barometer calibration complete")

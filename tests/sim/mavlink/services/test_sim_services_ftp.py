@@ -11,16 +11,18 @@ from hypothesis import strategies as st
 
 from lfield_sim.mavlink.services.ftp import (
     ACK,
+    ARDUPILOT,
     DATA,
     MAX_SESSIONS,
     NAK,
     PAYLOAD,
+    PX4,
     FtpPacket,
     FtpServer,
     Op,
     ftp_crc32,
 )
-from lfield_sim.mavlink.services.tree import MAX_ENTRIES, MAX_FILE, FtpError, Tree
+from lfield_sim.mavlink.services.tree import MAX_ENTRIES, MAX_FILE, FtpError, Made, Tree
 
 PEER = (255, 190)
 LOG = bytes(range(256)) * 100
@@ -175,19 +177,57 @@ def test_paths_that_lead_nowhere(path):
     assert Client().refused(Op.CREATE, path) is FtpError.NOT_FOUND
 
 
-def test_the_autopilots_differ_in_unknown_operations_and_who_numbers_sessions():
-    ardupilot, px4 = Client(FtpServer(Tree({"/f": b"1"}), unknown=FtpError.FAIL)), Client()
+def test_the_autopilots_differ():
+    said = []
+    ardupilot = Client(FtpServer(Tree({"/f": b"1"}), ARDUPILOT, said.append))
+    px4 = Client(FtpServer(Tree({"/f": b"1"}), PX4, said.append))
     assert ardupilot.refused(16, "/") is FtpError.FAIL
     assert px4.refused(16, "/") is FtpError.UNKNOWN_COMMAND
+    assert said == ["Unsupported FTP: 16"]
+    assert ardupilot.refused(Op.LIST, "") is FtpError.INVALID_DATA_SIZE
+    assert px4.listing("") == px4.listing("/") == ["Ff\t1"]
     assert ardupilot.ok(Op.OPEN_READ, "/f", session=77).session == 77
-    own = Client(FtpServer(Tree({"/f": b"1"}), own_sessions=True))
-    assert [own.ok(Op.OPEN_READ, "/f", session=77).session for _ in range(3)] == [0, 1, 2]
+    assert px4.ok(Op.OPEN_READ, "/f", session=77).session == 0
+    assert ardupilot.refused(Op.OPEN_READ, "/f", session=78) is FtpError.FAIL, "one at a time"
+    assert px4.refused(Op.OPEN_READ, "/f") is FtpError.NO_SESSIONS
+    assert ardupilot.refused(Op.READ, session=5, size=1) is FtpError.NOT_FOUND
+    assert px4.refused(Op.READ, session=5, size=1) is FtpError.INVALID_SESSION
+    ardupilot.ok(Op.TERMINATE, session=5)
+    assert px4.refused(Op.TERMINATE, session=5) is FtpError.INVALID_SESSION
+    for client, size in ((ardupilot, b""), (px4, b"\x02\0\0\0")):
+        client.ok(Op.RESET)
+        session = client.ok(Op.CREATE, "/new").session
+        assert client.ok(Op.WRITE, session=session, data=b"ab").data == size
+        client.ok(Op.TERMINATE, session=session)
+    assert ardupilot.refused(Op.OPEN_WRITE, "/none") is FtpError.NOT_FOUND
+    px4.ok(Op.OPEN_WRITE, "/none")
+    assert ardupilot.refused(Op.TRUNCATE, "/f") is FtpError.FAIL
+    px4.ok(Op.TRUNCATE, "/f")
+    assert px4.server.tree.read("/f") == b""
+
+
+def test_a_file_is_given_another_name():
+    c = Client()
+    c.ok(Op.RENAME, b"/b.txt\0/a/c.txt")
+    assert c.listing("/a") == ["Fc.txt\t0", "Flog.bin\t25600", "Fone.txt\t1"]
+    assert c.refused(Op.RENAME, b"/b.txt\0/d.txt") is FtpError.NOT_FOUND
+    assert c.refused(Op.RENAME, b"/a/c.txt\0/a") is FtpError.FAIL_ERRNO
+    assert c.refused(Op.RENAME, b"/a/c.txt") is FtpError.FAIL_ERRNO
+
+
+def test_a_file_made_when_it_is_read_tells_another_size_and_checksum():
+    made = Made(lambda: b"12345", lambda: 999, checks=False)
+    c = Client(FtpServer(Tree({}, {"@PARAM/x": made}, {"@PARAM": ("Fx\t999",)}), ARDUPILOT))
+    assert c.listing("@PARAM/") == ["Fx\t999"]
+    opened = c.ok(Op.OPEN_READ, "@PARAM/x")
+    assert struct.unpack("<I", opened.data) == (999,)
+    assert c.ok(Op.READ, size=80).data == b"12345"
+    assert struct.unpack("<I", c.ok(Op.CRC32, "@PARAM/x").data) != (ftp_crc32(b"12345"),)
 
 
 def test_sessions_are_few_and_reset_gives_ones_own_back():
     c = Client()
-    for number in range(MAX_SESSIONS):
-        c.ok(Op.OPEN_READ, "/b.txt", session=number)
+    c.ok(Op.OPEN_READ, "/b.txt")
     other = Client(c.server, (1, 191))
     assert other.refused(Op.OPEN_READ, "/b.txt") is FtpError.NO_SESSIONS
     other.ok(Op.RESET)
@@ -250,7 +290,9 @@ requests = st.builds(
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(st.integers(1, 40), requests), max_size=30))
 def test_arbitrary_requests_never_raise_and_hold_bounded_memory(story):
-    server = FtpServer(Tree({"/a/log.bin": LOG, "/b.txt": b""}, {"@PARAM/param.pck": lambda: b"x" * 999}))
+    server = FtpServer(
+        Tree({"/a/log.bin": LOG, "/b.txt": b""}, {"@PARAM/param.pck": Made(lambda: b"x" * 999, lambda: 9)})
+    )
     for system, request in story:
         replies = server.receive((system, 1), request.write())
         assert len(replies) <= 1

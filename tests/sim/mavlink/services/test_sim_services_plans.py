@@ -35,9 +35,13 @@ class Station:
     """A ground station that uploads; it may be deaf, dumb or out of order."""
 
     def __init__(self, style, *, system=255, vehicle=None):
-        self.changes = []
-        self.vehicle = vehicle or PlanProtocol(style, lambda: HOME, self.changes.append)
+        self.changes, self.texts = [], []
+        self.vehicle = vehicle or PlanProtocol(style, lambda: HOME, self._changed, self.texts.append)
         self.system, self.now = system, 0.0
+
+    def _changed(self, kind, whole):
+        if whole:
+            self.changes.append(kind)
 
     def send(self, message):
         """One message as it would come off the wire; the answers, which are all for this station."""
@@ -73,7 +77,9 @@ class Station:
         ask = (
             dialect.MAVLink_mission_request_int_message if whole else dialect.MAVLink_mission_request_message
         )
-        return [self.send(ask(1, 1, number, int(kind)))[0] for number in range(count.count)]
+        items = [self.send(ask(1, 1, number, int(kind)))[0] for number in range(count.count)]
+        self.send(dialect.MAVLink_mission_ack_message(1, 1, 0, int(kind)))
+        return items
 
 
 @pytest.mark.parametrize("kind", list(PlanType))
@@ -87,6 +93,8 @@ def test_what_is_uploaded_is_downloaded(style, kind):
     assert s.upload(items, kind) is PlanResult.ACCEPTED
     assert s.changes == [kind]
     expected = [HOME, *items[1:]] if kind is PlanType.MISSION and style.home_first else items
+    # ArduPilot has no INT frames, PX4 tells nothing else.
+    expected = [replace(item, frame=style.frames.get(item.frame, item.frame)) for item in expected]
     assert [Item.read(message) for message in s.download(kind)] == expected
 
 
@@ -117,11 +125,31 @@ def test_an_item_that_does_not_come_is_asked_for_again_until_it_gives_up(style):
     heard = s.wait(style.give_up - 0.1)
     assert {m.seq for m in heard} == {1}
     assert len(heard) == pytest.approx((style.give_up - 0.1) / style.ask_again, abs=2)
-    (end,) = s.wait(style.ask_again + 0.3)[-1:]
-    assert (end.get_type(), end.type) == ("MISSION_ACK", PlanResult.OPERATION_CANCELLED)
+    assert s.texts == []
+    ends = [m for m in s.wait(style.ask_again + 0.3) if m.get_type() == "MISSION_ACK"]
+    # PX4 says it in a text only.
+    assert [end.type for end in ends] == [PlanResult.OPERATION_CANCELLED] * style.cancels
+    assert s.texts == [style.texts["timeout"]]
     assert s.wait(20.0) == []
     assert s.item(1, waypoint())[0].type == PlanResult.ERROR
-    assert s.changes == [], "half a mission is none"
+    assert s.changes == []
+
+
+def test_a_mission_that_fails_leaves_what_came_on_ardupilot_and_the_old_one_on_px4():
+    old = [waypoint(900 + n) for n in range(5)]
+    for style, kept in ((ARDUPILOT, [waypoint(0), *old[1:3]]), (PX4, old)):
+        s = Station(style)
+        s.upload(old)
+        s.count(3)
+        s.item(0, waypoint(0))
+        s.wait(20.0)
+        assert s.vehicle.items[PlanType.MISSION] == kept
+        assert len(s.download()) == len(kept)
+        s.count(7)
+        for number in range(4):
+            s.item(number, waypoint(number))
+        assert s.item(4, waypoint(command=31000))[0].type == PlanResult.UNSUPPORTED
+        assert len(s.download()) == (4 if style is ARDUPILOT else 5)
 
 
 def test_items_out_of_turn():
@@ -158,8 +186,14 @@ def test_a_plan_of_none_and_clear_all(style):
 
 def test_ardupilots_empty_mission_is_home():
     s = Station(ARDUPILOT)
+    assert [Item.read(m) for m in s.download()] == [HOME], "as the vehicle comes: a client waits for it"
+    ask = dialect.MAVLink_mission_request_int_message(1, 1, 0, 0)
+    assert [Item.read(m) for m in s.send(ask)] == [HOME], "without a list, too"
     assert s.upload([waypoint()]) is PlanResult.ACCEPTED
     assert [Item.read(m) for m in s.download()] == [HOME]
+    s.send(dialect.MAVLink_mission_clear_all_message(1, 1, 0))
+    assert s.download() == []
+    assert Station(PX4).download() == []
 
 
 def test_two_stations_do_not_mix(style):
@@ -229,16 +263,32 @@ def test_px4_takes_nan_for_what_is_not_given():
 )
 def test_fences_that_make_no_sense(style, items):
     s = Station(style)
-    assert s.upload(items, PlanType.FENCE) not in (PlanResult.ACCEPTED, PlanResult.NO_SPACE)
+    result = s.upload(items, PlanType.FENCE)
+    assert result not in (PlanResult.ACCEPTED, PlanResult.NO_SPACE)
     assert s.changes == []
+    # A number of corners that is none is refused with its item.
+    if style is ARDUPILOT and not math.isnan(items[0].values[0]):
+        assert result is PlanResult.ERROR
+        assert s.texts[-1] == "Fence validation failed"
+
+
+def test_a_polygon_of_two_corners_is_refused_at_its_first_by_px4_and_at_its_end_by_ardupilot():
+    ardupilot, px4 = Station(ARDUPILOT), Station(PX4)
+    for s in (ardupilot, px4):
+        s.count(2, PlanType.FENCE)
+    assert px4.item(0, corner(2, 0), PlanType.FENCE)[0].type == PlanResult.ERROR
+    assert ardupilot.item(0, corner(2, 0), PlanType.FENCE)[0].seq == 1
+    assert ardupilot.item(1, corner(2, 1), PlanType.FENCE)[0].type == PlanResult.ERROR
+    assert "Invalid vertex count (2)" in ardupilot.texts
 
 
 def test_what_is_not_there(style):
     s = Station(style)
     s.upload([waypoint(), waypoint()])
-    assert (
-        s.send(dialect.MAVLink_mission_request_int_message(1, 1, 2, 0))[0].type == PlanResult.INVALID_SEQUENCE
-    )
+    missing = dialect.MAVLink_mission_request_int_message(1, 1, 2, 0)
+    assert (s.send(missing) == []) == style.needs_list, "PX4 gives items only to who asked for the list"
+    s.send(dialect.MAVLink_mission_request_list_message(1, 1, 0))
+    assert s.send(missing)[-1].type == PlanResult.INVALID_SEQUENCE
     assert s.count(1, 7)[0].type == PlanResult.UNSUPPORTED
     assert s.send(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
 
@@ -298,7 +348,8 @@ def test_a_lossy_link_never_leaves_a_wrong_mission(style, size, data):
     else:
         pytest.fail("it neither ended nor gave up")
     kept = s.vehicle.items[PlanType.MISSION]
-    assert kept in (old, new)
+    mixed = [new[:n] + old[:size][n:] for n in range(size + 1)] if style.writes_at_once else []
+    assert kept in (old, new, *mixed)
     assert told != PlanResult.ACCEPTED or kept == new
 
 
