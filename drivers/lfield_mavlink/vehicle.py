@@ -23,10 +23,10 @@ from lfield_mavlink.parts.readiness import Readiness
 from lfield_mavlink.parts.rest import Rest
 from lfield_mavlink.parts.storage import Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
-from lfield_mavlink.parts.watchdog import Watchdog
 from lfield_mavlink.services.file_transfer import FileTransfer
 from lfield_mavlink.services.parameters import EncodingQuestion, Parameters
 from lfield_mavlink.services.plan_transfer import PlanTransfer
+from lfield_mavlink.watchdog import Watchdog
 
 
 class MavlinkVehicle(Contact):

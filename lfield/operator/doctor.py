@@ -150,7 +150,11 @@ async def lateness(silence: float, clock: Clock, *, bound: bool) -> Finding:
 
 
 async def endpoints(
-    drivers: Drivers, devices: list[DeviceBinding], clock: Clock, told: Callable[[Finding], None], setup: str
+    drivers: Drivers,
+    devices: list[DeviceBinding],
+    clock: Clock,
+    told: Callable[[Finding], None],
+    setup: str = "lfield setup",
 ) -> None:
     """What answers at every bound endpoint. Devices are opened one by one, and nothing is moved or written.
 

@@ -118,7 +118,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield up --deploy examples/01-first-flight/mission.dL "
         "--devices sim-adapters/real/arducopter/01-first-flight.devices.yaml --all --until-done": SIMULATOR,
         "lfield kit mavlink --endpoint tcp:127.0.0.1:5760 --set 'waivers=[device_watchdog]' "
-        "--set 'limits={speed: 3}'": SIMULATOR,
+        "--set 'limits={speed: 5}'": SIMULATOR,
         "lfield sim can --listen socketcand:127.0.0.1:29536 --device cia402:5,counts=10000": KIT,
         "lfield sim dynamixel --servo 1:XM540-W270 --servo 2:XM540-W270 --listen /tmp/lfield-arm": KIT,
         "lfield sim dynamixel --servo 1:XM430-W350 --listen /tmp/lfield-hand --fault obstacle=-0.1": KIT,

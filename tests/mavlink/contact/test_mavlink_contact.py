@@ -12,7 +12,7 @@ from lfield_mavlink.contact.exchange import Exchange
 from lfield_mavlink.contact.state import Texts, VehicleState
 from lfield_mavlink.link.dialect import Reader, Writer, dialect, result_words
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
-from lfield_mavlink.parts.watchdog import NEEDS
+from lfield_mavlink.watchdog import NEEDS
 
 
 def test_texts_are_joined_and_kept():

@@ -23,8 +23,8 @@ from lfield_mavlink.parts.orders import Circle
 from lfield_mavlink.parts.payload import Payload
 from lfield_mavlink.parts.storage import MAX_TEXT, Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
-from lfield_mavlink.parts.watchdog import Watchdog
 from lfield_mavlink.services.plan_items import Item, PlanKind
+from lfield_mavlink.watchdog import Watchdog
 
 
 def binding(**limits: float) -> DeviceBinding:

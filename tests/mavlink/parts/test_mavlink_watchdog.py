@@ -10,7 +10,7 @@ import pytest
 from lfield.driver.settings import wrong
 from lfield.errors import DeviceError, NotSetUp
 from lfield_mavlink.link.dialect import Reader, dialect
-from lfield_mavlink.parts.watchdog import NEEDS
+from lfield_mavlink.watchdog import NEEDS
 from lfield_sim.mavlink.link.codec import Writer
 
 SET = dialect.MAVLINK_MSG_ID_PARAM_SET
