@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 
 from lfield.driver import Clock, DeviceBinding, Driver, Manifest, Reports
-from lfield_dynamixel.bus.bus import Bus
+from lfield.driver.serial import PortEvents, SerialPort, parse_serial_endpoint
+from lfield_dynamixel.bus.bus import Bus, Port
 from lfield_dynamixel.bus.chain import Chain
-from lfield_dynamixel.bus.port import Port, PortEvents, SerialPort
 from lfield_dynamixel.devices import Dynamixel, DynamixelGroup
 from lfield_dynamixel.members import Members
 
@@ -21,6 +21,11 @@ MakePortAt = Callable[[str, PortEvents, Callable[[str], None]], Port]
 _TYPES: dict[str, type[Members]] = {"Dynamixel": Dynamixel, "DynamixelGroup": DynamixelGroup}
 
 
+def serial_port(endpoint: str, events: PortEvents, note: Callable[[str], None]) -> Port:
+    """The tty of a bus. Raises DeviceError for an endpoint that is none."""
+    return SerialPort(*parse_serial_endpoint(endpoint), events, note)
+
+
 class DynamixelDriver(Driver):
     """One serial port with the servos on it. `make_port` is for tests."""
 
@@ -31,7 +36,7 @@ class DynamixelDriver(Driver):
         clock: Clock,
         reports: Reports,
         *,
-        make_port: MakePortAt = SerialPort,
+        make_port: MakePortAt = serial_port,
     ) -> None:
         self._make_port = make_port
         super().__init__(bindings, manifests, clock, reports)

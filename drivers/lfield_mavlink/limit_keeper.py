@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
+from lfield_mavlink.limits import LimitWatch, Verdict
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.parts.limits import LimitWatch, Verdict
 from lfield_mavlink.parts.motion import Motion
 
 #: m/s outwards that are no way out: what a hover makes of a gust.
@@ -70,7 +70,8 @@ class LimitKeeper:
     def _on_position(self, _: object) -> None:
         now = self._vehicle.clock.monotonic()
         for name, kept in self._kept.items():
-            sample = self._sample(name, kept) if self._state.armed else None
+            watched = self._state.armed and not self._vehicle.quiet
+            sample = self._sample(name, kept) if watched else None
             if sample is None:
                 kept.watch.reset()
                 kept.said = kept.corrected = False

@@ -11,11 +11,11 @@ from lfield_mavlink.contact.contact import LINK_LOST, Contact
 from lfield_mavlink.contact.link_health import LinkHealth
 from lfield_mavlink.contact.streams import Streams
 from lfield_mavlink.limit_keeper import LimitKeeper
+from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.ports import LinkCounts
 from lfield_mavlink.parts.fences import Fences, Rally
 from lfield_mavlink.parts.flight import Flight
 from lfield_mavlink.parts.guidance import Guidance
-from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.missions import Missions
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.payload import Payload

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import msgspec
@@ -15,6 +16,8 @@ from lfield.errors import PluginError
 
 #: Seconds for a fake to be ready, and to end when it is told.
 READY, END = 20.0, 3.0
+#: How many characters of what a fake says while it starts are kept, the last ones.
+MOST = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +26,7 @@ class Fake:
 
     endpoint: str
     process: asyncio.subprocess.Process
+    words: Words
 
     async def stop(self) -> None:
         """End it."""
@@ -34,6 +38,7 @@ class Fake:
         except TimeoutError:
             self.process.kill()
             await self.process.wait()
+        await self.words.end()
 
 
 def conditions(bus: Sequence[DeviceBinding]) -> list[str]:
@@ -62,21 +67,23 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> Fake:
         *(sys.executable, "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes"),
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
         start_new_session=True,
     )
     assert process.stdout is not None
+    assert process.stderr is not None
+    words = Words(process.stderr)
     try:
         async with asyncio.timeout(READY):
             line = (await process.stdout.readline()).decode("utf-8", "replace")
     except TimeoutError:
         line = ""
-    words = line.split()
-    if words[:1] != ["ready"] or len(words) < 2:
-        fake = Fake("", process)
+    fake = Fake(next(iter(line.split()[1:2]), ""), process, words)
+    if not line.startswith("ready ") or not fake.endpoint:
         await fake.stop()
-        said = f"; it said: {line.strip()}" if line.strip() else "; see above"
-        raise PluginError(f"{names}: the fake '{sim.name}' did not start{said}")
-    return Fake(words[1], process)
+        raise PluginError(words.why(f"{names}: the fake '{sim.name}' did not start", line))
+    words.let_out()
+    return fake
 
 
 async def on_running_fakes(
@@ -102,3 +109,39 @@ async def on_running_fakes(
         else:
             raise fake
     return [msgspec.structs.replace(d, endpoint=endpoints.get(d.bus, d.endpoint)) for d in devices]
+
+
+class Words:
+    """What a fake writes to stderr: kept while it starts, since it may say why not, then passed on."""
+
+    def __init__(self, stream: asyncio.StreamReader) -> None:
+        self._kept: str | None = ""
+        self._reading = asyncio.create_task(self._read(stream))
+
+    async def _read(self, stream: asyncio.StreamReader) -> None:
+        while data := await stream.read(1 << 16):
+            text = data.decode("utf-8", "replace")
+            if self._kept is None:
+                sys.stderr.write(text)
+                sys.stderr.flush()
+            else:
+                self._kept = (self._kept + text)[-MOST:]
+
+    def let_out(self) -> None:
+        """Pass on what was said, and from now on all that is."""
+        kept, self._kept = self._kept, None
+        sys.stderr.write(kept or "")
+
+    def why(self, what: str, said: str) -> str:
+        """`what` with the words of a fake that has ended, on stderr or in `said`; of a traceback the last."""
+        lines = [line.strip() for line in f"{self._kept or ''}\n{said}".splitlines() if line.strip()]
+        if any(line.startswith("Traceback") for line in lines):
+            lines = lines[-1:]
+        return f"{what}; it said: {' '.join(lines)}" if lines else f"{what}, and said nothing"
+
+    async def end(self) -> None:
+        """Wait for the last words. A process of its own that still has the stream is not waited for."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(END):
+                await self._reading
+        self._reading.cancel()

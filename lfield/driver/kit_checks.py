@@ -97,20 +97,22 @@ async def death(bench: Bench) -> str:
 
     A sensor is there again, and free.
     """
+    there = _there(bench)
     await bench.kill_guard()
     if bench.binding.is_sensor:
-        await _back(bench)
+        await _back(bench, there)
         return "its telemetry is back"
     reason = await held(bench, SAFE)
-    await _back(bench)
+    await _back(bench, there)
     return f"'{bench.binding.safe_state}' confirmed because {reason}"
 
 
 @KIT.check("a host that hangs", moves=True)
 async def silence(bench: Bench) -> str:
     """Silence over the bound latches what was moved, and disturbs nothing that was not."""
+    there = _there(bench)
     await bench.fall_silent(3 * bench.silence)
-    await _back(bench)
+    await _back(bench, there)
     if bench.latched:
         return f"latched because {await held(bench, 0.0)}"
     return "nothing had been moved, nothing was done"
@@ -122,12 +124,15 @@ def _has_safe_state(bench: Bench) -> None:
         raise NotTried("a sensor has no safe state, and needs none")
 
 
-async def _back(bench: Bench) -> None:
-    """Wait until the telemetry that has a rate is there again: the bus may have been made quiet."""
+def _there(bench: Bench) -> list[str]:
+    """The telemetry that has a rate and has come: what a device never tells is not waited for twice."""
+    return [quantity.name for quantity in _regular(bench) if _known(bench, quantity.name)]
+
+
+async def _back(bench: Bench, there: list[str]) -> None:
+    """Wait until telemetry is there again: the bus may have been made quiet."""
     await bench.until(
-        lambda: all(_known(bench, quantity.name) for quantity in _regular(bench)),
-        TELEMETRY,
-        "its telemetry to be back",
+        lambda: all(_known(bench, name) for name in there), TELEMETRY, "its telemetry to be back"
     )
 
 

@@ -28,6 +28,7 @@ from __future__ import annotations
 import asyncio
 import subprocess
 import sys
+import tempfile
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from functools import cache
@@ -192,20 +193,27 @@ class RunningFake:
 def running_fake(driver: str, *options: str) -> Iterator[RunningFake]:
     """The installed fake of a driver, with options of `lfield sim DRIVER`; it ends with the block."""
     command = (sys.executable, "-m", "lfield.driver.sims", discover_sims().references[driver])
-    process = subprocess.Popen(
-        [*command, *options, "--until-stdin-closes"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        ready, *words = process.stdout.readline().split() or ["nothing"]
-        if ready != "ready":
-            raise AssertionError(f"the fake '{driver}' did not start; it said: {ready} {' '.join(words)}")
-        yield RunningFake(driver, process, words)
-    finally:
-        process.communicate(timeout=END)
+    with tempfile.TemporaryFile("w+", errors="replace") as errors:
+        process = subprocess.Popen(
+            [*command, *options, "--until-stdin-closes"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+        )
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            if not line.startswith("ready "):
+                process.wait(END)
+                errors.seek(0)
+                last = [*line.splitlines(), *errors.read().splitlines(), "nothing"][-2:][0]
+                raise AssertionError(f"the fake '{driver}' did not start; it said: {last}")
+            yield RunningFake(driver, process, line.split()[1:])
+        finally:
+            process.communicate(timeout=END)
+            errors.seek(0)
+            sys.stderr.write(errors.read())
     if process.returncode:
         raise AssertionError(f"the fake '{driver}' ended with status {process.returncode}")
 

@@ -127,7 +127,7 @@ def _bound(path: Path) -> list[DeviceBinding]:
 def opened(devices: list[DeviceBinding]) -> Problems:
     """What stands against opening these devices, which are on fakes: a watchdog that is too slow, say."""
     found: list[Finding] = []
-    asyncio.run(endpoints(discover(), devices, SystemClock(), found.append))
+    asyncio.run(endpoints(discover(), devices, SystemClock(), found.append, "lfield setup"))
     return [f"{finding.what}" for finding in found if finding.state == "problem"]
 
 

@@ -18,6 +18,7 @@ QUERY = RUNNING + "tests/cli/team/test_query.py"
 TEAM = RUNNING + "tests/cli/team"
 EXAMPLES = LONG + "tests/cli/run/test_thesis_and_examples.py runs it"
 DRIVER = "a driver of its own: tests/cli/robot/test_driver_new.py makes and tries one"
+SETUP = "writes to a vehicle, after a yes: tests/cli/robot/test_setup_command.py"
 KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
 
 #: By page: command lines, and first lines of outputs.
@@ -43,6 +44,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield doctor": "says what is wrong with this computer: tests/cli/robot has computers of its own",
         "lfield sim mavlink --listen udp:127.0.0.1:14550 --kind copter --system 1": KIT,
         'lfield kit mavlink --endpoint udp:127.0.0.1:14550 --set "waivers=[device_watchdog]"': KIT,
+        'lfield setup mavlink --endpoint udp:127.0.0.1:14550 --set "waivers=[device_watchdog]"': SETUP,
         "lfield sim fault mavlink battery=0.2": KIT,
     },
     "deploy/README.md": {
@@ -77,6 +79,11 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,
         "sky   | carrier.fc: it has a watchdog of 2 s: nothing stops it sooner when this computer dies "
         "(waived by its binding)": EXAMPLES,
+    },
+    "drivers/lfield_mavlink/README.md": {
+        "lfield setup --deploy mission.dL": SETUP,
+        "lfield setup mavlink --endpoint udp:127.0.0.1:14550 --set ttl=1.0 --set 'limits={speed: 5}'": SETUP,
+        "lfield setup --back": SETUP,
     },
     "lfield/docs/drivers.md": {
         "lfield driver new lamp && cd lfield_lamp && pip install -e .": DRIVER,

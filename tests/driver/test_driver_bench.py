@@ -204,7 +204,7 @@ def test_what_does_not_start_says_why(capfd):
         async with guarded(bind(SERVOS, "Dynamixel", endpoint="serial:/dev/nothing-there:57600")):
             pass
 
-    with pytest.raises(DevicesError, match="cannot open /dev/nothing-there"):
+    with pytest.raises(DevicesError, match="cannot open serial:/dev/nothing-there"):
         asyncio.run(story())
 
 

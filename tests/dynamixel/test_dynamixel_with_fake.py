@@ -131,7 +131,7 @@ def test_two_drivers_for_one_port(chain):
     async def story(servo, bench):
         bound = binding(chain.endpoint, 2)
         rival = DynamixelDriver([bound], PLUGIN.read_manifests(), SystemClock(), DriverBench(PLUGIN, bound))
-        with pytest.raises(DeviceError, match="another program has it open"):
+        with pytest.raises(DeviceError, match="is in use by another program"):
             await rival.open()
         await rival.close()
 
@@ -141,7 +141,7 @@ def test_two_drivers_for_one_port(chain):
 @pytest.mark.parametrize(
     ("endpoint", "match"),
     [
-        ("serial:/dev/nothing-there:57600", "cannot open /dev/nothing-there: No such file"),
+        ("serial:/dev/nothing-there:57600", "cannot open serial:/dev/nothing-there:57600: No such file"),
         ("serial:/dev/null:fast", "is not an endpoint; write serial:PATH:BAUD"),
         ("tcp:localhost:1", "is not an endpoint"),
     ],

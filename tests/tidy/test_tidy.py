@@ -25,7 +25,6 @@ SMALL = {
     "lfield/clock.py": "a word that everybody speaks",
     "lfield/devices/measuring.py": "what is done for lateness to decide",
     "lfield/driver/settings.py": "a value that drivers and hosts share",
-    "lfield/exits.py": "the statuses of a run",
     "lfield/host/process/leash.py": "what a host hears from whoever started it",
     "lfield/host/process/stop_words.py": "what ends a host",
     "lfield/host/logbook.py": "the two streams of a host",

@@ -12,15 +12,35 @@ import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import count
+from typing import Protocol
 
+from lfield.driver.serial import PortEvents
 from lfield_dynamixel.bus.packets import AnyProtocol, Reader, Status
-from lfield_dynamixel.bus.port import MakePort, Port
 
 #: Seconds that a servo and this computer may take beyond what the wire needs.
 SLACK = 0.025
 
 #: How urgent an exchange is.
 SAFETY, COMMAND, POLL = range(3)
+
+
+class Port(Protocol):
+    """What a bus needs of its port. `latency` is how long bytes may be held back on the way, in seconds."""
+
+    baud: int
+    latency: float
+
+    def open(self) -> None:
+        """Open it. Raises DeviceError when that is impossible here and now."""
+
+    def write(self, data: bytes) -> bool:
+        """Send a packet, at once; whether that worked."""
+
+    def close(self) -> None:
+        """Give it back."""
+
+
+MakePort = Callable[[PortEvents], Port]
 
 
 @dataclass(slots=True)

@@ -16,6 +16,8 @@ NO_COMMAND, NO_PARAMETER = 31009, "LFIELD_HAS_NONE"
 QUALITY, ROUND_TRIP = 0.5, 1.0
 #: Seconds after which a parameter that does not exist is an error, with some room.
 UNKNOWN_BY = 4.0
+#: Seconds after which a vehicle that was just switched on can be armed.
+READY_BY = 90.0
 #: Payload that can be used without harm: instruction and arguments.
 PAYLOAD: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("closeGripper", ()),
@@ -108,6 +110,16 @@ async def files(bench: Bench) -> str:
     listed = (await bench.call("listFiles", "/")).splitlines()
     reason = await refused(bench, "readFile", "/lfield/has/none")
     return f"{len(listed)} entries: {' '.join(listed[:5])}; of another: {reason}"
+
+
+@GROUND.check("it can be armed", moves=True)
+async def ready(bench: Bench) -> str:
+    """Its own checks have passed, and it knows where it is; from cold that takes 45 s."""
+    start = time.monotonic()
+    await bench.call("waitReady", READY_BY)
+    if not await bench.call("isReady") or await bench.call("whyNotReady"):
+        raise CheckFailed(f"waitReady() returned, and it is not ready: {await bench.call('whyNotReady')}")
+    return f"after {time.monotonic() - start:.1f} s, in {bench.query('mode')}"
 
 
 @GROUND.check("raw commands do not move it", moves=True)

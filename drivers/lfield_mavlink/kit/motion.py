@@ -1,4 +1,7 @@
-"""Checks that move a vehicle: a copter climbs to 3 m, a rover stays on the ground, both go 3 m far."""
+"""Checks that move a vehicle: a copter climbs to 3 m, a rover stays on the ground.
+
+Both go 3 m far, and where there is a speed limit as far as it takes to come near it.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,9 @@ MOTION = Kit()
 
 #: Metres: how high a copter flies, and how far everything goes.
 HEIGHT, FAR = 3.0, 3.0
+#: Seconds of flight at the speed limit that are enough to be faster than it, and the least share of it that
+#: a vehicle must have come to for that to be known.
+RUN, TRIED = 5.0, 0.6
 #: m/s of setpoints, and above what it is seen to move and below what it stands.
 SPEED, MOVES, STANDS = 1.0, 0.3, 0.2
 #: Seconds that the guard may be late with a latch, as the host hears of it.
@@ -54,13 +60,32 @@ async def trip(bench: Bench) -> str:
             goal = (start[0] + way, start[1], start[2])
             await bench.call("goTo", *goal)
             off.append(math.dist(bench.query("position")[:2], goal[:2]))
-        _see(max(off) <= _tolerance(bench), f"goTo() returned {max(off):.2f} m from its goal")
+        _see(max(off) <= await _tolerance(bench), f"goTo() returned {max(off):.2f} m from its goal")
         await bench.call("hold")
         await _stops(bench)
         return (
             f"at {bench.query('altitude'):.1f} m; {off[0]:.2f} m off when {_far(bench):g} m away, "
             f"{off[1]:.2f} m off when back; held in {bench.query('mode')}"
         )
+
+
+@MOTION.check("its speed limit is kept", moves=True)
+async def speed_limit(bench: Bench) -> str:
+    """The highest speed over ground of a way that is long enough, after a takeoff and after a hold."""
+    limit = bench.binding.limits.get("speed")
+    if limit is None:
+        raise NotTried("its binding has none: give it 'limits'")
+    far = min(RUN * limit, bench.binding.limits.get("radius", math.inf) / 2)
+    async with _under_way(bench):
+        start, fastest = bench.query("position"), []
+        for way in (far, 0.0):
+            fastest.append(await _fastest(bench, start[0] + way, start[1], start[2]))
+            await bench.call("hold")
+        allowed = limit * (1.0 + float(bench.binding.option("limit_tolerance")))
+        told = f"{' and '.join(f'{speed:.2f}' for speed in fastest)} m/s at most, of {limit:g}"
+        _see(max(fastest) <= allowed, told)
+        _see(max(fastest) >= TRIED * limit, f"{told}: {far:g} m are too short a way to tell")
+        return told
 
 
 @MOTION.check("a velocity that is not renewed ends", moves=True)
@@ -132,6 +157,19 @@ async def _drive(bench: Bench, speed: float) -> float:
     raise CheckFailed(f"setVelocity({speed:g}, 0, 0) does not move it")
 
 
+async def _fastest(bench: Bench, *goal: float) -> float:
+    """The highest speed over ground on the way to a place."""
+    going, most = asyncio.ensure_future(bench.call("goTo", *goal)), 0.0
+    try:
+        while not going.done():
+            await asyncio.wait([going], timeout=0.05)
+            most = max(most, math.hypot(*bench.query("velocity")[:2]))
+        await going
+    finally:
+        going.cancel()
+    return most
+
+
 async def _stops(bench: Bench) -> None:
     await bench.until(lambda: math.hypot(*bench.query("velocity")[:2]) < STANDS, 10.0, "it to stop")
 
@@ -140,9 +178,12 @@ def _kind(bench: Bench) -> str:
     return str(bench.binding.option("kind"))
 
 
-def _tolerance(bench: Bench) -> float:
-    """Metres; telemetry is a moment older than what the driver saw."""
-    return 2.0 * float(bench.binding.option("tolerance"))
+async def _tolerance(bench: Bench) -> float:
+    """Metres; telemetry is a moment older than what the driver saw. ArduPilot stops a rover at WP_RADIUS."""
+    stops = 0.0
+    if _kind(bench) == "rover" and bench.identity.startswith("ArduPilot"):
+        stops = await bench.call("parameter", "WP_RADIUS")
+    return max(2.0 * float(bench.binding.option("tolerance")), stops + 0.5)
 
 
 def _height(bench: Bench) -> float:

@@ -17,7 +17,7 @@ from contextlib import suppress
 from typing import Protocol
 
 from lfield.driver import DeviceError
-from lfield_mavlink.link.serial_link import SerialLink
+from lfield.driver.serial import SerialPort
 
 #: Seconds between attempts to open a link again.
 AGAIN = 1.0
@@ -64,6 +64,38 @@ def make_link(endpoint: str, on_data: OnData) -> Link:
     if kind == "tcp":
         return TcpLink(place, int(number), on_data)
     return UdpLink(place, int(number), on_data, listens=kind == "udpin")
+
+
+class SerialLink:
+    """A serial port; when its buffer is full, or it is away, a packet is lost, which MAVLink survives."""
+
+    def __init__(self, path: str, baud: int, on_data: OnData) -> None:
+        self.received, self.port = on_data, SerialPort(path, baud, self)
+
+    async def open(self) -> None:
+        """Open and configure the port, now."""
+        self.port.open()
+
+    def send(self, data: bytes) -> None:
+        """Into the port."""
+        self.port.write(data)
+
+    def why_silent(self) -> str:
+        """An autopilot's port has a baud rate, and speaks MAVLink if it was set up so."""
+        return (
+            f"nothing comes from {self.port.path}; check the cable, the baud rate of {self.port.baud}, and "
+            "that the autopilot speaks MAVLink there (SERIALn_PROTOCOL 2, MAV_n_CONFIG)"
+        )
+
+    def close(self) -> None:
+        """Give the port back."""
+        self.port.close()
+
+    def lost(self, reason: str) -> None:
+        """The heartbeats that are missing tell of it."""
+
+    def back(self) -> None:
+        """And those that come again."""
 
 
 class UdpLink:

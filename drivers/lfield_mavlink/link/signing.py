@@ -67,7 +67,7 @@ class Signing:
             if not self.stamps.is_low:
                 continue
             try:
-                await asyncio.to_thread(self.stamps.extend)
+                await asyncio.to_thread(self.stamps.extend, self.stamps.due)
                 failed = False
             except DeviceError as error:
                 if not failed:

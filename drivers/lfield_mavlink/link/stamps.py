@@ -66,12 +66,12 @@ class Stamps:
 
     def next(self) -> int:
         """A timestamp later than every one before."""
-        self._last = max(self._last + 1, min(self._due(), self._written))
+        self._last = max(self._last + 1, min(self.due, self._written))
         return self._last
 
     def saw(self, timestamp: int) -> None:
         """Somebody who has the key too is at `timestamp`: ours must not stay behind."""
-        self._start += max(timestamp - self._due(), 0)
+        self._start += max(timestamp - self.due, 0)
 
     @property
     def latest(self) -> int:
@@ -81,14 +81,15 @@ class Stamps:
     @property
     def is_low(self) -> bool:
         """Whether it is time to `extend`."""
-        return self._written - max(self._due(), self._last) < LOW
+        return self._written - max(self.due, self._last) < LOW
 
-    def extend(self) -> None:
-        """Write further ahead. Raises DeviceError."""
+    def extend(self, due: int) -> None:
+        """Write further ahead of `due`; from any thread, so it looks at no clock. Raises DeviceError."""
         with self._locked():
-            self._write(max(self._due(), self._last, self._read()) + AHEAD)
+            self._write(max(due, self._last, self._read()) + AHEAD)
 
-    def _due(self) -> int:
+    @property
+    def due(self) -> int:
         """The timestamp of now, by the monotonic clock: a wall clock that is set must not move it."""
         return self._start + int((self._clock.monotonic() - self._opened) * PER_SECOND)
 

@@ -158,6 +158,14 @@ class OwnFence:
             return f"the goal is {height:.1f} m up, and its own fence {ceiling[0]} ends at {ceiling[1]:g} m"
         return ""
 
+    async def perhaps(self) -> str:
+        """That its uploaded zones may be why it does not move, to go after what is known; '' without any."""
+        if self._vehicle.profile.px4 or not await self._parameters.read("FENCE_ENABLE"):
+            return ""
+        zones = int(await self._parameters.read("FENCE_TYPE") or 0) & ZONES
+        there = zones and await self._parameters.read("FENCE_TOTAL")
+        return "; its own fence has zones, which may be why: fence() lists them" if there else ""
+
     async def _switched_edges(self) -> tuple[Edge, Edge]:
         """ArduPilot's, of the kinds that are switched on."""
         ceiling, circle = await self._edges("FENCE_ENABLE", "FENCE_ALT_MAX", "FENCE_RADIUS")

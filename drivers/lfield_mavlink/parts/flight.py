@@ -9,12 +9,12 @@ from typing import Any
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import LINK_LOST, SHOWS, Contact
 from lfield_mavlink.geo import Vector
+from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
 from lfield_mavlink.parts.orders import Order
 from lfield_mavlink.parts.progress import WayBack
-from lfield_mavlink.parts.readiness import Readiness
+from lfield_mavlink.parts.readiness import COMPLAINTS, Readiness
 
 #: Seconds for a heartbeat to come that is newer than a stop; one comes every second at least.
 NEWS = 2.5
@@ -76,12 +76,13 @@ class Flight:
                 )
             except DeviceError as refusal:
                 if STATION_FAILSAFE not in refusal.reason or begun - start > CLEARS:
-                    raise await self._reasoned(refusal, begun) from None
+                    raise await self._reasoned(refusal) from None
             await asyncio.sleep(ARM_AGAIN)
 
-    async def _reasoned(self, refusal: DeviceError, begun: float) -> DeviceError:
+    async def _reasoned(self, refusal: DeviceError) -> DeviceError:
         """A refusal to arm with a reason: PX4 gives some of them without a word."""
-        if refusal.kind == "DeviceTimeoutException" or self._vehicle.reasons(begun):
+        told = any(complaint in refusal.reason for complaint in COMPLAINTS)
+        if told or refusal.kind == "DeviceTimeoutException":
             return refusal
         why = await self._readiness.do_why_not_ready()
         return self._vehicle.error(f"{refusal.reason}, {why}") if why else refusal

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect, result_words
-from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
 from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Patience, Target
 from lfield_mavlink.parts.progress import Revolutions, Turning
@@ -21,8 +20,8 @@ TURNS = Patience(closer=0.05, words="no progress for {seconds:g} s, {left:.2f} r
 TURNS_ON_THE_SPOT = Patience(2.0, 0.05, words="its heading did not change for {seconds:g} s; " + CANNOT_TURN)
 #: Seconds of setpoints that PX4 must have noticed before it is told to enter OFFBOARD.
 NOTICES = 0.15
-#: Seconds for its answer, and for the mode to show, before it is told again.
-SHOWN = 0.1
+#: Seconds for its answer, and for the mode to show, before it is told again; and how often it may refuse.
+SHOWN, REFUSALS = 0.05, 2
 
 
 class Guidance:
@@ -152,34 +151,33 @@ class Guidance:
         What it does not enter it accepts all the same, and says so in words only.
         """
         vehicle, guided = self._vehicle, self._vehicle.profile.guided
-        if self._state.mode != guided:
-            await asyncio.sleep(NOTICES)
-        start, values, result = vehicle.clock.monotonic(), self._motion.mode_values(guided), None
-
-        def decided() -> bool:
-            return self._state.mode == guided or vehicle.is_unavailable(start)
-
-        while not decided() and result in (None, dialect.MAV_RESULT_ACCEPTED):
-            if vehicle.clock.monotonic() >= until:
+        start, pause, refusals = vehicle.clock.monotonic(), NOTICES, 0
+        while not await vehicle.seen(self._is_guided, pause):
+            asked = vehicle.clock.monotonic()
+            result = await self._ask_for_offboard(asked)
+            refused = vehicle.is_unavailable(asked) or result not in (None, dialect.MAV_RESULT_ACCEPTED)
+            # The first time it may be that the setpoints were lost.
+            pause, refusals = (NOTICES, refusals + 1) if refused else (0.0, refusals)
+            over = vehicle.clock.monotonic() >= until
+            if not self._is_guided() and (over or refusals == REFUSALS):
                 vehicle.check_link()
-                raise vehicle.error(
-                    f"{what}: {guided} was not entered within the time-to-live of {vehicle.binding.ttl:g} s "
-                    f"({_words(result)}){vehicle.reasons(start)}"
-                )
-            answer = await vehicle.exchange.command(
-                dialect.MAV_CMD_DO_SET_MODE, *values, once=True, patience=SHOWN
-            )
-            result = answer.result
-            await vehicle.seen(decided, SHOWN)
-        if self._state.mode != guided:
-            raise vehicle.error(f"{what}: {guided} refused ({_words(result)}){vehicle.reasons(start)}")
+                why = "refused" if refused else f"not entered within the ttl of {vehicle.binding.ttl:g} s"
+                words = "no answer" if result is None else result_words(result)
+                raise vehicle.error(f"{what}: {guided} was {why}: {words}{vehicle.reasons(start)}")
         self._motion.claim(guided)
+
+    async def _ask_for_offboard(self, asked: float) -> int | None:
+        """Tell PX4 once, and wait a moment for what becomes of it; the result of the command."""
+        vehicle, values = self._vehicle, self._motion.mode_values(self._vehicle.profile.guided)
+        command = dialect.MAV_CMD_DO_SET_MODE
+        answer = await vehicle.exchange.command(command, *values, once=True, patience=SHOWN)
+        await vehicle.seen(lambda: self._is_guided() or vehicle.is_unavailable(asked), SHOWN)
+        return answer.result
+
+    def _is_guided(self) -> bool:
+        return self._state.mode == self._vehicle.profile.guided
 
     def _check_placed(self, what: str) -> None:
         needs_home = self._vehicle.profile.px4
         if self._state.position is None or (needs_home and self._state.home is None):
             raise self._vehicle.error(f"{what}: the vehicle has not told where it is, or where home is")
-
-
-def _words(result: int | None) -> str:
-    return "no answer" if result is None else result_words(result)

@@ -9,8 +9,8 @@ from typing import Any
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place
+from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
-from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.services.plan_items import WAYPOINT, Item, PlanKind, command_name, coordinates, waypoints
 from lfield_mavlink.services.plan_transfer import PlanTransfer

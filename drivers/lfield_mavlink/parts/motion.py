@@ -198,7 +198,8 @@ class Motion:
             if progress.is_over(left, self.moves, now):
                 await self._give_up(order)
                 words = patience.words.format(seconds=patience.seconds, left=left)
-                raise vehicle.error(f"{what} gave up: {words}")
+                fence = await self._fence.perhaps() if order.goal is not None else ""
+                raise vehicle.error(f"{what} gave up: {words}{fence}")
             if not asked and self._is_refused(order, progress, now):
                 asked = True
                 await self._check_fence(what, order)
@@ -288,11 +289,11 @@ class Motion:
             await self._change_speed(self.wanted_speed)
 
     async def slow_down(self, speed: float, why: str) -> None:
-        """Have it fly slower, or, where no speed can be told, hold. Raises DeviceError."""
-        if self._takes_speed:
-            await self._change_speed(speed)
-        else:
+        """Have it fly slower, or, where setpoints say how fast, hold. Raises DeviceError."""
+        if self._in_guided and not self._steady:
             await self.halt(why)
+        else:
+            await self._change_speed(speed)
 
     @property
     def _takes_speed(self) -> bool:
@@ -300,8 +301,7 @@ class Motion:
 
         A rover refuses it otherwise, and a copter forgets it.
         """
-        profile = self._vehicle.profile
-        return profile.px4 or self._steady or self._state.mode != profile.guided
+        return self._vehicle.profile.px4 or self._steady or self._state.mode == "AUTO"
 
     async def _keep_pace(self, speed: float) -> None:
         """Have control of a position begin where it is, with its own speed, and then tell it the wanted one.

@@ -18,6 +18,8 @@ from lfield_mavlink.parts.motion import Motion
 
 #: How the autopilots begin a text that says why they cannot be armed.
 COMPLAINTS = ("PreArm: ", "Preflight Fail: ", "Arm: ", "Arming denied: ")
+#: What is said when it says nothing.
+FAILED = "its checks before arming have not passed"
 #: Seconds for which such a text counts; ArduPilot says each again every 30 s.
 SAID = 35.0
 #: Seconds to wait for the autopilot to say it, once it was asked to.
@@ -47,7 +49,7 @@ class Readiness:
     async def do_why_not_ready(self) -> str:
         """Why it could not be armed now, in the autopilot's words where it has any; '' when it could."""
         lack = self._lack()
-        return "" if not lack else await self.complaints() or lack
+        return await self._words(lack) if lack else ""
 
     async def do_wait_ready(self, seconds: float) -> None:
         """Wait until it can be armed, in the mode for that. Raises DeviceError with the reason if not."""
@@ -70,17 +72,17 @@ class Readiness:
                 self._counts_from = moded_at + SETTLES
             await vehicle.seen(lambda: not self._lack(), min(LOOK, start + seconds - now))
 
-    async def complaints(self) -> str:
-        """What the autopilot says against arming, when it is asked to say it; '' when it says nothing."""
+    async def _words(self, lack: str) -> str:
+        """What the autopilot says against arming, when it is asked to say it; else what it lacks."""
         vehicle, now = self._vehicle, self._vehicle.clock.monotonic()
         # PX4 sends no texts while it hears no ground station, and nothing is asked for then.
-        if vehicle.quiet or vehicle.silence > LINK_LOST:
-            return self._said(now - SAID)
-        await vehicle.exchange.command(dialect.MAV_CMD_RUN_PREARM_CHECKS)
-        # Several come at once: those after the first are waited for too.
-        await vehicle.seen(lambda: bool(self._said(now)), SPEAKS)
-        await vehicle.seen(lambda: False, 0.2 * SPEAKS)
-        return self._said(now) or self._said(now - SAID)
+        if not vehicle.quiet and vehicle.silence <= LINK_LOST:
+            await vehicle.exchange.command(dialect.MAV_CMD_RUN_PREARM_CHECKS)
+            # Several come at once: those after the first are waited for too.
+            await vehicle.seen(lambda: bool(self._said(now)), SPEAKS)
+            await vehicle.seen(lambda: False, 0.2 * SPEAKS)
+        earlier = self._said(now - SAID) if lack.startswith(FAILED) else ""
+        return self._said(now) or earlier or lack
 
     def _said(self, since: float) -> str:
         texts = (text for text in self._vehicle.texts.since(since) if text.startswith(COMPLAINTS))
@@ -104,7 +106,7 @@ class Readiness:
             await self._motion.set_mode(self._vehicle.profile.arming)
 
     async def _gave_up(self, seconds: float, lack: str) -> DeviceError:
-        why = await self.complaints() or lack
+        why = await self._words(lack)
         return self._vehicle.error(f"waitReady: it cannot be armed after {seconds:g} s: {why}")
 
 
@@ -121,7 +123,7 @@ def lack(state: VehicleState, since: float, *, px4: bool) -> str:
     checked = px4 or bool(sensors.present & sensors.enabled & PREARM)
     if checked and not sensors.healthy & PREARM:
         unhealthy = ", ".join(sensors.unhealthy)
-        return "its checks before arming have not passed" + (f"; not well: {unhealthy}" if unhealthy else "")
+        return FAILED + (f"; not well: {unhealthy}" if unhealthy else "")
     if state.placed_at < since:
         return "it has told no position"
     return ""

@@ -59,7 +59,7 @@ def _device_state(device: DeviceStatus) -> str:
     if device.silent is not None and device.silent > SILENT:
         return f"silent {device.silent:.0f} s"
     if not device.latched:
-        return "in use"
+        return "in use" if device.silent is not None else "not heard yet"
     return f"safe: {device.moving}" if device.moving else "safe, at rest"
 
 

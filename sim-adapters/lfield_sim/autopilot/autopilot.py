@@ -15,7 +15,7 @@ from lfield_sim.autopilot.flight import fly, suffer
 from lfield_sim.autopilot.lifting import begin_takeoff, disarm_when_idle, rise
 from lfield_sim.autopilot.missions import why_no_mission
 from lfield_sim.autopilot.pilot import Pilot
-from lfield_sim.autopilot.readiness import Unfit, why_unfit
+from lfield_sim.autopilot.readiness import Unfit, news, why_unfit
 from lfield_sim.autopilot.stacks import ardupilot, px4
 from lfield_sim.autopilot.vehicle import ZERO, Circle, Goal, Keep, Lean, Reach, Vector
 from lfield_sim.autopilot.watch.failsafes import Failsafes
@@ -52,6 +52,8 @@ class Autopilot(Pilot):
         self.now += dt
         if self.booting:
             return
+        for text in news(self, dt):
+            self.say(text)
         self.failsafes.check(dt)
         if self.flavour.drifts:
             self.homing.step(dt, self.vehicle.place, flying=self.vehicle.airborne)

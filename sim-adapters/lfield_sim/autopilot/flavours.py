@@ -169,7 +169,8 @@ class Warming:
 
     `fix`, `home`, `origin` and `position` are when GPS has one and when the others are told; from `estimate`
     on the estimator trusts its position. `reasons` are why arming is refused, each until its share; None is
-    a refusal without a word.
+    a refusal without a word. `texts` are what it says of itself meanwhile, each at its share.
+    From `by_hand` on it may be armed in a mode that needs no position.
     """
 
     fix: float
@@ -178,6 +179,8 @@ class Warming:
     position: float
     estimate: float
     reasons: tuple[tuple[float, tuple[str, ...] | None], ...]
+    texts: tuple[tuple[float, tuple[str, ...]], ...] = ()
+    by_hand: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +189,7 @@ class Flavour:
 
     refusal             the result of an arming or disarming that is refused
     denial              the texts of a refused arming: one for each {reason}
+    warning             the same, told again and again while it is not armed ('': never)
     verdict             what is said after them
     unarmable           the reason why a {mode} is none to arm in
     serves_components   commands for another component are carried out (ArduPilot), not ignored (PX4)
@@ -247,6 +251,7 @@ class Flavour:
     fastest: float = 1000.0
     return_cone: float = 0.0
     verdict: str = ""
+    warning: str = ""
     unarmable: str = "{mode} mode not armable"
     stream_time: float = 0.0
     grace: float = 0.0

@@ -26,8 +26,7 @@ def _return(pilot: Pilot) -> None:
     vehicle, home = pilot.vehicle, pilot.home
     north, east, down = vehicle.place
     far = math.dist((north, east), home[:2])
-    cone = pilot.flavour.return_cone
-    height = home[2] - min(pilot.return_height, cone * far if cone else pilot.return_height)
+    height = home[2] - pilot.return_height_at(far)
     if not pilot.flies:
         vehicle.goal = Reach(home)
     elif not vehicle.airborne:
@@ -46,6 +45,7 @@ def _take_off(pilot: Pilot) -> None:
     """PX4's mode: up to MIS_TAKEOFF_ALT, then hold there; a rover is where it is to be at once."""
     goal = pilot.homing.ground - pilot.takeoff_height
     if not pilot.flies:
+        pilot.on_its_way = True
         pilot.go_on(Role.HOLD)
     elif pilot.vehicle.place[2] <= goal + AT_HEIGHT:
         place = (*pilot.vehicle.place[:2], goal)

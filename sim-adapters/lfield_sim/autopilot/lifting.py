@@ -15,6 +15,8 @@ from lfield_sim.autopilot.vehicle import Descend, Reach, Rest, Rise
 
 #: Metres within which a height is reached; what an ArduCopter has risen by until it says so.
 AT_HEIGHT, LIFTED = 0.3, 0.2
+#: PX4's rover: metres from home at which its return is over, the speed in m/s from which it is on its way.
+AT_HOME, ROLLS = 0.5, 0.3
 
 
 class LandedState(IntEnum):
@@ -76,6 +78,7 @@ def disarm_when_idle(pilot: Pilot) -> None:
     """A vehicle that landed, or never took off, disarms itself; ArduPilot's rover does not."""
     if not pilot.kind.lands or not pilot.armed:
         return
+    _count_as_flying(pilot)
     _say_landed(pilot)
     if pilot.aloft:
         pilot.touched_at, pilot.armed_at = math.inf, pilot.now
@@ -92,6 +95,18 @@ def disarm_when_idle(pilot: Pilot) -> None:
         pilot.disarm(text=pilot.flavour.idle_text)
 
 
+def _count_as_flying(pilot: Pilot) -> None:
+    """PX4's rover flies from the moment that it rolls until it lands, or is back home."""
+    if pilot.flies:
+        return
+    vehicle = pilot.vehicle
+    speed, far = math.hypot(*vehicle.velocity[:2]), math.dist(vehicle.place[:2], pilot.home[:2])
+    if pilot.role is Role.LAND or (pilot.role is Role.RETURN and far < AT_HOME and speed < ROLLS):
+        pilot.on_its_way = False
+    elif speed > ROLLS:
+        pilot.on_its_way = True
+
+
 def _say_landed(pilot: Pilot) -> None:
     """PX4 says when it has left the ground, and when it is back."""
     stands = pilot.landed
@@ -102,7 +117,10 @@ def _say_landed(pilot: Pilot) -> None:
 
 def _is_over(pilot: Pilot) -> bool:
     """Whether a landing has ended so long ago that the motors go off."""
-    if pilot.role not in (Role.LAND, Role.RETURN) or not pilot.landed:
+    # PX4 needs no mode for that: whoever has flown and stands has landed.
+    lands = pilot.role in (Role.LAND, Role.RETURN)
+    lands = lands or (pilot.flavour.takeoff_mode and pilot.touched_at is not None)
+    if not lands or not pilot.landed:
         return False
     delay = pilot.flavour.land_delay
     wait = pilot.value(delay) if isinstance(delay, str) else delay

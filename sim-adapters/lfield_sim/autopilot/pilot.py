@@ -9,6 +9,7 @@ from random import Random
 
 from lfield_sim.autopilot.equipment import Battery, Payload
 from lfield_sim.autopilot.flavours import Flavour, Kind, Pace, Result, Role, Severity
+from lfield_sim.autopilot.ground import GroundVehicle
 from lfield_sim.autopilot.home import Home
 from lfield_sim.autopilot.plans import BOUNDARY, CEILING, NO_BREACH, Fence, Mission, MissionItem, NoFence
 from lfield_sim.autopilot.vehicle import (
@@ -17,7 +18,6 @@ from lfield_sim.autopilot.vehicle import (
     Descend,
     Fall,
     Goal,
-    GroundVehicle,
     Keep,
     Lean,
     Rest,
@@ -33,8 +33,6 @@ REBOOT = 3.0
 STILL = 0.05
 #: Seconds that a setpoint lasts where no parameter says so.
 SETPOINT_TIMEOUT = 3.0
-#: PX4's rover: metres from home at which its return is over, seconds after arming until it counts as aloft.
-AT_HOME, ROLLS = 0.5, 0.55
 #: Seconds that an ArduCopter stands still before it lands for a failsafe.
 LANDING_PAUSE = 4.0
 #: Texts that are kept until somebody takes them.
@@ -53,6 +51,7 @@ class Pilot:
     takeoff_goal         the height in m that a takeoff of PX4 was given
     lifts_at, lift_goal  when the motors are up for a takeoff under way, and how far down it leads
     sinks_at             when a landing goes down: ArduCopter's failsafes stand still for a while first
+    on_its_way           of PX4's rover: what it calls flying
     stood                what was last said about standing
     intended             the mode that somebody commanded, whatever a failsafe made of it
     station_at           when a ground station was heard
@@ -87,6 +86,7 @@ class Pilot:
     boots: int = 0
     armed_at: float = 0.0
     armed_first: float = 0.0
+    on_its_way: bool = False
     touched_at: float | None = None
     stood: bool = True
     lifts_at: float | None = None
@@ -133,11 +133,7 @@ class Pilot:
     @property
     def aloft(self) -> bool:
         """Whether it counts as off the ground: a copter that is, and PX4's rover on its way."""
-        if self.flies or not self.kind.lands or not self.armed:
-            return self.vehicle.airborne
-        back = math.dist(self.vehicle.place[:2], self.home[:2]) < AT_HOME
-        ends = self.role is Role.LAND or (self.role is Role.RETURN and back)
-        return not ends and self.now - self.armed_first >= ROLLS
+        return self.vehicle.airborne if self.flies else self.on_its_way
 
     @property
     def settles(self) -> float:
@@ -289,6 +285,8 @@ class Pilot:
         self.pace.enter(guided=self.role is Role.GUIDED)
         vehicle.yaw_goal = vehicle.yaw_rate_goal = None
         vehicle.goal = self._first_goal()
+        if self.role is Role.RETURN and self.flavour.takeoff_mode and self.armed and self.aloft:
+            self._say_return()
         if self.role is Role.MISSION:
             first = 1 if self.flavour.home_item else 0
             self.mission.jump(max(self.mission.current, first) if self.mission.item else first)
@@ -296,6 +294,18 @@ class Pilot:
             vehicle.goal = self._circle_ahead()
         if self.role is Role.GUIDED:
             self.armed_at = self.now
+
+    def _say_return(self) -> None:
+        """PX4 tells how high it returns."""
+        far = math.dist(self.vehicle.place[:2], self.home[:2])
+        up = max(self.home[2] - self.vehicle.place[2], self.return_height_at(far))
+        top = self.altitude - self.home[2] + up
+        self.say(f"RTL: start return at {top:.0f} m ({up:.0f} m above destination)\t")
+
+    def return_height_at(self, far: float) -> float:
+        """Metres above home at which it returns from `far` away: less, near home, where there is a cone."""
+        cone = self.flavour.return_cone
+        return min(self.return_height, cone * far) if cone else self.return_height
 
     def _first_goal(self) -> Goal:
         """What a mode does as soon as it is entered; without a transmitter ArduCopter's throttle is down."""
@@ -326,7 +336,7 @@ class Pilot:
             return self.flavour.refusal
         if self.armed:
             self.say(text or self.flavour.disarmed)
-        self.armed = False
+        self.armed = self.on_its_way = False
         if self.vehicle.airborne:
             self.vehicle.goal = Fall()
         else:

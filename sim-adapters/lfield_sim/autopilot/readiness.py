@@ -8,7 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.pilot import Pilot
+
+#: Seconds between two warnings that it cannot be armed.
+WARNED = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,20 @@ def has_position(pilot: Pilot) -> bool:
     return not pilot.gps_lost and warmth(pilot) >= pilot.kind.warming.position
 
 
+def news(pilot: Pilot, dt: float) -> list[str]:
+    """What it says of itself in the last `dt` seconds: of its start, and why it cannot be armed."""
+    found: list[str] = []
+    if 0.0 < pilot.uptime - dt < pilot.warm_up:
+        before = (pilot.uptime - dt) / pilot.warm_up
+        texts = pilot.kind.warming.texts
+        found += [text for at, told in texts if before < at <= pilot.uptime / pilot.warm_up for text in told]
+    if pilot.flavour.warning and not pilot.armed and pilot.uptime % WARNED < dt < pilot.uptime:
+        unfit = why_unfit(pilot)
+        reasons = unfit.reasons if unfit is not None else None
+        found += [pilot.flavour.warning.format(reason=reason) for reason in reasons or ()]
+    return found
+
+
 def trusts_position(pilot: Pilot) -> bool:
     """Whether its estimator says that it knows the position."""
     return has_position(pilot) and warmth(pilot) >= pilot.kind.warming.estimate
@@ -60,6 +78,9 @@ def why_unfit(pilot: Pilot) -> Unfit | None:
         fenced = fence.blind_text and pilot.parameters[fence.enable]
         return Unfit((fence.blind_text if fenced else "Need Position Estimate",))
     done = warmth(pilot)
-    if done >= 1.0:
+    by_hand = pilot.role is Role.MANUAL and done >= pilot.kind.warming.by_hand
+    if by_hand and done < 1.0 and pilot.value(pilot.flavour.fence.enable):
+        return Unfit((pilot.flavour.fence.blind_text,))
+    if done >= 1.0 or by_hand:
         return None
     return Unfit(next(texts for until, texts in pilot.kind.warming.reasons if done < until))

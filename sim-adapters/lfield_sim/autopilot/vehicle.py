@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 GRAVITY = 9.80665
 #: What counts as in the air, in metres.
 AIRBORNE = 0.05
+#: Metres to a place within which the nose stays as it is.
+NEAR = 3.0
 #: How fast a copter comes down with its throttle down, in m/s.
 SINK = 2.5
-#: Metres from a place within which a rover has reached it.
-AT_PLACE = 0.05
 
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
@@ -178,7 +178,7 @@ class Vehicle:
         before, limits = self.velocity, self.limits
         north, east, down = self._kept_in(self._wanted())
         missing = (north - before[0], east - before[1])
-        lean = _eased(self.acceleration[:2], missing, self._strongest, limits.jerk, dt)
+        lean = eased(self.acceleration[:2], missing, self._strongest, limits.jerk, dt)
         vertical = _towards(before[2], down, self._vertical(down) * dt)
         self.velocity = (before[0] + lean[0] * dt, before[1] + lean[1] * dt, vertical)
         self._move(dt)
@@ -209,10 +209,19 @@ class Vehicle:
             case Sink():
                 return (0.0, 0.0, SINK)
             case Descend():
-                return (0.0, 0.0, self.limits.land if self.place[2] > -10.0 else self.limits.descend)
+                limits = self.limits
+                speed = limits.land if self.place[2] > -10.0 else limits.descend
+                return (0.0, 0.0, limits.velocity_response.flown(speed))
             case Fall():
                 return (self.velocity[0], self.velocity[1], 50.0)
         return ZERO
+
+    @property
+    def _nose_follows(self) -> bool:
+        """Whether its nose turns to where it flies: on the way to a place that is not quite near."""
+        if isinstance(self.goal, Reach):
+            return math.dist(self.place[:2], self.goal.place[:2]) > NEAR
+        return self.limits.nose_follows
 
     @property
     def _strongest(self) -> float:
@@ -285,7 +294,7 @@ class Vehicle:
             self.yaw = wrap(self.yaw + rate * dt)
             return
         goal = self.yaw_goal
-        follows = self.limits.nose_follows or isinstance(self.goal, Reach)
+        follows = self._nose_follows
         if goal is None and follows and math.hypot(*self.velocity[:2]) > 0.5 and self.airborne:
             goal = math.atan2(self.velocity[1], self.velocity[0])
         if goal is not None:
@@ -294,69 +303,6 @@ class Vehicle:
                 self.yaw
                 + max(-1.0, min(1.0, error / (self.limits.yaw_rate * dt))) * self.limits.yaw_rate * dt
             )
-
-
-@dataclass(slots=True)
-class GroundVehicle(Vehicle):
-    """A rover: it drives where its nose points, and turns to point where it must go.
-
-    `turning_radius` in m is that of its front wheels (Ackermann): such a one turns only as it drives. 0 is
-    skid steering, which turns on the spot.
-    """
-
-    turning_radius: float = 0.0
-
-    @property
-    def airborne(self) -> bool:
-        """Never."""
-        return False
-
-    def step(self, dt: float) -> None:
-        """Let `dt` seconds pass."""
-        before, heading = self.velocity, self.yaw
-        north, east, _ = self._kept_in(self._wanted())
-        wanted, along = math.hypot(north, east), math.hypot(*before[:2])
-        course = math.atan2(east, north) if wanted > 1e-3 else self.yaw_goal
-        turn = self._turning(along) * dt
-        if self.yaw_rate_goal is not None:
-            # Told how fast to turn, it drives on with its nose as it is.
-            self.yaw = wrap(self.yaw + max(-turn, min(turn, self.yaw_rate_goal * dt)))
-        elif course is not None:
-            self.yaw = wrap(self.yaw + max(-turn, min(turn, wrap(course - self.yaw))))
-            wanted *= max(self._slowest_turn, math.cos(wrap(course - self.yaw)))
-        self.yaw_rate = wrap(self.yaw - heading) / dt
-        limits = self.limits
-        felt = math.copysign(math.hypot(*self.acceleration[:2]), self._pushing)
-        (push, _) = _eased((felt, 0.0), (wanted - along, 0.0), limits.acceleration, limits.jerk, dt)
-        speed = max(0.0, along + push * dt)
-        self.velocity = (speed * math.cos(self.yaw), speed * math.sin(self.yaw), 0.0)
-        self.place = (self.place[0] + self.velocity[0] * dt, self.place[1] + self.velocity[1] * dt, 0.0)
-        self.acceleration = (push * math.cos(self.yaw), push * math.sin(self.yaw), 0.0)
-
-    def _approach(self, place: Vector) -> Vector:
-        """As a copter; but wheels that steer do not turn back for a place that they have just passed."""
-        north, east, _ = _minus(place, self.place)
-        far = math.hypot(north, east)
-        passed = math.cos(math.atan2(east, north) - self.yaw) < 0.0
-        if far < AT_PLACE or (self.turning_radius and passed and far < 2.0 * self.turning_radius):
-            return ZERO
-        return Vehicle._approach(self, place)
-
-    @property
-    def _pushing(self) -> float:
-        """Positive while it speeds up, negative while it slows down."""
-        north, east, _ = self.acceleration
-        return north * math.cos(self.yaw) + east * math.sin(self.yaw)
-
-    @property
-    def _slowest_turn(self) -> float:
-        """The share of its speed that it keeps however far its nose is off: wheels that steer must roll."""
-        return 0.4 if self.turning_radius else 0.0
-
-    def _turning(self, speed: float) -> float:
-        if not self.turning_radius:
-            return self.limits.yaw_rate
-        return min(self.limits.yaw_rate, speed / self.turning_radius)
 
 
 def wrap(angle: float) -> float:
@@ -377,7 +323,7 @@ def _towards(value: float, goal: float, change: float) -> float:
     return value + max(-change, min(change, goal - value))
 
 
-def _eased(
+def eased(
     felt: tuple[float, ...], missing: tuple[float, float], most: float, jerk: float, dt: float
 ) -> tuple[float, float]:
     """The next acceleration on the way to a velocity that is `missing`: within `most`, built up by `jerk`.

@@ -144,6 +144,7 @@ def _set_interval(sender: Sender, command: Command) -> Answer:
             sender.autopilot.say(f"No ap_message for mavlink id ({kind})")
         return (Result.FAILED if flavour.submodes else Result.DENIED), []
     if micros > 0 and 1e6 / micros > flavour.fastest:
+        sender.autopilot.say(f"Requested rate for message ID {kind} too fast. Increase SCHED_LOOP_RATE")
         return Result.DENIED, []
     # -1 stops the stream; 0 asks for the default rate, which on ArduPilot is none.
     sender.stream(kind, 1e6 / micros if micros > 0 else sender.default_rate(kind) if micros == 0 else 0.0)

@@ -11,11 +11,11 @@ from harness.checkout import Checkout
 from harness.figure import Figure
 from harness.processes import Processes
 from harness.samples import Contender
-from lfield_dynamixel.chain import Chain, Node
-from lfield_dynamixel.port import SerialPort
 
 from lfield import loop
-from lfield_dynamixel.bus import Bus
+from lfield_dynamixel.bus.bus import Bus
+from lfield_dynamixel.bus.chain import Chain, Node
+from lfield_dynamixel.driver import serial_port
 
 SERVOS = tuple(range(1, 7))
 #: The range from present current to present position of the X series.
@@ -61,7 +61,7 @@ def driver(checkout: Checkout, processes: Processes) -> Contender:
 
 
 async def _driver_reads(endpoint: str) -> list[float]:
-    bus = Bus(lambda owner: SerialPort(endpoint, owner, print), print, lambda: None)
+    bus = Bus(lambda owner: serial_port(endpoint, owner, print), print, lambda: None)
     bus.open()
     chain, nodes = Chain(bus), [Node(number) for number in SERVOS]
 

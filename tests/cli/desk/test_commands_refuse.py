@@ -71,7 +71,7 @@ def test_a_command_line_that_makes_no_sense(lfield, refused, good, command, word
 def test_help_and_version_are_answers(lfield):
     shown = lfield("--help")
     assert lfield.status(shown) == 0
-    assert "130 interrupted" in "\n".join(shown.out)
+    assert "130  interrupted" in "\n".join(shown.out)
     assert lfield("--version").out[0].startswith("lfield ")
     assert "--until-done" in "\n".join(lfield("up", "--help").out)
 

@@ -120,7 +120,7 @@ def test_serial_reads_writes_and_is_locked():
         with pytest.raises(DeviceError, match=f"{path} is in use by another program"):
             await make_link(f"serial:{path}:57600", got.extend).open()
         os.close(master)
-        await until(lambda: link._port is None)
+        await until(lambda: not link.port.is_open)
         link.send(b"lost")
         link.close()
         os.close(slave)

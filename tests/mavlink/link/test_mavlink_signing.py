@@ -115,7 +115,7 @@ def test_they_never_go_back_after_a_crash(key_file):
         clock.advance(1.0)
         given_out.append(stamps.next())
         if stamps.is_low:
-            stamps.extend()
+            stamps.extend(stamps.due)
     # Neither when the computer has lost its time.
     again, _ = stamps_of(key_file, time=EPOCH)
     assert again.next() > max(given_out)
@@ -127,7 +127,7 @@ def test_they_stay_within_what_is_on_the_disk(key_file):
     clock.advance(1000.0)
     assert stamps.is_low
     assert stamps.next() == 1000 * PER_SECOND + AHEAD
-    stamps.extend()
+    stamps.extend(stamps.due)
     assert stamps.next() == 2000 * PER_SECOND
 
 
@@ -142,7 +142,7 @@ def test_they_do_not_stay_behind_others(key_file):
 def test_two_processes_with_one_key_do_not_share_a_timestamp(key_file):
     (one, _), (two, _) = stamps_of(key_file), stamps_of(key_file)
     assert one.next() < two.next()
-    one.extend()
+    one.extend(one.due)
     assert int((key_file.parent / "alpha.key.timestamp").read_text()) > two.next()
 
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
+from lfield_mavlink.limits import LimitWatch, Verdict
 from lfield_mavlink.link.dialect import Reader, dialect
-from lfield_mavlink.parts.limits import LimitWatch, Verdict
 from lfield_sim.autopilot.autopilot import Autopilot, Setpoint
 from lfield_sim.autopilot.flavours import Control, Result
 from lfield_sim.autopilot.vehicle import Reach

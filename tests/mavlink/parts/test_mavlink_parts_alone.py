@@ -14,10 +14,10 @@ from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
 from lfield_mavlink.contact.exchange import Answer
 from lfield_mavlink.contact.state import VehicleState
+from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.parts.fences import Fences, Rally
-from lfield_mavlink.parts.limits import Limits
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.orders import Circle
 from lfield_mavlink.parts.payload import Payload
@@ -198,7 +198,7 @@ def test_the_watchdog_tells_what_is_and_what_must_be():
 
 def test_older_cameras_are_triggered_by_the_older_command():
     class Old(StandIn):
-        async def command(self, *words, once=False, optional=False):
+        async def command(self, *words, once=False, optional=False, absent=""):
             await super().command(*words, once=once)
             return not optional
 

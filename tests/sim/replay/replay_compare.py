@@ -85,8 +85,12 @@ def _acknowledgements(real: Trace, played: Played) -> Iterator[Difference]:
 
 
 def _acks(trace: Trace, line: Line, end: float) -> list[Line]:
-    acks = trace.between(line.t, end, "COMMAND_ACK")
-    return [ack for ack in acks if ack.fields["command"] == line.fields["command"]]
+    # The fake's clock moves in steps of 0.02 s: what it says to an input may be a step older than that.
+    for since in (line.t, line.t - 0.021):
+        acks = trace.between(since, end, "COMMAND_ACK")
+        if found := [ack for ack in acks if ack.fields["command"] == line.fields["command"]]:
+            return found
+    return []
 
 
 def _words(acks: list[Line]) -> str:

@@ -42,6 +42,8 @@ FTP_OPS = {
 NAK = 129
 #: Seconds of a start, of ArduPilot and of PX4, where the recording ends before it is over.
 WARM_UP = (42.6, 6.0)
+#: The same of an ArduPilot whose bit does not say when it is over.
+EARLY = 41.9
 #: Commands after which a vehicle moves, stops or may.
 MOTIONS = {20, 21, 22, 34, 115, 176, 178, 185, 192, 193, 209, 213, 300, 310, 400}
 TYPES = {cls.msgname: (number, cls) for number, cls in dialect.mavlink_map.items()}
@@ -80,7 +82,9 @@ def make_fake(trace: Trace) -> MavlinkFake:
         (int(line.get("target_system")) for line in trace.inputs if "target_system" in line.fields), 1
     )
     ready = trace.first("SYS_STATUS", lambda s: bool(int(s.get("onboard_control_sensors_health")) & PRE_ARM))
-    warm_up = WARM_UP[trace.px4] if ready is None else max(0.1, ready - 0.3)
+    # In a mode that needs no position an ArduCopter may be armed long before its start is over.
+    early = not trace.px4 and (ready is None or ready < 0.9 * WARM_UP[0])
+    warm_up = EARLY if early else WARM_UP[trace.px4] if ready is None else max(0.1, ready - 0.3)
     faults = make_faults(f"warm_up={min(warm_up, 600.0)}", systems=(system,))
     bare = Autopilot(kinds[name], payload=Payload(frozenset()))
     return MavlinkFake(bare, system=system, place=place, faults=faults)
@@ -171,6 +175,10 @@ class _Player:
         return any(_armed(beat) for beat in self.trace.between(since, t, "HEARTBEAT"))
 
     def _is_to_be_ready(self, t: float) -> bool:
+        beat = self.trace.last("HEARTBEAT", t)
+        if beat is not None and _armed(beat):
+            # Whoever flies is not waited for: its bit comes and goes.
+            return False
         real, own = self.trace.last("SYS_STATUS", t), self.newest.get("SYS_STATUS")
         return real is not None and own is not None and _fit(real) and not _fit(own)
 

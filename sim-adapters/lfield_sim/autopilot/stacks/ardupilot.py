@@ -32,6 +32,7 @@ COPTER_FLAVOUR = Flavour(
     capabilities=0xFBEF,
     refusal=Result.FAILED,
     denial="Arm: {reason}",
+    warning="PreArm: {reason}",
     armed="Arming motors",
     disarmed="Disarming motors",
     serves_components=True,
@@ -128,12 +129,24 @@ ROVER_FLAVOUR = replace(
     position_lost="EKF failsafe",
 )
 
+
+def _both(what: str) -> tuple[str, ...]:
+    """What both estimators say."""
+    return tuple(f"EKF3 IMU{number} {what}" for number in range(2))
+
+
+_ALIGNED = (
+    (0.138, (*_both("tilt alignment complete"), *_both("MAG0 initial yaw alignment complete"))),
+    (0.23, ("GPS 1: probing for u-blox at 230400 baud", "GPS 1: detected u-blox")),
+    (0.469, (*_both("origin set"), "Field Elevation Set: 584m")),
+)
 _UNLEVEL = ("Need Alt Estimate", "Accels inconsistent", "EKF attitude is bad", "AHRS: waiting for home")
 COPTER_WARMING = Warming(
     fix=0.237,
     home=0.47,
     origin=0.47,
     position=0.98,
+    by_hand=0.55,
     estimate=0.985,
     reasons=(
         (0.05, ("System not initialised",)),
@@ -142,6 +155,15 @@ COPTER_WARMING = Warming(
         (0.47, ("Gyros inconsistent", "AHRS: waiting for home")),
         (1.0, ("Need Position Estimate",)),
     ),
+    texts=(
+        (0.008, ("Calibrating barometer",)),
+        (0.045, ("Barometer 1 calibration complete", "Barometer 2 calibration complete")),
+        (0.058, ("ArduPilot Ready", "AHRS: DCM active")),
+        (0.065, ("RC7: SaveWaypoint LOW",)),
+        (0.104, (*_both("initialised"), "AHRS: EKF3 active")),
+        *_ALIGNED,
+        (0.975, _both("is using GPS")),
+    ),
 )
 #: A rover tells home and its position long before it may be armed.
 ROVER_WARMING = Warming(
@@ -149,6 +171,7 @@ ROVER_WARMING = Warming(
     home=0.244,
     origin=0.5,
     position=0.247,
+    by_hand=0.5,
     estimate=1.0,
     reasons=(
         (0.05, ("System not initialised",)),
@@ -156,6 +179,15 @@ ROVER_WARMING = Warming(
         (0.29, ("Accels inconsistent", "AHRS: not using configured AHRS type")),
         (0.47, ("Gyros inconsistent", "AHRS: not using configured AHRS type")),
         (1.0, ("AHRS: not using configured AHRS type",)),
+    ),
+    texts=(
+        (0.041, ("Barometer 1 calibration complete", "Barometer 2 calibration complete")),
+        (0.042, ("Beginning INS calibration. Do not move vehicle",)),
+        (0.056, ("INS: alloc 6144 bytes for ISB (free=524288)", "ArduPilot Ready")),
+        (0.057, ("RCInput: decoding UDP (Pulses)", "AHRS: DCM active")),
+        (0.103, _both("initialised")),
+        *_ALIGNED,
+        (0.99, (*_both("is using GPS"), "AHRS: EKF3 active")),
     ),
 )
 

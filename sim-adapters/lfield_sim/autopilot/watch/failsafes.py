@@ -107,7 +107,9 @@ class Failsafes:
         pilot.critical = True
         pause = pilot.value(rule.pause) if rule.pause else 0.0
         lands_on = self._lands_on()
-        pilot.say(rule.goes_on if lands_on else rule.text, Severity.WARNING)
+        held = self._rules.fence.hold_text if role is Role.HOLD else ""
+        text = rule.goes_on if lands_on else held.format(pause=pause) or rule.text
+        pilot.say(text, Severity.WARNING)
         if role is not None and not lands_on:
             self._act_after(pause, role)
 

@@ -76,16 +76,18 @@ def sys_status(autopilot: Autopilot, _: Place) -> Any:
     battery = autopilot.battery
     # PX4 has the pre-arm bit in its health only, never among what is present or enabled.
     present = SENSORS & ~PREARM if autopilot.flavour.submodes else SENSORS
+    enabled = present if autopilot.value(autopilot.flavour.fence.enable) else present & ~FENCE
     health = SENSORS
     if not has_fix(autopilot):
         health &= ~GPS
-    if autopilot.unfit and not autopilot.armed:
+    # PX4 takes the bit away in flight as well.
+    if autopilot.unfit and (autopilot.flavour.submodes or not autopilot.armed):
         health &= ~PREARM
     if autopilot.failsafes.fences.breach:
         health &= ~FENCE
     volts, amperes = round(battery.volts * 1000), round(battery.current * 100)
     return dialect.MAVLink_sys_status_message(
-        present, present, health, 200, volts, amperes, _percent(autopilot), 0, 0, 0, 0, 0, 0
+        present, enabled, health, 200, volts, amperes, _percent(autopilot), 0, 0, 0, 0, 0, 0
     )
 
 

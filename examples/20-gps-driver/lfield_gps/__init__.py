@@ -1,0 +1,12 @@
+"""The driver 'gps': devices of the type Gps, receivers that speak NMEA 0183. See README.md."""
+
+from lfield.driver import Plugin
+
+PLUGIN = Plugin(
+    name="gps",
+    package="lfield_gps",
+    driver="lfield_gps.driver:GpsDriver",
+    extra="serial",
+    requires=("serial",),
+    kit="lfield_gps.kit:KIT",
+)

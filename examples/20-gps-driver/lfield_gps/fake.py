@@ -1,0 +1,153 @@
+"""A receiver on a pseudo-terminal, as behind a USB adapter: it drives in a circle and tells of it."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import math
+import os
+import random
+import tempfile
+import tty
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from lfield.driver import DeviceBinding
+from lfield_gps.nmea import KNOT, sentence
+from lfield_sim.faults import Fault, Faults, add_fault_option, share
+from lfield_sim.serving import serve_until_told
+
+#: Where the circle is, in degrees and metres; its radius in metres, and the speed on it in m/s.
+LATITUDE, LONGITUDE, HEIGHT, RADIUS, SPEED = 47.397742, 8.545594, 488.0, 20.0, 2.0
+#: Metres of a degree of latitude.
+DEGREE = 111_320.0
+BEGINS = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)
+
+FAULTS = (
+    share("noise", "bytes that are replaced by others"),
+    share("half", "sentences that end in their middle"),
+    Fault("no_fix", False, "it sees no satellites"),
+    Fault("silent", False, "it says nothing"),
+    Fault("unplug", False, "the adapter is pulled out"),
+)
+
+
+def sentences(seconds: float, *, fix: bool = True) -> bytes:
+    """What it says after so many seconds: GGA, GSA and RMC."""
+    angle = SPEED / RADIUS * seconds
+    north, east = RADIUS * math.cos(angle), RADIUS * math.sin(angle)
+    latitude = LATITUDE + north / DEGREE
+    longitude = LONGITUDE + east / DEGREE / math.cos(math.radians(LATITUDE))
+    place = f"{_minutes(latitude, 2)},N,{_minutes(longitude, 3)},E" if fix else ",,,"
+    now = BEGINS + timedelta(seconds=seconds)
+    clock, course = now.strftime("%H%M%S.%f")[:9], math.degrees(angle + math.pi / 2.0) % 360.0
+    height = f"1,09,0.9,{HEIGHT:.1f},M,47.0,M" if fix else "0,00,,,M,,M"
+    moving = f"A,{place},{SPEED / KNOT:.2f},{course:.1f}" if fix else f"V,{place},,"
+    used = "3,04,05,09,12,17,19,24,25,29,,,,2.1,0.9,1.9" if fix else "1,,,,,,,,,,,,,,,"
+    told = (
+        f"GNGGA,{clock},{place},{height},,",
+        f"GNGSA,A,{used}",
+        f"GNRMC,{clock},{moving},{now:%d%m%y},,,A",
+    )
+    return b"".join(map(sentence, told))
+
+
+def _minutes(degrees: float, digits: int) -> str:
+    whole = int(degrees)
+    return f"{whole:0{digits}d}{(degrees - whole) * 60.0:08.5f}"
+
+
+class Receiver:
+    """The receiver at its adapter; `path` is a link to the terminal, the same after every unplug."""
+
+    def __init__(self, path: Path, faults: Faults, rate: float) -> None:
+        self._path, self._faults, self._rate = path, faults, rate
+        self._ends: tuple[int, int] | None = None
+        self._random = random.Random(1)
+
+    async def run(self) -> None:
+        """Speak, `rate` times a second, for ever."""
+        seconds = 0.0
+        while True:
+            self.be_plugged(not self._faults.get("unplug"))
+            if self._ends is not None and not self._faults.get("silent"):
+                said = sentences(seconds, fix=not self._faults.get("no_fix"))
+                self._write(self._ends[0], self._damaged(said))
+            await asyncio.sleep(1.0 / self._rate)
+            seconds += 1.0 / self._rate
+
+    def be_plugged(self, plugged: bool) -> None:
+        """Be there, or be gone: then a client gets an input/output error."""
+        if plugged and self._ends is None:
+            # The far end stays open here, or nobody could write before a client is there.
+            near, far = self._ends = os.openpty()
+            tty.setraw(near)
+            tty.setraw(far)
+            os.set_blocking(near, False)
+            self._path.unlink(missing_ok=True)
+            self._path.symlink_to(os.ttyname(far))
+        elif not plugged and self._ends is not None:
+            self._path.unlink(missing_ok=True)
+            for end in self._ends:
+                os.close(end)
+            self._ends = None
+
+    def _damaged(self, said: bytes) -> bytes:
+        noise, half = self._faults.get("noise"), self._faults.get("half")
+        lines = [
+            line[: len(line) // 2] if self._random.random() < half else line for line in said.splitlines(True)
+        ]
+        return bytes(
+            self._random.randrange(256) if self._random.random() < noise else byte for byte in b"".join(lines)
+        )
+
+    def _write(self, end: int, data: bytes) -> None:
+        # A client that reads nothing loses bytes, as at a serial port.
+        with suppress(BlockingIOError):
+            os.write(end, data)
+
+
+class GpsSim:
+    """The fake for `lfield sim gps` and `lfield up --sim`."""
+
+    name = "gps"
+    help = "A receiver that drives in a circle of 20 m and speaks NMEA 0183 on a pseudo-terminal."
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Where it listens, how often it speaks, and what is wrong with it."""
+        parser.add_argument("--listen", default="", metavar="PATH", help="of the link to its terminal")
+        parser.add_argument("--rate", type=float, default=5.0, metavar="HZ", help="from 1 to 10 (5)")
+        parser.add_argument("--called", default="", metavar="NAME", help="the name of its binding")
+        parser.add_argument("--until-stdin-closes", action="store_true", help="end with who started it")
+        add_fault_option(parser)
+
+    def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
+        """The fake of a binding."""
+        return ["--called", devices[0].name]
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Serve until told to end."""
+        return asyncio.run(_serve(args))
+
+
+async def _serve(args: argparse.Namespace) -> int:
+    faults = Faults(FAULTS, {"1": args.called})
+    faults.apply(args.fault)
+    with tempfile.TemporaryDirectory(prefix="lfield-gps-") as folder:
+        path = Path(args.listen or f"{folder}/gps")
+        receiver = Receiver(path, faults, min(10.0, max(1.0, args.rate)))
+        receiver.be_plugged(True)
+        speaking = asyncio.get_running_loop().create_task(receiver.run())
+        ends = args.until_stdin_closes
+        endpoint = f"serial:{path}:9600"
+        await serve_until_told(
+            "gps", endpoint, "", faults, devices={"1": args.called}, until_stdin_closes=ends
+        )
+        speaking.cancel()
+        receiver.be_plugged(False)
+    return 0
+
+
+SIM = GpsSim()

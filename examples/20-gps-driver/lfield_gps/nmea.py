@@ -1,0 +1,118 @@
+"""NMEA 0183 sentences of GNSS receivers: GGA, RMC and GSA. Pure.
+
+`$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47`: talker, type, fields, and the exclusive
+or of all between `$` and `*`. A field may be empty: what is not known is not told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+
+Value = float | int | str | list[float]
+Values = dict[str, Value]
+
+#: Bytes of the longest sentence; the standard says 82, and receivers send a little more.
+LONGEST = 120
+#: m/s of a knot.
+KNOT = 1852.0 / 3600.0
+#: The quality field of GGA.
+FIXES = ("none", "gps", "dgps", "pps", "rtk", "float rtk", "estimated", "manual", "simulated")
+
+
+class Nonsense(ValueError):
+    """A sentence that is damaged, or says what cannot be."""
+
+
+def checksum(text: str) -> int:
+    """Of what is between `$` and `*`."""
+    total = 0
+    for character in text.encode("ascii"):
+        total ^= character
+    return total
+
+
+def sentence(text: str) -> bytes:
+    """A sentence as it is sent, of what is between `$` and `*`."""
+    return f"${text}*{checksum(text):02X}\r\n".encode("ascii")
+
+
+def parse(line: bytes) -> Values:
+    """What a sentence tells, by telemetry quantity; nothing for one of another type. Raises Nonsense."""
+    try:
+        text = line.strip().decode("ascii")
+    except UnicodeDecodeError:
+        raise Nonsense("bytes that are no text") from None
+    body, star, given = text[1:].rpartition("*")
+    if not text.startswith("$") or not star or len(given) != 2:
+        raise Nonsense("no sentence")
+    if given.upper() != f"{checksum(body):02X}":
+        raise Nonsense("a wrong checksum")
+    name, *fields = body.split(",")
+    reader = READERS.get(name[-3:]) if len(name) == 5 else None
+    if reader is None:
+        return {}
+    try:
+        return reader(fields)
+    except (ValueError, IndexError, OverflowError):
+        raise Nonsense(f"a {name} that makes no sense") from None
+
+
+def _gga(fields: Sequence[str]) -> Values:
+    """Position, quality, satellites, height."""
+    quality = int(fields[5])
+    told: Values = {"fix": FIXES[quality] if 0 <= quality < len(FIXES) else f"quality {quality}"}
+    if fields[6]:
+        told["satellites"] = int(fields[6])
+    if quality and fields[1] and fields[8]:
+        told["position"] = [*_place(fields[1:5]), _number(fields[8])]
+    return told
+
+
+def _rmc(fields: Sequence[str]) -> Values:
+    """Time and date, speed and course; status V is a warning: nothing of it counts."""
+    told: Values = {}
+    if fields[0] and fields[8]:
+        when = datetime.strptime(fields[8] + fields[0][:6], "%d%m%y%H%M%S").replace(tzinfo=UTC)
+        told["utc"] = when.strftime("%Y-%m-%dT%H:%M:%SZ")
+    if fields[1] != "A":
+        return told
+    if fields[6]:
+        told["speed"] = _number(fields[6]) * KNOT
+    if fields[7]:
+        told["course"] = math.radians(_number(fields[7]) % 360.0)
+    return told
+
+
+def _gsa(fields: Sequence[str]) -> Values:
+    """The dilution of precision, where there is a fix."""
+    return {"dilution": _number(fields[14])} if fields[1] in ("2", "3") and fields[14] else {}
+
+
+def _place(fields: Sequence[str]) -> tuple[float, float]:
+    """Latitude and longitude in degrees, of `4807.038,N,01131.000,E`."""
+    latitude, longitude = _angle(fields[0], 2, 90.0), _angle(fields[2], 3, 180.0)
+    signs = {"N": 1.0, "S": -1.0, "E": 1.0, "W": -1.0}
+    if fields[1] not in ("N", "S") or fields[3] not in ("E", "W"):
+        raise ValueError
+    return latitude * signs[fields[1]], longitude * signs[fields[3]]
+
+
+def _angle(text: str, digits: int, most: float) -> float:
+    """Degrees of `dddmm.mmmm`."""
+    minutes = _number(text[digits:])
+    degrees = int(text[:digits]) + minutes / 60.0
+    if not (0.0 <= minutes < 60.0 and 0.0 <= degrees <= most):
+        raise ValueError
+    return degrees
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError
+    return value
+
+
+READERS: Mapping[str, Callable[[Sequence[str]], Values]] = {"GGA": _gga, "RMC": _rmc, "GSA": _gsa}

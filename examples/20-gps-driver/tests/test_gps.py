@@ -1,0 +1,190 @@
+"""The GPS driver: its sentences, the fake at the other end of a pseudo-terminal, its kit behind a guard."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lfield_gps import PLUGIN
+from lfield_gps.fake import FAULTS, LATITUDE, LONGITUDE, Receiver, sentences
+from lfield_gps.nmea import Nonsense, parse, sentence
+
+from lfield.devices.try_out import checks_of, try_devices
+from lfield.driver import DeviceError
+from lfield.driver.plugins import Plugins
+from lfield.lang.frontend import check_text
+from lfield.testing.driver_bench import DriverBench, bind
+from lfield_sim.faults import Faults
+
+HOME = Path(__file__).parents[1]
+
+
+def test_the_sentences_of_the_textbook():
+    gga = parse(b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r")
+    assert gga["position"] == pytest.approx([48.1173, 11.516667, 545.4], abs=1e-6)
+    assert (gga["fix"], gga["satellites"]) == ("gps", 8)
+    rmc = parse(b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A")
+    assert rmc["utc"] == "1994-03-23T12:35:19Z"
+    assert rmc["speed"] == pytest.approx(11.5236, abs=1e-4)
+    assert rmc["course"] == pytest.approx(math.radians(84.4))
+    assert parse(b"$GPGSA,A,3,04,05,,09,12,,,24,,,,,2.5,1.3,2.1*39") == {"dilution": 2.5}
+    assert parse(sentence("GPGSV,3,1,11")) == {}
+
+
+def test_south_and_west_are_negative_and_what_is_not_known_is_not_told():
+    told = parse(sentence("GPGGA,120000,3352.0,S,07040.0,W,4,12,0.9,520.0,M,,M,,"))
+    assert told["position"] == pytest.approx([-33.866667, -70.666667, 520.0], abs=1e-6)
+    assert told["fix"] == "rtk"
+    assert parse(sentence("GPGGA,,,,,,0,00,,,M,,M,,")) == {"fix": "none", "satellites": 0}
+    assert parse(sentence("GPRMC,,V,,,,,,,,,,N")) == {}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"",
+        b"$",
+        b"$GPGGA*",
+        b"$GPGSA,A,3*00",
+        b"\xff\xfe",
+        sentence("GPGGA,1,9107.0,N,01131.0,E,1,8,1,5,M,,,"),
+        sentence("GPGGA,1,4807.0,N,01161.0,E,1,8,1,5,M,,,"),
+        sentence("GPGGA,1,4807.0,N"),
+        sentence("GPGGA,1,4807.0,N,01131.0,E,1,8,1,nan,M,,,"),
+        sentence("GPRMC,996161,A,,,,,1,1,990099,,"),
+    ],
+)
+def test_what_cannot_be_is_nonsense(line):
+    with pytest.raises(Nonsense):
+        parse(line)
+
+
+@given(st.binary(max_size=90) | st.text(max_size=60).map(lambda text: b"$GPGGA," + text.encode() + b"*00"))
+def test_any_line_is_told_or_nonsense(line):
+    with suppress(Nonsense):
+        assert isinstance(parse(line), dict)
+
+
+@given(st.floats(0.0, 1e6))
+def test_the_fake_speaks_sentences(seconds):
+    told = {}
+    for line in sentences(seconds).splitlines():
+        assert len(line) <= 82
+        told |= parse(line)
+    assert set(told) == {"position", "fix", "satellites", "dilution", "speed", "course", "utc"}
+    assert math.dist(told["position"][:2], (LATITUDE, LONGITUDE)) < 0.001
+
+
+class Rig:
+    """A bench with the fake on a pseudo-terminal; real time, at ten times a second."""
+
+    def __init__(self, folder: Path) -> None:
+        self.faults = Faults(FAULTS, ["1"])
+        self.fake = Receiver(folder / "gps", self.faults, 10.0)
+        binding = bind(PLUGIN, endpoint=f"serial:{folder / 'gps'}:9600", options={"connect": 1.0})
+        self.bench = DriverBench(PLUGIN, binding, fakes=[self.live])
+
+    async def live(self) -> None:
+        try:
+            await self.fake.run()
+        finally:
+            self.fake.be_plugged(False)
+
+
+@pytest.fixture
+def rig(tmp_path):
+    return Rig(tmp_path)
+
+
+def test_it_tells_where_it_is(rig):
+    async def story(gps):
+        assert await gps.execute("waitFix", [5.0]) is True
+        await rig.bench.until(lambda: "course" in rig.bench.values)
+        assert rig.bench.values["position"][:2] == pytest.approx([LATITUDE, LONGITUDE], abs=0.001)
+        assert rig.bench.values["speed"] == pytest.approx(2.0, abs=0.01)
+        assert gps.moving() == ""
+
+    rig.bench.run_real(story)
+
+
+def test_damaged_sentences_are_counted_and_never_told(rig):
+    rig.faults.apply(["noise=0.01", "half=0.2"])
+
+    async def story(gps):
+        await rig.bench.until(lambda: rig.bench.values.get("malformed", 0) > 5)
+        assert rig.bench.values["position"][:2] == pytest.approx([LATITUDE, LONGITUDE], abs=0.001)
+
+    rig.bench.run_real(story)
+
+
+def test_without_satellites_it_says_so_and_tells_no_position(rig):
+    rig.faults.apply(["no_fix=true"])
+
+    async def story(gps):
+        await rig.bench.until(lambda: rig.bench.values.get("fix") == "none")
+        assert await gps.execute("waitFix", [0.2]) is False
+        assert "position" not in rig.bench.values
+
+    rig.bench.run_real(story)
+
+
+def test_an_unplugged_receiver_comes_back(rig):
+    async def story(gps):
+        rig.faults.apply(["unplug=true"])
+        await rig.bench.until(lambda: any("is gone" in note for note in rig.bench.notes))
+        rig.faults.apply(["unplug=false"])
+        await rig.bench.until(lambda: any("is open again" in note for note in rig.bench.notes))
+        before = rig.bench.values["position"]
+        await rig.bench.until(lambda: rig.bench.values["position"] != before)
+
+    rig.bench.run_real(story)
+
+
+def test_nobody_there_is_an_error_within_its_time(rig):
+    rig.faults.apply(["silent=true"])
+
+    async def story(gps):
+        with pytest.raises(DeviceError, match="heard nothing within 1 s; check the wires and the baud rate"):
+            await gps.open()
+
+    rig.bench.run_real(story, opened=False)
+
+
+@pytest.mark.process
+def test_it_passes_the_kit_without_anybody_having_to_agree(monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(HOME), os.environ.get("PYTHONPATH", "")]))
+    plugins = Plugins()
+    plugins.add("lfield_gps:PLUGIN")
+    command = [sys.executable, "-m", "lfield.driver.sims", "lfield_gps.fake:SIM", "--until-stdin-closes"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as fake:
+        ready, endpoint = fake.stdout.readline().split()
+        assert ready == "ready"
+        checks = checks_of(plugins.by_driver["gps"])
+        found = asyncio.run(
+            try_devices(plugins, [bind(PLUGIN, endpoint=endpoint)], checks, False, print, silence=1.0)
+        )
+        fake.stdin.close()
+    assert [f"{f.check}: {f.seen}" for f in found if f.outcome == "failed"] == []
+    assert {f.check for f in found if f.outcome == "not run"} == {
+        "the safe state is latched until release", "it comes to rest in its safe state",
+    }  # fmt: skip
+    assert len(found) == 11
+
+
+def test_its_stock_resource_compiles():
+    plugins = Plugins()
+    plugins.add("lfield_gps:PLUGIN")
+    body = 'GpsPosition p = findGpsPosition("p"); p.waitFix(1.0); print(p.latitude());'
+    text = f"coordinator C {{ init(string[] arg) {{ {body} }} }}"
+    checked = check_text(
+        f"include <gps/position.L>;\n{text}", devices=plugins.device_types, find_include=plugins.find_source
+    )
+    assert [d.render() for d in checked.diagnostics] == []

@@ -1,0 +1,128 @@
+"""A serial line on a pseudo-terminal: frames, answers in time, one owner, an unplug."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import pty
+import sys
+import tty
+
+import pytest
+
+from lfield.driver import DeviceError
+from lfield.driver.serial import Lines, SerialLine, SerialPort, parse_serial_endpoint
+
+
+class Far:
+    """The far end of a pseudo-terminal behind a link, as a device behind its adapter."""
+
+    def __init__(self, path) -> None:
+        self.path, self.notes, self.frames = path, [], []
+        self.plug()
+
+    def plug(self) -> None:
+        self.master, self.slave = pty.openpty()
+        tty.setraw(self.master)
+        tty.setraw(self.slave)
+        self.path.symlink_to(os.ttyname(self.slave))
+
+    def unplug(self) -> None:
+        self.path.unlink()
+        os.close(self.slave)
+        os.close(self.master)
+
+    def line(self) -> SerialLine:
+        return SerialLine(
+            f"serial:{self.path}:57600", Lines(), on_frame=self.frames.append, note=self.notes.append
+        )
+
+
+@pytest.fixture
+def far(tmp_path):
+    far = Far(tmp_path / "tty")
+    yield far
+    if far.path.is_symlink():
+        far.unplug()
+
+
+async def until(condition) -> None:
+    async with asyncio.timeout(10):
+        while not condition():
+            await asyncio.sleep(0.002)
+
+
+def test_frames_come_and_answers_go_to_who_asked(far):
+    async def story():
+        line = far.line()
+        line.open()
+        os.write(far.master, b"hel")
+        os.write(far.master, b"lo\n")
+        await until(lambda: far.frames == [b"hello"])
+        asking = asyncio.create_task(line.ask(b"?\n", lambda frame: frame.startswith(b"="), within=10.0))
+        assert await asyncio.to_thread(os.read, far.master, 9) == b"?\n"
+        os.write(far.master, b"unasked\n=4\n")
+        assert await asking == b"=4"
+        assert far.frames == [b"hello", b"unasked"]
+        with pytest.raises(DeviceError, match=r"no answer within 0.01 s, 2 times") as error:
+            await line.ask(b"?\n", within=0.01, tries=2)
+        assert error.value.kind == "DeviceTimeoutException"
+        line.close()
+
+    asyncio.run(story())
+
+
+def test_an_unplugged_port_is_told_fails_who_asks_and_comes_back(far):
+    async def story():
+        line = far.line()
+        line.open()
+        asking = asyncio.create_task(line.ask(b"?\n", within=60.0))
+        await asyncio.sleep(0)
+        far.unplug()
+        with pytest.raises(DeviceError, match="is gone"):
+            await asking
+        with pytest.raises(DeviceError, match="is gone"):
+            line.send(b"x")
+        far.plug()
+        await until(lambda: len(far.notes) == 2)
+        assert far.notes[1] == f"{far.path} is open again"
+        os.write(far.master, b"again\n")
+        await until(lambda: far.frames == [b"again"])
+        line.close()
+        with pytest.raises(DeviceError, match="the port is closed"):
+            line.send(b"x")
+
+    asyncio.run(story())
+
+
+def test_a_port_has_one_owner(far):
+    async def story():
+        line, rival = far.line(), far.line()
+        line.open()
+        with pytest.raises(DeviceError, match="is in use by another program; a serial port has one owner"):
+            rival.open()
+        line.close()
+        rival.open()
+        rival.close()
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize("endpoint", ["serial:/dev/x", "serial::9600", "tcp:a:1", "serial:/dev/x:0", ""])
+def test_endpoints_that_are_none(endpoint):
+    with pytest.raises(DeviceError, match="is not an endpoint; write serial:PATH:BAUD"):
+        parse_serial_endpoint(endpoint)
+
+
+@pytest.mark.parametrize(
+    ("path", "words"), [("/dev/nothing-there", "No such file"), ("/dev/null", "it is no serial port")]
+)
+def test_what_cannot_be_opened(path, words):
+    with pytest.raises(DeviceError, match=f"cannot open serial:{path}:9600: {words}"):
+        SerialPort(path, 9600, None).open()
+
+
+def test_without_pyserial_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "serial", None)
+    with pytest.raises(DeviceError, match=r"needs pyserial: pip install 'lfield\[serial\]'"):
+        SerialPort("/dev/null", 9600, None).open()
