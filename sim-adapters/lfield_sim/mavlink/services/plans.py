@@ -187,9 +187,10 @@ class Plans(Service):
         return Result.ACCEPTED, [self._current()]
 
     def _start(self, command: Command) -> Answer:
-        """PX4 begins at the item that is told, ArduPilot goes on where it is when that is 0."""
-        first = command.whole(1)
-        goes_on = first < 0 or (first == 0 and self._home_first)
+        """PX4 begins anew on the ground when item 0 is told; else 0 is to go on."""
+        first, pilot = command.whole(1), self.autopilot
+        begun = self._home_first or pilot.vehicle.airborne or not pilot.mission.items
+        goes_on = first < 0 or (first == 0 and begun)
         return self.autopilot.start_mission(None if goes_on else first), []
 
     def _pause_or_go_on(self, command: Command) -> Answer:

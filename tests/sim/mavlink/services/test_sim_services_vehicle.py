@@ -74,7 +74,8 @@ class Craft:
         assert self.pilot.arm() is Result.ACCEPTED
 
     def reached(self):
-        return [m.seq for m in self.heard if m.get_type() == "MISSION_ITEM_REACHED"]
+        """Each once: PX4 tells them again."""
+        return list(dict.fromkeys(m.seq for m in self.heard if m.get_type() == "MISSION_ITEM_REACHED"))
 
     def current(self):
         return self.service.messages[dialect.MAVLINK_MSG_ID_MISSION_CURRENT]()
