@@ -123,5 +123,8 @@ def _is_over(pilot: Pilot) -> bool:
     if not lands or not pilot.landed:
         return False
     delay = pilot.flavour.land_delay
+    if isinstance(delay, str) and pilot.parameters[delay] < 0.0:
+        # COM_DISARM_LAND = -1: they stay on.
+        return False
     wait = pilot.value(delay) if isinstance(delay, str) else delay
     return pilot.touched_at is None or pilot.now - pilot.touched_at >= pilot.settles + wait
