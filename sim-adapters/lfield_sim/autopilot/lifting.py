@@ -89,8 +89,9 @@ def disarm_when_idle(pilot: Pilot) -> None:
     if _is_over(pilot):
         pilot.disarm(text=pilot.flavour.landed_text)
         if pilot.flavour.takeoff_mode:
-            # PX4 leaves a mode that has done what it is for.
-            pilot.go_on(Role.HOLD)
+            # PX4 leaves a mode that has done what it is for; a landing for the mode that was before it.
+            lands = pilot.role is Role.LAND
+            pilot.command(pilot.resumes if lands else pilot.kind.mode_for(Role.HOLD))
     elif isinstance(pilot.vehicle.goal, Rest) and 0.0 < delay < pilot.now - pilot.armed_at:
         pilot.disarm(text=pilot.flavour.idle_text)
 
