@@ -29,8 +29,8 @@ APART = 5.0
 class Setup:
     """The vehicles of a link, and what is set in them: charge, mAh, limits (SI).
 
-    `parameters` are by system, 0 for all; `fitted` is what hangs on them; `state` is what they do when their computer is gone ('': as they
-    come out of the box, nothing).
+    `parameters` are by system, 0 for all; `fitted` is what hangs on them; `state` is what they do when their
+    computer is gone ('': as they come out of the box, nothing).
     """
 
     vehicles: Sequence[VehicleOption]

@@ -7,6 +7,8 @@ MAVSDK has tests of its own (`tests/mavlink/client`).
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from pymavlink import mavftp, mavutil, mavwp
 
@@ -269,3 +271,20 @@ def test_mavftp_lists_a_folder(flavour):
     result = ftp.cmd_list(["/"])
     assert result.error_code == mavftp.FtpError.Success
     assert "APM" in [e.name for e in ftp.list_result] or "etc" in [e.name for e in ftp.list_result]
+
+
+def test_px4_follows_setpoints_of_acceleration_alone():
+    c = Connection("px4")
+    c.pass_time(1.0)
+    c.arducopter_arm()
+    assert c.ack(400) == "ACCEPTED"
+    c.mav.command_long_send(1, 1, 22, 0, 0, 0, 0, math.nan, math.nan, math.nan, math.nan)
+    assert c.ack(22) == "ACCEPTED"
+    c.pass_time(15.0)
+    for number in range(60):
+        c.mav.set_position_target_local_ned_send(0, 1, 1, 1, 0x0C3F, *[0] * 6, 0.5, 0, 0, 0, 0)
+        if number == 10:
+            c.mav.command_long_send(1, 1, 176, 0, 1, 6, 0, 0, 0, 0, 0)
+        c.pass_time(0.05)
+    assert c.autopilot.mode == "OFFBOARD"
+    assert c.autopilot.vehicle.velocity[0] > 0.5
