@@ -28,6 +28,31 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return 2 * len(os.sched_getaffinity(0))
 
 
+#: Tests in which others' software uses our fakes, or stands in for what our drivers meet.
+FOREIGN = {
+    "tests/sim/mavlink/test_sim_foreign.py": "pymavlink: mavutil, mavwp, mavftp; dronekit's way",
+    "tests/mavlink/client/test_mavsdk_client.py": "MAVSDK",
+    "tests/mavlink/client/test_mavsdk_vehicle.py": "a vehicle made of MAVSDK",
+    "tests/can/fake/test_can_fake_foreign.py": "canopen's client of CiA 402",
+    "tests/can/foreign/test_foreign_drives.py": "drives made of canopen's node",
+    "tests/can/fake/test_can_fake_odrive.py": "frames as ODrive's scripts send them",
+    "tests/dynamixel/fake/test_dynamixel_fake_sdk.py": "the Dynamixel SDK",
+}
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """With -s: of others' clients and devices, how many uses were tried and how many passed."""
+    if terminalreporter.config.option.capture != "no":
+        return
+    for file, client in FOREIGN.items():
+        passed, failed = (
+            sum(report.nodeid.startswith(file) for report in terminalreporter.stats.get(key, []))
+            for key in ("passed", "failed")
+        )
+        if passed + failed:
+            terminalreporter.write_line(f"{client}: {passed + failed} tried, {passed} passed")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with tests of real processes begin first, long ones before all; the rest fills their waiting."""
     long, process = (

@@ -79,6 +79,9 @@ class Autopilot(Pilot):
             return Unfit(())
         if not (self.flies or self.flavour.submodes or self.kind.modes[self.mode].armable):
             return Unfit((self.flavour.unarmable.format(mode=self.mode),))
+        if self.flavour.submodes and self.role is Role.MANUAL:
+            # Without a transmitter.
+            return Unfit(())
         return why_unfit(self)
 
     def arm(self, *, force: bool = False, text: str = "") -> Result:
@@ -167,9 +170,10 @@ class Autopilot(Pilot):
     def _enter_takeoff(self, height: float | None) -> Result:
         """PX4's mode for it, disarmed too; whoever is higher already stays there."""
         self.takeoff_goal = height if height is not None and 0.0 < height < 1e4 else None
-        if self.takeoff_goal is None:
+        if height is None:
             self.say(f"Using default takeoff altitude: {self.takeoff_height:.1f} m\t")
-        if self.vehicle.airborne and self.homing.ground - self.vehicle.place[2] > self.takeoff_height:
+        wanted = self.takeoff_height if height is None else height
+        if self.vehicle.airborne and self.homing.ground - self.vehicle.place[2] > wanted:
             self.say("Already higher than takeoff altitude\t", Severity.WARNING)
             return self.command_role(Role.HOLD)
         return self.command_role(Role.TAKEOFF)

@@ -276,7 +276,7 @@ class Kind:
     `return_height` and `return_pause` likewise; `takeoff_height` is PX4's in metres. `limits` are those that
     no parameter sets, `pace` how fast it goes to a place, `turning_radius` that of a rover (0: on the spot),
     `home_altitude` the height above mean sea level that it takes for home's, wherever that is; `lands` says
-    that it knows takeoff, landing and being landed.
+    that it knows takeoff, landing and being landed. `mission_limits` are those that hold in a mission only.
     """
 
     name: str
@@ -292,6 +292,7 @@ class Kind:
     turning_radius: float = 0.0
     home_altitude: float | None = None
     lands: bool = True
+    mission_limits: Mapping[str, float] = field(default_factory=dict)
     return_height: tuple[str, float] = ("", 1.0)
     takeoff_height: str = ""
     return_pause: tuple[str, float] = ("", 1.0)

@@ -44,21 +44,22 @@ def fly_mission(pilot: Pilot) -> None:
     item = mission.item
     if item is None:
         if pilot.flavour.takeoff_mode and mission.items:
-            pilot.say("Mission finished, loitering")
+            pilot.say("Mission finished, loitering\t")
             pilot.go_on(Role.HOLD)
         return
     if _must_climb_first(pilot, item):
         return
     if mission.begun != mission.current:
         mission.begun = mission.current
-        _tell_begun(pilot, item)
+        tell_begun(pilot, item)
         _begin(pilot, item)
     if pilot.role is Role.MISSION and mission.item is item and _done(pilot, item):
         _tell_reached(pilot, item)
         mission.reach()
 
 
-def _tell_begun(pilot: Pilot, item: MissionItem) -> None:
+def tell_begun(pilot: Pilot, item: MissionItem) -> None:
+    """What is said when an item is begun."""
     number = pilot.mission.current
     if pilot.flavour.home_item and item.command in NAMES:
         pilot.say(f"Mission: {number} {NAMES[item.command]}")
@@ -90,6 +91,10 @@ def _must_climb_first(pilot: Pilot, item: MissionItem) -> bool:
 
 def _begin(pilot: Pilot, item: MissionItem) -> None:
     place = item.place or pilot.vehicle.place
+    if pilot.flavour.takeoff_mode and item.command in (*FLOWN, TAKEOFF):
+        # PX4's fourth value is a heading; with NaN the nose goes first.
+        heading = item.values[3]
+        pilot.vehicle.yaw_goal = None if math.isnan(heading) else math.radians(_bounded(heading))
     if item.command in FLOWN or item.command == LAND:
         pilot.vehicle.goal = Reach(place)
     elif item.command == TAKEOFF and pilot.flies:

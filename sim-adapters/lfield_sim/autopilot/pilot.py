@@ -242,6 +242,9 @@ class Pilot:
         for limit in self.kind.speeds:
             if limit != "cruise":
                 setattr(self.vehicle.limits, limit, self._limit(limit))
+        flown = self.kind.mission_limits if self.role is Role.MISSION else {}
+        for limit in self.kind.mission_limits:
+            setattr(self.vehicle.limits, limit, flown.get(limit, getattr(self.kind.limits, limit)))
         self.battery.capacity = min(max(self.value(self.flavour.capacity), 1.0), 1e6)
 
     def own_speed(self) -> float:
@@ -347,6 +350,9 @@ class Pilot:
         if self.armed:
             self.say(text or self.flavour.disarmed)
         self.armed = self.on_its_way = False
+        if self.role is Role.TAKEOFF:
+            # Else the next arming would take off.
+            self.go_on(Role.HOLD)
         self.vehicle.switch_off()
         return Result.ACCEPTED
 

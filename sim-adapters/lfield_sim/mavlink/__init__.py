@@ -14,6 +14,7 @@ from lfield_sim.mavlink.options import (
     KINDS,
     SPEEDS,
     VehicleOption,
+    fitted,
     parse_listen,
     positive,
     settings,
@@ -54,6 +55,10 @@ class MavlinkSim:
             "--set-up", nargs="?", const=STATES[0], default="", choices=STATES,
             help="set up as for a binding with this safe state (land), instead of as out of the box",
         )  # fmt: skip
+        parser.add_argument(
+            "--fitted", type=fitted, default="all", metavar="all|none|HARDWARE,...",
+            help="what hangs on it: camera, gimbal, gripper, winch",
+        )  # fmt: skip
         add_log_option(parser)
         add_fault_option(parser)
         parser.add_argument(
@@ -85,7 +90,7 @@ class MavlinkSim:
             from lfield_sim.mavlink.run import Setup, serve
         except ImportError:
             raise PluginError("the fake 'mavlink' needs pymavlink: pip install 'lfield[mavlink]'") from None
-        setup = Setup(wanted, args.battery, args.capacity, limits, given, args.set_up)
+        setup = Setup(wanted, args.battery, args.capacity, limits, given, args.fitted, args.set_up)
         try:
             faults = setup.faults(args.fault)
         except ValueError as error:

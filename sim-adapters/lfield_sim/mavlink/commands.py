@@ -26,6 +26,15 @@ def answer(sender: Sender, command: Command) -> Answer:
     return handler(sender, command) if handler else (Result.UNSUPPORTED, [])
 
 
+def second_answer(sender: Sender, command: Command) -> Result | None:
+    """PX4 acknowledges a mode twice: that it has understood, and whether it is available."""
+    pilot = sender.autopilot
+    if command.number != dialect.MAV_CMD_DO_SET_MODE or not pilot.flavour.submodes:
+        return None
+    name = pilot.kind.mode_name(_mode_number(sender, command))
+    return Result.TEMPORARILY_REJECTED if name and name != pilot.mode else Result.ACCEPTED
+
+
 def _arm(sender: Sender, command: Command) -> Answer:
     force = command.whole(2) == FORCE
     wanted = command.whole(1)
@@ -64,10 +73,12 @@ def _return(sender: Sender, _: Command) -> Answer:
 def _set_mode(sender: Sender, command: Command) -> Answer:
     if not command.whole(1) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         return Result.DENIED, []
+    return sender.autopilot.set_mode(_mode_number(sender, command)), []
+
+
+def _mode_number(sender: Sender, command: Command) -> int:
     number = command.whole(2)
-    if sender.autopilot.flavour.submodes:
-        number = number << 16 | (command.whole(3) & 0xFF) << 24
-    return sender.autopilot.set_mode(number), []
+    return number << 16 | (command.whole(3) & 0xFF) << 24 if sender.autopilot.flavour.submodes else number
 
 
 def _yaw(sender: Sender, command: Command) -> Answer:
@@ -89,9 +100,11 @@ def _reposition(sender: Sender, command: Command) -> Answer:
     if command.frame is None and not sender.autopilot.flavour.submodes:
         return Result.UNSUPPORTED, []
     place = _place(sender, command)
-    if place is None:
-        return Result.DENIED, []
     speed, pilot = command.value(1), sender.autopilot
+    if place is None:
+        # On the ground PX4 says yes to any place.
+        anywhere = pilot.flavour.submodes and not pilot.vehicle.airborne
+        return (Result.ACCEPTED if anywhere else Result.DENIED), []
     change = bool(command.whole(2) & dialect.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
     return pilot.reposition(
         place,
@@ -112,6 +125,8 @@ def _orbit(sender: Sender, command: Command) -> Answer:
 
 def _set_home(sender: Sender, command: Command) -> Answer:
     here = sender.autopilot.vehicle.place
+    if sender.autopilot.flavour.submodes and sender.autopilot.calibrating:
+        return None, []
     place = here if command.whole(1) == 1 else _place(sender, command)
     if place is None:
         return Result.DENIED, []

@@ -23,6 +23,10 @@ SPEEDS = (
 )
 
 
+#: What may hang on a vehicle (see `autopilot.equipment.HARDWARE`).
+HARDWARE = ("camera", "gimbal", "gripper", "winch")
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleOption:
     """One vehicle of the link; `name` is what the mission's binding calls it, or ''."""
@@ -57,6 +61,16 @@ def system(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 254:
         raise argparse.ArgumentTypeError("a system id from 1 to 254")
     return int(text)
+
+
+def fitted(text: str) -> frozenset[str]:
+    """What hangs on the vehicles: `all`, `none`, or some of HARDWARE, by commas."""
+    if text in ("all", "none"):
+        return frozenset(HARDWARE if text == "all" else ())
+    names = frozenset(text.split(","))
+    if not names <= frozenset(HARDWARE):
+        raise argparse.ArgumentTypeError(f"all, none, or some of {', '.join(HARDWARE)}, by commas")
+    return names
 
 
 def vehicle(text: str) -> VehicleOption:

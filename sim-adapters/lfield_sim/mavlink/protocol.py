@@ -17,7 +17,7 @@ from lfield_sim.autopilot.flavours import Result
 from lfield_sim.autopilot.plans import MissionItem
 from lfield_sim.faults import Faults
 from lfield_sim.mavlink.command import Answer, Command, Late
-from lfield_sim.mavlink.commands import answer
+from lfield_sim.mavlink.commands import answer, second_answer
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.link.codec import Readers, Writer
 from lfield_sim.mavlink.link.signing import Signing
@@ -160,7 +160,8 @@ class MavlinkFake:
         if slow > 0.0 and result is not Result.UNSUPPORTED:
             self.sender.acknowledge_later(command.number, ack(result), slow)
             return [ack(Result.IN_PROGRESS), *replies]
-        return [ack(result), *replies]
+        second = second_answer(self.sender, command)
+        return [ack(result), *replies] if second is None else [ack(result), ack(second), *replies]
 
     def _answer(self, command: Command) -> Answer:
         for service in self.services:

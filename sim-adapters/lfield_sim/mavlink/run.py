@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from lfield.errors import UsageError
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
-from lfield_sim.autopilot.equipment import Battery
+from lfield_sim.autopilot.equipment import HARDWARE, Battery, Payload
 from lfield_sim.faults import Faults
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.link.wire import KNOWN
@@ -29,8 +29,8 @@ APART = 5.0
 class Setup:
     """The vehicles of a link, and what is set in them: charge, mAh, limits (SI).
 
-    `parameters` are by system, 0 for all; `state` is what they do when their computer is gone ('': as they
-    come out of the box, nothing).
+    `parameters` are by system, 0 for all; `fitted` is what hangs on them; `state` is what they do when their
+    computer is gone ('': as they come out of the box, nothing).
     """
 
     vehicles: Sequence[VehicleOption]
@@ -38,6 +38,7 @@ class Setup:
     capacity: float | None
     limits: Mapping[str, float]
     parameters: Mapping[int, Mapping[str, float]]
+    fitted: frozenset[str] = HARDWARE
     state: str = ""
 
     @property
@@ -76,7 +77,7 @@ class Setup:
 
     def _make(self, number: int, option: VehicleOption, faults: Faults) -> MavlinkFake:
         kind = FLAVOURS[option.flavour][option.kind]
-        autopilot = Autopilot(kind, battery=Battery(self.charge))
+        autopilot = Autopilot(kind, battery=Battery(self.charge), payload=Payload(self.fitted))
         start = Place()
         latitude, longitude = start.at(0.0, number * APART)
         place = Place(latitude / 1e7, longitude / 1e7, start.altitude)

@@ -7,6 +7,8 @@ MAVSDK has tests of its own (`tests/mavlink/client`).
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from pymavlink import mavftp, mavutil, mavwp
 
@@ -20,7 +22,11 @@ BOTH = pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 
 
 class Connection(mavutil.mavfile):
-    """mavutil's connection to a fake; time goes on while something is waited for."""
+    """mavutil's connection to a fake; time goes on while something is waited for.
+
+    It gives as many bytes as are asked for, so that no time passes while there are messages to read: a client
+    that reads one message each step falls behind PX4's stream, and answers what was asked seconds ago.
+    """
 
     def __init__(self, flavour="ardupilot"):
         self.autopilot = Autopilot(FLAVOURS[flavour]["copter"])
@@ -36,7 +42,8 @@ class Connection(mavutil.mavfile):
     def recv(self, n=None):
         if not self._waiting:
             self.pass_time(STEP)
-        data, self._waiting = bytes(self._waiting), bytearray()
+        data = bytes(self._waiting[:n])
+        del self._waiting[:n]
         return data
 
     def post_message(self, msg):
@@ -117,6 +124,8 @@ def up(c, height=10.0):
     c.mav.command_long_send(1, 1, 22, 0, 0, 0, 0, 0, 0, 0, height)
     assert c.ack(22) == "ACCEPTED"
     c.pass_time(20.0)
+    while c.recv_match(type="HEARTBEAT", blocking=False):
+        pass
 
 
 def test_dronekit_finds_home_in_the_mission_of_a_new_vehicle():
@@ -136,8 +145,9 @@ def test_dronekit_flies_to_a_guided_item():
     assert c.autopilot.vehicle.place == pytest.approx((20.0, 0.0, -10.0), abs=2.0)
 
 
-def test_a_mission_goes_there_and_back_by_mavwp():
-    c = Connection()
+@BOTH
+def test_a_mission_goes_there_and_back_by_mavwp(flavour):
+    c = Connection(flavour)
     loader = mavwp.MAVWPLoader()
     places = [(HOME[0] + n * 1e-4, HOME[1], 8.0 + n) for n in range(4)]
     for number, place in enumerate(places):
@@ -145,6 +155,17 @@ def test_a_mission_goes_there_and_back_by_mavwp():
     assert upload(c, loader) == 0
     read = download(c)
     assert [round(read.wp(n).z) for n in range(1, 4)] == [9, 10, 11]
+
+
+def test_px4_disarmed_in_the_mode_takeoff_does_not_take_off_at_the_next_arming():
+    c = Connection("px4")
+    c.pass_time(1.0)
+    for number, values in [(400, (1,)), (176, (1, 4, 2)), (400, (0,)), (400, (1,))]:
+        c.mav.command_long_send(1, 1, number, 0, *values, *[0] * (7 - len(values)))
+        assert c.ack(number) == "ACCEPTED"
+    c.pass_time(5.0)
+    assert c.autopilot.mode == "AUTO.LOITER"
+    assert not c.autopilot.vehicle.airborne
 
 
 def test_mavutil_arms_and_changes_modes():
@@ -250,3 +271,20 @@ def test_mavftp_lists_a_folder(flavour):
     result = ftp.cmd_list(["/"])
     assert result.error_code == mavftp.FtpError.Success
     assert "APM" in [e.name for e in ftp.list_result] or "etc" in [e.name for e in ftp.list_result]
+
+
+def test_px4_follows_setpoints_of_acceleration_alone():
+    c = Connection("px4")
+    c.pass_time(1.0)
+    c.arducopter_arm()
+    assert c.ack(400) == "ACCEPTED"
+    c.mav.command_long_send(1, 1, 22, 0, 0, 0, 0, math.nan, math.nan, math.nan, math.nan)
+    assert c.ack(22) == "ACCEPTED"
+    c.pass_time(15.0)
+    for number in range(60):
+        c.mav.set_position_target_local_ned_send(0, 1, 1, 1, 0x0C3F, *[0] * 6, 0.5, 0, 0, 0, 0)
+        if number == 10:
+            c.mav.command_long_send(1, 1, 176, 0, 1, 6, 0, 0, 0, 0, 0)
+        c.pass_time(0.05)
+    assert c.autopilot.mode == "OFFBOARD"
+    assert c.autopilot.vehicle.velocity[0] > 0.5

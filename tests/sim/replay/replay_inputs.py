@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from replay_trace import Line, Trace
 
@@ -88,12 +88,26 @@ def inputs(trace: Trace) -> list[Line]:
     return list(
         heapq.merge(
             _heartbeats(trace),
-            (line for line in trace.lines if line.dir == "in" and not _is_filled_in(trace, line)),
+            (
+                _whole(trace, line)
+                for line in trace.lines
+                if line.dir == "in" and not _is_filled_in(trace, line)
+            ),
             (line for line in trace.notes if line.heartbeat is not None or line.text.startswith("link ")),
             sorted([*extra, *_unrecorded(trace)], key=lambda line: line.t),
             key=lambda line: line.t,
         )
     )
+
+
+def _whole(trace: Trace, line: Line) -> Line:
+    """The one item in floats was recorded with six digits of its degrees; it was home."""
+    if line.type != "MISSION_ITEM":
+        return line
+    home = trace.last("HOME_POSITION", line.t)
+    assert home is not None
+    degrees = {"x": home.get("latitude") / 1e7, "y": home.get("longitude") / 1e7}
+    return replace(line, fields={**line.fields, **degrees})
 
 
 def _is_filled_in(trace: Trace, line: Line) -> bool:

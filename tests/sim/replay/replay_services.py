@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 from collections.abc import Iterator
@@ -180,6 +181,20 @@ def _block(fake: Trace, text: str, asked: list[Line]) -> Iterator[Found]:
         if result and result != told:
             name = str(line.fields["data"]).replace("\0", " ") if line.fields["op"] != "write" else ""
             yield f"file {line.fields['seq']} {line.fields['op']} {name}: {result} / {told}", ""
+        elif reply is not None and not reply.fields["nak"]:
+            yield from _contents(text, line, reply, alone=len(asked) == 1)
+
+
+def _contents(text: str, line: Line, reply: Line, *, alone: bool) -> Iterator[Found]:
+    """The size that was told, the checksum, or the bytes of the only reply: what the recorder wrote down."""
+    pattern = {"open_ro": r"size told (\d+)", "crc": r"CRC (?:of it: )?(0x[0-9a-f]+)"}.get(line.fields["op"])
+    noted = re.search(pattern, text) if pattern else None
+    data = re.search(r"ACK session \d+ size \d+ offset \d+ data (b'.*'|b\".*\")$", text) if alone else None
+    what = f"file {line.fields['seq']} {line.fields['op']}"
+    if noted and int(noted[1], 0) != int.from_bytes(reply.fields["data"][:4], "little"):
+        yield f"{what}: another {'size' if line.fields['op'] == 'open_ro' else 'checksum'}", noted[1]
+    elif data and ast.literal_eval(data[1]) != reply.fields["data"]:
+        yield f"{what}: other bytes", f"{data[1]} / {reply.fields['data']!r}"
 
 
 def _results(text: str, asked: list[Line]) -> list[str]:

@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Result, Role, Severity
+from lfield_sim.autopilot.missions import tell_begun
 from lfield_sim.autopilot.plans import NO_ITEM, MissionItem
 from lfield_sim.autopilot.vehicle import Vector
 from lfield_sim.mavlink.command import Answer, Command
@@ -141,7 +142,20 @@ class Plans(Service):
         return max(0, min(mission.current, len(mission.items) - 1))
 
     def _current(self) -> Any:
-        return dialect.MAVLink_mission_current_message(*self._progress, 0)
+        return dialect.MAVLink_mission_current_message(*self._progress, self._mission_mode)
+
+    @property
+    def _mission_mode(self) -> int:
+        """1 in a mode that flies missions; in others PX4 says 2 and ArduPilot nothing."""
+        if self._flies_missions:
+            return 1
+        return 0 if self._home_first else 2
+
+    @property
+    def _flies_missions(self) -> bool:
+        """Whether it is in such a mode; PX4 counts takeoff and landing among them."""
+        role = self.autopilot.role
+        return role is Role.MISSION or (not self._home_first and role in (Role.TAKEOFF, Role.LAND))
 
     @property
     def _progress(self) -> tuple[int, int, int]:
@@ -162,7 +176,7 @@ class Plans(Service):
             return int(dialect.MISSION_STATE_NO_MISSION)
         if mission.current >= total:
             return int(dialect.MISSION_STATE_COMPLETE)
-        if self.autopilot.role is Role.MISSION and (self.autopilot.armed or self._home_first):
+        if self._flies_missions and (self.autopilot.armed or self._home_first):
             return int(dialect.MISSION_STATE_ACTIVE)
         begun = mission.last_reached != NO_ITEM
         return int(dialect.MISSION_STATE_PAUSED if begun else dialect.MISSION_STATE_NOT_STARTED)
@@ -184,6 +198,8 @@ class Plans(Service):
             return Result.UNSUPPORTED, []
         if not self._jump_to(command.whole(1)):
             return Result.DENIED, []
+        if not self.autopilot.armed:
+            self._tell_begun(1)
         return Result.ACCEPTED, [self._current()]
 
     def _start(self, command: Command) -> Answer:
@@ -191,7 +207,19 @@ class Plans(Service):
         first, pilot = command.whole(1), self.autopilot
         begun = self._home_first or pilot.vehicle.airborne or not pilot.mission.items
         goes_on = first < 0 or (first == 0 and begun)
-        return self.autopilot.start_mission(None if goes_on else first), []
+        result = pilot.start_mission(None if goes_on else first)
+        if result is Result.ACCEPTED:
+            # A copter says it once more than a rover; who is armed begins the item, and says so then.
+            self._tell_begun(int(pilot.flies) + int(not pilot.armed))
+        return result, []
+
+    def _tell_begun(self, times: int) -> None:
+        """ArduPilot says in AUTO which item it begins, also when it is disarmed and begins nothing."""
+        item = self.autopilot.mission.item
+        if item is None or not self._home_first or self.autopilot.role is not Role.MISSION:
+            return
+        for _ in range(times):
+            tell_begun(self.autopilot, item)
 
     def _pause_or_go_on(self, command: Command) -> Answer:
         wanted = command.whole(1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import struct
 
@@ -12,8 +13,10 @@ from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
 from lfield_sim.autopilot.flavours import Result, Role
+from lfield_sim.mavlink import SIM
 from lfield_sim.mavlink.command import Command
 from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.run import Setup
 from lfield_sim.mavlink.services.files import Files, packed_parameters
 from lfield_sim.mavlink.services.ftp import FtpPacket, Op
 from lfield_sim.mavlink.services.parameters import Parameters, ParameterType, parameter_table
@@ -395,3 +398,32 @@ def test_files_of_both_are_fetched():
     ):
         assert len(fetch(Craft(Files, flavour), path)) >= 10_000
     assert len(unpacked(fetch(Craft(Files), "@PARAM/param.pck"))) >= 15
+
+
+@pytest.mark.parametrize(
+    ("words", "flavour", "result"),
+    [
+        (["--fitted", "none"], "ardupilot", Result.FAILED),
+        (["--fitted", "none"], "px4", None),
+        (["--fitted", "camera,gripper"], "ardupilot", Result.FAILED),
+        (["--fitted", "gimbal"], "ardupilot", Result.ACCEPTED),
+        ([], "px4", Result.ACCEPTED),
+    ],
+)
+def test_what_is_not_fitted_answers_as_on_the_real_one(words, flavour, result):
+    parser = argparse.ArgumentParser()
+    SIM.add_arguments(parser)
+    args = parser.parse_args([*words, "--vehicle", f"1:copter:{flavour}"])
+    setup = Setup(args.vehicle, args.battery, None, {}, {}, args.fitted)
+    (fake,) = setup.link(setup.faults([])).vehicles
+    gimbal = dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW
+    service = next(each for each in fake.services if gimbal in each.commands)
+    assert service.commands[gimbal](Command(gimbal, (10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)))[0] == result
+
+
+def test_what_cannot_be_fitted_is_named(capsys):
+    parser = argparse.ArgumentParser()
+    SIM.add_arguments(parser)
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--fitted", "gripper,laser"])
+    assert "all, none, or some of camera, gimbal, gripper, winch, by commas" in capsys.readouterr().err
