@@ -11,10 +11,11 @@ from lfield_mavlink.contact.contact import LINK_LOST, SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
+from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.orders import Order
 from lfield_mavlink.parts.progress import WayBack
 from lfield_mavlink.parts.readiness import COMPLAINTS, Readiness
+from lfield_mavlink.parts.rest import AT_HOME
 from lfield_mavlink.services.parameters import Parameters
 
 #: Seconds for a heartbeat to come that is newer than a stop; one comes every second at least.
@@ -23,8 +24,6 @@ NEWS = 2.5
 #: takes as long as its parameter says; a longer time than LONGEST_ON is not waited for.
 GOES_OFF, LONGEST_ON = 6.0, 60.0
 DELAY_OFF = "COM_DISARM_LAND"
-#: Metres of home within which a rover that went off by itself has returned.
-AT_HOME = 5.0
 #: Seconds after which ArduPilot has noticed our heartbeats, and between two attempts to arm until then.
 CLEARS, ARM_AGAIN = 1.5, 0.1
 #: What it says as long as it has not.
@@ -163,17 +162,15 @@ class Flight:
             )
             await self._go_off()
             return
-        arrival, flies = await self._motion.arrival(), self._vehicle.profile.flies
+        arrival = await self._motion.arrival()
 
         def left(place: Vector) -> float:
             far = math.hypot(*place[:2])
             # PX4 switches a rover off that has returned.
             return 0.0 if not self._state.armed and far <= AT_HOME else arrival.left(far)
 
-        patience = ON_ITS_WAY if flies else DRIVES
-        await self._motion.travel(
-            "returnHome", Order(frozenset({mode})), left, self._motion.tolerance, patience
-        )
+        motion, order = self._motion, Order(frozenset({mode}))
+        await motion.travel("returnHome", order, left, motion.tolerance, motion.patience)
 
     async def do_hold(self) -> None:
         """Stop and stay."""

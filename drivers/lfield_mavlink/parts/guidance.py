@@ -8,7 +8,7 @@ from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect, result_words
-from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
+from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Patience, Target
 from lfield_mavlink.parts.progress import Revolutions, Turning
 
@@ -63,8 +63,7 @@ class Guidance:
             flies = vehicle.profile.flies
             return math.dist(goal, place) if flies else arrival.left(math.dist(goal[:2], place[:2]))
 
-        patience = ON_ITS_WAY if vehicle.profile.flies else DRIVES
-        await motion.travel(what, order, distance, motion.tolerance, patience)
+        await motion.travel(what, order, distance, motion.tolerance, motion.patience)
 
     async def do_yaw(self, heading: float) -> None:
         """Turn on the spot to a heading."""

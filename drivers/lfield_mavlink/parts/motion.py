@@ -231,6 +231,11 @@ class Motion:
             await vehicle.next_news(min(0.25, order.period))
 
     @property
+    def patience(self) -> Patience:
+        """How long it may come no closer to a place."""
+        return ON_ITS_WAY if self._vehicle.profile.flies else DRIVES
+
+    @property
     def moves(self) -> bool:
         """Whether it moves over ground or up and down, as far as it tells."""
         return self._state.speeds is not None and math.hypot(*self._state.speeds) > MOVES

@@ -366,3 +366,22 @@ def test_a_rover_that_lands_stops_on_its_way(px4, state):
         assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
 
     b.run(mission)
+
+
+def test_a_goal_that_was_given_up_is_not_followed_on(px4):
+    b = px4()
+
+    async def mission(fc):
+        await up(fc)
+        limits = b.autopilot.vehicle.limits
+        flight = asyncio.create_task(fc.execute("goTo", [80.0, 0.0, -5.0]))
+        await asyncio.sleep(3.0)
+        was, limits.top = limits.top, 0.001
+        with pytest.raises(DeviceError, match="no progress for 10 s"):
+            await flight
+        limits.top = was
+        before = b.autopilot.vehicle.place[0]
+        await asyncio.sleep(5.0)
+        assert b.autopilot.vehicle.place[0] == pytest.approx(before, abs=1.0)
+
+    b.run(mission)
