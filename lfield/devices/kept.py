@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from lfield.driver.binding import DeviceBinding
-from lfield.errors import InputFileError, OutputFileError
+from lfield.errors import DamagedFileError, InputFileError, OutputFileError
 from lfield.text.files import reason
 from lfield.text.private import private_locked, read_private, write_private
 from lfield.text.record import state_folder
@@ -61,9 +61,9 @@ class Kept:
             raise InputFileError(str(self.path), reason(error)) from None
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             told = f"it is damaged ({error}); what devices had before is in it: move it away to go on"
-            raise InputFileError(str(self.path), told) from None
+            raise DamagedFileError(str(self.path), told) from None
         if pages.version != 1:
-            raise InputFileError(str(self.path), f"it is of version {pages.version}; this lfield knows 1")
+            raise DamagedFileError(str(self.path), f"it is of version {pages.version}; this lfield knows 1")
         return pages.entries
 
     def add(self, entries: Sequence[Entry]) -> None:
