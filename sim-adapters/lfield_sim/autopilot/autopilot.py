@@ -79,8 +79,8 @@ class Autopilot(Pilot):
             return Unfit(())
         if not (self.flies or self.flavour.submodes or self.kind.modes[self.mode].armable):
             return Unfit((self.flavour.unarmable.format(mode=self.mode),))
-        if self.flavour.submodes and self.role is Role.MANUAL:
-            # Without a transmitter.
+        if self.flavour.submodes and self.role in (Role.MANUAL, Role.TERMINATE):
+            # By hand it needs a transmitter; after a termination nothing helps.
             return Unfit(())
         return why_unfit(self)
 

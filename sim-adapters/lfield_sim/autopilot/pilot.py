@@ -358,12 +358,13 @@ class Pilot:
 
     def terminate(self) -> Result:
         """DO_FLIGHTTERMINATION: the motors stop, wherever it is; PX4 stays armed in a mode for it."""
-        self.critical = True
         name = self.kind.mode_for(Role.TERMINATE)
         if not name or not self.armed:
             return self.disarm(force=True)
+        self.critical = True
         self.say("Failsafe activated\t", Severity.CRITICAL)
-        self.enter(name)
+        self.say("Preflight Fail: Flight termination active", Severity.CRITICAL)
+        self.command(name)
         self.vehicle.goal = Fall() if self.vehicle.airborne else Rest()
         return Result.ACCEPTED
 

@@ -314,6 +314,10 @@ class Vehicle:
             self.yaw = wrap(self.yaw + rate * dt)
             return
         goal = self.yaw_goal
+        if goal is None and isinstance(self.goal, Circle) and not self.limits.nose_follows:
+            # PX4 looks at the centre of its orbit.
+            north, east, _ = _minus(self.goal.centre, self.place)
+            goal = math.atan2(east, north)
         follows = self._nose_follows
         if goal is None and follows and math.hypot(*self.velocity[:2]) > 0.5 and self.airborne:
             goal = math.atan2(self.velocity[1], self.velocity[0])

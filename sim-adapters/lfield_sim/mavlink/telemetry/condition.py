@@ -48,6 +48,8 @@ def heartbeat(autopilot: Autopilot, _: Place) -> Any:
 
 def _state(autopilot: Autopilot) -> int:
     """MAV_STATE: an ArduCopter is active in the air, a rover unless it holds, PX4 when it is armed."""
+    if autopilot.role is Role.TERMINATE:
+        return int(dialect.MAV_STATE_FLIGHT_TERMINATION)
     if autopilot.critical:
         return int(dialect.MAV_STATE_CRITICAL)
     if autopilot.calibrating:
