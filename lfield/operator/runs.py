@@ -332,7 +332,7 @@ def _for_all() -> bool:
 def _of_user() -> list[Path]:
     """Where runs of this user can be, whatever the environment was that they were started in."""
     if not _elsewhere():
-        return _own()
+        return _own()[:1]
     user = str(os.geteuid())
     usual = [RUNTIMES / user / "lfield", SHARED / f"lfield-{user}"]
     return list(dict.fromkeys([*_own(), temporary_folder() / f"lfield-{user}", *usual]))
