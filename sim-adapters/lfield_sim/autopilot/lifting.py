@@ -39,7 +39,9 @@ def landed_state(pilot: Pilot) -> LandedState:
         return LandedState.TAKEOFF if _has_lifted(pilot) else LandedState.ON_GROUND
     if pilot.landed:
         return LandedState.ON_GROUND
-    descends = pilot.role is Role.LAND or isinstance(pilot.vehicle.goal, Descend)
+    # A return that has touched the ground and does not say so yet is landing still.
+    touched = pilot.role is Role.RETURN and not pilot.aloft
+    descends = pilot.role is Role.LAND or isinstance(pilot.vehicle.goal, Descend) or touched
     return LandedState.LANDING if descends else LandedState.IN_AIR
 
 
