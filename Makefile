@@ -30,7 +30,7 @@ ifeq ($(strip $(ARDUCOPTER)$(ARDUROVER)$(PX4)),)
 	@echo "skipped: no simulator was given; make test-sitl ARDUCOPTER=build/sitl/bin/arducopter PX4=build/px4_sitl_default/bin/px4"
 else
 	ARDUCOPTER="$(ARDUCOPTER)" ARDUROVER="$(ARDUROVER)" PX4="$(PX4)" LFIELD_SITL=yes \
-		$(BIN)/pytest -n 0 --timeout 3600 -p no:cacheprovider -v tests/sitl $(if $(ONLY),-k "set_up or $(ONLY)")
+		$(BIN)/pytest -n 0 --timeout 3600 -p no:cacheprovider -v tests/sitl/test_sitl.py $(if $(ONLY),-k "set_up or $(ONLY)")
 endif
 
 lint: $(VENV)/.tested

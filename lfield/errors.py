@@ -154,6 +154,12 @@ class InputFileError(LfieldError):
         super().__init__(f"cannot read {path}: {reason}")
 
 
+class DamagedFileError(InputFileError):
+    """A file that can be read and is not what it should be."""
+
+    exit_status = exits.DATA
+
+
 class OutputFileError(LfieldError):
     """A file or stream that cannot be written."""
 

@@ -64,6 +64,7 @@ class LimitKeeper:
                 await self._correct(name, kept)
             except DeviceError as error:
                 self._vehicle.note(f"its {name} could not be corrected: {error.reason}")
+            kept.watch.told(self._vehicle.clock.monotonic())
 
     # -- watching ---------------------------------------------------------------------------------------
 
@@ -82,7 +83,7 @@ class LimitKeeper:
                 kept.said = kept.corrected = False
                 self._vehicle.note(f"within its limit of {self._limit(name)} again")
             elif verdict is not None:
-                self._act(name, kept)
+                self._act(name, kept, now)
 
     def _sample(self, name: str, kept: _Kept) -> tuple[float, float] | None:
         """A value and its excess, as `LimitWatch` has it; None where there is no such thing."""
@@ -97,9 +98,10 @@ class LimitKeeper:
         far = math.hypot(*position[:2])
         return far, (position[0] * north + position[1] * east) / far if far else 0.0
 
-    def _act(self, name: str, kept: _Kept) -> None:
+    def _act(self, name: str, kept: _Kept, now: float) -> None:
         """It is beyond a limit, or still is although it was corrected."""
         if why := self._left_alone(name):
+            kept.watch.told(now)
             if not kept.said:
                 self._vehicle.note(f"{self._words(name, kept)}; {why}")
         elif not kept.corrected:

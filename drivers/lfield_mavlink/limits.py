@@ -14,9 +14,10 @@ from enum import Enum, auto
 from lfield.driver import DeviceBinding, DeviceError
 from lfield_mavlink.geo import Vector
 
-#: The share of its greatest excess since the last look to which a correction that helps has brought it by the
-#: next. What was told to be slower while it still gained speed needs a moment to lose the first of it.
-HELPING = 0.9
+#: m/s by which an excess must have become less to be seen to do so; what is less may be noise.
+LESS = 0.1
+#: How many times its `time` a correction that helps may take until the value is within its limit.
+LONGEST = 5
 
 
 class Verdict(Enum):
@@ -32,9 +33,11 @@ class LimitWatch:
     """Samples of one value against its limit, with room for gusts and noise.
 
     `bound` is the limit with its tolerance. A value that is beyond it for `time` seconds without a break must
-    be corrected. Then, every `time` seconds, the excess must be on its way down, or at most `still`: else the
-    correction does not help. The excess of a speed is what is above the bound, that of a place the speed
-    at which it leads farther out. What was not heard for `time` is not known to have been beyond anything.
+    be corrected. Once the correction is `told`, for which there is as much time again, the excess must become
+    less: when it has not done so for `time` seconds, or is not gone after LONGEST times that, the correction
+    does not help. An excess of at most `still` is as good as none. The excess of a speed is what is above the
+    bound, that of a place the speed at which it leads farther out; both in m/s. What was not heard for `time`
+    is not known to have been beyond anything.
     """
 
     bound: float
@@ -42,38 +45,64 @@ class LimitWatch:
     still: float = 0.0
     _beyond_since: float | None = None
     _heard_at: float = -math.inf
-    _look_at: float | None = None
-    _excess: float = 0.0
+    _correction: _Correction | None = None
 
     def sample(self, value: float, excess: float, now: float) -> Verdict | None:
         """Take one sample in; what is to be done about it, if that is news."""
         gap, self._heard_at = now - self._heard_at, now
         if value <= self.bound:
             return self._within()
-        if self._beyond_since is None or (self._look_at is None and gap > self.time):
+        if self._correction is not None:
+            return self._look(self._correction, excess, now)
+        if self._beyond_since is None or gap > self.time:
             self._beyond_since = now
-        if self._look_at is None:
-            return self._correct(excess, now) if now - self._beyond_since >= self.time else None
-        self._excess = max(self._excess, excess)
-        return self._look(excess, now) if now >= self._look_at else None
+        if now - self._beyond_since < self.time:
+            return None
+        self._correction = _Correction(now, now + self.time, excess)
+        return Verdict.CORRECT
+
+    def told(self, now: float) -> None:
+        """The correction has been taken, or nothing more is on its way: from here on it must show."""
+        if self._correction is not None:
+            self._correction.less_at = min(self._correction.less_at, now)
 
     def reset(self) -> None:
         """Nothing is known any more, since its motors are off."""
-        self._beyond_since = self._look_at = None
+        self._beyond_since = self._correction = None
 
     def _within(self) -> Verdict | None:
-        corrected = self._look_at is not None
+        corrected = self._correction is not None
         self.reset()
         return Verdict.WITHIN if corrected else None
 
-    def _correct(self, excess: float, now: float) -> Verdict:
-        self._look_at, self._excess = now + self.time, excess
-        return Verdict.CORRECT
+    def _look(self, correction: _Correction, excess: float, now: float) -> Verdict | None:
+        if excess <= self.still:
+            self._correction = _Correction(now, now, excess)
+            return None
+        correction.sample(excess, now)
+        in_vain = now - correction.less_at >= self.time or now - correction.began >= LONGEST * self.time
+        if not in_vain:
+            return None
+        self._correction = _Correction(now, now, excess)
+        return Verdict.HELPLESS
 
-    def _look(self, excess: float, now: float) -> Verdict | None:
-        helpless = excess > max(self.still, HELPING * self._excess)
-        self._look_at, self._excess = now + self.time, excess
-        return Verdict.HELPLESS if helpless else None
+
+class _Correction:
+    """How an excess goes on after a correction: down, at first perhaps from more than it was.
+
+    `less_at` is when it was seen to become less, at first when it may have begun to.
+    """
+
+    def __init__(self, now: float, less_at: float, excess: float) -> None:
+        self.began, self.less_at = now, less_at
+        self._least, self._turned = excess, False
+
+    def sample(self, excess: float, now: float) -> None:
+        """Note when it has become less than ever before."""
+        if excess <= self._least - LESS:
+            self._least, self._turned, self.less_at = excess, True, now
+        elif not self._turned:
+            self._least = max(self._least, excess)
 
 
 class Limits:

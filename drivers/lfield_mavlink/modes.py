@@ -185,6 +185,26 @@ _PX4_MODES = {
     _px4(8): "RATTITUDE",
     _px4(10): "TERMINATION",
 }
+#: What PX4 calls its modes where it speaks of them; some were called otherwise before 1.15.
+PX4_WORDS: Mapping[str, tuple[str, ...]] = {
+    "MANUAL": ("Manual",),
+    "ALTCTL": ("Altitude",),
+    "POSCTL": ("Position",),
+    "POSCTL.ORBIT": ("Orbit",),
+    "POSCTL.SLOW": ("Position Slow",),
+    "AUTO.TAKEOFF": ("Takeoff",),
+    "AUTO.LOITER": ("Hold",),
+    "AUTO.MISSION": ("Mission",),
+    "AUTO.RTL": ("Return", "RTL"),
+    "AUTO.LAND": ("Land",),
+    "AUTO.FOLLOW_TARGET": ("Follow Target",),
+    "AUTO.PRECLAND": ("Precision Landing", "Precision Land"),
+    "AUTO.VTOL_TAKEOFF": ("VTOL Takeoff", "Vtol Takeoff"),
+    "ACRO": ("Acro",),
+    "OFFBOARD": ("Offboard",),
+    "STABILIZED": ("Stabilized",),
+    "TERMINATION": ("Termination",),
+}
 _PX4_OWN = frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"})
 
 # What the tables of failsafe actions have beside land, return and hold.

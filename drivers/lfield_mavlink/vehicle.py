@@ -56,7 +56,7 @@ class MavlinkVehicle(Contact):
         self.watchdog = Watchdog(self, self.parameters)
         limits = Limits(binding, self.error)
         readiness = Readiness(self, self.motion)
-        self._flight = Flight(self, self.motion, limits, readiness)
+        self._flight = Flight(self, self.motion, limits, readiness, self.parameters)
         self._rest = Rest(self, self.motion)
         self._keeper = LimitKeeper(self, self.motion)
         self.parts = (

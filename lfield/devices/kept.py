@@ -12,9 +12,9 @@ from pathlib import Path
 import msgspec
 
 from lfield.driver.binding import DeviceBinding
-from lfield.errors import InputFileError, OutputFileError
+from lfield.errors import DamagedFileError, InputFileError, OutputFileError
 from lfield.text.files import reason
-from lfield.text.private import read_private, write_private
+from lfield.text.private import private_locked, read_private, write_private
 from lfield.text.record import state_folder
 
 #: A larger file is none of ours, in bytes.
@@ -46,7 +46,7 @@ class _Pages(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Kept:
-    """The entries in a file, the oldest first."""
+    """The entries in a file, the oldest first. Several processes may change them at a time."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -61,16 +61,29 @@ class Kept:
             raise InputFileError(str(self.path), reason(error)) from None
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             told = f"it is damaged ({error}); what devices had before is in it: move it away to go on"
-            raise InputFileError(str(self.path), told) from None
+            raise DamagedFileError(str(self.path), told) from None
         if pages.version != 1:
-            raise InputFileError(str(self.path), f"it is of version {pages.version}; this lfield knows 1")
+            raise DamagedFileError(str(self.path), f"it is of version {pages.version}; this lfield knows 1")
         return pages.entries
 
-    def write(self, entries: Sequence[Entry]) -> None:
-        """Have these and no others, on the disk when this returns; no file for none.
+    def add(self, entries: Sequence[Entry]) -> None:
+        """Have these too, as the newest, on the disk when this returns.
 
-        Raises OutputFileError.
+        Raises InputFileError and OutputFileError; then nothing has changed.
         """
+        with private_locked(self.path.parent):
+            self._write([*self.entries(), *entries])
+
+    def remove(self, entry: Entry) -> None:
+        """Have this one no more; nothing changes if somebody else has removed it. Raises as `add`."""
+        with private_locked(self.path.parent):
+            entries = self.entries()
+            if entry in entries:
+                entries.remove(entry)
+                self._write(entries)
+
+    def _write(self, entries: Sequence[Entry]) -> None:
+        """No file for no entries."""
         if entries:
             data = msgspec.json.format(msgspec.json.encode(_Pages(1, list(entries))), indent=1)
             write_private(self.path, data, durable=True)

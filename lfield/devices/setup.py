@@ -155,7 +155,7 @@ async def set_up(found: Sequence[Found], kept: Kept, when: str, tell: Tell) -> N
     problems = await _tried(meant, _check_idle)
     if problems:
         raise DevicesError(problems)
-    kept.write([*kept.entries(), *(_entry(each, when) for each in meant)])
+    kept.add([_entry(each, when) for each in meant])
     problems = await _tried(meant, lambda each: _write(each, tell))
     if problems:
         raise DevicesError(problems)
@@ -195,16 +195,14 @@ async def put_back(
     What somebody has changed since is left as it is, and told. What could not be reached stays kept.
     """
     problems: list[str] = []
-    entries = kept.entries()
-    for entry in reversed([entry for entry in entries if meant(entry.binding)]):
+    for entry in reversed([entry for entry in kept.entries() if meant(entry.binding)]):
         try:
             async with reached(drivers, [entry.binding], clock, tell) as (found,):
                 problems += await _restore(found, entry, tell)
         except DevicesError as error:
             problems += error.problems
             continue
-        entries = [other for other in entries if other is not entry]
-        kept.write(entries)
+        kept.remove(entry)
     return problems
 
 

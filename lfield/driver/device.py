@@ -172,9 +172,11 @@ class Device:
         return await self._settings()
 
     async def check_settings(self) -> None:
-        """Raise NotSetUp unless what it keeps is what its binding needs; nothing is written."""
+        """Raise NotSetUp unless what it keeps is what its binding needs: each is told, nothing is written."""
         if not_right := wrong(await self._settings()):
-            told = ", ".join(map(str, not_right))
+            for setting in not_right:
+                self.note(f"{setting}: {setting.why}")
+            told = f"{not_right[0]}" + (f", and {len(not_right) - 1} more" if not_right[1:] else "")
             raise NotSetUp(self.binding.field, f"it is not set up for its binding: {told}")
 
     async def write_setting(self, name: str, value: float) -> None:

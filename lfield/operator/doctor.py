@@ -11,7 +11,7 @@ import grp
 import os
 import pwd
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -37,11 +37,12 @@ _TIME_ERROR = 5
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at; `cure` says what to do when it is not well."""
+    """One thing that was looked at; `details` are a line each, `cure` says what to do when it is not well."""
 
     state: Literal["ok", "warning", "problem"]
     what: str
     cure: str = ""
+    details: Sequence[str] = ()
 
 
 def system(plugins: Plugins, root: Path = Path("/")) -> Iterator[Finding]:
@@ -169,7 +170,8 @@ async def endpoints(
             for problem in error.problems:
                 unset = problem in error.not_set_up
                 cure = f"{setup} (it asks first)" if unset else "check power, cable, endpoint and ids"
-                told(Finding("problem", problem, cure))
+                details = [note.removeprefix(f"{device.name}: ") for note in notes] if unset else []
+                told(Finding("problem", problem, cure, details))
         else:
             identity = guards.guard_of(device.name).identities[device.name]
             told(Finding("ok", f"{device.name}: {identity} at {device.endpoint}"))

@@ -10,6 +10,7 @@ the `owners` that the caller names.
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import secrets
 import stat
@@ -67,6 +68,20 @@ def write_private(path: Path, data: bytes, mode: int = 0o600, *, durable: bool =
                 os.fsync(folder)
         except OSError as error:
             raise OutputFileError(str(path), error.strerror or str(error)) from None
+
+
+@contextmanager
+def private_locked(path: Path) -> Iterator[None]:
+    """Have a folder for this process alone among those that lock it; it is made if there is none.
+
+    Whoever comes second waits. The lock ends with its process however that ends. Raises OutputFileError.
+    """
+    with _made(path) as folder:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX)
+        except OSError as error:
+            raise OutputFileError(str(path), error.strerror or str(error)) from None
+        yield
 
 
 @contextmanager

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 
 import pytest
 
 from lfield.clock import ManualClock
 from lfield.devices import setup
-from lfield.devices.kept import Change, Kept
+from lfield.devices.kept import Change, Entry, Kept
 from lfield.devices.setup import Found, put_back, set_up
 from lfield.driver import DeviceBinding, DeviceError, Setting
 from lfield.driver.known import KnownDrivers
@@ -100,6 +101,21 @@ def test_nothing_is_kept_or_written_while_one_of_them_is_in_use(kept):
         asyncio.run(set_up([lamp.found(), shining.found()], kept, "now", print))
     assert lamp.kept == {"LEVEL": 1.0, "COLOUR": 2.0}
     assert not kept.path.exists()
+
+
+def test_several_at_a_time_lose_no_entry(kept):
+    def add_and_remove(name):
+        for number in range(5):
+            mine = Entry(str(number), name, [], Lamp(name).binding)
+            Kept(kept.path).add([mine])
+            if number % 2:
+                Kept(kept.path).remove(mine)
+
+    with ThreadPoolExecutor() as together:
+        list(together.map(add_and_remove, "abcdefgh"))
+    assert sorted(entry.identity + entry.when for entry in kept.entries()) == [
+        name + when for name in "abcdefgh" for when in "024"
+    ]
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"version": 2, "entries": []}', "[" * 10000])

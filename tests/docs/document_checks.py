@@ -206,8 +206,8 @@ def understand(line: str) -> None:
     name, *words = shlex.split(line, comments=True)
     if name not in COMMANDS:
         raise ValueError(f"there is no subcommand '{name}'")
-    if name in ("sim", "kit") and any("lamp" in word or "$" in word for word in words):
-        # Of a driver that the lines before have made.
+    if name in ("sim", "kit") and {"lamp", "gps", "$name"}.intersection(words):
+        # Of a driver that the lines before have made or installed.
         return
     parser = Strict()
     import_module(MODULES[name]).add_arguments(parser)

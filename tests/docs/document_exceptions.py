@@ -19,6 +19,7 @@ TEAM = RUNNING + "tests/cli/team"
 EXAMPLES = LONG + "tests/cli/run/test_thesis_and_examples.py runs it"
 DRIVER = "a driver of its own: tests/cli/robot/test_driver_new.py makes and tries one"
 SETUP = "writes to a vehicle, after a yes: tests/cli/robot/test_setup_command.py"
+GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake and its kit"
 KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
 
 #: By page: command lines, and first lines of outputs.
@@ -79,6 +80,11 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,
         "sky   | carrier.fc: it has a watchdog of 2 s: nothing stops it sooner when this computer dies "
         "(waived by its binding)": EXAMPLES,
+    },
+    "examples/20-gps-driver/README.md": {
+        "pip install -e examples/20-gps-driver": GPS,
+        "lfield sim gps &": GPS,
+        "lfield kit gps --endpoint serial:/dev/ttyUSB0:9600": GPS,
     },
     "drivers/lfield_mavlink/README.md": {
         "lfield setup --deploy mission.dL": SETUP,

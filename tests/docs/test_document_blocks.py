@@ -15,12 +15,17 @@ import pytest
 from document_blocks import ROOT, Block, blocks_by_page, blocks_of, shell_lines, without_comment
 from document_checks import missing_lines, opened, problems_of, wanted_status
 from document_exceptions import EXCEPTIONS, FILES
+from msgspec import structs
 
+from lfield.driver.binding import DeviceBinding
 from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
 
 pytestmark = pytest.mark.process
 
 BLOCKS = blocks_by_page()
+#: Those of the examples on simulators of real autopilots, one folder each.
+REAL = sorted((ROOT / "sim-adapters/real").rglob("*.devices.yaml"))
 #: Seconds for a line to end.
 PATIENCE = 60.0
 #: What commands of the documents name, from the root of the repository.
@@ -123,6 +128,18 @@ def test_the_sample_bindings_open(devices: Path) -> None:
     program = ROOT / "examples/01-first-flight/mission.L"
     mission = load_mission(devices.with_name("mission.dL"), program, devices, simulate=True)
     assert opened(mission.bindings.all) == []
+
+
+@pytest.mark.parametrize("devices", REAL, ids=lambda path: f"{path.parent.name}-{path.name}")
+def test_the_bindings_for_real_autopilots_differ_from_their_examples_in_places_only(devices: Path) -> None:
+    deployment = ROOT / "examples" / devices.name.removesuffix(".devices.yaml") / "mission.dL"
+    real, example = load_mission(deployment, devices=devices), load_mission(deployment)
+
+    def without_places(mission: Mission) -> list[DeviceBinding]:
+        return [structs.replace(device, endpoint="", sim=[]) for device in mission.bindings.all]
+
+    assert without_places(real) == without_places(example)
+    assert {d.endpoint for d in real.bindings.all}.isdisjoint(d.endpoint for d in example.bindings.all)
 
 
 # --- the machine itself -------------------------------------------------------------------------------

@@ -138,7 +138,7 @@ def test_a_stopped_host_is_silence(tmp_path):
             try:
                 await asyncio.to_thread(host.stdout.readline)
                 host.send_signal(signal.SIGSTOP)
-                await asyncio.to_thread(sees_landing, f.endpoint)
+                await asyncio.to_thread(sees_landing, f.endpoint, armed=True)
             finally:
                 host.kill()
                 host.communicate()
@@ -153,6 +153,8 @@ def test_a_killed_host_leaves_the_vehicle_landed():
             await asyncio.to_thread(host.stdout.readline)
             host.kill()
             await asyncio.to_thread(host.communicate)
+            # The guard that outlives its host has the endpoint until the vehicle stands.
+            await asyncio.to_thread(sees_landing, f.endpoint, armed=False)
             async with flying(f) as watcher:
                 await watcher.reads("mode", lambda now: now == "LAND")
                 await watcher.reads("armed", lambda now: now is False)
@@ -160,8 +162,8 @@ def test_a_killed_host_leaves_the_vehicle_landed():
     asyncio.run(mission())
 
 
-def sees_landing(endpoint: str) -> None:
-    """Wait until the vehicle says that it lands; asked past the guard, which still has the endpoint."""
+def sees_landing(endpoint: str, *, armed: bool) -> None:
+    """Wait until it says that it lands, or has landed; asked past the guard, which still has the endpoint."""
     watcher = mavutil.mavlink_connection(endpoint.replace("udp:", "udpout:"))
     end = time.monotonic() + 30.0
     while time.monotonic() < end:
@@ -169,7 +171,9 @@ def sees_landing(endpoint: str) -> None:
             mavutil.mavlink.MAV_TYPE_GCS, mavutil.mavlink.MAV_AUTOPILOT_INVALID, 0, 0, 0
         )
         heard = watcher.recv_match(type="HEARTBEAT", blocking=True, timeout=0.5)
-        if heard is not None and mavutil.mode_mapping_acm[heard.custom_mode] == "LAND":
+        if heard is None or mavutil.mode_mapping_acm[heard.custom_mode] != "LAND":
+            continue
+        if armed or not heard.base_mode & mavutil.mavlink.MAV_MODE_FLAG_SAFETY_ARMED:
             watcher.close()
             return
     pytest.fail("the vehicle does not land")

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import threading
+from contextlib import contextmanager
+
 import pytest
 from kit_findings import failed, not_run
+from pymavlink import mavutil
 
 pytestmark = pytest.mark.process
 
@@ -66,3 +70,37 @@ def test_a_vehicle_that_does_not_do_it_fails(fake, try_kit):
     assert "takeoff" in found["v2", "a short trip"].seen
     assert found["v2", fence].outcome == "passed"
     assert "globalPosition" in found["v3", fence].seen
+
+
+@contextmanager
+def another_station(endpoint, speed):
+    """One that tells a vehicle its speed again and again, behind the driver's back."""
+    station = mavutil.mavlink_connection(endpoint.replace("udp:", "udpout:"), source_system=254)
+    over = threading.Event()
+
+    def tell():
+        while not over.wait(0.05):
+            station.mav.command_long_send(
+                1, 1, mavutil.mavlink.MAV_CMD_DO_CHANGE_SPEED, 0, 1.0, speed, -1.0, 0, 0, 0, 0
+            )
+
+    telling = threading.Thread(target=tell)
+    telling.start()
+    try:
+        yield
+    finally:
+        over.set()
+        telling.join()
+        station.close()
+
+
+def test_a_speed_beyond_the_limit_fails(fake, try_kit):
+    (link,) = vehicles(fake, "1:copter:ardupilot --set-up --param WPNAV_SPEED=500")
+    check = "its speed limit is kept"
+    # The watch of the driver, which would correct it, looks away.
+    device = f'endpoint: "{link.endpoint}", system: 1, ttl: 1.0, limit_time: 30.0, {LIMITS}'
+    with another_station(link.endpoint, 9.0):
+        found = try_kit("mavlink", {"fast": device}, only=(check,))
+    assert found["fast", check].outcome == "failed"
+    assert "m/s at most, of 5" in found["fast", check].seen
+    assert "too short a way" not in found["fast", check].seen

@@ -13,7 +13,7 @@ from lfield_mavlink.contact.exchange import Exchange, is_for_us
 from lfield_mavlink.contact.state import Texts, VehicleState
 from lfield_mavlink.geo import Place
 from lfield_mavlink.link.dialect import dialect, result_words
-from lfield_mavlink.modes import STACKS, Profile
+from lfield_mavlink.modes import PX4_WORDS, STACKS, Profile
 
 #: Seconds without any message after which the link is lost: a call must fail within 3 s.
 LINK_LOST = 2.7
@@ -27,7 +27,7 @@ EXPLAINS = 0.3
 #: Seconds for a state to show that the first copy of a command was taken, when the second was refused.
 TAKEN = 1.5
 #: What PX4 says of a mode that it does not enter although it has accepted it.
-UNAVAILABLE = "is currently not available"
+UNAVAILABLE = "Switching to {} is currently not available"
 
 Handler = Callable[[Any], None]
 
@@ -199,26 +199,30 @@ class Contact(Device):
         if not (self.quiet and self.exchange.px4):
             await self.seen(lambda: bool(self.texts.since(start)), EXPLAINS)
 
-    async def achieve(self, what: str, state: Callable[[], bool], number: int, *values: float | None) -> None:
+    async def achieve(
+        self, what: str, state: Callable[[], bool], number: int, *values: float | None, mode: str = ""
+    ) -> None:
         """Have a command accepted and wait until the state shows it. Raises DeviceError.
 
         It is sent again while the state does not show it: the acceptance may have been a late one of an
-        earlier command. So it must be one that may be carried out twice.
+        earlier command. So it must be one that may be carried out twice. `mode` is the one that it leads to,
+        if any.
         """
         start = self.clock.monotonic()
         for _ in range(ATTEMPTS):
             await self.command(what, number, *values, taken=state)
             if await self.seen(state, SHOWS / ATTEMPTS):
                 return
-            # Not before: the words may be late ones about another mode.
-            if self.is_unavailable(start):
+            # Not before: the words may be late ones about an earlier attempt.
+            if self.is_unavailable(mode, start):
                 raise self.error(f"{what} refused{self.reasons(start)}")
         self.check_link()
         raise self.error(f"{what} was accepted but did not happen within {SHOWS:g} s{self.reasons(start)}")
 
-    def is_unavailable(self, start: float) -> bool:
-        """Whether PX4 has said since `start` that it does not enter the mode that it has accepted."""
-        return any(UNAVAILABLE in text for text in self.texts.since(start))
+    def is_unavailable(self, mode: str, start: float) -> bool:
+        """Whether PX4 has said since `start` that it does not enter this mode, which it has accepted."""
+        refusals = {UNAVAILABLE.format(name) for name in PX4_WORDS.get(mode, ())}
+        return not refusals.isdisjoint(self.texts.since(start))
 
     async def until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
         """Wait until the state shows it. Raises DeviceError when it does not."""

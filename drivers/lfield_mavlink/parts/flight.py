@@ -11,17 +11,19 @@ from lfield_mavlink.contact.contact import LINK_LOST, SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
+from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.orders import Order
 from lfield_mavlink.parts.progress import WayBack
 from lfield_mavlink.parts.readiness import COMPLAINTS, Readiness
+from lfield_mavlink.parts.rest import AT_HOME
+from lfield_mavlink.services.parameters import Parameters
 
 #: Seconds for a heartbeat to come that is newer than a stop; one comes every second at least.
 NEWS = 2.5
-#: Seconds after a landing for the motors to go off: ArduPilot takes half a second, PX4 two and more.
-GOES_OFF = 6.0
-#: Metres of home within which a rover that went off by itself has returned.
-AT_HOME = 5.0
+#: Seconds after a landing for the motors to go off, and to be seen off: ArduPilot takes half a second. PX4
+#: takes as long as its parameter says; a longer time than LONGEST_ON is not waited for.
+GOES_OFF, LONGEST_ON = 6.0, 60.0
+DELAY_OFF = "COM_DISARM_LAND"
 #: Seconds after which ArduPilot has noticed our heartbeats, and between two attempts to arm until then.
 CLEARS, ARM_AGAIN = 1.5, 0.1
 #: What it says as long as it has not.
@@ -35,9 +37,16 @@ UNDER_WAY = 10.0
 class Flight:
     """What brings a vehicle into the air and down, and what keeps others' hands free."""
 
-    def __init__(self, vehicle: Contact, motion: Motion, limits: Limits, readiness: Readiness) -> None:
+    def __init__(
+        self,
+        vehicle: Contact,
+        motion: Motion,
+        limits: Limits,
+        readiness: Readiness,
+        parameters: Parameters,
+    ) -> None:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
-        self._limits, self._readiness = limits, readiness
+        self._limits, self._readiness, self._parameters = limits, readiness, parameters
         self._arming_until = self._home_at = -math.inf
         vehicle.on(dialect.MAVLINK_MSG_ID_HOME_POSITION, self._on_home)
         # The mode in which it was left to others last, '' when it was not.
@@ -153,17 +162,15 @@ class Flight:
             )
             await self._go_off()
             return
-        arrival, flies = await self._motion.arrival(), self._vehicle.profile.flies
+        arrival = await self._motion.arrival()
 
         def left(place: Vector) -> float:
             far = math.hypot(*place[:2])
             # PX4 switches a rover off that has returned.
             return 0.0 if not self._state.armed and far <= AT_HOME else arrival.left(far)
 
-        patience = ON_ITS_WAY if flies else DRIVES
-        await self._motion.travel(
-            "returnHome", Order(frozenset({mode})), left, self._motion.tolerance, patience
-        )
+        motion, order = self._motion, Order(frozenset({mode}))
+        await motion.travel("returnHome", order, left, motion.tolerance, motion.patience)
 
     async def do_hold(self) -> None:
         """Stop and stay."""
@@ -203,8 +210,7 @@ class Flight:
             if self._state.landed and vehicle.profile.flies and await self._disarmed():
                 return
         self._left_in = ""
-        mode = vehicle.profile.safe(state)
-        await (self._motion.hold() if mode == vehicle.profile.hold else self._motion.set_mode(mode))
+        await self._motion.set_mode(vehicle.profile.safe(state))
 
     @property
     def _is_not_to_be_moved(self) -> bool:
@@ -249,8 +255,15 @@ class Flight:
 
         An arming in between would find them on, and lose them a moment later.
         """
-        if self._vehicle.profile.flies:
-            await self._vehicle.seen(lambda: not self._state.armed, GOES_OFF)
+        if self._vehicle.profile.flies and self._state.armed:
+            await self._vehicle.seen(lambda: not self._state.armed, await self._time_to_go_off())
+
+    async def _time_to_go_off(self) -> float:
+        """Seconds to wait for that at most; 0 for a PX4 that leaves them on (below 0)."""
+        delay = await self._parameters.read(DELAY_OFF) if self._vehicle.profile.px4 else None
+        if delay is None:
+            return GOES_OFF
+        return min(delay, LONGEST_ON) + GOES_OFF if delay >= 0.0 else 0.0
 
     async def _leave_for(self, what: str, safe_state: str, command: int) -> str:
         """Enter the mode of a safe state by the command that there is for it, such as NAV_LAND; the mode.

@@ -8,7 +8,7 @@ from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect, result_words
-from lfield_mavlink.parts.motion import DRIVES, ON_ITS_WAY, Motion
+from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Patience, Target
 from lfield_mavlink.parts.progress import Revolutions, Turning
 
@@ -63,8 +63,7 @@ class Guidance:
             flies = vehicle.profile.flies
             return math.dist(goal, place) if flies else arrival.left(math.dist(goal[:2], place[:2]))
 
-        patience = ON_ITS_WAY if vehicle.profile.flies else DRIVES
-        await motion.travel(what, order, distance, motion.tolerance, patience)
+        await motion.travel(what, order, distance, motion.tolerance, motion.patience)
 
     async def do_yaw(self, heading: float) -> None:
         """Turn on the spot to a heading."""
@@ -155,7 +154,10 @@ class Guidance:
         while not await vehicle.seen(self._is_guided, pause):
             asked = vehicle.clock.monotonic()
             result = await self._ask_for_offboard(asked)
-            refused = vehicle.is_unavailable(asked) or result not in (None, dialect.MAV_RESULT_ACCEPTED)
+            refused = vehicle.is_unavailable(guided, asked) or result not in (
+                None,
+                dialect.MAV_RESULT_ACCEPTED,
+            )
             # The first time it may be that the setpoints were lost.
             pause, refusals = (NOTICES, refusals + 1) if refused else (0.0, refusals)
             over = vehicle.clock.monotonic() >= until
@@ -168,10 +170,11 @@ class Guidance:
 
     async def _ask_for_offboard(self, asked: float) -> int | None:
         """Tell PX4 once, and wait a moment for what becomes of it; the result of the command."""
-        vehicle, values = self._vehicle, self._motion.mode_values(self._vehicle.profile.guided)
+        vehicle, guided = self._vehicle, self._vehicle.profile.guided
+        values = self._motion.mode_values(guided)
         command = dialect.MAV_CMD_DO_SET_MODE
         answer = await vehicle.exchange.command(command, *values, once=True, patience=SHOWN)
-        await vehicle.seen(lambda: self._is_guided() or vehicle.is_unavailable(asked), SHOWN)
+        await vehicle.seen(lambda: self._is_guided() or vehicle.is_unavailable(guided, asked), SHOWN)
         return answer.result
 
     def _is_guided(self) -> bool:

@@ -24,8 +24,16 @@ PERIOD = 0.05
 STAYS, BEGINS = 3, 0.1
 #: Of what flies to a goal, and of what drives there.
 ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0)
+#: m/s2 with which everything can brake over ground.
+BRAKES = 2.0
 #: m/s above which it moves, and the seconds after which one that does not is asked why.
 MOVES, ASKED_WHY = 0.3, 2.0
+
+
+def stopping_place(place: Vector, velocity: Vector) -> Vector:
+    """Where it comes to rest when it brakes now: behind that, what steers like a car would drive a loop."""
+    way = math.hypot(*velocity[:2]) / (2.0 * BRAKES)
+    return place[0] + velocity[0] * way, place[1] + velocity[1] * way, place[2]
 
 
 class SetpointStream:
@@ -71,6 +79,8 @@ class Motion:
         self._speed: float | None = None
         # Whether ArduPilot's control of a position is running, which keeps the speed that it is told.
         self._steady = False
+        # Whether the last order sent PX4 to a goal, which it flies to in its mode for staying.
+        self._has_goal = False
         # When the last motion was begun, and why it was stopped by this driver.
         self._began, self._stopped = -math.inf, ""
         vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_heartbeat)
@@ -113,22 +123,30 @@ class Motion:
         await self.hold()
 
     async def hold(self) -> None:
-        """Into the mode for staying where it is, and stay there. Raises DeviceError.
-
-        PX4 flies a goal in that very mode, and goes on to it when the mode is asked for again: it is sent to
-        where it is instead.
-        """
-        profile, place = self._vehicle.profile, self._state.position
-        again = profile.px4 and self._state.mode == profile.hold
-        if again and place is not None and self._state.home is not None:
-            with suppress(DeviceError):
-                await self.start("hold", self.orders.go_to(self._state, place, self.wanted_speed))
-                return
-        await self.set_mode(profile.hold)
+        """Into the mode for staying where it is, and stay there. Raises DeviceError."""
+        await self.set_mode(self._vehicle.profile.hold)
 
     async def set_mode(self, name: str) -> None:
-        """Any mode that the vehicle has. Raises DeviceError."""
-        await self.enter(f"mode {name}", name, dialect.MAV_CMD_DO_SET_MODE, *self.mode_values(name))
+        """Any mode that the vehicle has; the one for staying stops it. Raises DeviceError."""
+        if name != self._vehicle.profile.hold or not await self._stays():
+            await self.enter(f"mode {name}", name, dialect.MAV_CMD_DO_SET_MODE, *self.mode_values(name))
+
+    async def _stays(self) -> bool:
+        """Send PX4 to where it can stop, if it may be flying a goal; whether it was, and took that.
+
+        It does so in the very mode for staying, and goes on to its goal when the mode is asked for again.
+        """
+        profile, state, place = self._vehicle.profile, self._state, self._state.position
+        # A goal that was sent a moment ago may not show in the mode yet.
+        goes = state.armed and (state.mode == profile.hold or self._has_goal)
+        if not (profile.px4 and goes) or place is None or state.home is None:
+            return False
+        try:
+            order = self.orders.go_to(state, stopping_place(place, state.velocity), self.wanted_speed)
+            await self.start("hold", order)
+        except DeviceError:
+            return False
+        return True
 
     def mode_values(self, name: str) -> tuple[float, ...]:
         """The parameters of DO_SET_MODE for a mode that there is."""
@@ -151,7 +169,10 @@ class Motion:
         # Noted before it is known to have worked: a safe state that is tried again must count as ours, and so
         # must the mode that it is still in when the new one is refused.
         self._commanded |= {mode}
-        await self._vehicle.achieve(what, lambda: self._state.mode == mode or done(), command, *values)
+        await self._vehicle.achieve(
+            what, lambda: self._state.mode == mode or done(), command, *values, mode=mode
+        )
+        self._has_goal = False
         self.claim(mode)
 
     # -- motions --------------------------------------------------------------------------------------
@@ -162,6 +183,7 @@ class Motion:
             await self.set_mode(order.mode)
         # As in `enter`: until the new order is seen, the mode it is still in is ours too.
         self._commanded |= order.modes
+        self._has_goal = order.modes == {self._vehicle.profile.hold}
         if (command := order.command) is not None:
             self._steady = False
             await self._vehicle.command(
@@ -207,6 +229,11 @@ class Motion:
                 vehicle.send(self.setpoint(order.target(place)))
                 sent_at = now
             await vehicle.next_news(min(0.25, order.period))
+
+    @property
+    def patience(self) -> Patience:
+        """How long it may come no closer to a place."""
+        return ON_ITS_WAY if self._vehicle.profile.flies else DRIVES
 
     @property
     def moves(self) -> bool:

@@ -14,8 +14,10 @@ from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 RESTART = 60.0
 #: Seconds of silence after which it has begun to, and milliseconds by which packets overtake one another.
 GONE, OVERTAKEN = 1.0, 500
-#: How near the reported home must be to the one that was set, in metres.
+#: How near the reported home must be to the one that was set, in metres; how often it is asked for, and the
+#: seconds after each.
 HOME_TOLERANCE = 1.0
+HOMES, TELLS = 6, 0.5
 
 #: Numbers that `command` refuses: they move the vehicle, arm it, change its mode or home, or switch what
 #: protects it, past the limits of the binding and past the guard. All NAV and CONDITION commands are.
@@ -59,11 +61,11 @@ class Upkeep:
             home = self._state.home
             return home is not None and math.dist(home.to(place), (0.0, 0.0, 0.0)) <= HOME_TOLERANCE
 
-        for _ in range(6):
+        for _ in range(HOMES):
             await self._vehicle.exchange.command(
                 dialect.MAV_CMD_REQUEST_MESSAGE, float(dialect.MAVLINK_MSG_ID_HOME_POSITION)
             )
-            if await self._vehicle.seen(there, 0.5):
+            if await self._vehicle.seen(there, TELLS):
                 return
         raise self._vehicle.error("setHome was accepted but home is elsewhere")
 

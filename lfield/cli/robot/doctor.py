@@ -73,5 +73,7 @@ async def _try_devices(args: argparse.Namespace, told: Callable[[Finding], None]
 
 def _tell(finding: Finding) -> None:
     print(f"{_MARKS[finding.state]}{finding.what}")
+    for detail in finding.details:
+        print(f"        {detail}")
     if finding.cure:
         print(f"        -> {finding.cure}")

@@ -109,8 +109,9 @@ async def _back(args: argparse.Namespace, plugins: Plugins, kept: Kept) -> int:
         print(f"nothing to put back: {kept.path} has nothing of these devices")
         return exits.DONE
     for entry in reversed(entries):
-        changes = ", ".join(f"{c.name} {c.now:.9g} -> {c.was:.9g}" for c in entry.changes)
-        print(f"{entry.binding.name}, {entry.identity} at {entry.binding.endpoint}, {entry.when}: {changes}")
+        print(f"{entry.binding.name}, {entry.identity} at {entry.binding.endpoint}, since {entry.when}:")
+        for change in entry.changes:
+            print(f"    {change.name} is {change.now:.9g} and was {change.was:.9g}")
     if not (args.yes or _agreed()):
         print("nothing was written")
         return exits.FAILED
@@ -148,7 +149,7 @@ def _show(found: Sequence[Found]) -> None:
     from lfield.cli.views.trees import plain_console
 
     shown = Table(box=None, pad_edge=False)
-    for column in ("DEVICE", "KEEPS", "IS", "MUST BE", "WHY"):
+    for column in ("DEVICE", "SETTING", "IS", "MUST BE", "WHY"):
         shown.add_column(column, overflow="fold")
     for each in found:
         for setting in each.wrong:

@@ -64,7 +64,7 @@ class Autopilot(Pilot):
         rise(self)
         disarm_when_idle(self)
         suffer(self)
-        if self.armed or self.vehicle.airborne:
+        if self.armed or self.vehicle.airborne or self.vehicle.velocity != ZERO:
             self.vehicle.step(dt)
 
     # -- arming ---------------------------------------------------------------------------------------
@@ -255,6 +255,7 @@ class Autopilot(Pilot):
             return
         if setpoint.goal is not None:
             self.pace.begin(setpoint.control)
-            self.vehicle.goal = setpoint.goal
+            # A rate of turn ends with the next setpoint that does not name one; a heading stays.
+            self.vehicle.goal, self.vehicle.yaw_rate_goal = setpoint.goal, None
         if setpoint.yaw is not None or setpoint.yaw_rate is not None:
             self.vehicle.yaw_goal, self.vehicle.yaw_rate_goal = setpoint.yaw, setpoint.yaw_rate

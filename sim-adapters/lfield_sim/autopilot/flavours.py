@@ -101,7 +101,7 @@ class GcsRule:
     how much longer than the timeout it takes, in s, or the parameter that says so. While it lasts arming is
     refused when it `forbids` that, with `refusal` ('': without a word). `stands` says that what is not armed
     takes the action too, unless it holds or returns already; `lost_texts` are said by what is not armed. It
-    is over `clears` seconds after the next heartbeat.
+    is looked at `every` so many seconds (0: always), so that it begins and ends up to that much later.
     """
 
     action: str
@@ -119,7 +119,7 @@ class GcsRule:
     refusal: str = ""
     stands: bool = False
     lost_texts: tuple[str, ...] = ()
-    clears: float = 0.0
+    every: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,9 +140,10 @@ class FenceRule:
 
     `avoid` is the parameter by which it stays inside (`margin` m from the edge), '' where it has none.
     `refuses` says that it does not set out for a goal beyond, which is told with `outside_text`.
-    `recovery_text` is said with each change of mode outside; `pause` is the parameter for seconds of hold
-    before the action, `hold_text` what is said to that, and then the breach is told once more. `blind_text`
-    is why nobody arms behind a fence without a position ('' where that has no text of its own).
+    `recovery_text` is said with each change of mode outside, `cleared_text` when it is back. `pause` is the
+    parameter for seconds of hold before the action, `hold_text` what is said to that, and then the breach is
+    told once more. `blind_text` is why nobody arms behind a fence without a position ('' where that has no
+    text of its own).
     """
 
     enable: str
@@ -159,6 +160,7 @@ class FenceRule:
     refuses: bool = True
     outside_text: str = ""
     recovery_text: str = ""
+    cleared_text: str = ""
     hold_text: str = ""
     pause: str = ""
 

@@ -9,10 +9,13 @@ import math
 from collections.abc import Callable, Mapping
 
 from lfield_sim.autopilot.flavours import Role, Severity
-from lfield_sim.autopilot.lifting import AT_HEIGHT, begin_takeoff
+from lfield_sim.autopilot.lifting import AT_HEIGHT, AT_HOME, begin_takeoff
 from lfield_sim.autopilot.missions import fly_mission
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.vehicle import Descend, Fall, Reach, Rest
+
+#: Metres from a goal within which a rover has reached it.
+AT_GOAL = 0.3
 
 
 def fly(pilot: Pilot) -> None:
@@ -29,16 +32,34 @@ def _return(pilot: Pilot) -> None:
     height = home[2] - pilot.return_height_at(far)
     if not pilot.flies:
         vehicle.goal = Reach(home)
+        if far < AT_HOME:
+            _come_home(pilot)
     elif not vehicle.airborne:
         vehicle.goal = Rest()
     elif far < AT_HEIGHT and math.hypot(*vehicle.velocity[:2]) < 0.5:
-        if pilot.over_home_at is None:
-            pilot.over_home_at = pilot.now
-        vehicle.goal = Descend() if pilot.now - pilot.over_home_at >= pilot.return_pause else Rest()
+        _come_home(pilot)
+        vehicle.goal = Descend() if pilot.now - (pilot.over_home_at or 0.0) >= pilot.return_pause else Rest()
     elif far > 1.0 and down > height + AT_HEIGHT:
         vehicle.goal = Reach((north, east, height))
     else:
         vehicle.goal = Reach((home[0], home[1], min(down, height)))
+
+
+def _come_home(pilot: Pilot) -> None:
+    """It is over home from now on, which PX4 tells."""
+    if pilot.over_home_at is None and pilot.flavour.takeoff_mode:
+        pilot.say("RTL: land at destination\t")
+    pilot.over_home_at = pilot.now if pilot.over_home_at is None else pilot.over_home_at
+
+
+def _guided(pilot: Pilot) -> None:
+    """ArduRover tells a goal that it has reached as item 0."""
+    goal = pilot.vehicle.goal
+    if pilot.flies or pilot.flavour.takeoff_mode or goal is pilot.told_goal or not isinstance(goal, Reach):
+        return
+    if math.dist(pilot.vehicle.place[:2], goal.place[:2]) < AT_GOAL:
+        pilot.told_goal = goal
+        pilot.mission.tell(0)
 
 
 def _take_off(pilot: Pilot) -> None:
@@ -62,6 +83,7 @@ def _land(pilot: Pilot) -> None:
 
 
 _MODES: Mapping[Role, Callable[[Pilot], None]] = {
+    Role.GUIDED: _guided,
     Role.LAND: _land,
     Role.RETURN: _return,
     Role.TAKEOFF: _take_off,

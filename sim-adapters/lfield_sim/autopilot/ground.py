@@ -5,10 +5,29 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lfield_sim.autopilot.vehicle import ZERO, Vector, Vehicle, eased, wrap
+from lfield_sim.autopilot.vehicle import (
+    ZERO,
+    Goal,
+    Keep,
+    Reach,
+    Rest,
+    Roll,
+    Vector,
+    Vehicle,
+    eased,
+    wrap,
+)
 
 #: Metres from a place within which it has reached it.
 AT_PLACE = 0.05
+#: Speeds in m/s: what is faster brakes on straight before it turns back for a place behind, down to the next.
+BRAKES, TURNS = 1.9, 0.3
+#: How fast wheels that steer take a tight turn, in m/s.
+TIGHT = 1.6
+#: How far off its nose may be when a skid steered rover sets out for a place, in rad.
+PIVOTS = math.radians(10.0)
+#: m/s2 by which an overshoot goes back; m/s2 that rolling takes beside the share of the speed.
+SETTLES, FRICTION = 0.2, 0.02
 
 
 @dataclass(slots=True)
@@ -20,11 +39,23 @@ class GroundVehicle(Vehicle):
     """
 
     turning_radius: float = 0.0
+    _turns_back: bool = False
+    _excess: float = 0.0
 
     @property
     def airborne(self) -> bool:
         """Never."""
         return False
+
+    def released(self) -> Goal:
+        """It rolls out, or stands at once."""
+        return Roll() if self.limits.rolls_out else Rest()
+
+    def switch_off(self) -> None:
+        """The motor goes off."""
+        if not self.limits.rolls_out:
+            self.settle()
+        self.goal, self.yaw_rate_goal = self.released(), None
 
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
@@ -32,17 +63,22 @@ class GroundVehicle(Vehicle):
         north, east, _ = self._kept_in(self._wanted())
         wanted, along = math.hypot(north, east), math.hypot(*before[:2])
         course = math.atan2(east, north) if wanted > 1e-3 else self.yaw_goal
+        if self._brakes_first(course, along):
+            wanted, course = 0.0, None
         turn = self._turning(along) * dt
         if self.yaw_rate_goal is not None:
             # Told how fast to turn, it drives on with its nose as it is.
             self.yaw = wrap(self.yaw + max(-turn, min(turn, self.yaw_rate_goal * dt)))
         elif course is not None:
             self.yaw = wrap(self.yaw + max(-turn, min(turn, wrap(course - self.yaw))))
-            wanted *= max(self._slowest_turn, math.cos(wrap(course - self.yaw)))
+            wanted = self._turning_speed(wanted, abs(wrap(course - self.yaw)))
+        wanted += self._overshoot(wanted, along, dt)
         self.yaw_rate = wrap(self.yaw - heading) / dt
         limits = self.limits
         felt = math.copysign(math.hypot(*self.acceleration[:2]), self._pushing)
         (push, _) = eased((felt, 0.0), (wanted - along, 0.0), limits.acceleration, limits.jerk, dt)
+        if isinstance(self.goal, Roll):
+            push = -self.limits.rolls_out * along - FRICTION
         speed = max(0.0, along + push * dt)
         self.velocity = (speed * math.cos(self.yaw), speed * math.sin(self.yaw), 0.0)
         self.place = (self.place[0] + self.velocity[0] * dt, self.place[1] + self.velocity[1] * dt, 0.0)
@@ -63,10 +99,27 @@ class GroundVehicle(Vehicle):
         north, east, _ = self.acceleration
         return north * math.cos(self.yaw) + east * math.sin(self.yaw)
 
-    @property
-    def _slowest_turn(self) -> float:
-        """The share of its speed that it keeps however far its nose is off: wheels that steer must roll."""
-        return 0.4 if self.turning_radius else 0.0
+    def _turning_speed(self, wanted: float, off: float) -> float:
+        """How fast it drives while its nose is off: by its skids it turns first for a place."""
+        if self.turning_radius:
+            return max(min(wanted, TIGHT), wanted * math.cos(off))
+        return 0.0 if isinstance(self.goal, Reach) and off > PIVOTS else wanted * max(0.0, math.cos(off))
+
+    def _brakes_first(self, course: float | None, along: float) -> bool:
+        """Whether it still brakes straight on because the place that it is to go to is behind it."""
+        behind = isinstance(self.goal, Reach) and course is not None and abs(wrap(course - self.yaw)) > 1.6
+        self._turns_back = behind and along > (TURNS if self._turns_back else BRAKES)
+        return self._turns_back
+
+    def _overshoot(self, wanted: float, along: float, dt: float) -> float:
+        """By how much it is faster than it should be: after speeding up to a velocity, for a while."""
+        if not isinstance(self.goal, Keep):
+            self._excess = 0.0
+        elif wanted - along > 0.5:
+            self._excess = self.limits.overshoot
+        elif along > wanted:
+            self._excess = max(0.0, self._excess - SETTLES * dt)
+        return self._excess
 
     def _turning(self, speed: float) -> float:
         if not self.turning_radius:

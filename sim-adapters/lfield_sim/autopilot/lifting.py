@@ -89,8 +89,9 @@ def disarm_when_idle(pilot: Pilot) -> None:
     if _is_over(pilot):
         pilot.disarm(text=pilot.flavour.landed_text)
         if pilot.flavour.takeoff_mode:
-            # PX4 leaves a mode that has done what it is for.
-            pilot.go_on(Role.HOLD)
+            # PX4 leaves a mode that has done what it is for; a landing for the mode that was before it.
+            lands = pilot.role is Role.LAND
+            pilot.command(pilot.resumes if lands else pilot.kind.mode_for(Role.HOLD))
     elif isinstance(pilot.vehicle.goal, Rest) and 0.0 < delay < pilot.now - pilot.armed_at:
         pilot.disarm(text=pilot.flavour.idle_text)
 
@@ -123,5 +124,8 @@ def _is_over(pilot: Pilot) -> bool:
     if not lands or not pilot.landed:
         return False
     delay = pilot.flavour.land_delay
+    if isinstance(delay, str) and pilot.parameters[delay] < 0.0:
+        # COM_DISARM_LAND = -1: they stay on.
+        return False
     wait = pilot.value(delay) if isinstance(delay, str) else delay
     return pilot.touched_at is None or pilot.now - pilot.touched_at >= pilot.settles + wait

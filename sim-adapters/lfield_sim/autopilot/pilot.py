@@ -33,8 +33,8 @@ REBOOT = 3.0
 STILL = 0.05
 #: Seconds that a setpoint lasts where no parameter says so.
 SETPOINT_TIMEOUT = 3.0
-#: Seconds that an ArduCopter stands still before it lands for a failsafe.
-LANDING_PAUSE = 4.0
+#: Metres from home within which PX4 returns by a cone (RTL_MIN_DIST); beyond it is the whole height.
+CONE_RADIUS = 10.0
 #: Texts that are kept until somebody takes them.
 KEPT_TEXTS = 100
 
@@ -54,10 +54,12 @@ class Pilot:
     on_its_way           of PX4's rover: what it calls flying
     stood                what was last said about standing
     intended             the mode that somebody commanded, whatever a failsafe made of it
+    resumes              the mode that PX4 goes back to after a landing
     station_at           when a ground station was heard
     perform              carries out what a mission has beside places
     dice                 those of GNSS
     ailing, calibrating  why a calibration keeps it from being armed, or ''; whether one runs
+    told_goal            of a rover, the last goal that it has told as reached
     deaf_to_arming       after a motor test while armed it says yes and stays disarmed, until it is restarted
     """
 
@@ -74,6 +76,7 @@ class Pilot:
     fence: Fence = field(default_factory=NoFence)
     mode: str = field(init=False)
     intended: str = field(init=False)
+    resumes: str = field(init=False)
     pace: Pace = field(init=False)
     homing: Home = field(init=False)
     dice: Random = field(default_factory=lambda: Random(1))
@@ -101,6 +104,7 @@ class Pilot:
     ailing: str = ""
     calibrating: bool = False
     deaf_to_arming: bool = False
+    told_goal: Goal | None = None
     _texts: list[tuple[Severity, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -114,6 +118,7 @@ class Pilot:
         self.pace = self.kind.pace(self.own_speed, lambda: self.vehicle.limits.top)
         self.homing = Home(self.dice)
         self.mode = self.intended = self.kind.start
+        self.resumes = self.kind.mode_for(Role.HOLD)
         self.apply_parameters()
         self.pace.enter(guided=False)
         self.take_home(ZERO)
@@ -282,6 +287,8 @@ class Pilot:
         """Enter a mode, whoever wants it."""
         if name == self.mode:
             return
+        if self.role in (Role.HOLD, Role.GUIDED):
+            self.resumes = self.mode
         self.mode, self.over_home_at = name, None
         self.apply_parameters()
         vehicle = self.vehicle
@@ -308,24 +315,27 @@ class Pilot:
     def return_height_at(self, far: float) -> float:
         """Metres above home at which it returns from `far` away: less, near home, where there is a cone."""
         cone = self.flavour.return_cone
-        return min(self.return_height, cone * far) if cone else self.return_height
+        near = cone > 0.0 and far <= CONE_RADIUS
+        return min(self.return_height, cone * far) if near else self.return_height
 
     def _first_goal(self) -> Goal:
-        """What a mode does as soon as it is entered; without a transmitter ArduCopter's throttle is down."""
-        if not self.armed or not self.flies:
+        """What a mode does as soon as it is entered; without a transmitter ArduPilot's throttle is down."""
+        if not self.flies:
+            return self.vehicle.released() if self.kind.modes[self.mode].by_hand else Rest()
+        if not self.armed:
             return Rest()
         if self.role is Role.LAND:
             return Descend()
         return Sink() if self.kind.modes[self.mode].by_hand and self.vehicle.airborne else Rest()
 
-    def fall_back(self, role: Role) -> None:
-        """What a failsafe does; a rover stops where a copter would land."""
+    def fall_back(self, role: Role, *, pause: float = 0.0) -> None:
+        """What a failsafe does, a landing after a pause in s; a rover stops where a copter would land."""
         if role is Role.TERMINATE:
             self.terminate()
         else:
             self.enter(self.kind.mode_for(role) or self.kind.mode_for(Role.HOLD))
-        if self.role is Role.LAND and self.kind.lands and not self.flavour.takeoff_mode:
-            self.vehicle.goal, self.sinks_at = Rest(), self.now + LANDING_PAUSE
+        if pause and self.role is Role.LAND and self.kind.lands and not self.flavour.takeoff_mode:
+            self.vehicle.goal, self.sinks_at = Rest(), self.now + pause
 
     def stop_moving(self) -> None:
         """The setpoint is over: stand still where it is."""
@@ -343,10 +353,7 @@ class Pilot:
         if self.role is Role.TAKEOFF:
             # Else the next arming would take off.
             self.go_on(Role.HOLD)
-        if self.vehicle.airborne:
-            self.vehicle.goal = Fall()
-        else:
-            self.vehicle.settle()
+        self.vehicle.switch_off()
         return Result.ACCEPTED
 
     def terminate(self) -> Result:

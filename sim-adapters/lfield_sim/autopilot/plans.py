@@ -65,6 +65,10 @@ class Mission:
         self.last_reached = self.current
         self.current, self.begun, self.arrived = self.current + 1, -1, None
 
+    def tell(self, index: int) -> None:
+        """Say that an item was reached, whatever is flown."""
+        self._reached.append(index)
+
     def take_reached(self) -> list[int]:
         """Which items were reached since the last call."""
         reached, self._reached = self._reached[-1000:], []

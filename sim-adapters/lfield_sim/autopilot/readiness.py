@@ -79,7 +79,7 @@ def why_unfit(pilot: Pilot) -> Unfit | None:
         return Unfit((fence.blind_text if fenced else "Need Position Estimate",))
     done = warmth(pilot)
     by_hand = pilot.role is Role.MANUAL and done >= pilot.kind.warming.by_hand
-    if by_hand and done < 1.0 and pilot.value(pilot.flavour.fence.enable):
+    if by_hand and not has_position(pilot) and pilot.value(pilot.flavour.fence.enable):
         return Unfit((pilot.flavour.fence.blind_text,))
     if done >= 1.0 or by_hand:
         return None

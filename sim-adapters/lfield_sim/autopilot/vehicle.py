@@ -40,7 +40,9 @@ class Limits:
     `cruise` bounds the way to a place, `top` everything over ground; `braking` is how hard it slows down
     before a place. `spool` are the seconds that motors need before they lift it, `awake` those from arming,
     `lift` is how it leaves the ground (m/s2), `takeoff` how fast it climbs then. `nose_follows` turns the
-    nose along a velocity. What is flown is never quite what was asked: `goal_response` and
+    nose along a velocity. `overshoot` is by how much (m/s) a rover shoots over a velocity before it settles
+    there; `rolls_out` is the share of its speed that it loses in a second when nothing drives it, 0 for one
+    that stands at once. What is flown is never quite what was asked: `goal_response` and
     `velocity_response` say how a speed asked for comes out, for places and velocities.
     """
 
@@ -59,6 +61,8 @@ class Limits:
     takeoff: float = 2.5
     yaw_rate: float = math.radians(60.0)
     nose_follows: bool = True
+    overshoot: float = 0.0
+    rolls_out: float = 0.0
     goal_response: Response = Response()
     velocity_response: Response = Response()
 
@@ -132,7 +136,12 @@ class Fall:
     """Goal of a copter without motors."""
 
 
-Goal = Rest | Reach | Keep | Circle | Lean | Rise | Descend | Sink | Fall
+@dataclass(frozen=True, slots=True)
+class Roll:
+    """Goal of a rover that nothing drives: it rolls out."""
+
+
+Goal = Rest | Reach | Keep | Circle | Lean | Rise | Descend | Sink | Fall | Roll
 
 
 @dataclass(slots=True)
@@ -167,6 +176,17 @@ class Vehicle:
         """Nose up is positive; speeding up needs it down."""
         north, east, _ = self.acceleration
         return math.atan2(-(north * math.cos(self.yaw) + east * math.sin(self.yaw)), GRAVITY)
+
+    def released(self) -> Goal:
+        """What becomes of it when nothing drives it, armed: a copter hovers."""
+        return Rest()
+
+    def switch_off(self) -> None:
+        """The motors go off: it falls, or stands."""
+        if self.airborne:
+            self.goal = Fall()
+        else:
+            self.settle()
 
     def settle(self) -> None:
         """Stand on the ground, with the motors off."""

@@ -10,7 +10,7 @@ import pytest
 from can_fake_bench import Bench
 
 import lfield_sim.can
-from lfield.errors import UsageError
+from lfield.errors import InputFileError, UsageError
 
 GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
 
@@ -99,7 +99,6 @@ def test_the_device_may_be_told(options):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("dbc:/nowhere.dbc", "cannot be read"),
         (f"dbc:{GRIPPER},node=Nobody", "no message"),
         (f"dbc:{GRIPPER},command=A.b,status=C.d", "no signal"),
         (f"dbc:{GRIPPER},speed=1", "has no 'speed'"),
@@ -115,6 +114,11 @@ def test_the_device_may_be_told(options):
 def test_what_is_wrong_is_a_sentence(text, words):
     with pytest.raises(UsageError, match=words):
         Bench(text)
+
+
+def test_a_file_that_is_not_there_is_a_sentence():
+    with pytest.raises(InputFileError, match=r"cannot read /nowhere\.dbc: no such file"):
+        Bench("dbc:/nowhere.dbc")
 
 
 def test_two_devices_are_not_one():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 
 pytestmark = pytest.mark.process
@@ -38,13 +40,16 @@ def test_what_is_not_set_up_is_told_written_and_put_back(lfield, here, setup, en
     doctor = here("doctor", "--deploy", deployment)
     assert doctor.status == 69
     (number,) = [number for number, line in enumerate(doctor.out) if "lead.fc" in line]
-    assert f"PROBLEM lead.fc: it is not set up for its binding: {STOCK}, FS_GCS" in doctor.out[number]
-    assert "WPNAV_SPEED is 1000 and must be 300" in doctor.out[number]
-    assert doctor.out[number + 1] == f"        -> {command} (it asks first)"
+    assert doctor.out[number] == f"PROBLEM lead.fc: it is not set up for its binding: {STOCK}, and 4 more"
+    *details, cure = doctor.out[number + 1 :]
+    assert f"        {STOCK}: what it does when this computer is gone" in details
+    assert "        WPNAV_SPEED is 1000 and must be 300: the speed limit of the binding" in details
+    assert cure == f"        -> {command} (it asks first)"
 
     up = lfield("up", "--deploy", deployment, "--all")
     assert lfield.status(up) == 69, up.said
     assert any(STOCK in line and f"this sets it up: {command} --host alpha" in line for line in up.err)
+    assert "alpha | lead.fc: WPNAV_SPEED is 1000 and must be 300: the speed limit of the binding" in up.err
 
     words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0")
     kit = here("kit", *words, "--silence", "2", "--yes")
@@ -88,6 +93,29 @@ def test_what_somebody_else_has_written_since_is_left_alone(setup, endpoint):
     back = setup("--back", "--yes")
     assert back.status == 69
     assert back.err[0] == "kit.device: FS_GCS_ENABLE is 7, by somebody else: left alone; it was 0 before"
+
+
+def test_a_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
+    words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--set", "limits={speed: 3.0}")
+    kept = lfield.folder / "state" / "setup.json"
+    # So late are the answers that the command is in the middle of its writes when it is interrupted.
+    assert lfield.status(lfield("sim", "fault", "mavlink", "delay=0.2")) == 0
+    writing = lfield.start("setup", *words, "--yes", "--state", "state")
+    writing.wait_for("FS_GCS_ENABLE was 0 and is now 5")
+    writing.signal(signal.SIGINT)
+    assert writing.wait() == 130, writing.said
+    assert not any("WPNAV_SPEED was" in line for line in writing.out), "it had ended before"
+    assert '"WPNAV_SPEED"' in kept.read_text()
+    assert lfield.status(lfield("sim", "fault", "mavlink", "delay=0")) == 0
+
+    back = setup("--back", "--yes")
+    assert back.status == 0, back
+    assert "kit.device: FS_GCS_ENABLE was 5 and is 0 again" in back.out
+    assert not any("WPNAV_SPEED was" in line for line in back.out), "it was never written"
+    assert not kept.exists()
+    again = setup(*words)
+    assert ["FS_GCS_ENABLE", "0", "5"] in [line.split()[1:4] for line in again.out]
+    assert ["WPNAV_SPEED", "1000", "300"] in [line.split()[1:4] for line in again.out]
 
 
 @pytest.mark.parametrize(

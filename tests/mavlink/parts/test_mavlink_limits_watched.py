@@ -10,20 +10,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
-from lfield_mavlink.limits import LimitWatch, Verdict
+from lfield_mavlink.limits import LONGEST, LimitWatch, Verdict
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_sim.autopilot.autopilot import Autopilot, Setpoint
 from lfield_sim.autopilot.flavours import Control, Result
 from lfield_sim.autopilot.vehicle import Reach
 
-BOUND, TIME, STEP = 3.6, 1.0, 0.1
+LIMIT, BOUND, TIME, STEP = 3.0, 3.6, 1.0, 0.1
 
 
 def verdicts(values, *, still=0.0, step=STEP, excess=lambda value: value - BOUND):
-    """What a watch says to samples at a rate: (seconds, verdict)."""
-    watch = LimitWatch(BOUND, TIME, still)
-    found = ((n * step, watch.sample(value, excess(value), n * step)) for n, value in enumerate(values))
-    return [(round(at, 6), verdict) for at, verdict in found if verdict is not None]
+    """What a watch says to samples at a rate, told at once: (seconds, verdict)."""
+    watch, found = LimitWatch(BOUND, TIME, still), []
+    for n, value in enumerate(values):
+        verdict = watch.sample(value, excess(value), n * step)
+        if verdict is not None:
+            found.append((round(n * step, 6), verdict))
+        if verdict is Verdict.CORRECT:
+            watch.told(n * step)
+    return found
 
 
 @given(st.lists(st.tuples(st.integers(1, 10), st.floats(3.61, 50.0)), max_size=30))
@@ -41,12 +46,45 @@ def test_what_stays_beyond_is_corrected_once_and_only_then_given_up(before, beyo
     assert all(v is Verdict.HELPLESS and at >= corrected_at + TIME - 1e-6 for at, v in found[1:])
 
 
-@given(st.floats(5.0, 30.0), st.floats(0.3, 0.74))
+@given(st.floats(5.0, 30.0), st.floats(0.2, 0.45))
 def test_a_correction_that_helps_is_given_its_time(speed, share):
-    """However fast it was: as long as each second leaves less of the excess, and at the end it is within."""
-    excesses = [(speed - BOUND) * share ** (n * STEP) for n in range(11, 400)]
-    values = [*[speed] * 11, *(BOUND + e if e > 0.01 else BOUND - 0.1 for e in excesses)]
-    assert [verdict for _, verdict in verdicts(values)] == [Verdict.CORRECT, Verdict.WITHIN]
+    """However fast it was: it comes near the limit by the same share each second."""
+    after = [LIMIT + (speed - LIMIT) * share ** (n * STEP) for n in range(1, 100)]
+    assert [verdict for _, verdict in verdicts([*[speed] * 11, *after])] == [
+        Verdict.CORRECT,
+        Verdict.WITHIN,
+    ]
+
+
+@given(st.floats(4.0, 12.0), st.integers(0, 5), st.floats(0.0, 3.0), st.floats(0.3, 5.0))
+def test_what_is_seen_to_slow_down_is_being_corrected(speed, late, gains, slows):
+    """It may gain speed at first, and slow down only a little at a time."""
+    top = speed + gains * late * STEP
+    gaining = [speed + gains * n * STEP for n in range(1, late + 1)]
+    slowing = [max(top - slows * n * STEP, 2.0) for n in range(1, 200)]
+    found = verdicts([*[speed] * 11, *gaining, *slowing])
+    given_up = [at for at, verdict in found if verdict is Verdict.HELPLESS]
+    assert found[0] == (TIME, Verdict.CORRECT)
+    if late * STEP + (top - BOUND) / slows < LONGEST * TIME - STEP:
+        assert given_up == []
+    assert all(at >= TIME + LONGEST * TIME - STEP for at in given_up)
+
+
+@given(st.floats(4.0, 30.0), st.lists(st.floats(0.0, 0.05), min_size=60, max_size=60), st.integers(0, 30))
+def test_what_is_not_seen_to_slow_down_within_its_time_is_helpless(speed, noise, told):
+    """Its time begins when the correction has been taken, or should have been."""
+    watch, given_up = LimitWatch(BOUND, TIME), []
+    for n, more in enumerate([0.0] * 11 + noise):
+        if watch.sample(speed + more, speed + more - BOUND, n * STEP) is Verdict.HELPLESS:
+            given_up.append(n * STEP)
+        if n == 10 + told:
+            watch.told(n * STEP)
+    assert given_up[0] == pytest.approx(TIME + min(told * STEP, TIME) + TIME, abs=1.01 * STEP)
+
+
+def test_what_slows_down_for_too_long_is_helpless_at_last():
+    found = verdicts([*[20.0] * 11, *(20.0 - 0.2 * n * STEP for n in range(1, 100))])
+    assert found[:2] == [(TIME, Verdict.CORRECT), (TIME + LONGEST * TIME, Verdict.HELPLESS)]
 
 
 def test_a_hold_beyond_a_radius_helps_although_it_stays_there():
@@ -146,6 +184,34 @@ def test_a_speed_that_no_correction_lowers_is_a_breach(limited, monkeypatch):
     assert b.breaches[0].endswith("beyond its limit of 3 m/s, and no correction has helped")
 
 
+def test_a_correction_that_is_lost_on_its_way_has_its_time_all_the_same(limited):
+    b = limited(limits={"speed": 3.0})
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
+        await asyncio.sleep(3.0)
+        send, lost = b.links[0].send, []
+
+        def lose_two(data):
+            (message,) = Reader().feed(data)
+            asked = getattr(message, "command", 0)
+            if asked == dialect.MAV_CMD_DO_CHANGE_SPEED and len(lost) < 2:
+                lost.append(asked)
+            else:
+                send(data)
+
+        b.links[0].send = lose_two
+        b.autopilot.pace.change(7.0)
+        await flight
+        assert len(lost) == 2
+
+    b.run(mission)
+    assert "within its limit of 3 m/s again" in b.notes
+    assert b.breaches == []
+
+
 def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited, monkeypatch):
     b, guide = limited(limits={"radius": 20.0}), Autopilot.guide
 
@@ -182,7 +248,7 @@ def test_a_pilot_is_only_told(limited):
     assert b.breaches == []
 
 
-def test_px4_is_sent_to_where_it_is_to_hold_it(limited):
+def test_px4_is_sent_to_where_it_can_stop_to_hold_it(limited):
     """As recorded: asked for AUTO.LOITER while it flies to a goal in it, PX4 accepts and flies on."""
     b = limited(flavour="px4", limits={"speed": 3.0})
 
@@ -198,9 +264,9 @@ def test_px4_is_sent_to_where_it_is_to_hold_it(limited):
             m for data in b.sent[sent:] for m in Reader().feed(data)
             if m.get_type() == "COMMAND_INT" and m.command == dialect.MAV_CMD_DO_REPOSITION
         ]  # fmt: skip
-        here = b.values["globalPosition"]
-        assert (goal.x / 1e7, goal.y / 1e7) == pytest.approx(here[:2], abs=2e-5)
         await asyncio.sleep(5.0)
         assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
+        here = b.values["globalPosition"]
+        assert (goal.x / 1e7, goal.y / 1e7) == pytest.approx(here[:2], abs=5e-6)
 
     b.run(mission)

@@ -73,7 +73,7 @@ class StandIn:
             raise self.error(f"{words[0]} refused")
         return Answer(0, 1)
 
-    async def achieve(self, what, state, *command):
+    async def achieve(self, what, state, *command, mode=""):
         await self.command(what, *command)
 
 

@@ -9,6 +9,8 @@ import pytest
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.flavours import Result
 
 TARGET = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
@@ -254,5 +256,132 @@ def test_a_setpoint_that_is_called_off_is_not_streamed_on(px4):
         before = len(b.sent)
         await asyncio.sleep(0.5)
         assert sent(b, TARGET, before) == []
+
+    b.run(mission)
+
+
+def test_a_refusal_counts_only_for_the_mode_that_it_is_about(px4, monkeypatch):
+    b = px4()
+    command_mode, waits = Autopilot.command_mode, []
+
+    def late(autopilot, name):
+        """The first copy is lost; the words that come then are late ones about an earlier OFFBOARD."""
+        if name == "AUTO.LAND" and not waits:
+            waits.append(name)
+            autopilot.say("Switching to Offboard is currently not available\t")
+            return Result.ACCEPTED
+        return command_mode(autopilot, name)
+
+    async def mission(fc):
+        await up(fc)
+        monkeypatch.setattr(Autopilot, "command_mode", late)
+        await fc.make_safe()
+        assert b.values["mode"] == "AUTO.LAND"
+        start = asyncio.get_running_loop().time()
+        with pytest.raises(DeviceError, match=r"AUTO.MISSION refused, .*Mission is currently not available"):
+            await fc.execute("setMode", ["AUTO.MISSION"])
+        assert asyncio.get_running_loop().time() - start < 1.5
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize(("delay", "stays_on"), [(2.0, False), (14.0, False), (-1.0, True)])
+def test_a_landing_is_over_when_its_motors_are_off_or_stay_on(px4, delay, stays_on):
+    b = px4()
+    b.autopilot.parameters["COM_DISARM_LAND"] = delay
+
+    async def mission(fc):
+        await up(fc)
+        await fc.execute("land", [])
+        assert b.values["landed"]
+        assert b.values["armed"] is stays_on
+        await fc.execute("arm", [])
+        await asyncio.sleep(1.5)
+        assert b.values["armed"] is True
+
+    b.run(mission)
+
+
+STOPS = {
+    "hold": lambda fc: fc.execute("hold", []),
+    "setMode": lambda fc: fc.execute("setMode", ["AUTO.LOITER"]),
+    "safe state": lambda fc: fc.make_safe(),
+}
+
+
+@pytest.mark.parametrize("after", [0.02, 0.2, 4.0])
+@pytest.mark.parametrize("stop", STOPS)
+def test_whatever_stops_it_stops_a_goal_too(px4, stop, after):
+    """As recorded: PX4 flies a goal in its mode for staying, and on when that mode is asked for again.
+
+    Just after the goal was sent the mode does not show it yet.
+    """
+    b = px4(safe_state="hold", ttl=2.0)
+
+    async def mission(fc):
+        await up(fc)
+        await fc.execute("setVelocity", [2.0, 0.0, 0.0])
+        assert b.values["mode"] == "OFFBOARD"
+        flight = asyncio.create_task(fc.execute("goTo", [80.0, 0.0, -5.0]))
+        await asyncio.sleep(after)
+        flight.cancel()
+        await STOPS[stop](fc)
+        await asyncio.sleep(5.0)
+        assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
+        assert b.autopilot.vehicle.place[0] < 30.0
+        assert b.autopilot.mode == "AUTO.LOITER"
+
+    b.run(mission)
+
+
+def test_a_mission_that_is_paused_stops(px4):
+    b = px4()
+
+    async def mission(fc):
+        await up(fc)
+        latitude, longitude, _ = b.values["globalPosition"]
+        await fc.execute("uploadMission", [[latitude + 1e-3, longitude, 5.0]])
+        await fc.execute("startMission", [])
+        await asyncio.sleep(4.0)
+        await fc.execute("pauseMission", [])
+        await asyncio.sleep(5.0)
+        assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
+        assert b.autopilot.vehicle.place[0] < 60.0
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("state", ["hold", "land"])
+def test_a_rover_that_lands_stops_on_its_way(px4, state):
+    """A rover has no landing: it stays, in the very mode in which it drives to a goal."""
+    b = px4(kind="rover", safe_state=state)
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        drive = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, 0.0]))
+        await asyncio.sleep(4.0)
+        drive.cancel()
+        await (fc.make_safe() if state == "hold" else fc.execute("land", []))
+        await asyncio.sleep(6.0)
+        assert math.hypot(*b.autopilot.vehicle.velocity) < 0.1
+
+    b.run(mission)
+
+
+def test_a_goal_that_was_given_up_is_not_followed_on(px4):
+    b = px4()
+
+    async def mission(fc):
+        await up(fc)
+        limits = b.autopilot.vehicle.limits
+        flight = asyncio.create_task(fc.execute("goTo", [80.0, 0.0, -5.0]))
+        await asyncio.sleep(3.0)
+        was, limits.top = limits.top, 0.001
+        with pytest.raises(DeviceError, match="no progress for 10 s"):
+            await flight
+        limits.top = was
+        before = b.autopilot.vehicle.place[0]
+        await asyncio.sleep(5.0)
+        assert b.autopilot.vehicle.place[0] == pytest.approx(before, abs=1.0)
 
     b.run(mission)

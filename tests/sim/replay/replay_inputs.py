@@ -16,6 +16,8 @@ from replay_trace import Line, Trace
 LOCAL, ATTITUDE = "SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET"
 #: Seconds between two heartbeats, and how often the recorder looks whether one is due.
 BEAT = 1.0
+#: Seconds for which a heartbeat that is due waits for the next note: the recorder notes what it has switched.
+SWITCH = 0.015
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ STREAMS: dict[str, list[Stream]] = {
 
 
 def inputs(trace: Trace) -> list[Line]:
-    """Everything that the autopilot got, in the order of its times; notes of the link among it."""
+    """Everything that the autopilot got, in the order of its times; its notes of the link among it."""
     extra = [line for stream in STREAMS.get(trace.name, []) for line in stream.lines()]
     return list(
         heapq.merge(
@@ -91,7 +93,7 @@ def inputs(trace: Trace) -> list[Line]:
                 for line in trace.lines
                 if line.dir == "in" and not _is_filled_in(trace, line)
             ),
-            (line for line in trace.notes if line.text.startswith("link ")),
+            (line for line in trace.notes if line.heartbeat is not None or line.text.startswith("link ")),
             sorted([*extra, *_unrecorded(trace)], key=lambda line: line.t),
             key=lambda line: line.t,
         )
@@ -126,7 +128,7 @@ def _heartbeats(trace: Trace) -> Iterator[Line]:
             continue
         system = int(line.text.partition("system ")[2].partition(",")[0])
         due = max(due, line.t)
-        while due < end:
+        while due < end - SWITCH:
             yield Line(due, "in", "HEARTBEAT", {}, system=system)
             due += BEAT
 

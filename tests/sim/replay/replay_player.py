@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pymavlink.dialects.v20 import all as dialect
-from replay_inputs import inputs
+from replay_inputs import BEAT, inputs
 from replay_trace import PRE_ARM, Line, Trace
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
@@ -25,6 +25,8 @@ from lfield_sim.mavlink.protocol import MavlinkFake
 
 #: Seconds that time goes on by, that the recording waits for the fake, and of a recovery of patience.
 TICK, PATIENCE = 0.02, 10.0
+#: Seconds for which the real one must have stood to be one that stands.
+STOOD = 1.5
 #: Telemetry is not looked at more often than this, in seconds.
 THIN = dict.fromkeys(
     (
@@ -110,13 +112,19 @@ class _Player:
         self.closed = False
         self.started_mission = 0.0
         self.moved_at = 0.0
+        self.station: Line | None = None
         self.reached: set[float] = set()
 
     def feed(self, line: Line) -> None:
         """One input at its time, or when the fake is where the real one was."""
         self.run_until(line.t)
+        if line.heartbeat is False:
+            self.station = None
+        if line.type == "HEARTBEAT":
+            self.station = line
         if line.dir == "note":
-            self.closed = line.text.startswith("link closed")
+            if line.heartbeat is None:
+                self.closed = line.text.startswith("link closed")
             return
         if line.type != "HEARTBEAT" and line.dir == "in":
             self._hold(line)
@@ -146,6 +154,9 @@ class _Player:
             self.held += TICK
             self._take(self.fake.advance(TICK))
             waited += TICK
+            # The recorder's heartbeats would have gone on while it waited.
+            if self.station is not None and waited % BEAT < TICK:
+                self._take(self.fake.receive("recorder", self._pack(self.station)))
             missing = self._missing(line)
         if missing:
             self.patient = False
@@ -188,11 +199,9 @@ class _Player:
         real, own = self.trace.last("LOCAL_POSITION_NED", t), self.newest.get("LOCAL_POSITION_NED")
         if real is None or own is None:
             return False
-        return (
-            _speed(real) < 0.3
-            and abs(real.get("vz")) < 0.3
-            and (_speed(own) > 0.5 or abs(own.get("vz")) > 0.4)
-        )
+        # Whoever turns back stands for a moment, too: that was not waited for.
+        stood = all(map(_stands, self.trace.between(t - STOOD, t, "LOCAL_POSITION_NED")))
+        return _stands(real) and stood and (_speed(own) > 0.5 or abs(own.get("vz")) > 0.4)
 
     def _is_to_reach(self, t: float) -> bool:
         real = {
@@ -292,6 +301,10 @@ def _armed(beat: Line) -> bool:
 
 def _fit(status: Line) -> bool:
     return bool(int(status.get("onboard_control_sensors_health")) & PRE_ARM)
+
+
+def _stands(position: Line) -> bool:
+    return _speed(position) < 0.3 and abs(position.get("vz")) < 0.3
 
 
 def _speed(position: Line) -> float:

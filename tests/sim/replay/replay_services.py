@@ -43,11 +43,17 @@ def services(real: Trace, fake: Trace) -> Iterator[Found]:
 
 def _parameters(real: Trace, fake: Trace) -> Iterator[Found]:
     asked = [line for line in real.inputs if line.type in ("PARAM_REQUEST_READ", "PARAM_SET")]
+    late: Line | None = None
     for line in asked:
         same = (each.t for each in asked if each.t > line.t and _name(each) == _name(line))
         lists = (each.t for each in real.inputs if each.t > line.t and each.type == "PARAM_REQUEST_LIST")
         end = min(next(same, math.inf), next(lists, math.inf), line.t + PARAMETER_WINDOW)
         ours, theirs = (_told(trace, line, end) for trace in (real, fake))
+        theirs = [value for value in theirs if value is not late]
+        if ours and not theirs:
+            # The real answer came just before the next question, so that the fake's may be just after it.
+            theirs = _told(fake, line, end + PARAMETER_TIME)[:1]
+            late = theirs[0] if theirs else None
         what = f"{line.t:.1f} {_question(line)}"
         mine, other = _value(ours), _value(theirs)
         if mine != other:

@@ -21,7 +21,7 @@ from lfield_sim.autopilot.flavours import (
     Warming,
 )
 from lfield_sim.autopilot.pace import CopterPace, RoverPace
-from lfield_sim.autopilot.vehicle import Limits, Response
+from lfield_sim.autopilot.vehicle import Limits
 
 _BATTERY_ACTIONS = {1: Role.LAND, 2: Role.RETURN, 3: Role.RETURN, 4: Role.RETURN, 5: Role.TERMINATE}
 
@@ -58,7 +58,7 @@ COPTER_FLAVOUR = Flavour(
         goes_on="GCS Failsafe - Continuing Landing",
         forbids=True,
         refusal="GCS failsafe on",
-        clears=0.35,
+        every=0.3325,
     ),
     battery=(
         BatteryLevel(
@@ -83,6 +83,7 @@ COPTER_FLAVOUR = Flavour(
         avoid="AVOID_ENABLE",
         margin="FENCE_MARGIN",
         recovery_text="Manual recovery started",
+        cleared_text="Fence breach cleared",
     ),
     position_lost="EKF Failsafe: changed to LAND Mode",
     capacity="BATT_CAPACITY",
@@ -112,6 +113,7 @@ ROVER_FLAVOUR = replace(
         COPTER_FLAVOUR.gcs,
         text="Radio Failsafe",
         late="FS_TIMEOUT",
+        every=0.1,
         forbids=False,
         stands=True,
         enable="FS_GCS_ENABLE",
@@ -124,6 +126,7 @@ ROVER_FLAVOUR = replace(
         actions={1: Role.RETURN, 2: Role.HOLD, 3: Role.RETURN, 4: Role.RETURN},
         ceiling="",
         circle_text="",
+        cleared_text="",
         refuses=False,
     ),
     position_lost="EKF failsafe",
@@ -245,10 +248,10 @@ ACKERMANN = Kind(
     10,
     ROVER_FLAVOUR,
     {
-        "MANUAL": Mode(0, Role.MANUAL),
-        "ACRO": Mode(1, Role.MANUAL),
-        "STEERING": Mode(3, Role.MANUAL),
-        "HOLD": Mode(4, Role.HOLD),
+        "MANUAL": Mode(0, Role.MANUAL, by_hand=True),
+        "ACRO": Mode(1, Role.MANUAL, by_hand=True),
+        "STEERING": Mode(3, Role.MANUAL, by_hand=True),
+        "HOLD": Mode(4, Role.HOLD, by_hand=True),
         "LOITER": Mode(5, Role.HOLD),
         "AUTO": Mode(10, Role.MISSION),
         "RTL": Mode(11, Role.RETURN, armable=False),
@@ -260,8 +263,7 @@ ACKERMANN = Kind(
     {"cruise": ("WP_SPEED", 1.0), "acceleration": ("ATC_ACCEL_MAX", 1.0)},
     RoverPace,
     ROVER_WARMING,
-    # A velocity is driven a fifth too fast, at the stock gains of the speed controller.
-    Limits(braking=1.0, jerk=2.0, velocity_response=Response(1.22)),
+    Limits(braking=1.0, jerk=2.0, overshoot=0.43, rolls_out=0.5),
     turning_radius=1.4,
     home_altitude=0.19,
     lands=False,

@@ -99,7 +99,6 @@ FLAVOUR = Flavour(
     streamed_only=frozenset({436}),
     heeds_groups=False,
     return_cone=1.0,
-    stream_time=0.1,
     grace=0.14,
     unavailable="Switching to {mode} is currently not available\t",
     no_mission=("Switching to Mission is currently not available\t",),

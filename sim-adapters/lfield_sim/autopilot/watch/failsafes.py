@@ -12,6 +12,11 @@ from lfield_sim.autopilot.watch.fences import Fences
 
 #: FS_OPTIONS bit 3: a landing goes on whatever fails.
 CONTINUE_LANDING = 0x8
+#: Seconds from a start until ArduPilot looks after the station for the first time (all recordings; the real
+#: figure is 0.137, and what is heard comes a step late here).
+FIRST_LOOK = 0.117
+#: Seconds that an ArduCopter stands still before it lands for a failsafe, not for its fence.
+LANDING_PAUSE = 4.0
 #: COM_OBL_RC_ACT: what PX4 does when the setpoints end; without a radio control the rest is to return.
 SETPOINT_ACTIONS = {4: Role.LAND, 5: Role.HOLD}
 #: What PX4 says when it takes over at once.
@@ -28,7 +33,7 @@ class Failsafes:
         self._rules = pilot.flavour
         self.gcs_seen: float | None = None
         self.gcs_lost = False
-        self._clears_at: float | None = None
+        self._heard_again = False
         self._later: tuple[float, Role] | None = None
         self._low: set[str] = set()
         self._blind: float = 0.0
@@ -41,13 +46,13 @@ class Failsafes:
         if not (system == int(self._pilot.value(rule.station)) if rule.station else station):
             return
         self.gcs_seen = self._pilot.station_at = self._pilot.now
-        if self.gcs_lost and self._clears_at is None:
-            self._clears_at = self._pilot.now + rule.clears
+        if self.gcs_lost:
+            self._heard_again = True
 
     @property
     def station_lost(self) -> bool:
-        """Whether the ground station is missed, or was until a moment ago; PX4 forgives at once."""
-        return self.gcs_lost and (self._clears_at is None or self._pilot.now < self._clears_at)
+        """Whether the ground station is missed, or was when it was last looked at; PX4 forgives at once."""
+        return self.gcs_lost and (not self._heard_again or self._rules.gcs.every > 0.0)
 
     def commanded(self) -> None:
         """Somebody took over: what was still to come does not come."""
@@ -60,7 +65,8 @@ class Failsafes:
         """Look at everything once."""
         if (role := self.fences.check()) is not None:
             self._leave_fence(role)
-        self._check_gcs()
+        if self._looks(dt):
+            self._check_gcs()
         self._check_setpoints()
         self._check_battery()
         self._check_position(dt)
@@ -69,6 +75,11 @@ class Failsafes:
             self._pilot.fall_back(role)
 
     # -- ground station and setpoints -----------------------------------------------------------------
+
+    def _looks(self, dt: float) -> bool:
+        """Whether it is time to look after the station: ArduPilot does so in a slow loop."""
+        every, since = self._rules.gcs.every, self._pilot.uptime - FIRST_LOOK
+        return not every or since % every < dt
 
     def _check_gcs(self) -> None:
         self._clear_gcs()
@@ -82,7 +93,7 @@ class Failsafes:
             return
         if rule.stands and pilot.role in (Role.HOLD, Role.RETURN):
             return
-        self.gcs_lost, self._clears_at = True, None
+        self.gcs_lost, self._heard_again = True, False
         for text in () if pilot.armed else rule.lost_texts:
             pilot.say(text, Severity.WARNING)
         if pilot.armed or rule.stands:
@@ -94,12 +105,12 @@ class Failsafes:
     def _clear_gcs(self) -> None:
         """The station was heard again: it is over, a moment later."""
         pilot, rule = self._pilot, self._rules.gcs
-        if self._clears_at is None or pilot.now < self._clears_at:
+        if not self._heard_again:
             return
         # What PX4 did about it stays a failsafe until somebody commands a mode.
         pilot.critical = pilot.critical and bool(rule.pause) and pilot.mode != pilot.intended
         self.gcs_lost = False
-        self._clears_at = self._later = None
+        self._heard_again, self._later = False, None
         pilot.say(rule.cleared, Severity.WARNING)
 
     def _lose_gcs(self, role: Role | None) -> None:
@@ -131,7 +142,7 @@ class Failsafes:
             self._pilot.fall_back(Role.HOLD)
             self._later = (self._pilot.now + pause, role)
         else:
-            self._pilot.fall_back(role)
+            self._pilot.fall_back(role, pause=LANDING_PAUSE)
 
     def _lands_on(self) -> bool:
         """Whether it is landing and is told to go on with that (FS_OPTIONS bit 3)."""
@@ -142,7 +153,7 @@ class Failsafes:
     def _check_setpoints(self) -> None:
         """The setpoints end: ArduPilot stops a velocity, PX4 leaves the mode."""
         pilot = self._pilot
-        if pilot.role is not Role.GUIDED or not pilot.setpoints_over:
+        if not self._is_guided() or not pilot.setpoints_over:
             return
         if not self._rules.needs_stream:
             if self._rules.setpoint_text:
@@ -152,6 +163,14 @@ class Failsafes:
             pilot.critical = True
             pilot.say(FAILSAFE, Severity.WARNING)
             pilot.fall_back(SETPOINT_ACTIONS.get(int(pilot.value("COM_OBL_RC_ACT")), Role.RETURN))
+
+    def _is_guided(self) -> bool:
+        """Whether setpoints are waited for; PX4 does so too while a failsafe holds it instead."""
+        pilot = self._pilot
+        holds = (
+            self._rules.needs_stream and pilot.critical and pilot.role is Role.HOLD and self._later is None
+        )
+        return pilot.role is Role.GUIDED or (holds and pilot.kind.modes[pilot.intended].role is Role.GUIDED)
 
     # -- battery ---------------------------------------------------------------------------------------
 
@@ -175,7 +194,7 @@ class Failsafes:
     def _act(self, role: Role | None) -> None:
         if role is not None and not self._lands_on():
             self._pilot.critical = True
-            self._pilot.fall_back(role)
+            self._pilot.fall_back(role, pause=LANDING_PAUSE)
 
     # -- position --------------------------------------------------------------------------------------
 
@@ -186,5 +205,5 @@ class Failsafes:
         if blind and not self._was_blind and pilot.armed and pilot.role is not Role.MANUAL:
             pilot.critical = True
             pilot.say(self._rules.position_lost, Severity.CRITICAL)
-            pilot.fall_back(Role.LAND)
+            pilot.fall_back(Role.LAND, pause=LANDING_PAUSE)
         self._was_blind = blind and pilot.armed

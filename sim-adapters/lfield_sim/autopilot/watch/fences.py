@@ -14,7 +14,7 @@ from lfield_sim.autopilot.vehicle import Corral, Reach, Vector
 
 #: Seconds from crossing the edge until it is noticed, and from then until something is done about it.
 NOTICED, ACTED = 0.1, 0.04
-#: Seconds after which PX4 tells a breach once more.
+#: Seconds after which PX4 tells a breach once more, when it holds before it acts.
 AGAIN = 2.06
 
 
@@ -49,6 +49,8 @@ class Fences:
         pilot = self._pilot
         breach, text = pilot.fence_at(pilot.vehicle.place) if pilot.armed else (NO_BREACH, "")
         if not breach:
+            if self.breach and self._rule.cleared_text and pilot.armed:
+                pilot.say(self._rule.cleared_text)
             self.breach, self._since, self._acts_at = NO_BREACH, None, None
             return None
         if self._since is None:
@@ -59,10 +61,11 @@ class Fences:
             self._say_again(text)
             return None
         self._acts_at = None
-        self._say(text)
+        role = self._rule.actions.get(int(pilot.value(self._rule.action)))
+        self._say(text, again=bool(self._rule.hold_text) and role is not Role.HOLD)
         if self._rule.recovery_text:
             pilot.say(self._rule.recovery_text)
-        return self._rule.actions.get(int(pilot.value(self._rule.action)))
+        return role
 
     def _begin(self, breach: int) -> None:
         self.breach, self.breached_at = breach, self._pilot.now
@@ -75,8 +78,8 @@ class Fences:
             self._says_at = None
             self._pilot.say(text, Severity.CRITICAL)
 
-    def _say(self, text: str) -> None:
-        self._says_at = self._pilot.now + AGAIN if self._rule.hold_text else None
+    def _say(self, text: str, *, again: bool) -> None:
+        self._says_at = self._pilot.now + AGAIN if again else None
         if text:
             self._pilot.say(text, Severity.WARNING)
 
