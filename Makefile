@@ -21,7 +21,7 @@ test: $(VENV)/.tested
 	test $$tests -eq 0 && test $$checks -eq 0
 
 # lfield on real autopilots (sim-adapters/REAL.md): each is the path of a simulator's build, with options behind it if
-# need be, or the ENDPOINT[,SECOND] of one that runs already. ONLY=limits tries one check.
+# need be, or the ENDPOINT[,SECOND] of one that runs already. ONLY=limits,kit tries these checks.
 ARDUCOPTER ?=
 ARDUROVER ?=
 PX4 ?=
@@ -29,8 +29,8 @@ test-sitl: $(VENV)/.tested
 ifeq ($(strip $(ARDUCOPTER)$(ARDUROVER)$(PX4)),)
 	@echo "skipped: no simulator was given; make test-sitl ARDUCOPTER=build/sitl/bin/arducopter PX4=build/px4_sitl_default/bin/px4"
 else
-	ARDUCOPTER="$(ARDUCOPTER)" ARDUROVER="$(ARDUROVER)" PX4="$(PX4)" LFIELD_SITL=yes \
-		$(BIN)/pytest -n 0 --timeout 3600 -p no:cacheprovider -v tests/sitl/test_sitl.py $(if $(ONLY),-k "set_up or $(ONLY)")
+	ARDUCOPTER="$(ARDUCOPTER)" ARDUROVER="$(ARDUROVER)" PX4="$(PX4)" LFIELD_SITL=yes ONLY="$(ONLY)" \
+		$(BIN)/pytest -n 0 --timeout 3600 -p no:cacheprovider -v tests/sitl/test_sitl.py
 endif
 
 lint: $(VENV)/.tested

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import socket
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,8 @@ from missions import Command, Mission
 from simulators import KINDS, Kind, Simulator
 from watcher import Watcher
 
-#: Seconds for a simulator to be heard.
-HEARD = 60.0
+#: Seconds for a simulator to be heard, and between two looks.
+HEARD, LOOK = 60.0, 0.2
 #: What flies beside the first vehicle in an example: how many more vehicles, and the fakes of other devices.
 OTHERS: Mapping[str, tuple[int, Sequence[str]]] = {
     "01-first-flight": (1, ()),
@@ -47,9 +48,33 @@ class Field:
     def __init__(self, kind: Kind, folder: Path) -> None:
         self.kind, self._folder, self._count = kind, folder, 0
         self.simulators: list[Simulator] = []
-        self.first = self.another()
-        self.watcher = Watcher(self.first.second, self.first.system)
-        self.watcher.until(lambda seen: bool(seen.mode), HEARD, f"{kind.name} to be heard")
+        self._watcher: Watcher | None = None
+
+    def open(self) -> None:
+        """Start it, and wait until it is heard. Fails in a sentence when it is not."""
+        simulator, end = self.another(), time.monotonic() + HEARD
+        while self._watcher is None or not self._watcher.mode:
+            if simulator.trouble:
+                pytest.fail(simulator.trouble, pytrace=False)
+            if time.monotonic() > end:
+                place = f"{self.kind.name} is not heard at {simulator.second} within {HEARD:g} s"
+                pytest.fail(f"{place}; it said\n{simulator.words}", pytrace=False)
+            time.sleep(LOOK)
+            if self._watcher is None:
+                # A simulator takes a while to listen.
+                with suppress(OSError):
+                    self._watcher = Watcher(simulator.second, simulator.system)
+
+    @property
+    def first(self) -> Simulator:
+        """The vehicle that is watched."""
+        return self.simulators[0]
+
+    @property
+    def watcher(self) -> Watcher:
+        """Who watches it."""
+        assert self._watcher is not None
+        return self._watcher
 
     def folder(self) -> Path:
         """A new one."""
@@ -59,7 +84,11 @@ class Field:
     def another(self) -> Simulator:
         """One more vehicle of this kind, with the next system id."""
         simulator = Simulator(self.kind, os.environ[self.kind.variable], len(self.simulators))
-        simulator.start(self.folder())
+        try:
+            simulator.start(self.folder())
+        except OSError as error:
+            reason = f"{self.kind.variable}: '{simulator.given}' cannot be started: {error.strerror}"
+            pytest.fail(f"{reason}; give the path of a simulator's build, or an endpoint", pytrace=False)
         self.simulators.append(simulator)
         return simulator
 
@@ -98,7 +127,8 @@ class Field:
 
     def close(self) -> None:
         """End all that we have started."""
-        self.watcher.close()
+        if self._watcher is not None:
+            self._watcher.close()
         for simulator in self.simulators:
             simulator.end()
 
@@ -108,9 +138,25 @@ def field(request, tmp_path_factory) -> Iterator[Field]:
     """Each kind that was given."""
     made = Field(request.param, tmp_path_factory.mktemp(request.param.name))
     try:
+        made.open()
         yield made
     finally:
         made.close()
+
+
+def pytest_collection_modifyitems(config, items) -> None:
+    """With ONLY, the checks that have one of its words in their names, and the set-up that all need."""
+    words = [word.strip() for word in os.environ.get("ONLY", "").split(",") if word.strip()]
+    checks = [item for item in items if item.path.name == "test_sitl.py"]
+    if not words or not checks:
+        return
+    unknown = [word for word in words if not any(word in item.name for item in checks)]
+    if unknown:
+        known = sorted({item.originalname.removeprefix("test_") for item in checks})
+        pytest.exit(f"ONLY: there is no check '{unknown[0]}'; there are {', '.join(known)}", returncode=2)
+    chosen = [i for i in checks if i.originalname == "test_set_up" or any(word in i.name for word in words)]
+    config.hook.pytest_deselected(items=[item for item in checks if item not in chosen])
+    items[:] = [item for item in items if item not in checks or item in chosen]
 
 
 @pytest.fixture
@@ -123,15 +169,20 @@ def figure(request) -> Callable[[str], None]:
 def pytest_runtest_makereport(item, call):
     """Keep a row for each check that was tried."""
     report = yield
-    if call.when == "call" or (call.when == "setup" and not report.passed):
-        simulator = item.callspec.id if hasattr(item, "callspec") else ""
-        told = "; ".join(str(value) for name, value in item.user_properties if name == "figure")
-        if report.failed:
-            told = (told + "; " if told else "") + str(call.excinfo.value).partition("\n")[0]
-        _rows.append(
-            (simulator, item.originalname.removeprefix("test_").replace("_", " "), report.outcome, told)
-        )
+    counts = call.when == "call" or (call.when == "setup" and not report.passed)
+    if counts and item.path.name == "test_sitl.py":
+        _rows.append(_row(item, report, call))
     return report
+
+
+def _row(item, report, call) -> tuple[str, str, str, str]:
+    """The simulator, the check, its outcome, and figures or the first line of why not."""
+    told = [str(value) for name, value in item.user_properties if name == "figure"]
+    if call.excinfo is not None:
+        told.append(str(call.excinfo.value).partition("\n")[0])
+    simulator = item.callspec.id if hasattr(item, "callspec") else ""
+    check = item.originalname.removeprefix("test_").replace("_", " ")
+    return simulator, check, report.outcome, "; ".join(told)
 
 
 def pytest_terminal_summary(terminalreporter) -> None:
@@ -139,5 +190,5 @@ def pytest_terminal_summary(terminalreporter) -> None:
     if not _rows:
         return
     terminalreporter.section("simulators")
-    for simulator, check, outcome, told in _rows:
+    for simulator, check, outcome, told in dict.fromkeys(_rows):
         terminalreporter.write_line(f"{outcome:8} {simulator:28} {check:34} {told}")

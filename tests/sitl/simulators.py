@@ -123,7 +123,10 @@ class Simulator:
     def trouble(self) -> str:
         """Why it does not run, '' when it does."""
         status = None if self._process is None else self._process.poll()
-        return "" if status is None else f"{self.kind.name} has ended with {status}; it said\n{self.words}"
+        if status is None:
+            return ""
+        last = self.words.rpartition("\n")[2] or "nothing"
+        return f"{self.kind.name} has ended with {status}; it said last: {last}\n{self.words}"
 
     @property
     def words(self) -> str:

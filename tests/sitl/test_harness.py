@@ -90,22 +90,45 @@ def test_builds_are_started_at_ports_and_ids_of_their_own(tmp_path):
 
 
 @pytest.mark.process
-def test_a_simulator_that_does_not_start_says_what_it_said(tmp_path):
-    broken = Simulator(ARDUCOPTER, f"{sys.executable} -c raise(SystemExit('no\\ such\\ model'))")
+def test_a_simulator_that_ends_says_what_it_said(tmp_path):
+    build = tmp_path / "arducopter"
+    build.write_text("#!/bin/sh\necho no such model\nexit 1\n")
+    build.chmod(0o755)
+    broken = Simulator(ARDUCOPTER, str(build))
     broken.start(tmp_path / "broken")
     broken._process.wait(30.0)
-    assert broken.trouble.startswith("arducopter has ended with ")
+    assert broken.trouble.startswith("arducopter has ended with 1; it said last: no such model\n")
     broken.end()
+
+
+def checked(arducopter: str, only: str) -> subprocess.CompletedProcess[str]:
+    """What `make test-sitl` runs for this simulator."""
+    environment = {**os.environ, "ARDUCOPTER": arducopter, "LFIELD_SITL": "yes", "ONLY": only}
+    words = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", str(HERE / "test_sitl.py")]
+    return subprocess.run(
+        words, env=environment, cwd=HERE.parents[1], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("given", "only", "said"),
+    [
+        ("/nowhere/arducopter", "left", "ARDUCOPTER: '/nowhere/arducopter' cannot be started: No such file"),
+        ("/bin/false", "left", "arducopter has ended with 1; it said last: nothing"),
+        ("/bin/false", "nosuch", "ONLY: there is no check 'nosuch'; there are arming_right_after_opening,"),
+    ],
+)
+def test_what_cannot_be_tried_is_said_in_a_sentence(given, only, said):
+    told = checked(given, only)
+    assert told.returncode != 0
+    assert said in told.stdout + told.stderr
+    assert "Traceback" not in told.stdout + told.stderr
 
 
 @pytest.mark.process
 def test_a_check_runs_on_a_vehicle_that_runs_already_and_is_in_the_table():
     with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--climb", "8", "--land", "6") as fake:
-        environment = {**os.environ, "ARDUCOPTER": fake.endpoint, "LFIELD_SITL": "yes"}
-        words = ["-n", "0", "-p", "no:cacheprovider", "-k", "set_up or left", str(HERE / "test_sitl.py")]
-        told = subprocess.run(
-            [sys.executable, "-m", "pytest", *words],
-            env=environment, cwd=HERE.parents[1], capture_output=True, text=True, check=False,
-        )  # fmt: skip
+        told = checked(fake.endpoint, "left")
     assert told.returncode == 0, told.stdout
     assert "up refused a stock vehicle and named lfield setup" in told.stdout
