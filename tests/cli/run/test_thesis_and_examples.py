@@ -135,14 +135,14 @@ def test_first_flight(lfield):
     assert flight.wait() == 0, flight.said
     lines = [line.partition(" | ")[2] for line in flight.out]
     assert [line for line in lines if "taking off" in line] == [
-        "lead: taking off to 3.0 m", "wing: taking off to 5.0 m",
+        "lead: taking off to 2.5 m", "wing: taking off to 4.0 m",
     ]  # fmt: skip
     places = re.findall(r"^(\w+): at \((-?[\d.]+), (-?[\d.]+)\) at ([\d.]+) m$", "\n".join(lines), re.M)
     assert [place[0] for place in places] == ["lead", "wing"] * 3
     for lead, wing in zip(places[::2], places[1::2], strict=True):
         assert abs(float(lead[1]) + float(wing[1])) < 1.5, "the wingman mirrors the leader"
         assert abs(float(lead[2]) + float(wing[2])) < 1.5
-        assert abs(float(wing[3]) - float(lead[3]) - 2.0) < 1.0
+        assert abs(float(wing[3]) - float(lead[3]) - 1.5) < 1.0
     assert lines[-2:] == ["lead: landed", "wing: landed"]
     assert re.search(r"pilot: never closer than [\d.]+ m; batteries lead \d+ %, wing \d+ %", flight.said)
     hops = re.search(r"pilot: the coordinator migrated (\d+) times", flight.said)
