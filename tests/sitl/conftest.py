@@ -10,9 +10,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from missions import Command, Mission
-from simulators import KINDS, Kind, Simulator
-from watcher import Watcher
+from sitl_missions import Command, Mission
+from sitl_simulators import KINDS, Kind, Simulator
+from sitl_watcher import Watcher
 
 #: Seconds for a simulator to be heard, and between two looks.
 HEARD, LOOK = 60.0, 0.2

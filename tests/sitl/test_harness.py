@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
-from relay import Frames, Relay
-from simulators import KINDS, Simulator, ardupilot, px4
+from sitl_relay import Frames, Relay
+from sitl_simulators import KINDS, Simulator, ardupilot, px4
 
 from lfield.testing.driver_bench import running_fake
 

@@ -7,8 +7,8 @@ import signal
 import time
 
 import pytest
-from missions import ARM, AWAY, HOP, OPEN, READY, REAL, ROOT, SPEED, TOUR
-from relay import Relay
+from sitl_missions import ARM, AWAY, HOP, OPEN, READY, REAL, ROOT, SPEED, TOUR
+from sitl_relay import Relay
 
 #: How often arming after opening, and a mission over a bad link, are tried; what share of packets that loses.
 OPENINGS = int(os.environ.get("OPENINGS", "50"))

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from simulators import Simulator
+from sitl_simulators import Simulator
 
 ROOT = Path(__file__).parents[2]
 #: What binds the examples to simulators.
