@@ -96,7 +96,7 @@ class Guidance:
         motion.begin("orbit")
         order = motion.orders.orbit(self._state, circle)
         await motion.start("orbit", order)
-        await motion.travel("orbit", order, Revolutions(circle, abs(turns)).left, 0.0)
+        await motion.travel("orbit", order, Revolutions(circle, abs(turns)).left, 0.0, motion.patience)
         await motion.hold()
 
     # -- speeds ---------------------------------------------------------------------------------------

@@ -101,6 +101,18 @@ def test_what_steers_like_a_car_says_that_it_does_not_turn_on_the_spot(bench):
     assert b.autopilot.mode == "HOLD"
 
 
+def test_a_rover_may_drive_round_on_its_way_to_a_circle(bench):
+    b = bench(kind="rover")
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("orbit", [-6.0, 0.0, 0.0, 3.0, 0.5, 0.25])
+
+    b.run(mission)
+    north, east, _ = b.autopilot.vehicle.place
+    assert math.hypot(north + 6.0, east) == pytest.approx(3.0, abs=2.0)
+
+
 def test_a_rate_is_judged_by_what_it_should_have_turned():
     turning, slow = Turning(), Turning()
     assert not any(turning.fails(0.5, 0.5 * n * 0.4, 1.0, n * 0.4) for n in range(40))
