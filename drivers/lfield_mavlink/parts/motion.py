@@ -328,7 +328,7 @@ class Motion:
 
         A rover refuses it otherwise, and a copter forgets it.
         """
-        return self._vehicle.profile.px4 or self._steady or self._state.mode == "AUTO"
+        return self._vehicle.profile.px4 or self._steady or self._state.mode == self._vehicle.profile.mission
 
     async def _keep_pace(self, speed: float) -> None:
         """Have control of a position begin where it is, with its own speed, and then tell it the wanted one.
