@@ -353,4 +353,5 @@ class Motion:
         return self._state.mode == self._vehicle.profile.guided
 
     async def _change_speed(self, speed: float) -> None:
-        await self._vehicle.command("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, speed, -1.0)
+        told = self.orders.told_speed(self._state, speed)
+        await self._vehicle.command("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, told, -1.0)

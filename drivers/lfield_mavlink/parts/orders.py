@@ -23,6 +23,9 @@ from lfield_mavlink.modes import ARDUPILOT, PX4
 ONLY_POSITION, ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, ONLY_YAW = 0x0DF8, 0x0DC7, 0x05C7, 0x09FF
 #: MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
 _CHANGE_MODE = 1.0
+#: m/s by which PX4's rover drives faster than it is told, as recorded (1.5 for 1.0), and the least share of a
+#: speed that it is told because of that.
+_EXCESS, _LEAST_SHARE = 0.45, 0.5
 #: How far ahead on an orbit the goal is, in radians.
 _AHEAD = 0.5
 
@@ -112,6 +115,9 @@ class Stack(Protocol):
     def orbit(self, state: VehicleState, circle: Circle) -> Order:
         """Around a place."""
 
+    def told_speed(self, state: VehicleState, speed: float) -> float:
+        """What it is to be told, so that it is not faster than `speed` over ground."""
+
 
 class ArduPilot:
     """Orders for ArduPilot: all in the mode GUIDED."""
@@ -150,6 +156,10 @@ class ArduPilot:
             self.guided, mode="GUIDED", target=ahead, period=0.2, speed=circle.speed, goal=circle.farthest
         )
 
+    def told_speed(self, state: VehicleState, speed: float) -> float:
+        """Just that."""
+        return speed
+
 
 class Px4:
     """Orders for PX4: what it does by itself ends by itself, in AUTO.LOITER."""
@@ -177,11 +187,15 @@ class Px4:
         command = Command(dialect.MAV_CMD_DO_ORBIT, (radius, circle.speed, None, None), place)
         return Order(frozenset({"POSCTL.ORBIT"}), command=command, goal=circle.farthest)
 
+    def told_speed(self, state: VehicleState, speed: float) -> float:
+        """Less for a rover, which drives faster than it is told."""
+        return max(speed - _EXCESS, speed * _LEAST_SHARE) if state.kind == "rover" else speed
+
     def _reposition(
         self, state: VehicleState, goal: Vector | None, yaw: float | None, speed: float | None
     ) -> Order:
-        place, speed = _global(state, goal), -1.0 if speed is None else speed
-        command = Command(dialect.MAV_CMD_DO_REPOSITION, (speed, _CHANGE_MODE, 0.0, yaw), place)
+        place, told = _global(state, goal), -1.0 if speed is None else self.told_speed(state, speed)
+        command = Command(dialect.MAV_CMD_DO_REPOSITION, (told, _CHANGE_MODE, 0.0, yaw), place)
         return Order(self.hold, command=command, goal=goal)
 
 

@@ -149,6 +149,26 @@ def test_ardupilot_is_told_its_speed_when_it_keeps_it(limited, kind):
     assert [note for note in b.notes if "limit" in note] == []
 
 
+def test_px4s_rover_is_told_less_since_it_drives_faster_than_it_is_told(limited):
+    b = limited(flavour="px4", kind="rover", limits={"speed": 2.0})
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        assert 1.8 < await fastest(b, fc.execute("goTo", [25.0, 0.0, 0.0])) <= 2.1
+        await asyncio.sleep(3.0)  # it rolls out
+        await fc.execute("setSpeed", [0.6])
+        assert 0.6 < await fastest(b, fc.execute("goTo", [32.0, 0.0, 0.0])) <= 0.8
+
+    b.run(mission)
+    told = [
+        round(m.param1 if m.command == dialect.MAV_CMD_DO_REPOSITION else m.param2, 2)
+        for data in b.sent for m in Reader().feed(data)
+        if getattr(m, "command", 0) in (dialect.MAV_CMD_DO_REPOSITION, dialect.MAV_CMD_DO_CHANGE_SPEED)
+    ]  # fmt: skip
+    assert told == [1.55, 0.3, 0.3]
+    assert [note for note in b.notes if "limit" in note] == []
+
+
 def test_a_speed_that_was_lost_is_said_and_told_again(limited):
     b = limited(limits={"speed": 3.0})
 
