@@ -81,6 +81,9 @@ class Motion:
         self._steady = False
         # Whether the last order sent PX4 to a goal, which it flies to in its mode for staying.
         self._has_goal = False
+        # The speed of this motion, where it is not the wanted one, and how often it was told to be slower.
+        self._pace: float | None = None
+        self._slowed = 0
         # When the last motion was begun, and why it was stopped by this driver.
         self._began, self._stopped = -math.inf, ""
         vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_heartbeat)
@@ -114,6 +117,7 @@ class Motion:
                 f"choose; {self._state.holder} has it. release() takes it back"
             )
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
+        self._slowed, self._pace = 0, None
         self.stream.stop()
 
     async def halt(self, why: str) -> None:
@@ -128,6 +132,7 @@ class Motion:
 
     async def set_mode(self, name: str) -> None:
         """Any mode that the vehicle has; the one for staying stops it. Raises DeviceError."""
+        self._slowed = 0
         if name != self._vehicle.profile.hold or not await self._stays():
             await self.enter(f"mode {name}", name, dialect.MAV_CMD_DO_SET_MODE, *self.mode_values(name))
 
@@ -191,7 +196,8 @@ class Motion:
             )
         await self._vehicle.until(lambda: self._state.mode in order.modes, SHOWS, what)
         self.claim(*order.modes)
-        if order.speed is not None:
+        self._pace = order.speed
+        if order.speed is not None and order.command is None:
             await self._keep_pace(order.speed)
 
     async def travel(
@@ -308,6 +314,7 @@ class Motion:
         """The speed over ground for this motion and those that follow. Raises DeviceError."""
         if self._takes_speed:
             await self._change_speed(speed)
+            self._pace = speed
         self._speed = speed
 
     async def keep_speed(self) -> None:
@@ -320,7 +327,22 @@ class Motion:
         if self._in_guided and not self._steady:
             await self.halt(why)
         else:
+            self._slowed += 1
             await self._change_speed(speed)
+
+    @property
+    def faster(self) -> float | None:
+        """What it may be told again after it was told to be slower, once in a motion; else None."""
+        return (self._pace or self.wanted_speed) if self._slowed == 1 else None
+
+    async def speed_up(self, speed: float) -> None:
+        """Tell it a speed again after it was told to be slower. Raises DeviceError."""
+        await self._change_speed(speed)
+
+    @property
+    def was_slowed(self) -> bool:
+        """Whether it was told to be slower in this motion already."""
+        return self._slowed > 0
 
     @property
     def _takes_speed(self) -> bool:

@@ -56,8 +56,9 @@ class Order:
 
     First the mode is entered and the command is accepted; then the mode must be one of `modes`, and stays so
     until the motion is over. `target` gives the setpoint for the present position, to be sent every `period`
-    seconds; `speed` is the one over ground that it is flown with, where a setpoint does not say. `goal` is
-    the place that is farthest from home on the way, as far as it is known.
+    seconds; `speed` is the one over ground that it is flown with, where that is known: it is in the command,
+    or is told beside the setpoints. `goal` is the place that is farthest from home on the way, as far as it
+    is known.
     """
 
     modes: frozenset[str]
@@ -185,7 +186,8 @@ class Px4:
         radius = circle.radius if circle.clockwise else -circle.radius
         place = _global(state, circle.centre)
         command = Command(dialect.MAV_CMD_DO_ORBIT, (radius, circle.speed, None, None), place)
-        return Order(frozenset({"POSCTL.ORBIT"}), command=command, goal=circle.farthest)
+        modes = frozenset({"POSCTL.ORBIT"})
+        return Order(modes, command=command, speed=circle.speed, goal=circle.farthest)
 
     def told_speed(self, state: VehicleState, speed: float) -> float:
         """Less for a rover, which drives faster than it is told."""
