@@ -70,7 +70,7 @@ class Motion:
 
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
-        self._fence = OwnFence(vehicle, parameters)
+        self.fence = OwnFence(vehicle, parameters)
         self.stream = SetpointStream(vehicle.clock, vehicle.send)
         self.tolerance: float = vehicle.binding.option("tolerance")
         # The modes that the last order leads to; any other mode is somebody else's doing.
@@ -226,7 +226,7 @@ class Motion:
             if progress.is_over(left, self.moves, now):
                 await self._give_up(order)
                 words = patience.words.format(seconds=patience.seconds, left=left)
-                fence = await self._fence.perhaps() if order.goal is not None else ""
+                fence = await self.fence.perhaps() if order.goal is not None else ""
                 raise vehicle.error(f"{what} gave up: {words}{fence}")
             if not asked and self._is_refused(order, progress, now):
                 asked = True
@@ -255,7 +255,7 @@ class Motion:
         """Raise DeviceError when its own fence is why it does not move."""
         assert order.goal is not None, "the caller has looked"
         told = self._vehicle.reasons(self._began)
-        why = await self._fence.why_beyond(order.goal)
+        why = await self.fence.why_beyond(order.goal)
         if why or "geofence" in told:
             await self._give_up(order)
             raise self._vehicle.error(f"{what} refused: {why or 'the goal is outside its own fence'}{told}")
