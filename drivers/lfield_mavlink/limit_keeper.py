@@ -1,7 +1,8 @@
 """The limits of the binding, in telemetry: beyond one it is said, then corrected, and at last made safe.
 
 What an autopilot is told it may forget, and what it does by itself it does at its own speed and height. A
-speed is corrected by telling a lower one, a place by a hold. A vehicle in other hands is only spoken of; so
+speed is corrected by telling a lower one, and then, once in a motion, the wanted one again; a place by a
+hold. A vehicle in other hands is only spoken of; so
 is one that is on its way down or home beyond a height or a radius, for nothing that could be done is safer.
 """
 
@@ -39,6 +40,8 @@ class _Kept:
     value: float = 0.0
     said: bool = False
     corrected: bool = False
+    #: Since when it is within its limit again after a correction.
+    well_since: float | None = None
 
 
 class LimitKeeper:
@@ -52,16 +55,20 @@ class LimitKeeper:
             name: _Kept(limit, LimitWatch(limit * share, time, 0.0 if name == "speed" else STILL))
             for name, limit in vehicle.binding.limits.items()
         }
-        self._exceeded: asyncio.Queue[str] = asyncio.Queue()
+        # What is to be corrected, or (False) has been for a while.
+        self._tasks: asyncio.Queue[tuple[str, bool]] = asyncio.Queue()
         vehicle.on(dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, self._on_position)
 
     async def keep(self) -> None:
         """Correct what is exceeded, until cancelled."""
         while True:
-            name = await self._exceeded.get()
+            name, exceeded = await self._tasks.get()
             kept = self._kept[name]
             try:
-                await self._correct(name, kept)
+                if exceeded:
+                    await self._correct(name, kept)
+                elif not kept.corrected:
+                    await self._speed_up()
             except DeviceError as error:
                 self._vehicle.note(f"its {name} could not be corrected: {error.reason}")
             kept.watch.told(self._vehicle.clock.monotonic())
@@ -76,14 +83,20 @@ class LimitKeeper:
             if sample is None:
                 kept.watch.reset()
                 kept.said = kept.corrected = False
+                kept.well_since = None
                 continue
             kept.value, excess = sample
             verdict = kept.watch.sample(kept.value, excess, now)
             if verdict is Verdict.WITHIN:
                 kept.said = kept.corrected = False
+                kept.well_since = now if name == "speed" else None
                 self._vehicle.note(f"within its limit of {self._limit(name)} again")
             elif verdict is not None:
+                kept.well_since = None
                 self._act(name, kept, now)
+            elif kept.well_since is not None and now - kept.well_since >= kept.watch.time:
+                kept.well_since = None
+                self._tasks.put_nowait((name, False))
 
     def _sample(self, name: str, kept: _Kept) -> tuple[float, float] | None:
         """A value and its excess, as `LimitWatch` has it; None where there is no such thing."""
@@ -106,9 +119,10 @@ class LimitKeeper:
                 self._vehicle.note(f"{self._words(name, kept)}; {why}")
         elif not kept.corrected:
             kept.corrected = True
-            does = "told to be slower" if name == "speed" else "it holds"
+            again = " for the rest of this motion" if self._motion.was_slowed else ""
+            does = f"told to be slower{again}" if name == "speed" else "it holds"
             self._vehicle.note(f"{self._words(name, kept)}; {does}")
-            self._exceeded.put_nowait(name)
+            self._tasks.put_nowait((name, True))
         else:
             self._vehicle.breach(f"{self._words(name, kept)}, and no correction has helped")
         kept.said = True
@@ -133,6 +147,13 @@ class LimitKeeper:
             await self._motion.slow_down(kept.limit * max(kept.limit / kept.value, LEAST), why)
         else:
             await self._motion.halt(why)
+
+    async def _speed_up(self) -> None:
+        """Have it go on at the speed that was wanted, if it still does what it was corrected in."""
+        speed = self._motion.faster
+        if speed is not None and self._state.armed and self._motion.ours:
+            self._vehicle.note(f"told {speed:g} m/s again")
+            await self._motion.speed_up(speed)
 
     def _words(self, name: str, kept: _Kept) -> str:
         return f"{_WORDS[name].format(kept.value)}, beyond its limit of {self._limit(name)}"

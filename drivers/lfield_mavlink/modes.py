@@ -48,6 +48,11 @@ class Profile:
         return self.autopilot == PX4
 
     @property
+    def mission(self) -> str:
+        """The mode that flies the mission that it holds."""
+        return "AUTO.MISSION" if self.px4 else "AUTO"
+
+    @property
     def fallbacks(self) -> frozenset[str]:
         """The modes in which it goes down, home or nowhere without anybody: safe states and failsafes."""
         return self.retreats | {self.hold, self.land, self.home}

@@ -59,10 +59,11 @@ class MavlinkVehicle(Contact):
         self._flight = Flight(self, self.motion, limits, readiness, self.parameters)
         self._rest = Rest(self, self.motion)
         self._keeper = LimitKeeper(self, self.motion)
+        self._guidance = Guidance(self, self.motion, limits)
         self.parts = (
             self._flight,
             readiness,
-            Guidance(self, self.motion, limits),
+            self._guidance,
             Missions(self, self.motion, limits, self.plans),
             Fences(self, self.plans, self.parameters),
             Rally(self, self.plans),
@@ -111,7 +112,13 @@ class MavlinkVehicle(Contact):
 
     def keep(self) -> tuple[Coroutine[Any, Any, None], ...]:
         """What runs beside the calls while the vehicle is open."""
-        return (self._watch(), self._streams.keep(), self._health.keep(), self._keeper.keep())
+        return (
+            self._watch(),
+            self._streams.keep(),
+            self._health.keep(),
+            self._keeper.keep(),
+            self._guidance.keep(),
+        )
 
     async def _watch(self) -> None:
         """Tell when the link is lost and found; when it is back, what it was told is told again."""

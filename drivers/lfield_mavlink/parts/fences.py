@@ -141,7 +141,7 @@ class OwnFence:
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._parameters = vehicle, parameters
 
-    async def why_beyond(self, goal: Vector) -> str:
+    async def why_beyond(self, goal: Vector, words: str = "the goal is") -> str:
         """Which fence that is a parameter a goal, in metres of home, is beyond; '' for none.
 
         ArduPilot ignores a setpoint there without a word; PX4 says that it is outside its fence, not which.
@@ -153,9 +153,9 @@ class OwnFence:
         )
         far, height = math.hypot(*goal[:2]), -goal[2]
         if 0.0 < circle[1] < far:
-            return f"the goal is {far:.1f} m from home, and its own fence {circle[0]} ends at {circle[1]:g} m"
+            return f"{words} {far:.1f} m from home, and its own fence {circle[0]} ends at {circle[1]:g} m"
         if 0.0 < ceiling[1] < height and self._vehicle.profile.flies:
-            return f"the goal is {height:.1f} m up, and its own fence {ceiling[0]} ends at {ceiling[1]:g} m"
+            return f"{words} {height:.1f} m up, and its own fence {ceiling[0]} ends at {ceiling[1]:g} m"
         return ""
 
     async def perhaps(self) -> str:

@@ -178,11 +178,16 @@ class Flight:
         await self._motion.hold()
 
     async def do_set_mode(self, name: str) -> None:
-        """Any mode of the autopilot, by its own name for it."""
+        """Any mode of the autopilot, by its own name for it, but that of missions, which must be checked."""
         wanted, profile = name.upper(), self._vehicle.profile
         if profile.mode_values(wanted) is None:
             known = ", ".join(sorted(profile.modes.values()))
             raise self._vehicle.error(f"{profile.stack} has no mode '{name}'; it has {known}")
+        if wanted == profile.mission:
+            raise self._vehicle.error(
+                f"setMode refused: {wanted} would fly the mission of the vehicle past the limits; "
+                "call startMission(), which checks it"
+            )
         self._motion.begin(f"mode {wanted}")
         await self._motion.set_mode(wanted)
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+from contextlib import suppress
 
+from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect, result_words
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Patience, Target
-from lfield_mavlink.parts.progress import Revolutions, Turning
+from lfield_mavlink.parts.progress import Following, Revolutions, Turning
 
 #: How exactly a heading is reached, in radians.
 HEADING_TOLERANCE = math.radians(4.0)
@@ -18,6 +21,8 @@ HEADING_TOLERANCE = math.radians(4.0)
 CANNOT_TURN = "this frame cannot turn on the spot, only while it drives: use goTo or setVelocity"
 TURNS = Patience(closer=0.05, words="no progress for {seconds:g} s, {left:.2f} rad from its heading")
 TURNS_ON_THE_SPOT = Patience(2.0, 0.05, words="its heading did not change for {seconds:g} s; " + CANNOT_TURN)
+#: Metres ahead of what does not follow a velocity, where its own fence is looked for.
+AHEAD = 5.0
 #: Seconds of setpoints that PX4 must have noticed before it is told to enter OFFBOARD.
 NOTICES = 0.15
 #: Seconds for its answer, and for the mode to show, before it is told again; and how often it may refuse.
@@ -30,7 +35,21 @@ class Guidance:
     def __init__(self, vehicle: Contact, motion: Motion, limits: Limits) -> None:
         self._vehicle, self._state = vehicle, vehicle.state
         self._motion, self._limits = motion, limits
-        self._turning = Turning()
+        self._turning, self._following = Turning(), Following()
+        # The places ahead of it to which it does not go.
+        self._ahead: asyncio.Queue[Vector] = asyncio.Queue()
+
+    async def keep(self) -> None:
+        """Say which fence of its own keeps it from following velocities, until cancelled.
+
+        A call of setVelocity does not wait for the parameters of the fence: it must be repeated in time.
+        """
+        while True:
+            place = await self._ahead.get()
+            # A link that is lost meanwhile is said elsewhere.
+            with suppress(DeviceError):
+                if why := await self._motion.fence.why_beyond(place, f"{AHEAD:g} m ahead is"):
+                    self._vehicle.note(f"setVelocity has hardly moved it for {Following.JUDGED:g} s: {why}")
 
     # -- places ---------------------------------------------------------------------------------------
 
@@ -96,7 +115,7 @@ class Guidance:
         motion.begin("orbit")
         order = motion.orders.orbit(self._state, circle)
         await motion.start("orbit", order)
-        await motion.travel("orbit", order, Revolutions(circle, abs(turns)).left, 0.0)
+        await motion.travel("orbit", order, Revolutions(circle, abs(turns)).left, 0.0, motion.patience)
         await motion.hold()
 
     # -- speeds ---------------------------------------------------------------------------------------
@@ -114,6 +133,16 @@ class Guidance:
         self._limits.check_speed("setVelocity", math.hypot(*velocity))
         self._limits.check_way_out(self._state.position, velocity)
         await self._follow("setVelocity", Target(ONLY_VELOCITY, velocity=velocity))
+        self._look_ahead(velocity)
+
+    def _look_ahead(self, velocity: Vector) -> None:
+        """Have its fence looked at, when it does not follow."""
+        state, now, ttl = self._state, self._vehicle.clock.monotonic(), self._vehicle.binding.ttl
+        place = state.position
+        if self._following.fails(velocity, state.velocity, ttl, now) and place is not None:
+            share = AHEAD / math.hypot(*velocity)
+            north, east, down = (p + share * v for p, v in zip(place, velocity, strict=True))
+            self._ahead.put_nowait((north, east, down))
 
     async def do_set_yaw_rate(self, rate: float) -> None:
         """One setpoint: it turns on the spot at this rate until the time-to-live."""

@@ -45,10 +45,6 @@ class Missions:
         vehicle.on(dialect.MAVLINK_MSG_ID_MISSION_ITEM_REACHED, self._on_reached)
 
     @property
-    def _mission_mode(self) -> str:
-        return "AUTO.MISSION" if self._vehicle.profile.px4 else "AUTO"
-
-    @property
     def _first(self) -> int:
         """The autopilot's number of waypoint 0."""
         return 0 if self._vehicle.profile.px4 else 1
@@ -90,7 +86,7 @@ class Missions:
             raise self._vehicle.error("startMission refused: it stands on the ground; call takeoff() first")
         self._count = len(items)
         start = dialect.MAV_CMD_MISSION_START
-        await self._motion.enter("startMission", self._mission_mode, start, 0.0, 0.0)
+        await self._motion.enter("startMission", self._vehicle.profile.mission, start, 0.0, 0.0)
         try:
             await self._motion.keep_speed()
         except DeviceError as error:
@@ -100,7 +96,7 @@ class Missions:
     async def do_pause_mission(self) -> None:
         """Stop and stay; startMission goes on from here."""
         self._motion.begin("pauseMission")
-        if self._state.mode != self._mission_mode:
+        if self._state.mode != self._vehicle.profile.mission:
             raise self._vehicle.error(
                 f"pauseMission: no mission is being flown, the vehicle is in {self._state.mode}"
             )
@@ -135,7 +131,7 @@ class Missions:
         raise self._vehicle.error(f"{what}: waypoint {number} did not become the current one", timeout=True)
 
     def _check_not_flown(self, what: str) -> None:
-        if self._state.armed and self._state.mode == self._mission_mode:
+        if self._state.armed and self._state.mode == self._vehicle.profile.mission:
             raise self._vehicle.error(f"{what} refused: a mission is being flown; call pauseMission() first")
 
     def _check_route(self, what: str, items: Sequence[Item]) -> None:
@@ -173,7 +169,7 @@ class Missions:
             return  # from which number it counts is not known before its first heartbeat
         before, self._current = self._current, max(message.seq - self._first, -1)
         # The word that an item was reached comes once and may be lost.
-        if self._state.mode == self._mission_mode:
+        if self._state.mode == self._vehicle.profile.mission:
             if self._current == before + 1:
                 self._reached = max(self._reached, before)
             if message.mission_state == dialect.MISSION_STATE_COMPLETE:

@@ -70,7 +70,7 @@ class Motion:
 
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
-        self._fence = OwnFence(vehicle, parameters)
+        self.fence = OwnFence(vehicle, parameters)
         self.stream = SetpointStream(vehicle.clock, vehicle.send)
         self.tolerance: float = vehicle.binding.option("tolerance")
         # The modes that the last order leads to; any other mode is somebody else's doing.
@@ -81,6 +81,9 @@ class Motion:
         self._steady = False
         # Whether the last order sent PX4 to a goal, which it flies to in its mode for staying.
         self._has_goal = False
+        # The speed of this motion, where it is not the wanted one, and how often it was told to be slower.
+        self._pace: float | None = None
+        self._slowed = 0
         # When the last motion was begun, and why it was stopped by this driver.
         self._began, self._stopped = -math.inf, ""
         vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_heartbeat)
@@ -114,6 +117,7 @@ class Motion:
                 f"choose; {self._state.holder} has it. release() takes it back"
             )
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
+        self._slowed, self._pace = 0, None
         self.stream.stop()
 
     async def halt(self, why: str) -> None:
@@ -128,6 +132,7 @@ class Motion:
 
     async def set_mode(self, name: str) -> None:
         """Any mode that the vehicle has; the one for staying stops it. Raises DeviceError."""
+        self._slowed = 0
         if name != self._vehicle.profile.hold or not await self._stays():
             await self.enter(f"mode {name}", name, dialect.MAV_CMD_DO_SET_MODE, *self.mode_values(name))
 
@@ -191,7 +196,8 @@ class Motion:
             )
         await self._vehicle.until(lambda: self._state.mode in order.modes, SHOWS, what)
         self.claim(*order.modes)
-        if order.speed is not None:
+        self._pace = order.speed
+        if order.speed is not None and order.command is None:
             await self._keep_pace(order.speed)
 
     async def travel(
@@ -220,7 +226,7 @@ class Motion:
             if progress.is_over(left, self.moves, now):
                 await self._give_up(order)
                 words = patience.words.format(seconds=patience.seconds, left=left)
-                fence = await self._fence.perhaps() if order.goal is not None else ""
+                fence = await self.fence.perhaps() if order.goal is not None else ""
                 raise vehicle.error(f"{what} gave up: {words}{fence}")
             if not asked and self._is_refused(order, progress, now):
                 asked = True
@@ -249,7 +255,7 @@ class Motion:
         """Raise DeviceError when its own fence is why it does not move."""
         assert order.goal is not None, "the caller has looked"
         told = self._vehicle.reasons(self._began)
-        why = await self._fence.why_beyond(order.goal)
+        why = await self.fence.why_beyond(order.goal)
         if why or "geofence" in told:
             await self._give_up(order)
             raise self._vehicle.error(f"{what} refused: {why or 'the goal is outside its own fence'}{told}")
@@ -308,6 +314,7 @@ class Motion:
         """The speed over ground for this motion and those that follow. Raises DeviceError."""
         if self._takes_speed:
             await self._change_speed(speed)
+            self._pace = speed
         self._speed = speed
 
     async def keep_speed(self) -> None:
@@ -320,7 +327,22 @@ class Motion:
         if self._in_guided and not self._steady:
             await self.halt(why)
         else:
+            self._slowed += 1
             await self._change_speed(speed)
+
+    @property
+    def faster(self) -> float | None:
+        """What it may be told again after it was told to be slower, once in a motion; else None."""
+        return (self._pace or self.wanted_speed) if self._slowed == 1 else None
+
+    async def speed_up(self, speed: float) -> None:
+        """Tell it a speed again after it was told to be slower. Raises DeviceError."""
+        await self._change_speed(speed)
+
+    @property
+    def was_slowed(self) -> bool:
+        """Whether it was told to be slower in this motion already."""
+        return self._slowed > 0
 
     @property
     def _takes_speed(self) -> bool:
@@ -328,7 +350,7 @@ class Motion:
 
         A rover refuses it otherwise, and a copter forgets it.
         """
-        return self._vehicle.profile.px4 or self._steady or self._state.mode == "AUTO"
+        return self._vehicle.profile.px4 or self._steady or self._state.mode == self._vehicle.profile.mission
 
     async def _keep_pace(self, speed: float) -> None:
         """Have control of a position begin where it is, with its own speed, and then tell it the wanted one.
@@ -353,4 +375,5 @@ class Motion:
         return self._state.mode == self._vehicle.profile.guided
 
     async def _change_speed(self, speed: float) -> None:
-        await self._vehicle.command("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, speed, -1.0)
+        told = self.orders.told_speed(self._state, speed)
+        await self._vehicle.command("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, told, -1.0)

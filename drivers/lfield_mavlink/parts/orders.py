@@ -23,6 +23,9 @@ from lfield_mavlink.modes import ARDUPILOT, PX4
 ONLY_POSITION, ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, ONLY_YAW = 0x0DF8, 0x0DC7, 0x05C7, 0x09FF
 #: MAV_DO_REPOSITION_FLAGS_CHANGE_MODE.
 _CHANGE_MODE = 1.0
+#: m/s by which PX4's rover drives faster than it is told, as recorded (1.5 for 1.0), and the least share of a
+#: speed that it is told because of that.
+_EXCESS, _LEAST_SHARE = 0.45, 0.5
 #: How far ahead on an orbit the goal is, in radians.
 _AHEAD = 0.5
 
@@ -53,8 +56,9 @@ class Order:
 
     First the mode is entered and the command is accepted; then the mode must be one of `modes`, and stays so
     until the motion is over. `target` gives the setpoint for the present position, to be sent every `period`
-    seconds; `speed` is the one over ground that it is flown with, where a setpoint does not say. `goal` is
-    the place that is farthest from home on the way, as far as it is known.
+    seconds; `speed` is the one over ground that it is flown with, where that is known: it is in the command,
+    or is told beside the setpoints. `goal` is the place that is farthest from home on the way, as far as it
+    is known.
     """
 
     modes: frozenset[str]
@@ -112,6 +116,9 @@ class Stack(Protocol):
     def orbit(self, state: VehicleState, circle: Circle) -> Order:
         """Around a place."""
 
+    def told_speed(self, state: VehicleState, speed: float) -> float:
+        """What it is to be told, so that it is not faster than `speed` over ground."""
+
 
 class ArduPilot:
     """Orders for ArduPilot: all in the mode GUIDED."""
@@ -150,6 +157,10 @@ class ArduPilot:
             self.guided, mode="GUIDED", target=ahead, period=0.2, speed=circle.speed, goal=circle.farthest
         )
 
+    def told_speed(self, state: VehicleState, speed: float) -> float:
+        """Just that."""
+        return speed
+
 
 class Px4:
     """Orders for PX4: what it does by itself ends by itself, in AUTO.LOITER."""
@@ -175,13 +186,18 @@ class Px4:
         radius = circle.radius if circle.clockwise else -circle.radius
         place = _global(state, circle.centre)
         command = Command(dialect.MAV_CMD_DO_ORBIT, (radius, circle.speed, None, None), place)
-        return Order(frozenset({"POSCTL.ORBIT"}), command=command, goal=circle.farthest)
+        modes = frozenset({"POSCTL.ORBIT"})
+        return Order(modes, command=command, speed=circle.speed, goal=circle.farthest)
+
+    def told_speed(self, state: VehicleState, speed: float) -> float:
+        """Less for a rover, which drives faster than it is told."""
+        return max(speed - _EXCESS, speed * _LEAST_SHARE) if state.kind == "rover" else speed
 
     def _reposition(
         self, state: VehicleState, goal: Vector | None, yaw: float | None, speed: float | None
     ) -> Order:
-        place, speed = _global(state, goal), -1.0 if speed is None else speed
-        command = Command(dialect.MAV_CMD_DO_REPOSITION, (speed, _CHANGE_MODE, 0.0, yaw), place)
+        place, told = _global(state, goal), -1.0 if speed is None else self.told_speed(state, speed)
+        command = Command(dialect.MAV_CMD_DO_REPOSITION, (told, _CHANGE_MODE, 0.0, yaw), place)
         return Order(self.hold, command=command, goal=goal)
 
 

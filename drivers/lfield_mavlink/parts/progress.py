@@ -121,3 +121,28 @@ class Turning:
         turned = abs(math.remainder(heading - self._heading, math.tau))
         self._since = None
         return turned < self.SHARE * min(should, math.pi)
+
+
+class Following:
+    """Whether a vehicle follows velocities that it is told again and again, in m/s; judged after JUDGED s."""
+
+    JUDGED, SHARE = 2.0, 1.0 / 3.0
+
+    def __init__(self) -> None:
+        self._since = self._last_at = -math.inf
+        self._said = False
+
+    def fails(self, asked: Vector, has: Vector, gap: float, now: float) -> bool:
+        """Take in that it is told a velocity; whether it has hardly moved that way until now, once.
+
+        After a `gap` of so many seconds it is told anew.
+        """
+        speed = math.hypot(*asked)
+        along = sum(a * h for a, h in zip(asked, has, strict=True))
+        renewed, self._last_at = now - self._last_at <= gap, now
+        if not renewed or along >= self.SHARE * speed**2:
+            self._since, self._said = now, False
+        if self._said or now - self._since < self.JUDGED:
+            return False
+        self._said = True
+        return True

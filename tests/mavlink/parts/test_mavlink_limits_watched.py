@@ -149,6 +149,26 @@ def test_ardupilot_is_told_its_speed_when_it_keeps_it(limited, kind):
     assert [note for note in b.notes if "limit" in note] == []
 
 
+def test_px4s_rover_is_told_less_since_it_drives_faster_than_it_is_told(limited):
+    b = limited(flavour="px4", kind="rover", limits={"speed": 2.0})
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        assert 1.8 < await fastest(b, fc.execute("goTo", [25.0, 0.0, 0.0])) <= 2.1
+        await asyncio.sleep(3.0)  # it rolls out
+        await fc.execute("setSpeed", [0.6])
+        assert 0.6 < await fastest(b, fc.execute("goTo", [32.0, 0.0, 0.0])) <= 0.8
+
+    b.run(mission)
+    told = [
+        round(m.param1 if m.command == dialect.MAV_CMD_DO_REPOSITION else m.param2, 2)
+        for data in b.sent for m in Reader().feed(data)
+        if getattr(m, "command", 0) in (dialect.MAV_CMD_DO_REPOSITION, dialect.MAV_CMD_DO_CHANGE_SPEED)
+    ]  # fmt: skip
+    assert told == [1.55, 0.3, 0.3]
+    assert [note for note in b.notes if "limit" in note] == []
+
+
 def test_a_speed_that_was_lost_is_said_and_told_again(limited):
     b = limited(limits={"speed": 3.0})
 
@@ -158,13 +178,36 @@ def test_a_speed_that_was_lost_is_said_and_told_again(limited):
         flight = asyncio.create_task(fc.execute("goTo", [60.0, 0.0, -5.0]))
         await asyncio.sleep(3.0)
         b.autopilot.pace.change(7.0)  # by another ground station
+        await asyncio.sleep(12.0)
+        assert b.values["groundSpeed"] == pytest.approx(3.0, abs=0.1)
         await flight
 
     b.run(mission)
+    assert b.notes.count("told 3 m/s again") == 1
     assert [note.split(", ", 1)[1] for note in b.notes if "beyond" in note] == [
         "beyond its limit of 3 m/s; told to be slower"
     ]
     assert "within its limit of 3 m/s again" in b.notes
+    assert b.breaches == []
+
+
+def test_what_is_too_fast_again_at_its_wanted_speed_stays_slower_for_this_motion(limited, monkeypatch):
+    b, set_speed = limited(limits={"speed": 3.0}), Autopilot.set_speed
+    monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: set_speed(self, 1.5 * speed))
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [5.0])
+        for goal in (70.0, 0.0):
+            await fc.execute("goTo", [goal, 0.0, -5.0])
+
+    b.run(mission)
+    said = [note.split("; ")[-1] for note in b.notes if "beyond" in note or "again" in note]
+    motion = [
+        "told to be slower", "within its limit of 3 m/s again", "told 3 m/s again",
+        "told to be slower for the rest of this motion", "within its limit of 3 m/s again",
+    ]  # fmt: skip
+    assert said == motion * 2
     assert b.breaches == []
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from lfield.errors import DeviceError
 from lfield_mavlink.parts.orders import Circle, Patience
-from lfield_mavlink.parts.progress import Arrival, Progress, Turning
+from lfield_mavlink.parts.progress import Arrival, Following, Progress, Turning
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.vehicle import Reach
 
@@ -101,6 +101,18 @@ def test_what_steers_like_a_car_says_that_it_does_not_turn_on_the_spot(bench):
     assert b.autopilot.mode == "HOLD"
 
 
+def test_a_rover_may_drive_round_on_its_way_to_a_circle(bench):
+    b = bench(kind="rover")
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("orbit", [-6.0, 0.0, 0.0, 3.0, 0.5, 0.25])
+
+    b.run(mission)
+    north, east, _ = b.autopilot.vehicle.place
+    assert math.hypot(north + 6.0, east) == pytest.approx(3.0, abs=2.0)
+
+
 def test_a_rate_is_judged_by_what_it_should_have_turned():
     turning, slow = Turning(), Turning()
     assert not any(turning.fails(0.5, 0.5 * n * 0.4, 1.0, n * 0.4) for n in range(40))
@@ -168,6 +180,30 @@ def test_ardupilots_fence_is_named_when_it_ignores_a_goal(bench, monkeypatch):
         await fc.execute("goTo", [10.0, 0.0, -5.0])
 
     b.run(mission)
+
+
+def test_its_fence_is_named_once_when_it_does_not_follow_a_velocity(bench):
+    """As recorded: its avoidance stops ArduPilot before its fence, and it says nothing."""
+    b = bench()
+    b.autopilot.parameters.update(FENCE_ENABLE=1, FENCE_TYPE=7, FENCE_RADIUS=20, FENCE_ALT_MAX=50)
+
+    async def mission(fc):
+        await up(fc)
+        for _ in range(60):
+            await fc.execute("setVelocity", [3.0, 0.0, 0.0])
+            await asyncio.sleep(0.3)
+
+    b.run(mission)
+    (said,) = [note for note in b.notes if "hardly moved" in note]
+    assert said.startswith("setVelocity has hardly moved it for 2 s: 5 m ahead is 2")
+    assert said.endswith(" m from home, and its own fence FENCE_RADIUS ends at 20 m")
+
+
+def test_a_velocity_of_nothing_is_followed_by_what_stands():
+    following, still = Following(), (0.0, 0.0, 0.0)
+    assert not any(following.fails(still, still, 0.5, 0.3 * n) for n in range(20))
+    slow = [following.fails((0.0, 3.0, 0.0), (1.0, 0.9, 0.0), 0.5, 6.0 + 0.3 * n) for n in range(20)]
+    assert slow.count(True) == 1
 
 
 def test_px4s_fence_is_named_as_soon_as_it_says_so(bench, monkeypatch):

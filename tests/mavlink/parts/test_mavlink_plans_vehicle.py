@@ -122,6 +122,10 @@ def test_a_mission_that_others_made_is_held_to_the_limits(bench, flavour):
             DeviceError, match=r"startMission: waypoint 0 refused: .* beyond the limit of 50 m"
         ):
             await fc.execute("startMission", [])
+        before, mode = len(b.sent), "auto.mission" if flavour == "px4" else "auto"
+        with pytest.raises(DeviceError, match=rf"setMode refused: {mode.upper()} .* call startMission\(\)"):
+            await fc.execute("setMode", [mode])
+        assert len(b.sent) == before
 
     b.run(mission)
 

@@ -279,7 +279,7 @@ def test_a_refusal_counts_only_for_the_mode_that_it_is_about(px4, monkeypatch):
         assert b.values["mode"] == "AUTO.LAND"
         start = asyncio.get_running_loop().time()
         with pytest.raises(DeviceError, match=r"AUTO.MISSION refused, .*Mission is currently not available"):
-            await fc.execute("setMode", ["AUTO.MISSION"])
+            await fc.motion.set_mode("AUTO.MISSION")
         assert asyncio.get_running_loop().time() - start < 1.5
 
     b.run(mission)
