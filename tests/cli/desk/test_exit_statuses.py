@@ -68,6 +68,8 @@ ELSEWHERE: dict[tuple[str, int], str] = {
     ("up", 73): "run/test_up_dumps.py",
     ("up", 76): "run",
     ("estop", 3): "team",
+    ("setup", 1): "robot/test_setup_command.py",
+    ("setup", 73): "robot/test_setup_command.py",
     ("kit", 1): "robot/test_kit_command.py",
     ("kit", 3): "robot/test_kit_command.py",
 }
