@@ -127,6 +127,13 @@ def test_a_stream_that_is_closed_is_no_bug(files, streams: str) -> None:
     assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 66
 
 
+@pytest.mark.parametrize("command", ["--help", "disasm mission.L", "driver list"])
+@pytest.mark.parametrize("stream", [">&-", ">/dev/full"])
+def test_what_is_printed_and_finds_no_room_is_a_failure(files, command: str, stream: str) -> None:
+    line = f"{sys.executable} -m lfield {command} {stream}"
+    assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 74
+
+
 #: Interrupts itself while the command is being imported.
 INTERRUPTED = """
 import _thread, sys
