@@ -156,6 +156,7 @@ async def set_up(found: Sequence[Found], kept: Kept, when: str, tell: Tell) -> N
     if problems:
         raise DevicesError(problems)
     kept.add([_entry(each, when) for each in meant])
+    tell(f"what is there now is kept in {kept.path}; 'lfield setup --back' puts it back")
     problems = await _tried(meant, lambda each: _write(each, tell))
     if problems:
         raise DevicesError(problems)

@@ -12,13 +12,13 @@ from lfield.capability.reading.reader import is_shipped
 from lfield.capability.types.language import RegistryTypes
 from lfield.capability.types.live_units import settle_live
 from lfield.driver.plugins import Plugins, discover
-from lfield.errors import Finding, InputFileError, ProgramError, ProgramFileError
+from lfield.errors import DamagedFileError, Finding, InputFileError, ProgramError, ProgramFileError
 from lfield.lang.deployment import read_deployment
 from lfield.mission import bundle
 from lfield.mission.bindings_file import read_bindings
 from lfield.mission.mission import Mission, makers_of, needed_devices
 from lfield.mission.team import parse_maps, team_of
-from lfield.text.files import read_head, reason
+from lfield.text.files import look_at, read_head, reason
 from lfield.text.source import Diagnostic, Diagnostics
 from lfield.vm.offers import ways
 
@@ -39,6 +39,7 @@ def load_mission(
     The program is `NAME.L` beside `NAME.dL`, the devices `NAME.devices.yaml`, what the mission adds to the
     registry `NAME.capabilities.yaml`, unless they are given.
     """
+    _check_deployment(deploy)
     plugins = discover()
     types = _registry_types(capabilities or beside(deploy, CAPABILITIES), deploy)
     loaded, warnings = _program(program or deploy.with_suffix(".L"), plugins, types)
@@ -53,6 +54,13 @@ def load_mission(
     shown = tuple(warning.render() for warning in warnings)
     mission = Mission(deploy.stem, loaded, team, bindings, drivers, registry, shown)
     return mission.at(team.at(parse_maps(maps, team))) if maps else mission
+
+
+def _check_deployment(path: Path) -> None:
+    """From a deployment's name are those of its other files made: another kind is told as what it is."""
+    look_at(path)
+    if path.suffix != ".dL":
+        raise DamagedFileError(str(path), "neither a deployment (.dL) nor a bundle (.lfm)")
 
 
 def open_mission(path: Path, devices: Path | None = None) -> Mission:
@@ -148,6 +156,7 @@ def compile_file(
     from lfield.compiler.build import compile_program
     from lfield.lang.frontend import check_file as check_program
 
+    look_at(path)
     known = plugins if plugins is not None else discover()
     checked = check_program(
         path,
@@ -167,6 +176,7 @@ def check_file(path: Path) -> Sequence[Finding]:
             return compile_file(path)[1]
         except ProgramError as error:
             return error.diagnostics
+    look_at(path)
     beside = path.with_suffix(".L")
     units: Mapping[str, UnitKind] | None = None
     found: list[Finding] = []

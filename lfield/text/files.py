@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 from pathlib import Path
 
 from lfield.errors import InputFileError
@@ -11,6 +12,22 @@ from lfield.text.source import Source, Span
 
 #: The largest file of a program, or deployment, in bytes.
 MAX_TEXT = 16 << 20
+
+
+def named_file(word: str) -> Path:
+    """The file that a word of a command line names. Raises InputFileError for an empty one."""
+    if not word:
+        raise InputFileError("''", "the name is empty")
+    return Path(word)
+
+
+def look_at(path: Path) -> None:
+    """See that there is such a file before others are named after it. Raises InputFileError."""
+    try:
+        if stat.S_ISDIR(path.stat().st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    except (OSError, ValueError) as error:
+        raise InputFileError(str(path), reason(error)) from None
 
 
 def read_bytes(path: Path, most: int) -> bytes:

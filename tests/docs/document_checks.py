@@ -13,6 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
+import yaml as parsed
 from document_blocks import Block, shell_lines
 from msgspec import structs
 
@@ -100,11 +101,22 @@ def yaml(block: Block, folder: Path) -> Problems:
         return [f"there is no rule for '{block.info}'"]
     path = folder / (block.file or f"block{block.line}.yaml")
     path.write_text(text, encoding="utf-8")
+    if unreadable := _unreadable(text):
+        return unreadable
     if re.search(r"^registry:", text, re.MULTILINE):
         return [finding.render() for finding in check_files(mission=path)[1]]
     devices: list[DeviceBinding] = []
     problems = sentences(lambda: devices.extend(_bound(path)))
     return problems if words[:1] == ["options"] else problems + opened(devices)
+
+
+def _unreadable(text: str) -> Problems:
+    """What keeps a text from being YAML with a mapping or a list in it."""
+    try:
+        found = parsed.safe_load(text)
+    except parsed.YAMLError as error:
+        return [f"no YAML: {' '.join(str(error).split())}"]
+    return [] if isinstance(found, dict | list) else ["there is neither a mapping nor a list in it"]
 
 
 def _bound(path: Path) -> list[DeviceBinding]:

@@ -201,6 +201,8 @@ def test_every_kind_of_fence_is_found() -> None:
             "fc: {driver: mavlink, endpoint: x, limits: {speed: 5.0}}\n",
             "it has a watchdog of 2 s",
         ),
+        ("yaml", "agents: {a: [\n", "no YAML"),
+        ("yaml", "agents\n", "neither a mapping nor a list"),
         ("yaml options mavlink", "wings: 2\n", "'wings'"),
         ("json", "{", "Expecting"),
         ("python", "def", "invalid syntax"),

@@ -34,7 +34,6 @@ SMALL = {
     "lfield/simulate/time.py": "the jumping clock",
     "lfield/testing/offers.py": "a team for golden programs",
     "lfield/testing/reports.py": "the guard's end of a driver, for tests",
-    "lfield/text/files.py": "reading files, with what can be wrong with them",
     "lfield/text/findings.py": "the table class of all findings",
     "lfield/text/values.py": "values of devices in words",
     "lfield/vm/inspect/traceback.py": "where a thread stands",

@@ -7,12 +7,17 @@ import sys
 from pathlib import Path
 
 from lfield import exits
+from lfield.text.files import named_file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     parser.add_argument(
-        "files", metavar="FILE.L", nargs="+", type=Path, help="programs, deployments (.dL) and bundles (.lfm)"
+        "files",
+        metavar="FILE.L",
+        nargs="+",
+        type=named_file,
+        help="programs, deployments (.dL) and bundles (.lfm)",
     )
 
 

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield.text.files import named_file
+
 if TYPE_CHECKING:
     from lfield.vm.inspect.decode import BlockView, ThreadView
 
@@ -13,7 +15,10 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     parser.add_argument(
-        "file", metavar="FILE", type=Path, help="a dump of 'lfield up --dump DIR', a bundle or a deployment"
+        "file",
+        metavar="FILE",
+        type=named_file,
+        help="a dump of 'lfield up --dump DIR', a bundle or a deployment",
     )
 
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from lfield.cli.mission_argument import add_mission, mission_path, setup_command
 from lfield.errors import DevicesError, OutputFileError, UsageError
+from lfield.text.files import named_file
 
 if TYPE_CHECKING:
     from lfield.mission.mission import Mission
@@ -26,9 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--host", metavar="NAME", help="the host to run here (default: this machine's own)")
     where.add_argument("--all", action="store_true", help="run every host as a process of its own, here")
-    parser.add_argument("--program", metavar="FILE", type=Path, help="L text or program file (default: M.L)")
     parser.add_argument(
-        "--devices", metavar="FILE", type=Path, help="device bindings (default: M.devices.yaml)"
+        "--program", metavar="FILE", type=named_file, help="L text or program file (default: M.L)"
+    )
+    parser.add_argument(
+        "--devices", metavar="FILE", type=named_file, help="device bindings (default: M.devices.yaml)"
     )
     parser.add_argument(
         "--sim", action="store_true", help="bind every device to its fake, and start the fakes"

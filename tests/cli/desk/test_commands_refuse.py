@@ -113,6 +113,22 @@ def test_a_file_that_is_not_what_it_should_be(lfield, refused, good, command, na
     assert not (lfield.folder / "out.lb").exists()
 
 
+@pytest.mark.parametrize(
+    "command",
+    ["check", "build", "disasm", "inspect", "up --all", "setup --deploy", "doctor --deploy"],
+)
+def test_a_name_from_which_no_other_can_be_made(here, command):
+    for name, words in (("", "'': the name is empty"), (".", ".: is a dir"), ("/", "/: is a dir")):
+        done = here(*command.split(), name)
+        assert done.status == 66, done.err
+        assert f"lfield: cannot read {words}" in "\n".join(done.err)
+
+
+def test_what_is_no_mission_is_told_by_its_own_name(refused):
+    refused(65, "cannot read /dev/null: neither a deployment", "setup", "--deploy", "/dev/null")
+    refused(66, "cannot read none.dL: no such file", "up", "none.dL", "--all")
+
+
 def test_an_endless_file_in_place_of_the_program(lfield, refused, good):
     refused(65, "not a sound L program", "disasm", "/dev/zero")
 

@@ -68,6 +68,8 @@ ELSEWHERE: dict[tuple[str, int], str] = {
     ("up", 73): "run/test_up_dumps.py",
     ("up", 76): "run",
     ("estop", 3): "team",
+    ("setup", 1): "robot/test_setup_command.py",
+    ("setup", 73): "robot/test_setup_command.py",
     ("kit", 1): "robot/test_kit_command.py",
     ("kit", 3): "robot/test_kit_command.py",
 }
@@ -123,6 +125,13 @@ def test_it_ends_with_it(files, here, command: str, status: int) -> None:
 def test_a_stream_that_is_closed_is_no_bug(files, streams: str) -> None:
     line = f"{sys.executable} -m lfield check mission.L none.L {streams}"
     assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 66
+
+
+@pytest.mark.parametrize("command", ["--help", "disasm mission.L", "driver list"])
+@pytest.mark.parametrize("stream", [">&-", ">/dev/full"])
+def test_what_is_printed_and_finds_no_room_is_a_failure(files, command: str, stream: str) -> None:
+    line = f"{sys.executable} -m lfield {command} {stream}"
+    assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 74
 
 
 #: Interrupts itself while the command is being imported.

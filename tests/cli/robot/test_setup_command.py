@@ -95,6 +95,18 @@ def test_what_somebody_else_has_written_since_is_left_alone(setup, endpoint):
     assert back.err[0] == "kit.device: FS_GCS_ENABLE is 7, by somebody else: left alone; it was 0 before"
 
 
+def test_what_cannot_be_kept_is_not_written(lfield, setup, endpoint, monkeypatch):
+    lfield.write("plain", "")
+    words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0")
+    done = setup(*words, "--yes", state="plain/state")
+    assert done.status == 73, done.err
+    assert not any("is kept in" in line or " is now " in line for line in done.out), done.out
+    monkeypatch.setattr("lfield.cli.robot.setup._agreed", lambda: False)
+    asked = setup(*words)
+    assert (asked.status, asked.out[-1]) == (1, "nothing was written")
+    assert ["FS_GCS_ENABLE", "0", "5"] in [line.split()[1:4] for line in asked.out]
+
+
 def test_a_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
     words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--set", "limits={speed: 3.0}")
     kept = lfield.folder / "state" / "setup.json"
