@@ -131,6 +131,7 @@ def test_first_flight(lfield):
     flight = lfield.start(
         "up", "--deploy", EXAMPLES / "01-first-flight" / "mission.dL", "--all", "--sim", "--until-done"
     )
+    flight.wait_for("lead: landed")
     flight.wait_for("wing: landed")
     assert flight.wait() == 0, flight.said
     lines = [line.partition(" | ")[2] for line in flight.out]

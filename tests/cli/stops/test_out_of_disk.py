@@ -18,7 +18,7 @@ DYING = (
 coordinator Careless { init(string[] arg) { sleep(s2f(arg[1])); print(i2s(1 / (arg.length() - 2))); } }
 """
 )
-AGENTS = "//Careless:tom@alpha?4.0\n"
+AGENTS = "//Careless:tom@alpha?20.0\n"
 
 
 def fill(pid: int) -> None:

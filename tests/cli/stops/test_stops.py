@@ -129,5 +129,5 @@ def test_a_vehicle_in_a_pilots_hands_is_left_to_him_and_named(flight):
     assert flown.host.wait() == 3, flown.host.said
     (line,) = [line for line in flown.host.err if "NOT SAFE" in line]
     assert "flown by a pilot in LOITER, " in line
+    # Where it is by then tells nothing: without a transmitter an ArduCopter sinks in LOITER.
     assert flown.witness.mode == "LOITER"
-    assert flown.witness.height > 2.0
