@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -71,6 +72,12 @@ def test_no_folder_has_more_than_14_files() -> None:
     for path in files(*EVERYTHING):
         counts[name_of(path.parent)] = counts.get(name_of(path.parent), 0) + 1
     assert {folder: count for folder, count in counts.items() if count > MOST_FILES} == {}
+
+
+def test_no_two_test_files_have_one_name() -> None:
+    """pytest imports them by their bare names, and refuses the second where both are collected."""
+    names = Counter(path.name for path in files("tests", "examples") if path.name.startswith("test_"))
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 def test_a_file_is_one_idea_of_60_to_400_lines() -> None:
