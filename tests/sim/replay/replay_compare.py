@@ -13,10 +13,10 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 from replay_player import IDS, Played, is_motion
 from replay_services import services
+from replay_table import Difference, Figures, once
 from replay_trace import PRE_ARM, Line, Trace
 
 from lfield_sim.autopilot.autopilot import FLAVOURS
@@ -27,6 +27,8 @@ from lfield_sim.autopilot.flavours import Result
 STATE_TIME, STATE_SHARE = 1.4, 0.1
 #: Texts come with a state or an input; some wait for the next second.
 TEXT_TIME = 2.0
+#: Waiting for the fake is done for a second without a word.
+HOLD_TIME = 1.0
 #: Acknowledgements: 0.001 to 0.03 of one loop, 0.1 for what waits for the next 10 Hz, 0.3 when the computer
 #: was busy.
 ACK_TIME = 0.35
@@ -41,27 +43,18 @@ RATE, RATE_SHARE = 0.17, 0.15
 FIRST_TIME, FIRST_SHARE = 1.7, 0.02
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Difference:
-    """One thing that the fake did otherwise."""
-
-    key: str
-    detail: str = ""
-
-
 def differences(real: Trace, played: Played) -> list[Difference]:
     """All of one recording, each key once, in the order of time."""
     comparisons: list[Callable[[Trace, Played], Iterator[Difference]]] = [
         _holds, _acknowledgements, _texts, _states, _motions, _firsts, _rates, _came, _heights,
     ]  # fmt: skip
     found = [each for compare in comparisons for each in compare(real, played)]
-    found += [Difference(*each) for each in services(real, played.trace)]
-    return list({each.key: each for each in found}.values())
+    return once([*found, *services(real, played.trace)])
 
 
 def _holds(_: Trace, played: Played) -> Iterator[Difference]:
     for t, seconds, what in played.holds:
-        yield Difference(f"{t:.1f} not {what} yet", f"{seconds:.1f} s later")
+        yield Difference(f"{t:.1f} not {what} yet", figures=Figures(None, seconds, HOLD_TIME))
 
 
 # -- acknowledgements ------------------------------------------------------------------------------------
@@ -78,10 +71,8 @@ def _acknowledgements(real: Trace, played: Played) -> Iterator[Difference]:
         if said != told:
             yield Difference(f"{what}: {said} / {told}")
         elif ours and abs(ours[0].t - theirs[0].t) > ACK_TIME:
-            yield Difference(
-                f"{what}: time of the acknowledgement",
-                f"{ours[0].t - line.t:.2f} / {theirs[0].t - line.t:.2f} s",
-            )
+            times = Figures(ours[0].t - line.t, theirs[0].t - line.t, ACK_TIME)
+            yield Difference(f"{what}: time of the acknowledgement", figures=times)
 
 
 def _acks(trace: Trace, line: Line, end: float) -> list[Line]:
@@ -136,8 +127,14 @@ def _texts(real: Trace, played: Played) -> Iterator[Difference]:
         else:
             missing[text] += 1
     extra = Counter(text for _, text in theirs)
-    yield from (Difference(f"text missing: {text}", f"{count} times") for text, count in missing.items())
-    yield from (Difference(f"text too many: {text}", f"{count} times") for text, count in extra.items())
+    said = Counter(text for _, text in texts(real))
+    for text, count in missing.items():
+        yield Difference(
+            f"text missing: {text}", figures=Figures(said[text], said[text] - count, 0.0, "times")
+        )
+    for text, count in extra.items():
+        same = said[text] - missing[text]
+        yield Difference(f"text too many: {text}", figures=Figures(same, same + count, 0.0, "times"))
 
 
 def _input_before(trace: Trace, t: float) -> float:
@@ -193,7 +190,11 @@ def _apart(
             start, mine, other = begun
             if t - start > STATE_TIME + STATE_SHARE * min(start - _input_before(real, start), 40.0):
                 when = _input_before(real, start)
-                yield Difference(f"{when:.1f} {field}: {mine} / {other}", f"from {start:.1f} to {t:.1f}")
+                yield Difference(
+                    f"{when:.1f} {field}: {mine} / {other}",
+                    f"from {start:.1f} to {t:.1f}",
+                    Figures(None, t - start, STATE_TIME),
+                )
             begun = None
         if begun is None and pair[0] != pair[1]:
             begun = t, *pair
@@ -220,13 +221,14 @@ def _motions(real: Trace, played: Played) -> Iterator[Difference]:
         ours, theirs = (trace.between(start, end, "LOCAL_POSITION_NED") for trace in (real, played.trace))
         if len(ours) < 4 or len(theirs) < 4:
             continue
-        for what, measure, slack, share in (
-            ("top speed", _top_speed, SPEED, SPEED_SHARE), ("way", _way, DISTANCE, DISTANCE_SHARE),
-            ("climb", _climb, HEIGHT, DISTANCE_SHARE),
-        ):  # fmt: skip
+        for what, measure, slack, share, unit in (
+            ("top speed", _top_speed, SPEED, SPEED_SHARE, "m/s"),
+            ("way", _way, DISTANCE, DISTANCE_SHARE, "m"),
+            ("climb", _climb, HEIGHT, DISTANCE_SHARE, "m"),
+        ):
             a, b = measure(ours), measure(theirs)
             if abs(a - b) > slack + share * abs(a):
-                yield Difference(f"{start:.1f} {what}", f"{a:.2f} / {b:.2f}")
+                yield Difference(f"{start:.1f} {what}", figures=Figures(a, b, slack, unit))
         yield from _turn(real, played.trace, start, end)
 
 
@@ -253,8 +255,9 @@ def _turn(real: Trace, fake: Trace, start: float, end: float) -> Iterator[Differ
         steps = itertools.pairwise(lines)
         turns.append(sum(math.remainder(b.get("yaw") - a.get("yaw"), math.tau) for a, b in steps))
     ours, theirs = (math.degrees(turn) for turn in turns)
-    if abs(math.remainder(ours - theirs, 360.0)) > HEADING + DISTANCE_SHARE * min(abs(ours), 180.0):
-        yield Difference(f"{start:.1f} turn", f"{ours:.0f} / {theirs:.0f} degrees")
+    apart = math.remainder(theirs - ours, 360.0)
+    if abs(apart) > HEADING + DISTANCE_SHARE * min(abs(ours), 180.0):
+        yield Difference(f"{start:.1f} turn", figures=Figures(ours, ours + apart, HEADING, "degrees"))
 
 
 # -- what is only in some recordings ---------------------------------------------------------------------
@@ -275,8 +278,10 @@ def _firsts(real: Trace, played: Played) -> Iterator[Difference]:
         ("pre-arm bit", "SYS_STATUS", lambda m: bool(int(m.get("onboard_control_sensors_health")) & PRE_ARM)),
     ):
         a, b = real.first(kind, is_so), played.trace.first(kind, is_so)
-        if (a is None) != (b is None) or (a and b and abs(a - b) > FIRST_TIME + FIRST_SHARE * a):
-            yield Difference(f"first {what}", f"{a} / {b and round(b, 2)}")
+        if (a is None) != (b is None):
+            yield Difference(f"first {what}: is {'not ' if a is None else ''}told")
+        elif a and b and abs(a - b) > FIRST_TIME + FIRST_SHARE * a:
+            yield Difference(f"first {what}", figures=Figures(a, b, FIRST_TIME))
 
 
 def _rates(real: Trace, played: Played) -> Iterator[Difference]:
@@ -293,7 +298,8 @@ def _rates(real: Trace, played: Played) -> Iterator[Difference]:
             counted = sum(note.t - seconds <= t < note.t for t in played.counts.get(kind, ())) / seconds
             rate = told.get(kind, 0.0)
             if abs(rate - counted) > RATE + RATE_SHARE * rate:
-                yield Difference(f"{note.t:.0f} rate of {kind}", f"{rate:g} / {counted:.1f} a second")
+                rates = Figures(rate, counted, RATE, "a second")
+                yield Difference(f"{note.t:.0f} rate of {kind}", figures=rates)
 
 
 def _window(text: str) -> float:
@@ -332,7 +338,7 @@ def _heights(real: Trace, played: Played) -> Iterator[Difference]:
         ):
             a, b = (_spread(trace.between(start, note.t, kind), value) for trace in (real, played.trace))
             if seconds and a is not None and b is not None and abs(a - b) > slack + 0.4 * a:
-                yield Difference(f"{note.t:.0f} {what} moves", f"by {a:.2f} / {b:.2f} m")
+                yield Difference(f"{note.t:.0f} {what} moves", figures=Figures(a, b, slack, "m"))
         yield from _home(real, played.trace, note.t)
 
 
@@ -347,8 +353,9 @@ def _home(real: Trace, fake: Trace, t: float) -> Iterator[Difference]:
     if ours is None or theirs is None or high is None or low is None:
         return
     for axis, slack in (("x", 1.0), ("y", 1.0), ("z", 1.5)):
-        if abs(ours.get(axis) - theirs.get(axis)) > slack:
-            yield Difference(f"{t:.0f} home's {axis}", f"{ours.get(axis):.1f} / {theirs.get(axis):.1f}")
+        a, b = ours.get(axis), theirs.get(axis)
+        if abs(a - b) > slack:
+            yield Difference(f"{t:.0f} home's {axis}", figures=Figures(a, b, slack, "m"))
     a, b = high.get("relative_alt") / 1000, low.get("relative_alt") / 1000
     if abs(a - b) > 2.0:
-        yield Difference(f"{t:.0f} relative_alt", f"{a:.1f} / {b:.1f}")
+        yield Difference(f"{t:.0f} relative_alt", figures=Figures(a, b, 2.0, "m"))

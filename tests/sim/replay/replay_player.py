@@ -145,7 +145,7 @@ class _Player:
     # -- waiting for the fake -------------------------------------------------------------------------
 
     def _hold(self, line: Line) -> None:
-        missing = self._missing(line)
+        missing = wanted = self._missing(line)
         if not missing:
             self.patient = True
             return
@@ -161,7 +161,7 @@ class _Player:
         if missing:
             self.patient = False
         if waited > 1.0:
-            self.holds.append((line.t, waited, self._missing(line) or "late"))
+            self.holds.append((line.t, waited, wanted))
 
     def _missing(self, line: Line) -> str:
         """What the real one had done by now and the fake has not, "" when nothing."""

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator
 
+from replay_table import Difference, Figures
 from replay_trace import Line, Trace
 
 #: Seconds: a parameter is told 0.001 to 0.03 after it was asked for, or 0.1 late (0.09 to 0.13).
@@ -25,11 +26,9 @@ PLANS = (
 )
 ASKING = (*PLANS, "MISSION_REQUEST_LIST", "MISSION_CLEAR_ALL", "MISSION_SET_CURRENT")
 
-Found = tuple[str, str]
 
-
-def services(real: Trace, fake: Trace) -> Iterator[Found]:
-    """Keys and details."""
+def services(real: Trace, fake: Trace) -> Iterator[Difference]:
+    """All of one recording, in no order."""
     yield from _parameters(real, fake)
     yield from _plans(real, fake)
     yield from _reached(real, fake)
@@ -41,7 +40,7 @@ def services(real: Trace, fake: Trace) -> Iterator[Found]:
 # -- parameters ------------------------------------------------------------------------------------------
 
 
-def _parameters(real: Trace, fake: Trace) -> Iterator[Found]:
+def _parameters(real: Trace, fake: Trace) -> Iterator[Difference]:
     asked = [line for line in real.inputs if line.type in ("PARAM_REQUEST_READ", "PARAM_SET")]
     late: Line | None = None
     for line in asked:
@@ -57,9 +56,10 @@ def _parameters(real: Trace, fake: Trace) -> Iterator[Found]:
         what = f"{line.t:.1f} {_question(line)}"
         mine, other = _value(ours), _value(theirs)
         if mine != other:
-            yield f"{what}: {mine} / {other}", ""
+            yield Difference(f"{what}: {mine} / {other}")
         elif ours and abs(ours[0].t - theirs[0].t) > PARAMETER_TIME:
-            yield f"{what}: time", f"{ours[0].t - line.t:.3f} / {theirs[0].t - line.t:.3f} s"
+            times = Figures(ours[0].t - line.t, theirs[0].t - line.t, PARAMETER_TIME)
+            yield Difference(f"{what}: time", figures=times)
 
 
 def _name(line: Line) -> object:
@@ -95,7 +95,7 @@ def _value(lines: list[Line]) -> str:
 # -- plans -----------------------------------------------------------------------------------------------
 
 
-def _plans(real: Trace, fake: Trace) -> Iterator[Found]:
+def _plans(real: Trace, fake: Trace) -> Iterator[Difference]:
     asked = [line for line in real.inputs if line.type in ASKING]
     for number, line in enumerate(asked):
         after = asked[number + 1].t if number + 1 < len(asked) else line.t + PLAN_WINDOW
@@ -104,11 +104,14 @@ def _plans(real: Trace, fake: Trace) -> Iterator[Found]:
         what = f"{line.t:.2f} {_brief(line)}"
         mine, other = (", ".join(_brief(each) for each in lines) or "nothing" for lines in (ours, theirs))
         if mine != other:
-            yield f"{what}: {mine} / {other}", ""
-        elif any(abs(a.t - b.t) > PLAN_TIME for a, b in zip(ours, theirs, strict=True)):
-            yield (
+            yield Difference(f"{what}: {mine} / {other}")
+        elif (
+            apart := max((abs(a.t - b.t) for a, b in zip(ours, theirs, strict=True)), default=0.0)
+        ) > PLAN_TIME:
+            yield Difference(
                 f"{what}: times",
                 f"{[round(a.t - line.t, 2) for a in ours]} / {[round(b.t - line.t, 2) for b in theirs]}",
+                Figures(None, apart, PLAN_TIME),
             )
 
 
@@ -128,30 +131,28 @@ def _brief(line: Line) -> str:
     return text + (f" of plan {fields['mission_type']}" if fields.get("mission_type") else "")
 
 
-def _reached(real: Trace, fake: Trace) -> Iterator[Found]:
+def _reached(real: Trace, fake: Trace) -> Iterator[Difference]:
     starts = [line.t for line in real.inputs if line.fields.get("command") == 300]
     ours, theirs = real.out("MISSION_ITEM_REACHED"), fake.out("MISSION_ITEM_REACHED")
     for seq in sorted({int(line.get("seq")) for line in [*ours, *theirs]}):
         a, b = ([line.t for line in lines if line.get("seq") == seq] for lines in (ours, theirs))
         if not a or not b:
-            yield f"item {seq} reached: {'never' if not b else 'too much'}", f"{a} / {b}"
+            yield Difference(f"item {seq} reached: {'never' if not b else 'too much'}", f"{a} / {b}")
             continue
         since = max((t for t in starts if t <= a[0]), default=0.0)
         if abs(a[0] - b[0]) > REACH_TIME + REACH_SHARE * (a[0] - since):
-            yield f"item {seq} reached: time", f"{a[0]:.1f} / {b[0]:.1f}"
+            yield Difference(f"item {seq} reached: time", figures=Figures(a[0], b[0], REACH_TIME))
         if (len(a) > 1) != (len(b) > 1):
-            yield (
-                f"item {seq} reached: told {'once' if len(a) > 1 else 'again and again'}",
-                f"{len(a)} / {len(b)}",
-            )
+            told = "once" if len(a) > 1 else "again and again"
+            yield Difference(f"item {seq} reached: told {told}", f"{len(a)} / {len(b)}")
 
 
-def _logs(real: Trace, fake: Trace) -> Iterator[Found]:
+def _logs(real: Trace, fake: Trace) -> Iterator[Difference]:
     for line in real.inputs:
         if line.type == "LOG_REQUEST_LIST":
             ours, theirs = (len(trace.between(line.t, line.t + 2.0, "LOG_ENTRY")) for trace in (real, fake))
             if (ours > 0) != (theirs > 0):
-                yield f"{line.t:.1f} log entries: {ours} / {theirs}", ""
+                yield Difference(f"{line.t:.1f} log entries: {ours} / {theirs}")
 
 
 # -- files -----------------------------------------------------------------------------------------------
@@ -162,7 +163,7 @@ ERRORS = (
 )  # fmt: skip
 
 
-def _files(real: Trace, fake: Trace) -> Iterator[Found]:
+def _files(real: Trace, fake: Trace) -> Iterator[Difference]:
     """The recorder left the replies out; what it concluded is held against what the fake replied."""
     block: list[Line] = []
     for line in real.lines:
@@ -173,28 +174,29 @@ def _files(real: Trace, fake: Trace) -> Iterator[Found]:
             block = []
 
 
-def _block(fake: Trace, text: str, asked: list[Line]) -> Iterator[Found]:
+def _block(fake: Trace, text: str, asked: list[Line]) -> Iterator[Difference]:
     wanted = _results(text, asked)
     for line, result in zip(asked, wanted, strict=True):
         reply = _reply(fake, line)
         told = "no answer" if reply is None else _word(reply)
         if result and result != told:
             name = str(line.fields["data"]).replace("\0", " ") if line.fields["op"] != "write" else ""
-            yield f"file {line.fields['seq']} {line.fields['op']} {name}: {result} / {told}", ""
+            yield Difference(f"file {line.fields['seq']} {line.fields['op']} {name}: {result} / {told}")
         elif reply is not None and not reply.fields["nak"]:
             yield from _contents(text, line, reply, alone=len(asked) == 1)
 
 
-def _contents(text: str, line: Line, reply: Line, *, alone: bool) -> Iterator[Found]:
+def _contents(text: str, line: Line, reply: Line, *, alone: bool) -> Iterator[Difference]:
     """The size that was told, the checksum, or the bytes of the only reply: what the recorder wrote down."""
     pattern = {"open_ro": r"size told (\d+)", "crc": r"CRC (?:of it: )?(0x[0-9a-f]+)"}.get(line.fields["op"])
     noted = re.search(pattern, text) if pattern else None
     data = re.search(r"ACK session \d+ size \d+ offset \d+ data (b'.*'|b\".*\")$", text) if alone else None
     what = f"file {line.fields['seq']} {line.fields['op']}"
     if noted and int(noted[1], 0) != int.from_bytes(reply.fields["data"][:4], "little"):
-        yield f"{what}: another {'size' if line.fields['op'] == 'open_ro' else 'checksum'}", noted[1]
+        size_or_sum = "size" if line.fields["op"] == "open_ro" else "checksum"
+        yield Difference(f"{what}: another {size_or_sum}", noted[1])
     elif data and ast.literal_eval(data[1]) != reply.fields["data"]:
-        yield f"{what}: other bytes", f"{data[1]} / {reply.fields['data']!r}"
+        yield Difference(f"{what}: other bytes", f"{data[1]} / {reply.fields['data']!r}")
 
 
 def _results(text: str, asked: list[Line]) -> list[str]:
