@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from lfield_sim.autopilot.flavours import Control, Kind, Result, Role, Severity
+from lfield_sim.autopilot.flavours import Control, Kind, Result, Role
 from lfield_sim.autopilot.flight import fly, suffer
 from lfield_sim.autopilot.lifting import begin_takeoff, disarm_when_idle, rise
 from lfield_sim.autopilot.missions import why_no_mission
@@ -103,7 +103,7 @@ class Autopilot(Pilot):
         if unfit.reasons is not None and self.flavour.verdict:
             texts.append(self.flavour.verdict)
         for text in texts:
-            self.say(text, Severity.CRITICAL)
+            self.say(text)
         return self.flavour.refusal
 
     def reboot(self) -> Result:
@@ -123,14 +123,14 @@ class Autopilot(Pilot):
             return self.command_mode(name)
         if self.flavour.submodes:
             return Result.ACCEPTED
-        self.say(f"No such mode {number}", Severity.WARNING)
+        self.say(f"No such mode {number}")
         return Result.FAILED
 
     def command_mode(self, name: str) -> Result:
         """A mode by name. PX4 says yes to one that is not available, and stays in the one that it is in."""
         if texts := self._why_not(name):
             for text in texts:
-                self.say(text, Severity.CRITICAL)
+                self.say(text)
             return Result.ACCEPTED if self.flavour.submodes else Result.FAILED
         self.failsafes.commanded()
         self.command(name)
@@ -174,7 +174,7 @@ class Autopilot(Pilot):
             self.say(f"Using default takeoff altitude: {self.takeoff_height:.1f} m\t")
         wanted = self.takeoff_height if height is None else height
         if self.vehicle.airborne and self.homing.ground - self.vehicle.place[2] > wanted:
-            self.say("Already higher than takeoff altitude\t", Severity.WARNING)
+            self.say("Already higher than takeoff altitude\t")
             return self.command_role(Role.HOLD)
         return self.command_role(Role.TAKEOFF)
 
@@ -194,7 +194,7 @@ class Autopilot(Pilot):
 
     def refuse(self, text: str) -> Result:
         """Say why not, with this autopilot's result for it."""
-        self.say(text, Severity.CRITICAL)
+        self.say(text)
         return self.flavour.refusal
 
     # -- guided flight --------------------------------------------------------------------------------

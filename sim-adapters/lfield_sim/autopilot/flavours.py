@@ -22,14 +22,6 @@ class Result(IntEnum):
     IN_PROGRESS = 5
 
 
-class Severity(IntEnum):
-    """MAV_SEVERITY, the part that is used."""
-
-    CRITICAL = 2
-    WARNING = 4
-    INFO = 6
-
-
 class Role(Enum):
     """What a flight mode does, whatever an autopilot calls it."""
 
@@ -80,13 +72,17 @@ PaceMaker = Callable[[Callable[[], float], Callable[[], float]], Pace]
 class Mode:
     """A flight mode: HEARTBEAT.custom_mode, what it does, and whether one may arm in it.
 
-    `by_hand` needs a transmitter: without one the throttle counts as down, and it sinks.
+    `flags` is what HEARTBEAT.base_mode says of it beside armed (MAV_MODE_FLAG), `standard` what CURRENT_MODE
+    does (MAV_STANDARD_MODE). `by_hand` needs a transmitter: without one the throttle counts as down, and it
+    sinks.
     """
 
     number: int
     role: Role
+    flags: int
     armable: bool = True
     by_hand: bool = False
+    standard: int = 0
 
 
 Actions = Mapping[int, Role]
@@ -131,7 +127,6 @@ class BatteryLevel:
     action: str
     actions: Actions
     text: str
-    severity: Severity = Severity.WARNING
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +204,7 @@ class Flavour:
     fastest             the highest rate of a stream that it takes, Hz
     return_cone         how steep the cone about home is, within which it climbs less for its return (0: none)
     unasked_only        messages that it sends as often as it likes, whatever it is asked
-    stream_time, grace  seconds of setpoints that make a stream, and that one may be late beyond its timeout
+    grace               seconds that a setpoint may be late beyond its timeout
     unavailable         said when a mode is not available, which is accepted all the same ('': it is refused)
     ignored_text        said when an acceleration alone is ignored ('': it is followed)
     setpoint_text       said when a setpoint is too old
@@ -255,7 +250,6 @@ class Flavour:
     verdict: str = ""
     warning: str = ""
     unarmable: str = "{mode} mode not armable"
-    stream_time: float = 0.0
     grace: float = 0.0
     unavailable: str = ""
     setpoint_text: str = ""

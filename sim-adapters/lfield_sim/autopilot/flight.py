@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from lfield_sim.autopilot.flavours import Role, Severity
+from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.lifting import AT_HEIGHT, AT_HOME, begin_takeoff
 from lfield_sim.autopilot.missions import fly_mission
 from lfield_sim.autopilot.pilot import Pilot
@@ -100,9 +100,9 @@ def suffer(pilot: Pilot) -> None:
     if not pilot.flies:
         vehicle.goal = Rest()
     elif falling and not vehicle.airborne:
-        pilot.say("Crash: Disarming", Severity.CRITICAL)
+        pilot.say("Crash: Disarming")
         pilot.disarm(force=True)
     elif vehicle.airborne:
         if not falling:
-            pilot.say("Potential Thrust Loss (1)", Severity.CRITICAL)
+            pilot.say("Potential Thrust Loss (1)")
         vehicle.goal, vehicle.yaw_rate_goal = Fall(), math.tau

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from random import Random
 
 from lfield_sim.autopilot.equipment import Battery, Payload
-from lfield_sim.autopilot.flavours import Flavour, Kind, Pace, Result, Role, Severity
+from lfield_sim.autopilot.flavours import Flavour, Kind, Pace, Result, Role
 from lfield_sim.autopilot.ground import GroundVehicle
 from lfield_sim.autopilot.home import Home
 from lfield_sim.autopilot.plans import BOUNDARY, CEILING, NO_BREACH, Fence, Mission, MissionItem, NoFence
@@ -105,7 +105,7 @@ class Pilot:
     calibrating: bool = False
     deaf_to_arming: bool = False
     told_goal: Goal | None = None
-    _texts: list[tuple[Severity, str]] = field(default_factory=list)
+    _texts: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.parameters = dict(self.kind.parameters)
@@ -192,9 +192,8 @@ class Pilot:
 
     @property
     def streams(self) -> bool:
-        """Whether setpoints have come for long enough to be followed, and still come."""
-        long = self.now - self.stream_at >= self.flavour.stream_time
-        return long and self.setpoint_at >= self.stream_at and not self.setpoints_over
+        """Whether setpoints come, one after another in time."""
+        return self.setpoint_at >= self.stream_at and not self.setpoints_over
 
     @property
     def return_height(self) -> float:
@@ -255,11 +254,11 @@ class Pilot:
         name, scale = self.kind.speeds[limit]
         return min(max(self.value(name) / scale, 0.01), 100.0)
 
-    def say(self, text: str, severity: Severity = Severity.INFO) -> None:
+    def say(self, text: str) -> None:
         """A status text."""
-        self._texts = [*self._texts[-KEPT_TEXTS:], (severity, text)]
+        self._texts = [*self._texts[-KEPT_TEXTS:], text]
 
-    def take_texts(self) -> list[tuple[Severity, str]]:
+    def take_texts(self) -> list[str]:
         """What it had to say since the last call; without a ground station PX4 keeps it to itself."""
         if self.now - self.station_at > self.flavour.mute:
             return []
@@ -345,7 +344,7 @@ class Pilot:
         """COMPONENT_ARM_DISARM 0: refused until it has landed, unless forced."""
         if self.armed and not (self.landed or force):
             if self.flavour.airborne_text:
-                self.say(self.flavour.airborne_text, Severity.CRITICAL)
+                self.say(self.flavour.airborne_text)
             return self.flavour.refusal
         if self.armed:
             self.say(text or self.flavour.disarmed)
@@ -362,8 +361,8 @@ class Pilot:
         if not name or not self.armed:
             return self.disarm(force=True)
         self.critical = True
-        self.say("Failsafe activated\t", Severity.CRITICAL)
-        self.say("Preflight Fail: Flight termination active", Severity.CRITICAL)
+        self.say("Failsafe activated\t")
+        self.say("Preflight Fail: Flight termination active")
         self.command(name)
         self.vehicle.goal = Fall() if self.vehicle.airborne else Rest()
         return Result.ACCEPTED

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import all as dialect
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Result
 from lfield_sim.autopilot.readiness import has_home, has_origin, has_position
+from lfield_sim.autopilot.stacks.severities import severity_of
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
 from lfield_sim.mavlink.telemetry.messages import MESSAGES, POSITIONS
@@ -107,8 +108,8 @@ class Sender:
         if self._mode_changed() and self.autopilot.flavour.tells_modes and HEARTBEAT not in due:
             due.append(HEARTBEAT)
         messages += [self.build(kind) for kind in due if self._is_news(kind) and not self.withholds(kind)]
-        for severity, text in self.autopilot.take_texts():
-            messages += self._texts.messages(severity, text)
+        for text in self.autopilot.take_texts():
+            messages += self._texts.messages(text, severity_of(text, rover=not self.autopilot.flies))
         return messages
 
     def _mode_changed(self) -> bool:
@@ -186,7 +187,7 @@ class _Texts:
     def __init__(self) -> None:
         self._number = 0
 
-    def messages(self, severity: int, text: str) -> list[Any]:
+    def messages(self, text: str, severity: int) -> list[Any]:
         """The STATUSTEXTs (253) of one text."""
         data = text.encode("ascii", "replace")
         if len(data) <= CHUNK:

@@ -13,7 +13,9 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
+from replay_fields import fields, messages
 from replay_player import IDS, Played, is_motion
 from replay_services import services
 from replay_table import Difference, Figures, once
@@ -49,6 +51,8 @@ def differences(real: Trace, played: Played) -> list[Difference]:
         _holds, _acknowledgements, _texts, _states, _motions, _firsts, _rates, _came, _heights,
     ]  # fmt: skip
     found = [each for compare in comparisons for each in compare(real, played)]
+    found += fields(real, played.trace, _mode_name(real))
+    found += messages(real, played.counts)
     return once([*found, *services(real, played.trace)])
 
 
@@ -102,39 +106,52 @@ def _call(line: Line) -> str:
 # -- texts -----------------------------------------------------------------------------------------------
 
 
-def texts(trace: Trace) -> list[tuple[float, str]]:
-    """What it said, numbers as #, long texts whole."""
-    found: list[tuple[float, str]] = []
+@dataclass(frozen=True, slots=True)
+class Text:
+    """What was said, numbers as #, long texts whole; when, and how severe it is called."""
+
+    t: float
+    text: str
+    severity: int
+
+
+def texts(trace: Trace) -> list[Text]:
+    """What it said."""
+    found: list[Text] = []
     last = 0
     for line in trace.out("STATUSTEXT"):
         text, number = str(line.fields["text"]), int(line.fields.get("id") or 0)
         if number and number == last and line.fields.get("chunk_seq"):
-            found[-1] = found[-1][0], found[-1][1] + text
+            found[-1] = replace(found[-1], text=found[-1].text + text)
         else:
-            found.append((line.t, text))
+            found.append(Text(line.t, text, int(line.fields["severity"])))
         last = number
-    return [(t, re.sub(r"-?\d+(\.\d+)?", "#", text).strip()) for t, text in found]
+    return [replace(each, text=re.sub(r"-?\d+(\.\d+)?", "#", each.text).strip()) for each in found]
 
 
 def _texts(real: Trace, played: Played) -> Iterator[Difference]:
-    theirs = texts(played.trace)
+    own, theirs = texts(real), texts(played.trace)
     missing: Counter[str] = Counter()
-    for t, text in texts(real):
-        patience = TEXT_TIME + STATE_SHARE * min(t - _input_before(real, t), 40.0)
-        near = [each for each in theirs if each[1] == text and abs(each[0] - t) <= patience]
-        if near:
-            theirs.remove(min(near, key=lambda each: abs(each[0] - t)))
-        else:
-            missing[text] += 1
-    extra = Counter(text for _, text in theirs)
-    said = Counter(text for _, text in texts(real))
+    for each in own:
+        patience = TEXT_TIME + STATE_SHARE * min(each.t - _input_before(real, each.t), 40.0)
+        near = [one for one in theirs if one.text == each.text and abs(one.t - each.t) <= patience]
+        if not near:
+            missing[each.text] += 1
+            continue
+        same = min(near, key=lambda one: abs(one.t - each.t))
+        theirs.remove(same)
+        if same.severity != each.severity:
+            yield Difference(f"text's severity: {each.text}: {each.severity} / {same.severity}")
+    said = Counter(each.text for each in own)
     for text, count in missing.items():
         yield Difference(
             f"text missing: {text}", figures=Figures(said[text], said[text] - count, 0.0, "times")
         )
-    for text, count in extra.items():
-        same = said[text] - missing[text]
-        yield Difference(f"text too many: {text}", figures=Figures(same, same + count, 0.0, "times"))
+    for text, count in Counter(each.text for each in theirs).items():
+        same_text = said[text] - missing[text]
+        yield Difference(
+            f"text too many: {text}", figures=Figures(same_text, same_text + count, 0.0, "times")
+        )
 
 
 def _input_before(trace: Trace, t: float) -> float:

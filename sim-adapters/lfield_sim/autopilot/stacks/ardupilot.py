@@ -17,7 +17,6 @@ from lfield_sim.autopilot.flavours import (
     Mode,
     Result,
     Role,
-    Severity,
     Warming,
 )
 from lfield_sim.autopilot.pace import CopterPace, RoverPace
@@ -67,7 +66,7 @@ COPTER_FLAVOUR = Flavour(
         ),
         BatteryLevel(
             "BATT_CRT_MAH", True, "BATT_FS_CRT_ACT", _BATTERY_ACTIONS,
-            "Battery 1 is critical {volts:.2f}V used {used:.0f} mAh", Severity.CRITICAL,
+            "Battery 1 is critical {volts:.2f}V used {used:.0f} mAh",
         ),
     ),
     fence=FenceRule(
@@ -105,6 +104,8 @@ ROVER_FLAVOUR = replace(
     # It streams every group once a second, and nothing faster than half its loop of 50 Hz.
     streams=dict.fromkeys((1, 2, 24, 30, 32, 33, 36, 42, 65, 74, 147, 193), 1.0),
     fastest=49.0,
+    # No terminate, no terrain.
+    capabilities=0xF1EF,
     ignored_text="Ignoring SET_POSITION_TARGET_LOCAL_NED; set ACC_IGNORE in mask",
     setpoint_text="target not received last 3secs, stopping",
     # NAV_LAND, NAV_TAKEOFF, CONDITION_YAW, DO_FLIGHTTERMINATION, NAV_SET_YAW_SPEED
@@ -243,20 +244,24 @@ ROVER_PARAMETERS: Mapping[str, float] = {
     "WP_SPEED": 5,
 }
 
+#: MAV_MODE_FLAG: a custom mode; by sticks, levelled, by itself. A copter calls each mode one by sticks.
+_CUSTOM, _MANUAL, _LEVELLED, _GUIDED = 1, 64, 16, 8
+_FLOWN = _CUSTOM | _MANUAL | _LEVELLED
+
 ACKERMANN = Kind(
     "rover",
     10,
     ROVER_FLAVOUR,
     {
-        "MANUAL": Mode(0, Role.MANUAL, by_hand=True),
-        "ACRO": Mode(1, Role.MANUAL, by_hand=True),
-        "STEERING": Mode(3, Role.MANUAL, by_hand=True),
-        "HOLD": Mode(4, Role.HOLD, by_hand=True),
-        "LOITER": Mode(5, Role.HOLD),
-        "AUTO": Mode(10, Role.MISSION),
-        "RTL": Mode(11, Role.RETURN, armable=False),
-        "SMART_RTL": Mode(12, Role.RETURN, armable=False),
-        "GUIDED": Mode(15, Role.GUIDED),
+        "MANUAL": Mode(0, Role.MANUAL, _CUSTOM | _MANUAL, by_hand=True),
+        "ACRO": Mode(1, Role.MANUAL, _CUSTOM | _MANUAL, by_hand=True),
+        "STEERING": Mode(3, Role.MANUAL, _CUSTOM | _MANUAL, by_hand=True),
+        "HOLD": Mode(4, Role.HOLD, _CUSTOM, by_hand=True),
+        "LOITER": Mode(5, Role.HOLD, _CUSTOM | _GUIDED),
+        "AUTO": Mode(10, Role.MISSION, _CUSTOM | _GUIDED),
+        "RTL": Mode(11, Role.RETURN, _CUSTOM | _GUIDED, armable=False),
+        "SMART_RTL": Mode(12, Role.RETURN, _CUSTOM | _GUIDED, armable=False),
+        "GUIDED": Mode(15, Role.GUIDED, _CUSTOM | _GUIDED),
     },
     "MANUAL",
     ROVER_PARAMETERS,
@@ -275,18 +280,18 @@ KINDS = {
         2,
         COPTER_FLAVOUR,
         {
-            "STABILIZE": Mode(0, Role.MANUAL, by_hand=True),
-            "ACRO": Mode(1, Role.MANUAL, by_hand=True),
-            "ALT_HOLD": Mode(2, Role.MANUAL, by_hand=True),
-            "AUTO": Mode(3, Role.MISSION, armable=False),
-            "GUIDED": Mode(4, Role.GUIDED),
+            "STABILIZE": Mode(0, Role.MANUAL, _FLOWN, by_hand=True),
+            "ACRO": Mode(1, Role.MANUAL, _FLOWN, by_hand=True),
+            "ALT_HOLD": Mode(2, Role.MANUAL, _FLOWN, by_hand=True),
+            "AUTO": Mode(3, Role.MISSION, _FLOWN | _GUIDED, armable=False),
+            "GUIDED": Mode(4, Role.GUIDED, _FLOWN | _GUIDED),
             # Before LOITER: it is what ArduCopter falls back to when it is to hold.
-            "BRAKE": Mode(17, Role.HOLD, armable=False),
-            "LOITER": Mode(5, Role.HOLD, by_hand=True),
-            "RTL": Mode(6, Role.RETURN, armable=False),
-            "CIRCLE": Mode(7, Role.ORBIT, armable=False),
-            "LAND": Mode(9, Role.LAND, armable=False),
-            "POSHOLD": Mode(16, Role.HOLD, by_hand=True),
+            "BRAKE": Mode(17, Role.HOLD, _FLOWN | _GUIDED, armable=False),
+            "LOITER": Mode(5, Role.HOLD, _FLOWN | _GUIDED, by_hand=True),
+            "RTL": Mode(6, Role.RETURN, _FLOWN | _GUIDED, armable=False),
+            "CIRCLE": Mode(7, Role.ORBIT, _FLOWN | _GUIDED, armable=False),
+            "LAND": Mode(9, Role.LAND, _FLOWN | _GUIDED, armable=False),
+            "POSHOLD": Mode(16, Role.HOLD, _FLOWN | _GUIDED, by_hand=True),
         },
         "STABILIZE",
         COPTER_PARAMETERS,

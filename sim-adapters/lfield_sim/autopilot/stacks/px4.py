@@ -17,7 +17,6 @@ from lfield_sim.autopilot.flavours import (
     Mode,
     Result,
     Role,
-    Severity,
     Warming,
 )
 from lfield_sim.autopilot.pace import Px4Pace
@@ -30,9 +29,9 @@ FLAVOUR = Flavour(
     name="px4",
     autopilot=12,
     version=1 << 24 | 17 << 16 | 255,
-    # Mission and command in integers, byte-wise parameters, FTP, attitude and position targets, fence, rally,
-    # terminate, MAVLink 2.
-    capabilities=0xE9FC,
+    # Missions and commands in floats and integers, byte-wise parameters, FTP, attitude and local targets,
+    # terminate, MAVLink 2, fence, rally.
+    capabilities=0xE8FF,
     refusal=Result.TEMPORARILY_REJECTED,
     denial="Preflight Fail: {reason}\t",
     verdict="Arming denied: Resolve system health failures first\t",
@@ -67,11 +66,11 @@ FLAVOUR = Flavour(
         ),
         BatteryLevel(
             "BAT_CRIT_THR", False, "COM_LOW_BAT_ACT", {_LAND: Role.LAND, _RETURN: Role.RETURN},
-            "Critical battery level! Return now", Severity.CRITICAL,
+            "Critical battery level! Return now",
         ),
         BatteryLevel(
             "BAT_EMERGEN_THR", False, "COM_LOW_BAT_ACT", {_LAND: Role.LAND, _RETURN: Role.LAND},
-            "Dangerous battery level! Land immediately", Severity.CRITICAL,
+            "Dangerous battery level! Land immediately",
         ),
     ),
     fence=FenceRule(
@@ -163,18 +162,24 @@ COPTER_PARAMETERS: Mapping[str, float] = {
 }
 ROVER_PARAMETERS: Mapping[str, float] = {**COMMON, "RO_ACCEL_LIM": 3.0, "RO_SPEED_LIM": 3.0}
 
+#: MAV_MODE_FLAG: a custom mode; levelled; by sticks; by itself.
+_CUSTOM = 1
+_LEVELLED = _CUSTOM | 16
+_MANUAL = _LEVELLED | 64
+_AUTO = _LEVELLED | 8 | 4
+
 _MODES = {
-    "MANUAL": Mode(_custom(1), Role.MANUAL),
-    "ALTCTL": Mode(_custom(2), Role.MANUAL),
-    "POSCTL": Mode(_custom(3), Role.MANUAL),
-    "ACRO": Mode(_custom(5), Role.MANUAL),
-    "OFFBOARD": Mode(_custom(6), Role.GUIDED),
-    "STABILIZED": Mode(_custom(7), Role.MANUAL),
-    "AUTO.READY": Mode(_custom(4, 1), Role.MANUAL),
-    "AUTO.LOITER": Mode(_custom(4, 3), Role.HOLD),
-    "AUTO.MISSION": Mode(_custom(4, 4), Role.MISSION),
-    "AUTO.RTL": Mode(_custom(4, 5), Role.RETURN),
-    "TERMINATION": Mode(_custom(10), Role.TERMINATE, armable=False),
+    "MANUAL": Mode(_custom(1), Role.MANUAL, _MANUAL),
+    "ALTCTL": Mode(_custom(2), Role.MANUAL, _MANUAL, standard=4),
+    "POSCTL": Mode(_custom(3), Role.MANUAL, _MANUAL, standard=1),
+    "ACRO": Mode(_custom(5), Role.MANUAL, _CUSTOM | 64),
+    "OFFBOARD": Mode(_custom(6), Role.GUIDED, _LEVELLED),
+    "STABILIZED": Mode(_custom(7), Role.MANUAL, _MANUAL),
+    "AUTO.READY": Mode(_custom(4, 1), Role.MANUAL, _AUTO),
+    "AUTO.LOITER": Mode(_custom(4, 3), Role.HOLD, _AUTO),
+    "AUTO.MISSION": Mode(_custom(4, 4), Role.MISSION, _AUTO, standard=6),
+    "AUTO.RTL": Mode(_custom(4, 5), Role.RETURN, _AUTO, standard=5),
+    "TERMINATION": Mode(_custom(10), Role.TERMINATE, _CUSTOM, armable=False),
 }
 KINDS = {
     "copter": Kind(
@@ -183,9 +188,9 @@ KINDS = {
         FLAVOUR,
         {
             **_MODES,
-            "AUTO.TAKEOFF": Mode(_custom(4, 2), Role.TAKEOFF),
-            "AUTO.LAND": Mode(_custom(4, 6), Role.LAND, armable=False),
-            "POSCTL.ORBIT": Mode(_custom(3, 1), Role.ORBIT, armable=False),
+            "AUTO.TAKEOFF": Mode(_custom(4, 2), Role.TAKEOFF, _AUTO, standard=8),
+            "AUTO.LAND": Mode(_custom(4, 6), Role.LAND, _AUTO, armable=False, standard=7),
+            "POSCTL.ORBIT": Mode(_custom(3, 1), Role.ORBIT, _LEVELLED, armable=False, standard=2),
         },
         "AUTO.LOITER",
         COPTER_PARAMETERS,
@@ -219,8 +224,8 @@ KINDS = {
         FLAVOUR,
         {
             **_MODES,
-            "AUTO.TAKEOFF": Mode(_custom(4, 2), Role.TAKEOFF),
-            "AUTO.LAND": Mode(_custom(4, 6), Role.LAND, armable=False),
+            "AUTO.TAKEOFF": Mode(_custom(4, 2), Role.TAKEOFF, _AUTO, standard=8),
+            "AUTO.LAND": Mode(_custom(4, 6), Role.LAND, _AUTO, armable=False, standard=7),
         },
         "AUTO.LOITER",
         ROVER_PARAMETERS,

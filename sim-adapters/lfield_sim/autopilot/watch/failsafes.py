@@ -6,7 +6,7 @@ a failsafe chose stays until somebody commands another.
 
 from __future__ import annotations
 
-from lfield_sim.autopilot.flavours import BatteryLevel, Role, Severity
+from lfield_sim.autopilot.flavours import BatteryLevel, Role
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.watch.fences import Fences
 
@@ -95,12 +95,12 @@ class Failsafes:
             return
         self.gcs_lost, self._heard_again = True, False
         for text in () if pilot.armed else rule.lost_texts:
-            pilot.say(text, Severity.WARNING)
+            pilot.say(text)
         if pilot.armed or rule.stands:
             self._lose_gcs(rule.actions.get(action))
         elif not rule.pause:
             pilot.critical = True
-            pilot.say(rule.text, Severity.WARNING)
+            pilot.say(rule.text)
 
     def _clear_gcs(self) -> None:
         """The station was heard again: it is over, a moment later."""
@@ -111,7 +111,7 @@ class Failsafes:
         pilot.critical = pilot.critical and bool(rule.pause) and pilot.mode != pilot.intended
         self.gcs_lost = False
         self._heard_again, self._later = False, None
-        pilot.say(rule.cleared, Severity.WARNING)
+        pilot.say(rule.cleared)
 
     def _lose_gcs(self, role: Role | None) -> None:
         pilot, rule = self._pilot, self._rules.gcs
@@ -120,7 +120,7 @@ class Failsafes:
         lands_on = self._lands_on()
         held = self._rules.fence.hold_text if role is Role.HOLD else ""
         text = rule.goes_on if lands_on else held.format(pause=pause) or rule.text
-        pilot.say(text, Severity.WARNING)
+        pilot.say(text)
         if role is not None and not lands_on:
             self._act_after(pause, role)
 
@@ -133,7 +133,7 @@ class Failsafes:
             return
         pilot.critical = True
         pause = 0.0 if role is Role.HOLD else pilot.value(rule.pause)
-        pilot.say(rule.hold_text.format(pause=pause) if pause else FAILSAFE, Severity.CRITICAL)
+        pilot.say(rule.hold_text.format(pause=pause) if pause else FAILSAFE)
         self._act_after(pause, role)
 
     def _act_after(self, pause: float, role: Role) -> None:
@@ -157,11 +157,11 @@ class Failsafes:
             return
         if not self._rules.needs_stream:
             if self._rules.setpoint_text:
-                pilot.say(self._rules.setpoint_text, Severity.WARNING)
+                pilot.say(self._rules.setpoint_text)
             pilot.stop_moving()
         elif pilot.armed:
             pilot.critical = True
-            pilot.say(FAILSAFE, Severity.WARNING)
+            pilot.say(FAILSAFE)
             pilot.fall_back(SETPOINT_ACTIONS.get(int(pilot.value("COM_OBL_RC_ACT")), Role.RETURN))
 
     def _is_guided(self) -> bool:
@@ -180,11 +180,11 @@ class Failsafes:
             if level.text not in self._low and pilot.armed and pilot.battery.charge < self._share(level):
                 self._low.add(level.text)
                 text = level.text.format(volts=pilot.battery.volts, used=pilot.battery.used)
-                pilot.say(text, level.severity)
+                pilot.say(text)
                 self._act(level.actions.get(int(pilot.value(level.action))))
         if pilot.battery.charge == 0.0 and pilot.vehicle.airborne and pilot.role is not Role.LAND:
             pilot.critical = True
-            pilot.say("Battery 1 is empty: landing", Severity.CRITICAL)
+            pilot.say("Battery 1 is empty: landing")
             pilot.fall_back(Role.LAND)
 
     def _share(self, level: BatteryLevel) -> float:
@@ -204,6 +204,6 @@ class Failsafes:
         blind = self._blind > POSITION_LOST
         if blind and not self._was_blind and pilot.armed and pilot.role is not Role.MANUAL:
             pilot.critical = True
-            pilot.say(self._rules.position_lost, Severity.CRITICAL)
+            pilot.say(self._rules.position_lost)
             pilot.fall_back(Role.LAND, pause=LANDING_PAUSE)
         self._was_blind = blind and pilot.armed

@@ -7,7 +7,7 @@ flies through, and notices. The fence acts once for each breach.
 
 from __future__ import annotations
 
-from lfield_sim.autopilot.flavours import Role, Severity
+from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.plans import NO_BREACH
 from lfield_sim.autopilot.vehicle import Corral, Reach, Vector
@@ -35,7 +35,7 @@ class Fences:
         """Whether a goal is one that it goes to; PX4 says it when it is not."""
         beyond = self._pilot.fence_at(place)[0] != NO_BREACH
         if beyond and self._rule.outside_text:
-            self._pilot.say(self._rule.outside_text, Severity.CRITICAL)
+            self._pilot.say(self._rule.outside_text)
         return not (beyond and self._rule.refuses)
 
     def commanded(self) -> None:
@@ -76,12 +76,12 @@ class Fences:
         """PX4 says it once more."""
         if self._says_at is not None and self._pilot.now >= self._says_at:
             self._says_at = None
-            self._pilot.say(text, Severity.CRITICAL)
+            self._pilot.say(text)
 
     def _say(self, text: str, *, again: bool) -> None:
         self._says_at = self._pilot.now + AGAIN if again else None
         if text:
-            self._pilot.say(text, Severity.WARNING)
+            self._pilot.say(text)
 
     def _corral(self) -> None:
         """Keep it inside the circle where that is what it avoids by."""

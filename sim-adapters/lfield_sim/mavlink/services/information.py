@@ -82,7 +82,9 @@ class Information(Service):
         """AVAILABLE_MODES 435, one for each mode."""
         modes = self.autopilot.kind.modes
         return [
-            dialect.MAVLink_available_modes_message(len(modes), number, 0, mode.number, 0, name.encode())
+            dialect.MAVLink_available_modes_message(
+                len(modes), number, mode.standard, mode.number, 0, name.encode()
+            )
             for number, (name, mode) in enumerate(modes.items(), 1)
         ]
 

@@ -11,7 +11,7 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.autopilot.flavours import Result, Severity
+from lfield_sim.autopilot.flavours import Result
 from lfield_sim.mavlink.command import Answer, Command
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
@@ -46,11 +46,11 @@ class MotorTest(Service):
         if pilot.flavour.submodes:
             return Result.UNSUPPORTED, []
         if pilot.vehicle.airborne:
-            pilot.say("Motor Test: vehicle not landed", Severity.CRITICAL)
+            pilot.say("Motor Test: vehicle not landed")
             return Result.FAILED, []
         if not pilot.flies and (unfit := pilot.unfit):
             for reason in unfit.reasons or ():
-                pilot.say(f"Arm: {reason}", Severity.CRITICAL)
+                pilot.say(f"Arm: {reason}")
             return Result.FAILED, []
         pilot.say("starting motor test")
         if pilot.armed and self._until is None:

@@ -7,7 +7,7 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.autopilot.flavours import Result, Role, Severity
+from lfield_sim.autopilot.flavours import Result, Role
 from lfield_sim.autopilot.missions import tell_begun
 from lfield_sim.autopilot.plans import NO_ITEM, MissionItem
 from lfield_sim.autopilot.vehicle import Vector
@@ -155,7 +155,8 @@ class Plans(Service):
     def _flies_missions(self) -> bool:
         """Whether it is in such a mode; PX4 counts takeoff and landing among them."""
         role = self.autopilot.role
-        return role is Role.MISSION or (not self._home_first and role in (Role.TAKEOFF, Role.LAND))
+        flies = role is Role.MISSION and (self._home_first or bool(self.autopilot.mission.items))
+        return flies or (not self._home_first and role in (Role.TAKEOFF, Role.LAND))
 
     @property
     def _progress(self) -> tuple[int, int, int]:
@@ -185,7 +186,7 @@ class Plans(Service):
         if self._jump_to(message.seq):
             return [self._current()]
         if not self._home_first:
-            self.autopilot.say("WPM: WP CURR CMD: Not in list\t", Severity.CRITICAL)
+            self.autopilot.say("WPM: WP CURR CMD: Not in list\t")
         return []
 
     def _jump_to(self, number: int) -> bool:

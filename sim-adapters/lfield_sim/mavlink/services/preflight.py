@@ -13,7 +13,7 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.autopilot.flavours import Result, Severity
+from lfield_sim.autopilot.flavours import Result
 from lfield_sim.mavlink.command import Answer, Command, Late
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
@@ -47,7 +47,7 @@ class Preflight(Service):
     def __init__(self, autopilot: Autopilot, place: Place) -> None:
         super().__init__(autopilot, place)
         self._running = ""
-        self._to_say: list[tuple[float, str, Severity]] = []
+        self._to_say: list[tuple[float, str]] = []
         self.commands = {
             dialect.MAV_CMD_PREFLIGHT_CALIBRATION: self._calibrate,
             PREARM_CHECKS: self._check,
@@ -58,8 +58,8 @@ class Preflight(Service):
     def advance(self, now: float) -> list[Any]:
         """Say what is due; a calibration of PX4 ends with its last text."""
         while self._to_say and now >= self._to_say[0][0]:
-            _, text, severity = self._to_say.pop(0)
-            self.autopilot.say(text, severity)
+            _, text = self._to_say.pop(0)
+            self.autopilot.say(text)
             if "calibration done" in text:
                 self._end()
         return []
@@ -72,8 +72,8 @@ class Preflight(Service):
     def _end(self) -> None:
         self._running, self.autopilot.calibrating = "", False
 
-    def _say_later(self, seconds: float, text: str, severity: Severity = Severity.INFO) -> None:
-        self._to_say.append((self.autopilot.now + seconds, text, severity))
+    def _say_later(self, seconds: float, text: str) -> None:
+        self._to_say.append((self.autopilot.now + seconds, text))
 
     # -- checks ---------------------------------------------------------------------------------------
 
@@ -82,7 +82,7 @@ class Preflight(Service):
         unfit = pilot.unfit
         reasons = (unfit.reasons or ()) if unfit else ()
         for reason in () if pilot.flavour.submodes else reasons:
-            pilot.say(f"PreArm: {reason}", Severity.CRITICAL)
+            pilot.say(f"PreArm: {reason}")
         return Result.ACCEPTED, []
 
     def _turn_compass(self, command: Command) -> Answer:
@@ -92,7 +92,7 @@ class Preflight(Service):
             return Result.UNSUPPORTED, []
         if command.number == CANCEL_MAG_CAL and not pilot.ailing:
             pilot.ailing = REBOOT_NEEDED
-            self._say_later(1.6, f"PreArm: {REBOOT_NEEDED}", Severity.CRITICAL)
+            self._say_later(1.6, f"PreArm: {REBOOT_NEEDED}")
         return Result.ACCEPTED, []
 
     # -- calibrations ---------------------------------------------------------------------------------
@@ -106,7 +106,7 @@ class Preflight(Service):
     def _calibrate_ardupilot(self, which: int, kind: int) -> Answer:
         pilot = self.autopilot
         if pilot.armed:
-            pilot.say("Disarm to allow calibration", Severity.CRITICAL)
+            pilot.say("Disarm to allow calibration")
             return Result.FAILED, []
         busy = GYRO_TIME if pilot.flies else GYRO_TIME_ROVER
         if which == GYRO or (which == ACCELEROMETER and kind == WHOLE and not self._running):
@@ -114,13 +114,13 @@ class Preflight(Service):
             if which == ACCELEROMETER:
                 self._running = "accel"
                 text = "Place vehicle level and press any key."
-                self._say_later(busy + 0.06, text, Severity.CRITICAL)
+                self._say_later(busy + 0.06, text)
             return Late(Result.ACCEPTED, busy), []
         if which == ACCELEROMETER and kind in (WHOLE, LEVEL, SIMPLE):
             return (Result.TEMPORARILY_REJECTED if self._running else Result.ACCEPTED), []
         if which == RADIO and pilot.flies and not pilot.ailing:
             pilot.ailing = RADIO_RUNS
-            self._say_later(1.1, f"PreArm: {RADIO_RUNS}", Severity.CRITICAL)
+            self._say_later(1.1, f"PreArm: {RADIO_RUNS}")
         elif pilot.ailing == RADIO_RUNS:
             pilot.ailing = ""
         if which == PRESSURE:
@@ -163,5 +163,5 @@ class Preflight(Service):
         if self._running:
             self._to_say.clear()
             self._end()
-            self.autopilot.say("[cal] calibration cancelled", Severity.CRITICAL)
+            self.autopilot.say("[cal] calibration cancelled")
         return Result.ACCEPTED, []

@@ -31,12 +31,12 @@ What the autopilot offers to services (`lfield_sim.autopilot.autopilot`):
   boundary) for a place in the local frame. It knows uploaded polygons and circles only; the fences that are
   parameters (FENCE_RADIUS, FENCE_ALT_MAX, GF_MAX_HOR_DIST, GF_MAX_VER_DIST) and whether fences are on
   (FENCE_ENABLE, GF_ACTION) are the autopilot's own business, as is what a breach leads to.
-- `say(text, severity)`: a STATUSTEXT. `armed`, `mode`, `vehicle.place`, `home`, `battery.charge`, `flavour`.
+- `say(text)`: a STATUSTEXT. `armed`, `mode`, `vehicle.place`, `home`, `battery.charge`, `flavour`.
 
 Places: `Place.at(north, east)` and `Place.local(latitude, longitude)` (1e-7 degrees) translate.
 
 Mission items that are not flown (speed, servo, camera) are carried out as the commands of that number. A
-result is an `autopilot.flavours.Result`, a severity a `Severity` of the same file.
+result is an `autopilot.flavours.Result`. How severe a text is: `autopilot.stacks.severities`.
 """
 
 from __future__ import annotations

@@ -34,16 +34,25 @@ def _percent(autopilot: Autopilot) -> int:
 
 def heartbeat(autopilot: Autopilot, _: Place) -> Any:
     """HEARTBEAT 0."""
-    flags = dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-    flags |= dialect.MAV_MODE_FLAG_SAFETY_ARMED if autopilot.armed else 0
     return dialect.MAVLink_heartbeat_message(
         autopilot.kind.mav_type,
         autopilot.flavour.autopilot,
-        flags,
+        _base_mode(autopilot),
         autopilot.kind.modes[autopilot.mode].number,
         _state(autopilot),
         3,
     )
+
+
+def _base_mode(autopilot: Autopilot) -> int:
+    """MAV_MODE_FLAG of its mode; guided is an ArduCopter that controls its place."""
+    flags = autopilot.kind.modes[autopilot.mode].flags
+    if autopilot.flies and not autopilot.flavour.submodes:
+        if warmth(autopilot) < BOOTED:
+            flags |= dialect.MAV_MODE_FLAG_GUIDED_ENABLED
+        elif autopilot.role is Role.RETURN and not autopilot.armed:
+            flags &= ~dialect.MAV_MODE_FLAG_GUIDED_ENABLED
+    return int(flags | (dialect.MAV_MODE_FLAG_SAFETY_ARMED if autopilot.armed else 0))
 
 
 def _state(autopilot: Autopilot) -> int:
@@ -67,19 +76,20 @@ def _state(autopilot: Autopilot) -> int:
 
 def current_mode(autopilot: Autopilot, _: Place) -> Any:
     """CURRENT_MODE 436, PX4's: the mode that is, and the one that somebody commanded."""
-    modes = autopilot.kind.modes
-    return dialect.MAVLink_current_mode_message(
-        0, modes[autopilot.mode].number, modes[autopilot.intended].number
-    )
+    mode, intended = (autopilot.kind.modes[name] for name in (autopilot.mode, autopilot.intended))
+    return dialect.MAVLink_current_mode_message(mode.standard, mode.number, intended.number)
 
 
 def sys_status(autopilot: Autopilot, _: Place) -> Any:
     """SYS_STATUS 1: sensors and whether it may be armed; mV, 10 mA, percent."""
     battery = autopilot.battery
-    # PX4 has the pre-arm bit in its health only, never among what is present or enabled.
-    present = SENSORS & ~PREARM if autopilot.flavour.submodes else SENSORS
+    # PX4 has the pre-arm bit in its health only, never among what is present or enabled, and no bit of its
+    # fence.
+    present = SENSORS & ~PREARM & ~FENCE if autopilot.flavour.submodes else SENSORS
+    # ArduPilot's GPS is there from its first fix on.
+    present &= ~0 if warmth(autopilot) >= autopilot.kind.warming.fix else ~GPS
     enabled = present if autopilot.value(autopilot.flavour.fence.enable) else present & ~FENCE
-    health = SENSORS
+    health = present | PREARM
     if not has_fix(autopilot):
         health &= ~GPS
     # PX4 takes the bit away in flight as well.
@@ -103,8 +113,19 @@ def battery_status(autopilot: Autopilot, _: Place) -> Any:
     """BATTERY_STATUS 147: one pack, its voltage in the first cell field."""
     battery = autopilot.battery
     cells = [round(battery.volts * 1000)] + [NO_VALUE_16] * 9
+    # PX4 says what the pack is for and of what.
+    known = autopilot.flavour.submodes
     return dialect.MAVLink_battery_status_message(
-        0, 0, 0, 32767, cells, round(battery.current * 100), round(battery.used), -1, _percent(autopilot)
+        0,
+        dialect.MAV_BATTERY_FUNCTION_ALL if known else dialect.MAV_BATTERY_FUNCTION_UNKNOWN,
+        dialect.MAV_BATTERY_TYPE_LIPO if known else dialect.MAV_BATTERY_TYPE_UNKNOWN,
+        32767,
+        cells,
+        round(battery.current * 100),
+        round(battery.used),
+        -1,
+        _percent(autopilot),
+        charge_state=dialect.MAV_BATTERY_CHARGE_STATE_OK,
     )
 
 
@@ -135,17 +156,19 @@ def home_position(autopilot: Autopilot, place: Place) -> Any:
 
 def extended_sys_state(autopilot: Autopilot, _: Place) -> Any:
     """EXTENDED_SYS_STATE 245: what it says about being on the ground."""
-    return dialect.MAVLink_extended_sys_state_message(
-        dialect.MAV_VTOL_STATE_UNDEFINED, int(landed_state(autopilot))
-    )
+    multicopter = autopilot.flies and not autopilot.flavour.submodes
+    vtol = dialect.MAV_VTOL_STATE_MC if multicopter else dialect.MAV_VTOL_STATE_UNDEFINED
+    return dialect.MAVLink_extended_sys_state_message(vtol, int(landed_state(autopilot)))
 
 
 def fence_status(autopilot: Autopilot, _: Place) -> Any:
-    """FENCE_STATUS 162."""
+    """FENCE_STATUS 162; what avoids the fence limits its speed."""
+    avoids = autopilot.vehicle.corral is not None
+    mitigation = dialect.FENCE_MITIGATE_VEL_LIMIT if avoids else dialect.FENCE_MITIGATE_NONE
     watch = autopilot.failsafes.fences
     at = int(max(0.0, watch.breached_at - autopilot.booted) * 1000)
     return dialect.MAVLink_fence_status_message(
-        1 if watch.breach else 0, watch.breaches, watch.breach, at & 0xFFFFFFFF
+        1 if watch.breach else 0, watch.breaches, watch.breach, at & 0xFFFFFFFF, mitigation
     )
 
 

@@ -51,7 +51,7 @@ POSITIONS = frozenset({32, 331})
 
 #: What REQUEST_DATA_STREAM (66) means by a stream number; 0 is all of them.
 DATA_STREAMS: Mapping[int, tuple[int, ...]] = {
-    1: (24, 26),
+    1: (24,),
     2: (1, 24, 42, 162),
     3: (36, 65),
     6: (32, 33),

@@ -158,7 +158,7 @@ def test_without_a_mission_there_is_no_start(flavour):
     before = c.pilot.mode
     assert c.command(300) is (Result.FAILED if flavour == "ardupilot" else Result.ACCEPTED)
     assert c.pilot.mode == before
-    assert c.pilot.take_texts()[-1][1] in (
+    assert c.pilot.take_texts()[-1] in (
         "Mode change to AUTO failed: init failed",
         "Switching to Mission is currently not available\t",
     )
@@ -215,10 +215,10 @@ def test_the_fence_is_switched_and_wants_a_position():
     assert c.pilot.parameters["FENCE_ENABLE"] == 1.0
     c.pilot.gps_lost = True
     assert c.pilot.arm() is Result.FAILED
-    assert c.pilot.take_texts()[-1][1] == "Arm: Fence enabled, need position estimate"
+    assert c.pilot.take_texts()[-1] == "Arm: Fence enabled, need position estimate"
     assert c.command(207, 0) is Result.ACCEPTED
     assert c.pilot.arm() is Result.FAILED
-    assert c.pilot.take_texts()[-1][1] == "Arm: Need Position Estimate"
+    assert c.pilot.take_texts()[-1] == "Arm: Need Position Estimate"
     assert c.command(207, 7) is Result.FAILED
     assert Craft(Plans, "px4").command(207, 1) is Result.UNSUPPORTED
 
