@@ -96,8 +96,9 @@ class GcsRule:
     landing go on (`goes_on` is said then); `station` is the only system whose heartbeats count. `late` is
     how much longer than the timeout it takes, in s, or the parameter that says so. While it lasts arming is
     refused when it `forbids` that, with `refusal` ('': without a word). `stands` says that what is not armed
-    takes the action too, unless it holds or returns already; `lost_texts` are said by what is not armed. It
-    is looked at `every` so many seconds (0: always), so that it begins and ends up to that much later.
+    takes the action too, unless it holds or returns already. `lost_text` is said whatever the action is,
+    `unfit_text` where there is one, `hold_text` before a pause, and `text` with the action. It is looked at
+    `every` so many seconds (0: always), so that it begins and ends up to that much later.
     """
 
     action: str
@@ -114,7 +115,9 @@ class GcsRule:
     forbids: bool = False
     refusal: str = ""
     stands: bool = False
-    lost_texts: tuple[str, ...] = ()
+    lost_text: str = ""
+    unfit_text: str = ""
+    hold_text: str = ""
     every: float = 0.0
 
 
@@ -208,7 +211,8 @@ class Flavour:
     unavailable         said when a mode is not available, which is accepted all the same ('': it is refused)
     ignored_text        said when an acceleration alone is ignored ('': it is followed)
     setpoint_text       said when a setpoint is too old
-    mute                seconds without a ground station after which it says no texts; they come later
+    mute, stale         seconds without a ground station after which it says no texts; they come later, unless
+                        they are so old by then
     tells_modes         a heartbeat goes out with each change of mode, not only once a second
     no_mission          said when there is no mission to fly
     airborne_text       said when it is not disarmed because it flies
@@ -255,6 +259,7 @@ class Flavour:
     setpoint_text: str = ""
     ignored_text: str = ""
     mute: float = math.inf
+    stale: float = math.inf
     tells_modes: bool = False
     idle_text: str = ""
     no_mission: tuple[str, ...] = ()

@@ -105,7 +105,7 @@ class Pilot:
     calibrating: bool = False
     deaf_to_arming: bool = False
     told_goal: Goal | None = None
-    _texts: list[str] = field(default_factory=list)
+    _texts: list[tuple[float, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.parameters = dict(self.kind.parameters)
@@ -256,14 +256,15 @@ class Pilot:
 
     def say(self, text: str) -> None:
         """A status text."""
-        self._texts = [*self._texts[-KEPT_TEXTS:], text]
+        self._texts = [*self._texts[-KEPT_TEXTS:], (self.now, text)]
 
     def take_texts(self) -> list[str]:
-        """What it had to say since the last call; without a ground station PX4 keeps it to itself."""
+        """What it had to say since the last call; without a station PX4 keeps it for a while."""
         if self.now - self.station_at > self.flavour.mute:
             return []
+        since = self.now - self.flavour.stale
         texts, self._texts = self._texts, []
-        return texts
+        return [text for at, text in texts if at >= since]
 
     # -- what becomes of it ---------------------------------------------------------------------------
 

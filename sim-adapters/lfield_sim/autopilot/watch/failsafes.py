@@ -33,6 +33,7 @@ class Failsafes:
         self._rules = pilot.flavour
         self.gcs_seen: float | None = None
         self.gcs_lost = False
+        self._only_told = False
         self._heard_again = False
         self._later: tuple[float, Role] | None = None
         self._low: set[str] = set()
@@ -52,7 +53,8 @@ class Failsafes:
     @property
     def station_lost(self) -> bool:
         """Whether the ground station is missed, or was when it was last looked at; PX4 forgives at once."""
-        return self.gcs_lost and (not self._heard_again or self._rules.gcs.every > 0.0)
+        missed = self.gcs_lost and not self._only_told
+        return missed and (not self._heard_again or self._rules.gcs.every > 0.0)
 
     def commanded(self) -> None:
         """Somebody took over: what was still to come does not come."""
@@ -72,6 +74,7 @@ class Failsafes:
         self._check_position(dt)
         if self._later is not None and self._pilot.now >= self._later[0]:
             (_, role), self._later = self._later, None
+            self._pilot.say(FAILSAFE)
             self._pilot.fall_back(role)
 
     # -- ground station and setpoints -----------------------------------------------------------------
@@ -86,16 +89,19 @@ class Failsafes:
         pilot, rule = self._pilot, self._rules.gcs
         action = int(pilot.value(rule.action))
         off = rule.enable and not pilot.value(rule.enable)
-        if self.gcs_seen is None or self.gcs_lost or off or not action:
+        if self.gcs_seen is None or self.gcs_lost or off or not (action or rule.lost_text):
             return
         late = pilot.value(rule.late) if isinstance(rule.late, str) else rule.late
         if pilot.now - self.gcs_seen <= pilot.value(rule.timeout) + late:
             return
         if rule.stands and pilot.role in (Role.HOLD, Role.RETURN):
             return
-        self.gcs_lost, self._heard_again = True, False
-        for text in () if pilot.armed else rule.lost_texts:
-            pilot.say(text)
+        self.gcs_lost, self._only_told, self._heard_again = True, not action, False
+        for text in (rule.lost_text, rule.unfit_text if action else ""):
+            if text:
+                pilot.say(text)
+        if not action:
+            return
         if pilot.armed or rule.stands:
             self._lose_gcs(rule.actions.get(action))
         elif not rule.pause:
@@ -116,11 +122,10 @@ class Failsafes:
     def _lose_gcs(self, role: Role | None) -> None:
         pilot, rule = self._pilot, self._rules.gcs
         pilot.critical = True
-        pause = pilot.value(rule.pause) if rule.pause else 0.0
+        pause = pilot.value(rule.pause) if rule.pause and role is not Role.HOLD else 0.0
         lands_on = self._lands_on()
-        held = self._rules.fence.hold_text if role is Role.HOLD else ""
-        text = rule.goes_on if lands_on else held.format(pause=pause) or rule.text
-        pilot.say(text)
+        held = rule.hold_text.format(pause=pause) if pause else rule.text
+        pilot.say(rule.goes_on if lands_on else held)
         if role is not None and not lands_on:
             self._act_after(pause, role)
 
