@@ -215,6 +215,7 @@ class Flavour:
     setpoint_text       said when a setpoint is too old
     mute                seconds without a ground station after which it says no texts; they come later
     tells_modes         a heartbeat goes out with each change of mode, not only once a second
+    tells_home          home goes out when it is taken, not only as a stream
     no_mission          said when there is no mission to fly
     airborne_text       said when it is not disarmed because it flies
     idle_text           said when it disarms because nothing follows an arming
@@ -262,6 +263,7 @@ class Flavour:
     ignored_text: str = ""
     mute: float = math.inf
     tells_modes: bool = False
+    tells_home: bool = False
     idle_text: str = ""
     no_mission: tuple[str, ...] = ()
     airborne_text: str = ""

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import all as dialect
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Result
 from lfield_sim.autopilot.readiness import has_home, has_origin, has_position
+from lfield_sim.autopilot.vehicle import Vector
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
 from lfield_sim.mavlink.telemetry.messages import MESSAGES, POSITIONS
@@ -20,6 +21,8 @@ from lfield_sim.mavlink.telemetry.messages import MESSAGES, POSITIONS
 MAX_RATE = 100.0
 #: The message that is always sent, at least at 1 Hz.
 HEARTBEAT = 0
+#: What tells home, and the place of the local frame.
+HOME_POSITION, GPS_GLOBAL_ORIGIN = 242, 49
 #: The message of PX4 that comes when the mode changes, and otherwise after so many seconds at the soonest.
 CURRENT_MODE, MODE_PAUSE = 436, 0.5
 #: Characters of a STATUSTEXT; longer texts go out in chunks, of which there are so many at most.
@@ -37,6 +40,7 @@ class Sender:
         self._texts = _Texts()
         self._groups: dict[int, float] = {}
         self._mode = autopilot.mode
+        self._home = self._known_home
         self._told: tuple[tuple[str, str], float] = (("", ""), -math.inf)
 
     def can_send(self, kind: int) -> bool:
@@ -106,6 +110,7 @@ class Sender:
         due = self._streams.due(now)
         if self._mode_changed() and self.autopilot.flavour.tells_modes and HEARTBEAT not in due:
             due.append(HEARTBEAT)
+        due += [kind for kind in self._news_of_home() if kind not in due]
         messages += [self.build(kind) for kind in due if self._is_news(kind) and not self.withholds(kind)]
         for severity, text in self.autopilot.take_texts():
             messages += self._texts.messages(severity, text)
@@ -114,6 +119,18 @@ class Sender:
     def _mode_changed(self) -> bool:
         before, self._mode = self._mode, self.autopilot.mode
         return before != self._mode
+
+    @property
+    def _known_home(self) -> Vector | None:
+        return self.autopilot.home if has_home(self.autopilot) else None
+
+    def _news_of_home(self) -> list[int]:
+        """What ArduPilot tells unasked when home is taken: home, and the origin with the first one."""
+        before, self._home = self._home, self._known_home
+        if self._home in (before, None) or not self.autopilot.flavour.tells_home:
+            return []
+        first = before is None and has_origin(self.autopilot)
+        return [*([GPS_GLOBAL_ORIGIN] if first else []), HOME_POSITION]
 
     def _is_news(self, kind: int) -> bool:
         """Whether a message is worth sending: CURRENT_MODE comes when it changes, else twice a second."""
