@@ -41,6 +41,7 @@ class Sender:
         self._groups: dict[int, float] = {}
         self._mode = autopilot.mode
         self._home = self._known_home
+        self._unheard, self._owes_origin = True, False
         self._told: tuple[tuple[str, str], float] = (("", ""), -math.inf)
 
     def can_send(self, kind: int) -> bool:
@@ -78,8 +79,18 @@ class Sender:
         return MESSAGES[kind](self.autopilot, self.place)
 
     def stream(self, kind: int, rate: float) -> None:
-        """Stream a message at a rate in Hz; 0 stops it, but for the heartbeat, which goes on at 1 Hz."""
-        self._streams.set(kind, rate, self.autopilot.now)
+        """Stream a message at a rate in Hz; 0 stops it, but for the heartbeat, which goes on at 1 Hz.
+
+        What an autopilot tells once, when it knows it, is no stream.
+        """
+        if kind not in self.autopilot.flavour.told_once:
+            self._streams.set(kind, rate, self.autopilot.now)
+
+    def greet(self) -> None:
+        """Somebody was heard; the first one after the start is told the origin by PX4."""
+        if self._unheard and self.autopilot.flavour.told_once:
+            self._owes_origin = True
+        self._unheard = False
 
     def interval(self, kind: int) -> float:
         """Seconds between two messages of a stream; 0 when it is not streamed."""
@@ -125,12 +136,13 @@ class Sender:
         return self.autopilot.home if has_home(self.autopilot) else None
 
     def _news_of_home(self) -> list[int]:
-        """What ArduPilot tells unasked when home is taken: home, and the origin with the first one."""
+        """What comes unasked: ArduPilot's home when it is taken, and the origin once."""
         before, self._home = self._home, self._known_home
-        if self._home in (before, None) or not self.autopilot.flavour.tells_home:
-            return []
-        first = before is None and has_origin(self.autopilot)
-        return [*([GPS_GLOBAL_ORIGIN] if first else []), HOME_POSITION]
+        taken = self.autopilot.flavour.tells_home and self._home not in (before, None)
+        owes = self._owes_origin or (taken and before is None)
+        told = owes and has_origin(self.autopilot)
+        self._owes_origin = self._owes_origin and not told
+        return [GPS_GLOBAL_ORIGIN] * told + [HOME_POSITION] * taken
 
     def _is_news(self, kind: int) -> bool:
         """Whether a message is worth sending: CURRENT_MODE comes when it changes, else twice a second."""
@@ -148,6 +160,7 @@ class Sender:
         result = self.autopilot.reboot()
         if result is Result.ACCEPTED:
             self._streams, self._late_acks = self._first_streams(), {}
+            self._unheard = True
             for service in self._services:
                 service.reboot()
         return result

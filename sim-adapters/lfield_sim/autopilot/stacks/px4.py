@@ -97,6 +97,8 @@ FLAVOUR = Flavour(
     lacks=frozenset({26, 27, 65, 162, 193}),
     unasked_only=frozenset({0, 42}),
     streamed_only=frozenset({436}),
+    # GPS_GLOBAL_ORIGIN
+    told_once=frozenset({49}),
     heeds_groups=False,
     return_cone=1.0,
     grace=0.14,
