@@ -54,6 +54,9 @@ class LinkHealth:
         )
 
     def _on_timesync(self, message: Any) -> None:
+        # An answer would be a word of ours: PX4 asks ten times a second.
+        if self._vehicle.quiet:
+            return
         measured = self._timesync.on_message(message)
         if measured is not None:
             self._vehicle.publish(clockOffset=measured.offset, roundTrip=measured.round_trip)

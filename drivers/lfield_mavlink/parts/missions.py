@@ -15,8 +15,9 @@ from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.services.plan_items import WAYPOINT, Item, PlanKind, command_name, coordinates, waypoints
 from lfield_mavlink.services.plan_transfer import PlanTransfer
 
-#: Seconds to wait until the current item is the one that was set, and how often it is set.
-PATIENCE, QUESTIONS = 0.5, 6
+#: Seconds to wait until the current item is the one that was set, which PX4 tells once a second, and how
+#: often it is set.
+PATIENCE, QUESTIONS = 1.2, 4
 
 #: Items with a place that the vehicle goes to, which the limits of the binding hold for.
 _FLOWN = frozenset(

@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Sequence
+from contextlib import suppress
 from typing import Any, TypeVar
 
+from lfield.driver import DeviceError
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.services.peer import Inbox, Peer
 from lfield_mavlink.services.plan_items import HOME, Item, PlanKind
@@ -50,11 +52,18 @@ class PlanTransfer:
     async def upload(self, kind: PlanKind, items: Sequence[Item]) -> None:
         """Put a whole plan onto the vehicle in place of the one there. Raises DeviceError.
 
-        When it returns, the vehicle has been seen to hold exactly this plan.
+        When it returns, the vehicle has been seen to hold exactly this plan. ArduPilot writes a mission over
+        the old one item by item: of one that it refuses, it is left with none.
         """
         wire = [HOME, *items] if self._has_home(kind) else list(items)
         async with self._lock:
-            await self._guarded(kind, self._upload(kind, wire))
+            try:
+                await self._guarded(kind, self._upload(kind, wire))
+            except DeviceError as error:
+                if self._has_home(kind) and error.kind != "DeviceTimeoutException":
+                    with suppress(DeviceError):
+                        await self._guarded(kind, self._upload(kind, [HOME]))
+                raise
 
     async def download(self, kind: PlanKind) -> list[Item]:
         """The plan that the vehicle holds, without home. Raises DeviceError."""

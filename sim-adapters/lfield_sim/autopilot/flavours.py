@@ -214,6 +214,8 @@ class Flavour:
     mute, stale         seconds without a ground station after which it says no texts; they come later, unless
                         they are so old by then
     tells_modes         a heartbeat goes out with each change of mode, not only once a second
+    tells_home          home goes out when it is taken, not only as a stream
+    told_once           messages that come when the first station is heard, and again only by REQUEST_MESSAGE
     no_mission          said when there is no mission to fly
     airborne_text       said when it is not disarmed because it flies
     idle_text           said when it disarms because nothing follows an arming
@@ -261,6 +263,8 @@ class Flavour:
     mute: float = math.inf
     stale: float = math.inf
     tells_modes: bool = False
+    tells_home: bool = False
+    told_once: frozenset[int] = frozenset()
     idle_text: str = ""
     no_mission: tuple[str, ...] = ()
     airborne_text: str = ""

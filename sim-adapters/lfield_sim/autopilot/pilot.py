@@ -268,9 +268,9 @@ class Pilot:
 
     # -- what becomes of it ---------------------------------------------------------------------------
 
-    def take_home(self, place: Vector) -> None:
-        """Home is a place in the local frame from now on; a rover knows its height better."""
-        altitude = self.kind.home_altitude
+    def take_home(self, place: Vector, *, told: bool = False) -> None:
+        """Home is a place in the local frame from now on; a rover knows its height better, unless told."""
+        altitude = None if told else self.kind.home_altitude
         down = place[2] if altitude is None else self.altitude - altitude
         self.homing.take((place[0], place[1], down))
 

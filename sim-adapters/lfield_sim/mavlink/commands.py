@@ -124,13 +124,14 @@ def _orbit(sender: Sender, command: Command) -> Answer:
 
 
 def _set_home(sender: Sender, command: Command) -> Answer:
+    """PX4 in a calibration takes it too, and does not get round to answering."""
     here = sender.autopilot.vehicle.place
-    if sender.autopilot.flavour.submodes and sender.autopilot.calibrating:
-        return None, []
     place = here if command.whole(1) == 1 else _place(sender, command)
     if place is None:
         return Result.DENIED, []
-    sender.autopilot.take_home(place)
+    sender.autopilot.take_home(place, told=True)
+    if sender.autopilot.calibrating and sender.autopilot.flavour.submodes:
+        return None, []
     if not sender.autopilot.flies and not sender.autopilot.flavour.submodes:
         latitude, longitude = (each / 1e7 for each in sender.place.at(*place[:2]))
         height = sender.place.altitude - place[2]

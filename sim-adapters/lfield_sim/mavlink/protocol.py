@@ -94,6 +94,7 @@ class MavlinkFake:
             return []
         if not self.gate.admits(message, local=local):
             return []
+        self.sender.greet()
         kind = message.get_msgId()
         own = HANDLERS.get(kind)
         replies = own(self, message) if own else []

@@ -13,6 +13,7 @@ from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Result
 from lfield_sim.autopilot.readiness import has_home, has_origin, has_position
 from lfield_sim.autopilot.stacks.severities import severity_of
+from lfield_sim.autopilot.vehicle import Vector
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
 from lfield_sim.mavlink.telemetry.messages import MESSAGES, POSITIONS
@@ -21,6 +22,8 @@ from lfield_sim.mavlink.telemetry.messages import MESSAGES, POSITIONS
 MAX_RATE = 100.0
 #: The message that is always sent, at least at 1 Hz.
 HEARTBEAT = 0
+#: What tells home, and the place of the local frame.
+HOME_POSITION, GPS_GLOBAL_ORIGIN = 242, 49
 #: The message of PX4 that comes when the mode changes, and otherwise after so many seconds at the soonest.
 CURRENT_MODE, MODE_PAUSE = 436, 0.5
 #: Characters of a STATUSTEXT; longer texts go out in chunks, of which there are so many at most.
@@ -38,6 +41,8 @@ class Sender:
         self._texts = _Texts()
         self._groups: dict[int, float] = {}
         self._mode = autopilot.mode
+        self._home = self._known_home
+        self._unheard, self._owes_origin = True, False
         self._told: tuple[tuple[str, str], float] = (("", ""), -math.inf)
 
     def can_send(self, kind: int) -> bool:
@@ -75,8 +80,18 @@ class Sender:
         return MESSAGES[kind](self.autopilot, self.place)
 
     def stream(self, kind: int, rate: float) -> None:
-        """Stream a message at a rate in Hz; 0 stops it, but for the heartbeat, which goes on at 1 Hz."""
-        self._streams.set(kind, rate, self.autopilot.now)
+        """Stream a message at a rate in Hz; 0 stops it, but for the heartbeat, which goes on at 1 Hz.
+
+        What an autopilot tells once, when it knows it, is no stream.
+        """
+        if kind not in self.autopilot.flavour.told_once:
+            self._streams.set(kind, rate, self.autopilot.now)
+
+    def greet(self) -> None:
+        """Somebody was heard; the first one after the start is told the origin by PX4."""
+        if self._unheard and self.autopilot.flavour.told_once:
+            self._owes_origin = True
+        self._unheard = False
 
     def interval(self, kind: int) -> float:
         """Seconds between two messages of a stream; 0 when it is not streamed."""
@@ -107,6 +122,7 @@ class Sender:
         due = self._streams.due(now)
         if self._mode_changed() and self.autopilot.flavour.tells_modes and HEARTBEAT not in due:
             due.append(HEARTBEAT)
+        due += [kind for kind in self._news_of_home() if kind not in due]
         messages += [self.build(kind) for kind in due if self._is_news(kind) and not self.withholds(kind)]
         for text in self.autopilot.take_texts():
             messages += self._texts.messages(text, severity_of(text, rover=not self.autopilot.flies))
@@ -115,6 +131,19 @@ class Sender:
     def _mode_changed(self) -> bool:
         before, self._mode = self._mode, self.autopilot.mode
         return before != self._mode
+
+    @property
+    def _known_home(self) -> Vector | None:
+        return self.autopilot.home if has_home(self.autopilot) else None
+
+    def _news_of_home(self) -> list[int]:
+        """What comes unasked: ArduPilot's home when it is taken, and the origin once."""
+        before, self._home = self._home, self._known_home
+        taken = self.autopilot.flavour.tells_home and self._home not in (before, None)
+        owes = self._owes_origin or (taken and before is None)
+        told = owes and has_origin(self.autopilot)
+        self._owes_origin = self._owes_origin and not told
+        return [GPS_GLOBAL_ORIGIN] * told + [HOME_POSITION] * taken
 
     def _is_news(self, kind: int) -> bool:
         """Whether a message is worth sending: CURRENT_MODE comes when it changes, else twice a second."""
@@ -132,6 +161,7 @@ class Sender:
         result = self.autopilot.reboot()
         if result is Result.ACCEPTED:
             self._streams, self._late_acks = self._first_streams(), {}
+            self._unheard = True
             for service in self._services:
                 service.reboot()
         return result

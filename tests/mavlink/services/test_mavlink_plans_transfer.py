@@ -207,6 +207,24 @@ def test_a_refusal_comes_in_words(result, words):
         run(transfer.upload(PlanKind.MISSION, route(2)), 5.0)
 
 
+def test_nothing_is_left_of_a_mission_that_ardupilot_refuses_on_its_way():
+    vehicle = Vehicle(ardupilot=True, in_place=True)
+    _, transfer = joined(vehicle)
+    run(transfer.upload(PlanKind.MISSION, route(2)), 20.0)
+    takes = vehicle.on_mission_item_int
+
+    def refuses(message):
+        if message.seq < 2:
+            return takes(message)
+        vehicle.upload = None
+        return [vehicle.ack(dialect.MAV_MISSION_UNSUPPORTED, 0)]
+
+    vehicle.on_mission_item_int = refuses
+    with pytest.raises(DeviceError, match=r"refuses the mission: UNSUPPORTED \(3\)"):
+        run(transfer.upload(PlanKind.MISSION, route(4)), 20.0)
+    assert run(transfer.download(PlanKind.MISSION), 5.0) == []
+
+
 def test_silence_is_an_error_within_its_bound():
     transfer = PlanTransfer(Channel(lambda message: []), lambda: True)
     for work in (

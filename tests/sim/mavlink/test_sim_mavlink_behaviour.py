@@ -14,6 +14,7 @@ from lfield_sim.mavlink.protocol import MavlinkFake, MavlinkLink
 
 NAN = math.nan
 POSITION, VELOCITY = 0x0DF8, 0x0DC7
+HOME_POSITION, SET_HOME, CALIBRATE = 242, 179, 241
 
 
 def test_a_yaw_rate():
@@ -282,3 +283,43 @@ def test_a_fault_of_one_vehicle_is_not_the_others():
     link = pair()
     link.vehicles[0].faults.apply(["silence@2=true"])
     assert {m.get_srcSystem() for m in parse(link.advance(1.0))} == {1}
+
+
+def home_told(c):
+    return [(m.x, m.z) for m in c.heard if m.get_type() == "HOME_POSITION"]
+
+
+def test_ardupilot_tells_home_when_it_is_taken():
+    c = Client()
+    c.wait(1.0)
+    assert not home_told(c), "it was taken long ago"
+    c.autopilot.vehicle.place = (15.0, 0.0, 0.0)
+    assert c.command(MODE, 1, GUIDED) == ACCEPTED
+    assert c.command(ARM, 1) == ACCEPTED
+    c.wait(0.02)
+    assert home_told(c) == [(15.0, 0.0)]
+    c.wait(2.0)
+    assert len(home_told(c)) == 1
+    cold = Client(faults=["warm_up=10"])
+    cold.wait(4.6)
+    assert not home_told(cold)
+    cold.wait(0.2)
+    assert {m.get_type() for m in cold.heard} >= {"HOME_POSITION", "GPS_GLOBAL_ORIGIN"}
+
+
+def test_a_rover_takes_the_height_of_a_home_that_it_is_told():
+    c = Client("rover")
+    own = c.ask(HOME_POSITION)
+    assert own.altitude == 190
+    assert c.command(SET_HOME, 1) == ACCEPTED
+    assert c.ask(HOME_POSITION).altitude == round(c.fake.place.altitude * 1000)
+    assert c.command_int(SET_HOME, x=own.latitude + 900, y=own.longitude, z=493.0) == ACCEPTED
+    assert c.ask(HOME_POSITION).altitude == 493_000
+
+
+def test_px4_takes_a_home_in_a_calibration_without_a_word():
+    c = Client(flavour="px4")
+    before = c.ask(HOME_POSITION)
+    assert c.command(CALIBRATE, 1) == ACCEPTED
+    assert c.command_int(SET_HOME, x=before.latitude + 900, y=before.longitude, z=490.0) is None
+    assert c.ask(HOME_POSITION).latitude == pytest.approx(before.latitude + 900, abs=2)

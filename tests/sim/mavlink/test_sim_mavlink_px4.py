@@ -355,3 +355,13 @@ def test_a_mode_that_is_not_available_is_accepted_and_refused_in_words():
     assert c.command(MODE, 1, 99) == ACCEPTED
     assert c.autopilot.mode == "AUTO.LOITER"
     assert Client().command(MODE, 1, 3) == FAILED
+
+
+def test_the_origin_is_told_to_the_first_that_is_heard_and_no_stream():
+    c = Client(flavour="px4")
+    c.wait(1.0)
+    assert "GPS_GLOBAL_ORIGIN" not in {m.get_type() for m in c.heard}
+    assert c.command(STREAM, 49, 200_000) == ACCEPTED
+    c.wait(3.0)
+    assert len([m for m in c.heard if m.get_type() == "GPS_GLOBAL_ORIGIN"]) == 1
+    assert c.ask(49)

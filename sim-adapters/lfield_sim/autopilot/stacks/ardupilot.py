@@ -88,9 +88,12 @@ COPTER_FLAVOUR = Flavour(
     capacity="BATT_CAPACITY",
     # DO_ORBIT is PX4's; ArduCopter circles by its mode CIRCLE.
     unsupported=frozenset({34, 187}),
-    # CURRENT_MODE, ESTIMATOR_STATUS, HIGHRES_IMU, ODOMETRY
-    lacks=frozenset({105, 230, 331, 436}),
+    # PING, CURRENT_MODE, ESTIMATOR_STATUS, HIGHRES_IMU, ODOMETRY
+    lacks=frozenset({4, 105, 230, 331, 436}),
     tells_modes=True,
+    tells_home=True,
+    # TIMESYNC
+    streams={111: 0.1},
     idle_text="Disarming motors",
     no_mission=("Mode change to AUTO failed: init failed",),
 )  # fmt: skip
@@ -102,7 +105,7 @@ ROVER_FLAVOUR = replace(
     no_mission=("No Mission. Can't set AUTO.", "Flight mode change failed"),
     setpoint_timeout="",
     # It streams every group once a second, and nothing faster than half its loop of 50 Hz.
-    streams=dict.fromkeys((1, 2, 24, 30, 32, 33, 36, 42, 65, 74, 147, 193), 1.0),
+    streams=dict.fromkeys((1, 2, 24, 27, 30, 32, 33, 36, 42, 65, 74, 147, 193), 1.0) | {111: 0.1},
     fastest=49.0,
     # No terminate, no terrain.
     capabilities=0xF1EF,

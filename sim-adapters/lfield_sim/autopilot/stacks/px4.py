@@ -91,13 +91,15 @@ FLAVOUR = Flavour(
     position_lost="Failsafe activated",
     capacity="BAT1_CAPACITY",
     streams={
-        0: 1.0, 1: 5.0, 2: 1.0, 24: 8.0, 30: 100.0, 31: 50.0, 32: 30.0, 33: 50.0, 36: 10.0, 42: 1.0, 74: 10.0,
-        105: 50.0, 147: 0.5, 230: 1.0, 242: 0.5, 245: 5.0, 331: 30.0, 436: 0.5,
+        0: 1.0, 1: 5.0, 2: 1.0, 4: 1.0, 24: 8.0, 30: 100.0, 31: 50.0, 32: 30.0, 33: 50.0, 36: 10.0, 42: 1.0,
+        74: 10.0, 105: 50.0, 111: 10.0, 147: 0.5, 230: 1.0, 242: 0.5, 245: 5.0, 331: 30.0, 436: 0.5,
     },
-    # SCALED_IMU, RC_CHANNELS, FENCE_STATUS, EKF_STATUS_REPORT
-    lacks=frozenset({26, 65, 162, 193}),
+    # SCALED_IMU, RAW_IMU, RC_CHANNELS, FENCE_STATUS, EKF_STATUS_REPORT
+    lacks=frozenset({26, 27, 65, 162, 193}),
     unasked_only=frozenset({0, 42}),
     streamed_only=frozenset({436}),
+    # GPS_GLOBAL_ORIGIN
+    told_once=frozenset({49}),
     heeds_groups=False,
     return_cone=1.0,
     grace=0.14,

@@ -16,32 +16,34 @@ from lfield_sim.mavlink.services.parameters import ParameterType, parameter_tabl
 from lfield_sim.mavlink.services.service import Service
 from lfield_sim.mavlink.services.tree import Made, Tree
 
+#: What stands in files whose contents nobody reads: no zeros, whose checksum is 0 as well.
+FILLING = bytes(range(256)) * 64
 ARDUPILOT_FILES: Mapping[str, bytes] = {
-    "/APM/LOGS/00000001.BIN": bytes(range(256)) * 40,
+    "/APM/LOGS/00000001.BIN": FILLING[:10240],
     "/APM/LOGS/LASTLOG.TXT": b"1\n",
     "/APM/scripts/README.txt": b"Scripts in this folder are run at start.\n",
     "/APM/terrain/.keep": b"",
-    "/eeprom.bin": bytes(16384),
+    "/eeprom.bin": FILLING,
     "/terrain/.keep": b"",
 }
 PX4_FILES: Mapping[str, bytes] = {
     "/etc/extras/parameters.json": b'{"version": 1, "parameters": []}',
-    "/fs/microsd/dataman": bytes(8192),
-    "/fs/microsd/log/2026-11-20/10_00_00.ulg": b"ULog\x01\x12\x35\x01" + bytes(range(256)) * 40,
+    "/fs/microsd/dataman": FILLING[:8192],
+    "/fs/microsd/log/2026-11-20/10_00_00.ulg": b"ULog\x01\x12\x35\x01" + FILLING[:10240],
     "/fs/microsd/etc/.keep": b"",
-    "/etc/extras/component_general.json.xz": bytes(364),
+    "/etc/extras/component_general.json.xz": FILLING[:364],
     "/etc/init.d/rc.vehicle_setup": b"#!/bin/sh\n",
     "/etc/init.d-posix/rcS": b"#!/bin/sh\n",
     "/log/2026-11-20/10_00_00.ulg": b"ULog\x01\x12\x35\x01",
-    "/parameters.bson": bytes(348),
+    "/parameters.bson": FILLING[:348],
 }
 #: What ArduPilot lists of folders that are none, and the size that it tells of a file not made yet.
 SYSTEM_SIZE, MISSION_SIZE = 100_000, 1 << 20
 SHOWN: Mapping[str, tuple[str, ...]] = {
+    "@ROMFS": ("Flocations.txt\t4727", "Dmodels"),
     "@SYS": tuple(
         f"F{name}.txt\t{SYSTEM_SIZE}" for name in ("threads", "tasks", "dma", "memory", "uarts", "timers")
     ),
-    "@ROMFS": ("Flocations.txt\t4727", "Dmodels"),
 }
 #: The head of @MISSION/*.dat: magic number, type, options, first item, how many.
 _MISSION_HEAD = struct.Struct("<HHHHH")
@@ -64,9 +66,9 @@ class Files(Service):
     def __init__(self, autopilot: Autopilot, place: Place) -> None:
         super().__init__(autopilot, place)
         if autopilot.flavour.name == "px4":
-            self._server = FtpServer(Tree(PX4_FILES), PX4)
+            self._server = FtpServer(Tree(PX4_FILES, dots=("S", "S")), PX4)
         else:
-            tree = Tree(ARDUPILOT_FILES, self._made(), SHOWN)
+            tree = Tree(ARDUPILOT_FILES, self._made(), SHOWN, dots=("D.", "D.."))
             self._server = FtpServer(tree, ARDUPILOT, autopilot.say)
         self.handles = {dialect.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: self._on_request}
 

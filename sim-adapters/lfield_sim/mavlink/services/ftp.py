@@ -130,6 +130,7 @@ class FtpStyle:
     busy             the error for a file more than can be open
     no_session       the error for a session that is not; `lenient`: but ending one is fine
     empty_is_root    a folder without a name is the root, else no name
+    entry_end        what ends an entry of a list
     creates          opening a file to write makes it; making and writing tell a size
     """
 
@@ -140,6 +141,7 @@ class FtpStyle:
     no_session: FtpError
     lenient: bool
     empty_is_root: bool
+    entry_end: bytes
     creates: bool
 
 
@@ -151,6 +153,7 @@ ARDUPILOT = FtpStyle(
     no_session=FtpError.NOT_FOUND,
     lenient=True,
     empty_is_root=False,
+    entry_end=b"\0\0",
     creates=False,
 )
 PX4 = FtpStyle(
@@ -161,6 +164,7 @@ PX4 = FtpStyle(
     no_session=FtpError.INVALID_SESSION,
     lenient=False,
     empty_is_root=True,
+    entry_end=b"\0",
     creates=True,
 )
 
@@ -226,7 +230,7 @@ class FtpServer:
             raise TreeError(FtpError.INVALID_DATA_SIZE)
         data = b""
         for entry in self.tree.entries(request.path)[request.offset :]:
-            text = entry.encode() + b"\0"
+            text = entry.encode() + self.style.entry_end
             if len(data) + len(text) > DATA:
                 break
             data += text

@@ -14,6 +14,7 @@ from __future__ import annotations
 import csv
 import math
 import struct
+import zlib
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,6 +35,10 @@ PER_STEP = 30
 LOOK_UP, NO_INDEX = 0.1, 65535
 #: Names that wait to be looked up at most.
 MOST_NAMES = 100
+
+
+#: What PX4 lists first: a checksum of all the others, by which a client knows them again.
+HASH = "_HASH_CHECK"
 
 
 class ParameterType(IntEnum):
@@ -110,6 +115,8 @@ class Parameters(Service):
         name, number = message.param_id, message.param_index
         if number >= 0:
             name = self._names[number] if number < len(self._names) else ""
+        elif name == HASH and self._bytewise:
+            return [self._hash()]
         if name not in self._numbers:
             return []
         if number < 0 and not self._bytewise:
@@ -119,7 +126,7 @@ class Parameters(Service):
 
     def _on_request_list(self, _: Any) -> list[Any]:
         self._listing = deque(self._names)
-        return []
+        return [self._hash()] if self._bytewise else []
 
     def _on_set(self, message: Any) -> list[Any]:
         name = message.param_id
@@ -148,6 +155,14 @@ class Parameters(Service):
             number = NO_INDEX
         value = self._encoded(self.autopilot.parameters[name], kind)
         return dialect.MAVLink_param_value_message(name.encode(), value, kind, len(self._names), number)
+
+    def _hash(self) -> Any:
+        """PX4's checksum, which is no parameter: it has no index and a type of its own."""
+        values = (f"{name}={self.autopilot.parameters[name]!r}" for name in self._names)
+        number = zlib.crc32(" ".join(values).encode())
+        value: float = struct.unpack("<f", struct.pack("<I", number))[0]
+        kind = dialect.MAV_PARAM_TYPE_UINT32
+        return dialect.MAVLink_param_value_message(HASH.encode(), value, kind, len(self._names), NO_INDEX)
 
     def _encoded(self, value: float, kind: ParameterType) -> float:
         if kind is ParameterType.REAL32 or not self._bytewise:

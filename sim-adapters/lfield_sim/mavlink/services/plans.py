@@ -183,8 +183,10 @@ class Plans(Service):
         return int(dialect.MISSION_STATE_PAUSED if begun else dialect.MISSION_STATE_NOT_STARTED)
 
     def _on_set_current(self, message: Any) -> list[Any]:
+        """ArduPilot tells at once what it goes on with, PX4 when it streams that."""
         if self._jump_to(message.seq):
-            return [self._current()]
+            self._told = self._progress
+            return [self._current()] if self._home_first else []
         if not self._home_first:
             self.autopilot.say("WPM: WP CURR CMD: Not in list\t")
         return []

@@ -52,14 +52,19 @@ class Made:
 
 
 class Tree:
-    """Folders and files. `made` are files made when they are read; in `shown` is what their folders list."""
+    """Folders and files. `made` are files made when they are read; in `shown` is what their folders list.
+
+    `dots` are the entries of a folder for itself and the one around it.
+    """
 
     def __init__(
         self,
         files: Mapping[str, bytes],
         made: Mapping[str, Made] | None = None,
         shown: Mapping[str, Sequence[str]] | None = None,
+        dots: Sequence[str] = (),
     ) -> None:
+        self._dots = dots
         self._made, self._shown = dict(made or {}), dict(shown or {})
         self._folders: set[str] = {"/"}
         self._files: dict[str, bytearray] = {}
@@ -91,12 +96,17 @@ class Tree:
         return path in self._made or _plain(path) in self._files
 
     def entries(self, path: str) -> list[str]:
-        """What is in a folder: `D<name>`, `F<name>\\t<size>`. Raises TreeError."""
+        """What is in a folder: `D<name>`, `F<name>\\t<size>`, `S`: skipped. Raises TreeError."""
         if path.rstrip("/") in self._shown:
             return list(self._shown[path.rstrip("/")])
         path = _plain(path)
         if path not in self._folders:
             raise TreeError(FtpError.NOT_FOUND)
+        shown = [f"D{each}" for each in self._shown if path == "/"]
+        return [*self._dots, *self._inside(path), *shown]
+
+    def _inside(self, path: str) -> list[str]:
+        """What was put into a folder."""
         folders = [f"D{_name(each)}" for each in self._folders if each != "/" and _parent(each) == path]
         files = [f"F{_name(each)}\t{len(self._files[each])}" for each in self._files if _parent(each) == path]
         return sorted(folders) + sorted(files)
@@ -154,7 +164,7 @@ class Tree:
         path = _plain(path)
         if path not in self._folders or path == "/":
             raise TreeError(FtpError.NOT_FOUND if path != "/" else FtpError.PROTECTED)
-        if self.entries(path):
+        if self._inside(path):
             raise TreeError(FtpError.FAIL_ERRNO, errno.ENOTEMPTY)
         self._folders.remove(path)
 

@@ -109,6 +109,16 @@ def system_time(autopilot: Autopilot, _: Place) -> Any:
     return dialect.MAVLink_system_time_message(unix, millis(autopilot))
 
 
+def ping(autopilot: Autopilot, _: Place) -> Any:
+    """PING 4, to whoever hears it."""
+    return dialect.MAVLink_ping_message(micros(autopilot), int(autopilot.uptime), 0, 0)
+
+
+def timesync(autopilot: Autopilot, _: Place) -> Any:
+    """TIMESYNC 111, the question for the time of whoever hears it."""
+    return dialect.MAVLink_timesync_message(0, int(autopilot.uptime * 1e9))
+
+
 def battery_status(autopilot: Autopilot, _: Place) -> Any:
     """BATTERY_STATUS 147: one pack, its voltage in the first cell field."""
     battery = autopilot.battery

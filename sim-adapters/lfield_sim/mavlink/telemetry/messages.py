@@ -16,8 +16,10 @@ MESSAGES: Mapping[int, Builder] = {
     0: condition.heartbeat,
     1: condition.sys_status,
     2: condition.system_time,
+    4: condition.ping,
     24: motion.gps_raw_int,
     26: motion.scaled_imu,
+    27: motion.raw_imu,
     30: motion.attitude,
     31: motion.attitude_quaternion,
     32: motion.local_position_ned,
@@ -27,6 +29,7 @@ MESSAGES: Mapping[int, Builder] = {
     65: condition.rc_channels,
     74: motion.vfr_hud,
     105: motion.highres_imu,
+    111: condition.timesync,
     147: condition.battery_status,
     148: condition.autopilot_version,
     158: equipment.mount_status,
@@ -51,7 +54,7 @@ POSITIONS = frozenset({32, 331})
 
 #: What REQUEST_DATA_STREAM (66) means by a stream number; 0 is all of them.
 DATA_STREAMS: Mapping[int, tuple[int, ...]] = {
-    1: (24,),
+    1: (24, 27),
     2: (1, 24, 42, 162),
     3: (36, 65),
     6: (32, 33),

@@ -150,6 +150,15 @@ def scaled_imu(autopilot: Autopilot, _: Place) -> Any:
     )
 
 
+def raw_imu(autopilot: Autopilot, place: Place) -> Any:
+    """RAW_IMU 27, in the units of SCALED_IMU: so ArduPilot fills it."""
+    scaled = scaled_imu(autopilot, place)
+    force = (scaled.xacc, scaled.yacc, scaled.zacc)
+    rates = (scaled.xgyro, scaled.ygyro, scaled.zgyro)
+    field = (scaled.xmag, scaled.ymag, scaled.zmag)
+    return dialect.MAVLink_raw_imu_message(micros(autopilot), *force, *rates, *field, 0, scaled.temperature)
+
+
 def highres_imu(autopilot: Autopilot, place: Place) -> Any:
     """HIGHRES_IMU 105."""
     height = -autopilot.vehicle.place[2]

@@ -81,6 +81,18 @@ def test_folders_are_listed_in_pieces():
     assert c.refused(Op.LIST, "/nowhere") is FtpError.NOT_FOUND
 
 
+def test_a_folder_lists_itself_and_the_one_around_it():
+    ardupilot = Client(
+        FtpServer(Tree({"/f": b"1"}, shown={"@SYS": ["Fx\t9"]}, dots=("D.", "D..")), ARDUPILOT)
+    )
+    assert ardupilot.ok(Op.LIST, "/").data == b"D.\0\0D..\0\0Ff\t1\0\0D@SYS\0\0"
+    assert ardupilot.ok(Op.LIST, "/", offset=3).data == b"D@SYS\0\0"
+    px4 = Client(FtpServer(Tree({"/f": b"1"}, dots=("S", "S")), PX4))
+    assert px4.ok(Op.LIST, "/").data == b"S\0S\0Ff\t1\0"
+    px4.ok(Op.MAKE_FOLDER, "/new")
+    px4.ok(Op.REMOVE_FOLDER, "/new")
+
+
 def test_a_file_is_read_in_pieces_until_its_end():
     c = Client()
     opened = c.ok(Op.OPEN_READ, "/a/log.bin", session=3)
