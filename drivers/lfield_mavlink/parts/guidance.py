@@ -108,6 +108,8 @@ class Guidance:
         limits.check_goal("orbit", centre)
         if not (all(map(math.isfinite, (radius, speed, turns))) and radius > 0.0 and speed > 0.0 and turns):
             raise self._vehicle.error("orbit needs a radius and a speed above 0, and turns other than 0")
+        if self._vehicle.profile.px4 and not self._vehicle.profile.flies:
+            raise self._vehicle.error("orbit refused: PX4 circles with what flies only; use goTo")
         circle = Circle(centre, radius, speed, turns > 0.0)
         limits.check_goal("orbit", circle.farthest)
         limits.check_speed("orbit", speed)
