@@ -11,6 +11,7 @@ from lfield_mavlink.contact.contact import LINK_LOST, SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.parts.motion import Motion
 from lfield_mavlink.parts.orders import Order, Patience
 from lfield_mavlink.parts.progress import FAR, WayBack
@@ -27,6 +28,8 @@ DELAY_OFF = "COM_DISARM_LAND"
 #: Of a landing, which may end below home, and of a return, which may hover for a while above it.
 SINKS = Patience(words="it has come no lower for {seconds:g} s, and does not stand")
 COMES_BACK = Patience(60.0, words="it has not moved for {seconds:g} s, and does not stand")
+#: How high above home it returns at least: the parameter by its names, and in how many units to a metre.
+RETURN_HEIGHTS = {ARDUPILOT: {"RTL_ALT_M": 1.0, "RTL_ALT": 100.0}, PX4: {"RTL_RETURN_ALT": 1.0}}
 #: Seconds after which ArduPilot has noticed our heartbeats, and between two attempts to arm until then.
 CLEARS, ARM_AGAIN = 1.5, 0.1
 #: What it says as long as it has not.
@@ -154,6 +157,7 @@ class Flight:
 
     async def do_return_home(self) -> None:
         """Back to where home is; what flies and can land is done when it stands there."""
+        await self._check_return("returnHome")
         mode = await self._leave_for("returnHome", "return", dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
         if self._vehicle.profile.kind == "copter":
             way = WayBack()
@@ -176,6 +180,19 @@ class Flight:
         motion, order = self._motion, Order(frozenset({mode}))
         await motion.travel("returnHome", order, left, motion.tolerance, motion.patience)
 
+    async def _check_return(self, what: str) -> None:
+        """Refuse one that climbs beyond the limit: an autopilot returns at a height of its own.
+
+        The safe state and the failsafes return all the same. Raises DeviceError.
+        """
+        profile = self._vehicle.profile
+        if profile.kind != "copter" or not self._limits.bounds_heights:
+            return
+        units = RETURN_HEIGHTS[profile.autopilot]
+        name, height = await self._parameters.read_any(units)
+        if height is not None:
+            self._limits.check_return(what, height / units[name], name)
+
     async def do_hold(self) -> None:
         """Stop and stay."""
         self._motion.begin("hold")
@@ -192,6 +209,8 @@ class Flight:
                 f"setMode refused: {wanted} would fly the mission of the vehicle past the limits; "
                 "call startMission(), which checks it"
             )
+        if wanted == profile.home:
+            await self._check_return("setMode")
         self._motion.begin(f"mode {wanted}")
         await self._motion.set_mode(wanted)
 

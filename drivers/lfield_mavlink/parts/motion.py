@@ -11,6 +11,7 @@ from typing import Any
 from lfield.driver import Clock, DeviceError
 from lfield_mavlink.contact.contact import SHOWS, Contact
 from lfield_mavlink.geo import Vector
+from lfield_mavlink.limits import BRAKES
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.parts.fences import OwnFence
 from lfield_mavlink.parts.orders import ONLY_POSITION, ORDERS, Order, Patience, Stack, Target
@@ -24,8 +25,6 @@ PERIOD = 0.05
 STAYS, BEGINS = 3, 0.1
 #: Of what flies to a goal, and of what drives there.
 ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0, detour=30.0)
-#: m/s2 with which everything can brake over ground.
-BRAKES = 2.0
 #: m/s above which it moves, unless it is told a low speed: then the share of that, and what is always noise.
 MOVES, SHARE, NOISE = 0.3, 0.5, 0.05
 #: The seconds after which one that does not move is asked why.
