@@ -114,7 +114,7 @@ def test_a_build_that_cannot_be_started_is_said_why(tmp_path, monkeypatch, conte
     build = tmp_path / "arducopter"
     build.write_bytes(content)
     build.chmod(mode)
-    with pytest.raises(OSError, match="denied|format|No such") as error:
+    with pytest.raises(OSError, match=r"denied|format|No such") as error:
         Simulator(ARDUCOPTER, str(build)).start(tmp_path / "run")
     assert words in why_not(str(build), error.value)
 
