@@ -18,6 +18,8 @@ from lfield_mavlink.geo import Vector
 LESS = 0.1
 #: How many times its `time` a correction that helps may take until the value is within its limit.
 LONGEST = 5
+#: m/s2 with which everything can brake.
+BRAKES = 2.0
 
 
 class Verdict(Enum):
@@ -135,6 +137,19 @@ class Limits:
                 f"{what} refused: {far:.1f} m from home is beyond the limit of {self._radius:g} m"
             )
 
+    def check_return(self, what: str, height: float, parameter: str) -> None:
+        """Refuse a return that climbs above the limit, as a parameter has it. Raises DeviceError."""
+        if height > self._altitude:
+            raise self._error(
+                f"{what} refused: it would climb to {height:g} m ({parameter}), above the limit of "
+                f"{self._altitude:g} m; set {parameter} lower, or go home by goTo and land"
+            )
+
+    @property
+    def bounds_heights(self) -> bool:
+        """Whether there is a height that it may not go above."""
+        return self._altitude < math.inf
+
     def check_speed(self, what: str, speed: float) -> None:
         """Refuse a speed over ground above the limit. Raises DeviceError."""
         if not (math.isfinite(speed) and speed <= self._speed):
@@ -143,11 +158,13 @@ class Limits:
     def check_way_out(self, place: Vector | None, velocity: Vector) -> None:
         """Refuse a velocity that leads out of the limits before its time-to-live is over, or farther out.
 
-        Without a place nothing is known of that. Raises DeviceError.
+        Then it must brake, which takes a way, too. Without a place nothing is known of that. Raises
+        DeviceError.
         """
         if place is None:
             return
-        ahead = tuple(p + v * self._ttl for p, v in zip(place, velocity, strict=True))
+        lasts = self._ttl + math.hypot(*velocity) / (2.0 * BRAKES)
+        ahead = tuple(p + v * lasts for p, v in zip(place, velocity, strict=True))
         if math.hypot(*ahead[:2]) > max(self._radius, math.hypot(*place[:2])):
             raise self._error(f"setVelocity refused: it leads beyond the limit of {self._radius:g} m")
         if -ahead[2] > max(self._altitude, -place[2]):

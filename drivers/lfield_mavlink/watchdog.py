@@ -205,7 +205,7 @@ class Watchdog:
     async def _read(self, need: Need) -> tuple[str, float | None]:
         """The parameter under the name that this autopilot has for it. Raises DeviceError."""
         names = self._names.get(need.names, need.names)
-        name, present = await self._first_told(names)
+        name, present = await self._parameters.read_any(names)
         if present is not None and math.isfinite(present):
             self._names[need.names] = (name,)
             return name, present
@@ -215,21 +215,4 @@ class Watchdog:
                 timeout=True,
             )
         self._names[need.names] = ()
-        return "", None
-
-    async def _first_told(self, names: Sequence[str]) -> tuple[str, float | None]:
-        """Ask for all names of one parameter; the first that is answered for."""
-
-        async def ask(name: str) -> tuple[str, float | None]:
-            return name, await self._parameters.read(name)
-
-        asking = [asyncio.ensure_future(ask(name)) for name in names]
-        try:
-            for answer in asyncio.as_completed(asking):
-                name, present = await answer
-                if present is not None:
-                    return name, present
-        finally:
-            for question in asking:
-                question.cancel()
         return "", None

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import pytest
 from sitl_missions import Command, Mission
-from sitl_simulators import KINDS, Kind, Simulator
+from sitl_simulators import KINDS, Kind, Simulator, why_not
 from sitl_watcher import Watcher
 
 #: Seconds for a simulator to be heard, and between two looks.
 HEARD, LOOK = 60.0, 0.2
+#: The share of real time below which a simulator's own time is why a check may fail.
+SLOW = 0.95
 #: What flies beside the first vehicle in an example: how many more vehicles, and the fakes of other devices.
 OTHERS: Mapping[str, tuple[int, Sequence[str]]] = {
     "01-first-flight": (1, ()),
@@ -87,8 +89,7 @@ class Field:
         try:
             simulator.start(self.folder())
         except OSError as error:
-            reason = f"{self.kind.variable}: '{simulator.given}' cannot be started: {error.strerror}"
-            pytest.fail(f"{reason}; give the path of a simulator's build, or an endpoint", pytrace=False)
+            pytest.fail(f"{self.kind.variable}: {why_not(simulator.given, error)}", pytrace=False)
         self.simulators.append(simulator)
         return simulator
 
@@ -180,6 +181,10 @@ def _row(item, report, call) -> tuple[str, str, str, str]:
     told = [str(value) for name, value in item.user_properties if name == "figure"]
     if call.excinfo is not None:
         told.append(str(call.excinfo.value).partition("\n")[0])
+        field = getattr(item, "funcargs", {}).get("field")
+        pace = field.watcher.pace(call.duration) if field is not None else None
+        if pace is not None and pace < SLOW:
+            told.append(f"its time ran at {pace:.2f} of real time: the computer is too slow or too busy")
     simulator = item.callspec.id if hasattr(item, "callspec") else ""
     check = item.originalname.removeprefix("test_").replace("_", " ")
     return simulator, check, report.outcome, "; ".join(told)

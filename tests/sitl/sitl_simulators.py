@@ -6,9 +6,12 @@ https://ardupilot.org/dev/docs/sitl-serial-mapping.html; PX4's: https://docs.px4
 
 from __future__ import annotations
 
+import errno
 import os
 import shlex
+import shutil
 import signal
+import socket
 import subprocess
 from collections.abc import Mapping
 from contextlib import suppress
@@ -19,6 +22,13 @@ from pathlib import Path
 PARAMETERS = Path(__file__).parents[2] / "sim-adapters" / "real"
 #: Seconds for a simulator to end by itself before it is killed.
 ENDS = 5.0
+#: Why a build cannot be started, beside what the system says.
+REASONS: Mapping[int, str] = {
+    errno.ENOENT: "give the path of a simulator's build, or an endpoint",
+    errno.EACCES: "it is no program, or has no execution right: chmod +x",
+    errno.ENOEXEC: "it is built for another kind of computer",
+    errno.EADDRINUSE: "end what runs there, or give its endpoint in place of a path",
+}
 #: Lines of a simulator's own output that are shown when something failed.
 LAST_WORDS = 15
 
@@ -84,10 +94,20 @@ class Simulator:
             return f"udp:127.0.0.1:{18570 + self.instance}"
         return f"tcp:127.0.0.1:{5762 + 10 * self.instance}"
 
+    @property
+    def ports(self) -> tuple[tuple[socket.SocketKind, int], ...]:
+        """The ports that it, or lfield for it, listens at."""
+        if self.kind.px4:
+            return tuple((socket.SOCK_DGRAM, port + self.instance) for port in (14540, 14580, 18570))
+        return tuple((socket.SOCK_STREAM, port + 10 * self.instance) for port in (5760, 5762))
+
     def start(self, folder: Path) -> None:
         """Start it in a folder of its own, with an empty memory. Raises OSError."""
         if self.is_running_elsewhere:
             return
+        for kind, port in self.ports:
+            if is_taken(kind, port):
+                raise OSError(errno.EADDRINUSE, f"port {port} of 127.0.0.1 is in use")
         folder.mkdir(parents=True)
         self._folder = folder
         words, environment = px4(self, folder) if self.kind.px4 else ardupilot(self)
@@ -137,9 +157,38 @@ class Simulator:
         return "\n".join(lines[-LAST_WORDS:])
 
 
+def is_taken(kind: socket.SocketKind, port: int) -> bool:
+    """Whether somebody listens at a port of this computer."""
+    with socket.socket(socket.AF_INET, kind) as one:
+        if kind is socket.SOCK_STREAM:
+            # What a simulator that has just ended leaves behind is nobody.
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            one.bind(("127.0.0.1", port))
+        except OSError as error:
+            return error.errno == errno.EADDRINUSE
+    return False
+
+
+def why_not(given: str, error: OSError) -> str:
+    """Why a build could not be started, in words."""
+    reason = REASONS.get(error.errno or 0, "")
+    if error.errno == errno.ENOENT and Path(split(given)[0]).exists():
+        reason = "the file is there, but not the loader that it was built for: it is for another system"
+    return f"'{given}' cannot be started: {error.strerror}" + (f"; {reason}" if reason else "")
+
+
+def split(given: str) -> list[str]:
+    """The path of a build, which may be relative, of somebody's home, or a name on the PATH; its options."""
+    binary, *options = shlex.split(given)
+    path = Path(binary).expanduser()
+    found = None if path.exists() else shutil.which(binary)
+    return [found or str(path.absolute()), *options]
+
+
 def ardupilot(simulator: Simulator) -> tuple[list[str], Mapping[str, str]]:
     """The command that starts an ArduPilot build, and what is added to its environment."""
-    binary, *options = shlex.split(simulator.given)
+    binary, *options = split(simulator.given)
     parameters = [PARAMETERS / f"{simulator.kind.name}.parm"]
     # A build in its source tree has the parameters that its own tests use.
     stock = Path(binary).resolve().parents[3:4]
@@ -154,7 +203,7 @@ def ardupilot(simulator: Simulator) -> tuple[list[str], Mapping[str, str]]:
 
 def px4(simulator: Simulator, folder: Path) -> tuple[list[str], Mapping[str, str]]:
     """The same of a PX4 build; its start-up files lie beside the folder of the binary."""
-    binary, *options = shlex.split(simulator.given)
+    binary, *options = split(simulator.given)
     files = Path(binary).resolve().parent.parent / "etc"
     words = [binary, *options, "-i", str(simulator.instance), "-d", "-w", str(folder)]
     return [*words, str(files)] if files.is_dir() else words, {"PX4_SIM_MODEL": simulator.kind.model}

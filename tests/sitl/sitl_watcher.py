@@ -47,6 +47,8 @@ class Watcher:
         self.seen: list[Seen] = []
         #: (when, m/s), of everything that was told.
         self.speeds: list[tuple[float, float]] = []
+        #: (when, the vehicle's own seconds since its start), likewise.
+        self.times: list[tuple[float, float]] = []
         self._thread = threading.Thread(target=self._watch, daemon=True)
         self._thread.start()
 
@@ -63,6 +65,14 @@ class Watcher:
     def top_speed(self, since: float) -> float:
         """The highest speed over ground since then, 0 when none was told."""
         return max((speed for at, speed in self.speeds if at >= since), default=0.0)
+
+    def pace(self, last: float) -> float | None:
+        """How fast its time ran in the last seconds, 1 in real time; None when it told too little of it."""
+        now = time.monotonic()
+        told = [each for each in self.times if each[0] >= now - last]
+        if not told or told[-1][0] - told[0][0] < 2.0:
+            return None
+        return (told[-1][1] - told[0][1]) / (told[-1][0] - told[0][0])
 
     def story(self, since: float = 0.0) -> str:
         """What was seen, one per line, with seconds since then."""
@@ -107,6 +117,7 @@ class Watcher:
         elif kind == "LOCAL_POSITION_NED":
             self.speed = math.hypot(message.vx, message.vy)
             self.speeds.append((time.monotonic(), self.speed))
+            self.times.append((time.monotonic(), message.time_boot_ms / 1000.0))
         elif kind == "GLOBAL_POSITION_INT":
             self.height = message.relative_alt / 1000.0
         elif kind == "STATUSTEXT":

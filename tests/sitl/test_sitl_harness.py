@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 from sitl_relay import Frames, Relay
-from sitl_simulators import KINDS, Simulator, ardupilot, px4
+from sitl_simulators import KINDS, Simulator, ardupilot, px4, split, why_not
+from sitl_watcher import Watcher
 
 from lfield.testing.driver_bench import running_fake
 
@@ -87,6 +88,56 @@ def test_builds_are_started_at_ports_and_ids_of_their_own(tmp_path):
 
     running = Simulator(ARDUCOPTER, "tcp:127.0.0.1:5760,tcp:127.0.0.1:5762")
     assert (running.endpoint, running.second) == ("tcp:127.0.0.1:5760", "tcp:127.0.0.1:5762")
+
+
+def test_a_build_is_found_where_it_was_named_from(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    build = tmp_path / "build" / "arducopter"
+    build.parent.mkdir()
+    build.touch()
+    assert split("build/arducopter --rate 400") == [str(build), "--rate", "400"]
+    assert split("~/build/arducopter") == [str(build)]
+    assert split("sh")[0].endswith("/sh")
+
+
+@pytest.mark.parametrize(
+    ("content", "mode", "words"),
+    [
+        (b"#!/bin/sh\n", 0o644, "Permission denied; it is no program, or has no execution right: chmod +x"),
+        (b"\x7fELF\x02\x01\x01" + bytes(57), 0o755, "Exec format error; it is built for another kind of"),
+        (b"#!/nowhere/loader\n", 0o755, "the file is there, but not the loader that it was built for"),
+    ],
+)
+def test_a_build_that_cannot_be_started_is_said_why(tmp_path, monkeypatch, content, mode, words):
+    monkeypatch.setattr(Simulator, "ports", ())
+    build = tmp_path / "arducopter"
+    build.write_bytes(content)
+    build.chmod(mode)
+    with pytest.raises(OSError, match=r"denied|format|No such") as error:
+        Simulator(ARDUCOPTER, str(build)).start(tmp_path / "run")
+    assert words in why_not(str(build), error.value)
+
+
+@pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
+def test_a_port_in_use_is_named(tmp_path, monkeypatch, kind):
+    with socket.socket(socket.AF_INET, kind) as taken:
+        taken.bind(("127.0.0.1", 0))
+        if kind is socket.SOCK_STREAM:
+            taken.listen()
+        port = taken.getsockname()[1]
+        monkeypatch.setattr(Simulator, "ports", ((kind, port),))
+        with pytest.raises(OSError, match="in use") as error:
+            Simulator(PX4, "/bin/true").start(tmp_path / "run")
+    assert f"port {port} of 127.0.0.1 is in use; end what runs there" in why_not("/bin/true", error.value)
+
+
+def test_a_simulator_whose_time_is_slow_is_noticed(monkeypatch):
+    watcher = Watcher.__new__(Watcher)
+    watcher.times = [(float(n), 0.6 * n) for n in range(20)]
+    monkeypatch.setattr("sitl_watcher.time.monotonic", lambda: 19.0)
+    assert watcher.pace(10.0) == pytest.approx(0.6)
+    assert watcher.pace(1.0) is None
 
 
 @pytest.mark.process

@@ -17,7 +17,8 @@ from lfield_mavlink.modes import PROFILES, PX4, Profile
 
 #: Which quantities of the manifest each message brings. The autopilot is asked for the message at the
 #: highest rate that the manifest names for one of them. ArduPilot's heartbeat is wanted faster than its 1 Hz,
-#: since modes and arming are confirmed by it; PX4 sends it no faster, but has CURRENT_MODE beside it.
+#: since modes and arming are confirmed by it; PX4 sends it no faster, but has CURRENT_MODE beside it, which
+#: tells no arming. Its texts do, and at once; but what it says while it hears no station comes when it does.
 SOURCES: Mapping[int, tuple[str, ...]] = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: ("mode", "armed", "failsafe"),
     dialect.MAVLINK_MSG_ID_CURRENT_MODE: ("mode", "failsafe"),

@@ -11,19 +11,25 @@ from lfield_mavlink.contact.contact import LINK_LOST, SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.parts.motion import Motion
-from lfield_mavlink.parts.orders import Order
-from lfield_mavlink.parts.progress import WayBack
+from lfield_mavlink.parts.orders import Order, Patience
+from lfield_mavlink.parts.progress import FAR, WayBack
 from lfield_mavlink.parts.readiness import COMPLAINTS, Readiness
 from lfield_mavlink.parts.rest import AT_HOME
 from lfield_mavlink.services.parameters import Parameters
 
 #: Seconds for a heartbeat to come that is newer than a stop; one comes every second at least.
 NEWS = 2.5
-#: Seconds after a landing for the motors to go off, and to be seen off: ArduPilot takes half a second. PX4
-#: takes as long as its parameter says; a longer time than LONGEST_ON is not waited for.
-GOES_OFF, LONGEST_ON = 6.0, 60.0
+#: Seconds after a landing for the motors to go off, and to be seen off: ArduPilot takes half a second, PX4
+#: 2 s, unless its parameter says another time; below 0 they stay on.
+GOES_OFF = 6.0
 DELAY_OFF = "COM_DISARM_LAND"
+#: Of a landing, which may end below home, and of a return, which may hover for a while above it.
+SINKS = Patience(words="it has come no lower for {seconds:g} s, and does not stand")
+COMES_BACK = Patience(60.0, words="it has not moved for {seconds:g} s, and does not stand")
+#: How high above home it returns at least: the parameter by its names, and in how many units to a metre.
+RETURN_HEIGHTS = {ARDUPILOT: {"RTL_ALT_M": 1.0, "RTL_ALT": 100.0}, PX4: {"RTL_RETURN_ALT": 1.0}}
 #: Seconds after which ArduPilot has noticed our heartbeats, and between two attempts to arm until then.
 CLEARS, ARM_AGAIN = 1.5, 0.1
 #: What it says as long as it has not.
@@ -144,13 +150,14 @@ class Flight:
         mode = await self._leave_for("land", "land", dialect.MAV_CMD_NAV_LAND)
 
         def height(place: Vector) -> float:
-            return 0.0 if self._down else max(-place[2], 0.1) + 1.0
+            return 0.0 if self._down else FAR - place[2]
 
-        await self._motion.travel("land", Order(frozenset({mode})), height, 0.0)
+        await self._motion.travel("land", Order(frozenset({mode})), height, 0.0, SINKS)
         await self._go_off()
 
     async def do_return_home(self) -> None:
         """Back to where home is; what flies and can land is done when it stands there."""
+        await self._check_return("returnHome")
         mode = await self._leave_for("returnHome", "return", dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
         if self._vehicle.profile.kind == "copter":
             way = WayBack()
@@ -159,6 +166,7 @@ class Flight:
                 Order(frozenset({mode})),
                 lambda place: 0.0 if self._down else way.left(place),
                 0.0,
+                COMES_BACK,
             )
             await self._go_off()
             return
@@ -171,6 +179,19 @@ class Flight:
 
         motion, order = self._motion, Order(frozenset({mode}))
         await motion.travel("returnHome", order, left, motion.tolerance, motion.patience)
+
+    async def _check_return(self, what: str) -> None:
+        """Refuse one that climbs beyond the limit: an autopilot returns at a height of its own.
+
+        The safe state and the failsafes return all the same. Raises DeviceError.
+        """
+        profile = self._vehicle.profile
+        if profile.kind != "copter" or not self._limits.bounds_heights:
+            return
+        units = RETURN_HEIGHTS[profile.autopilot]
+        name, height = await self._parameters.read_any(units)
+        if height is not None:
+            self._limits.check_return(what, height / units[name], name)
 
     async def do_hold(self) -> None:
         """Stop and stay."""
@@ -188,6 +209,8 @@ class Flight:
                 f"setMode refused: {wanted} would fly the mission of the vehicle past the limits; "
                 "call startMission(), which checks it"
             )
+        if wanted == profile.home:
+            await self._check_return("setMode")
         self._motion.begin(f"mode {wanted}")
         await self._motion.set_mode(wanted)
 
@@ -256,19 +279,18 @@ class Flight:
         return bool(self._state.landed) or not self._state.armed
 
     async def _go_off(self) -> None:
-        """Wait until the autopilot has switched the motors off, if it does so after a landing.
+        """Wait until the autopilot has switched the motors off after a landing, or switch them off.
 
-        An arming in between would find them on, and lose them a moment later.
+        An arming in between would find them on, and lose them when their time is over. A PX4 whose owner
+        wants them to stay on keeps them on. Raises DeviceError.
         """
-        if self._vehicle.profile.flies and self._state.armed:
-            await self._vehicle.seen(lambda: not self._state.armed, await self._time_to_go_off())
-
-    async def _time_to_go_off(self) -> float:
-        """Seconds to wait for that at most; 0 for a PX4 that leaves them on (below 0)."""
-        delay = await self._parameters.read(DELAY_OFF) if self._vehicle.profile.px4 else None
-        if delay is None:
-            return GOES_OFF
-        return min(delay, LONGEST_ON) + GOES_OFF if delay >= 0.0 else 0.0
+        vehicle = self._vehicle
+        if not vehicle.profile.flies or await vehicle.seen(lambda: not self._state.armed, GOES_OFF):
+            return
+        delay = await self._parameters.read(DELAY_OFF) if vehicle.profile.px4 else None
+        if (delay is None or delay >= 0.0) and self._state.landed and self._motion.ours:
+            vehicle.note(f"it has stood for {GOES_OFF:g} s with its motors on: they are switched off")
+            await self.do_disarm()
 
     async def _leave_for(self, what: str, safe_state: str, command: int) -> str:
         """Enter the mode of a safe state by the command that there is for it, such as NAV_LAND; the mode.

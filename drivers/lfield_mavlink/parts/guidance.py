@@ -27,6 +27,8 @@ AHEAD = 5.0
 NOTICES = 0.15
 #: Seconds for its answer, and for the mode to show, before it is told again; and how often it may refuse.
 SHOWN, REFUSALS = 0.05, 2
+#: Seconds after its acceptance, asked again meanwhile, after which it would have said that it does not.
+BELIEVED = 0.1
 
 
 class Guidance:
@@ -108,6 +110,8 @@ class Guidance:
         limits.check_goal("orbit", centre)
         if not (all(map(math.isfinite, (radius, speed, turns))) and radius > 0.0 and speed > 0.0 and turns):
             raise self._vehicle.error("orbit needs a radius and a speed above 0, and turns other than 0")
+        if self._vehicle.profile.px4 and not self._vehicle.profile.flies:
+            raise self._vehicle.error("orbit refused: PX4 circles with what flies only; use goTo")
         circle = Circle(centre, radius, speed, turns > 0.0)
         limits.check_goal("orbit", circle.farthest)
         limits.check_speed("orbit", speed)
@@ -176,12 +180,15 @@ class Guidance:
     async def _enter_offboard(self, what: str, until: float) -> None:
         """PX4 enters OFFBOARD when it has noticed the setpoints, and shows it by CURRENT_MODE.
 
-        What it does not enter it accepts all the same, and says so in words only.
+        What it does not enter it accepts all the same, and says so in words at once. CURRENT_MODE comes when
+        the mode changes and then after half a second: when that packet was lost, no such words are enough.
         """
         vehicle, guided = self._vehicle, self._vehicle.profile.guided
-        start, pause, refusals = vehicle.clock.monotonic(), NOTICES, 0
+        start, pause, refusals, accepted = vehicle.clock.monotonic(), NOTICES, 0, math.inf
         while not await vehicle.seen(self._is_guided, pause):
             asked = vehicle.clock.monotonic()
+            if asked >= min(accepted + BELIEVED, max(accepted, until)):
+                break
             result = await self._ask_for_offboard(asked)
             refused = vehicle.is_unavailable(guided, asked) or result not in (
                 None,
@@ -189,13 +196,17 @@ class Guidance:
             )
             # The first time it may be that the setpoints were lost.
             pause, refusals = (NOTICES, refusals + 1) if refused else (0.0, refusals)
-            over = vehicle.clock.monotonic() >= until
+            if refused:
+                accepted = math.inf
+            elif result is not None:
+                accepted = min(accepted, vehicle.clock.monotonic())
+            over = vehicle.clock.monotonic() >= until and accepted == math.inf
             if not self._is_guided() and (over or refusals == REFUSALS):
                 vehicle.check_link()
                 why = "refused" if refused else f"not entered within the ttl of {vehicle.binding.ttl:g} s"
                 words = "no answer" if result is None else result_words(result)
                 raise vehicle.error(f"{what}: {guided} was {why}: {words}{vehicle.reasons(start)}")
-        self._motion.claim(guided)
+        self._motion.claim(guided, self._state.mode)
 
     async def _ask_for_offboard(self, asked: float) -> int | None:
         """Tell PX4 once, and wait a moment for what becomes of it; the result of the command."""
@@ -203,7 +214,8 @@ class Guidance:
         values = self._motion.mode_values(guided)
         command = dialect.MAV_CMD_DO_SET_MODE
         answer = await vehicle.exchange.command(command, *values, once=True, patience=SHOWN)
-        await vehicle.seen(lambda: self._is_guided() or vehicle.is_unavailable(guided, asked), SHOWN)
+        if answer.result is not None:
+            await vehicle.seen(lambda: self._is_guided() or vehicle.is_unavailable(guided, asked), SHOWN)
         return answer.result
 
     def _is_guided(self) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 from lfield.driver import Clock, DeviceError
 from lfield_mavlink.contact.contact import SHOWS, Contact
 from lfield_mavlink.geo import Vector
+from lfield_mavlink.limits import BRAKES
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.parts.fences import OwnFence
 from lfield_mavlink.parts.orders import ONLY_POSITION, ORDERS, Order, Patience, Stack, Target
@@ -23,11 +24,11 @@ PERIOD = 0.05
 #: one arrives on a bad link, and that ArduPilot's control of a position has begun.
 STAYS, BEGINS = 3, 0.1
 #: Of what flies to a goal, and of what drives there.
-ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0)
-#: m/s2 with which everything can brake over ground.
-BRAKES = 2.0
-#: m/s above which it moves, and the seconds after which one that does not is asked why.
-MOVES, ASKED_WHY = 0.3, 2.0
+ON_ITS_WAY, DRIVES = Patience(), Patience(turning=40.0, detour=30.0)
+#: m/s above which it moves, unless it is told a low speed: then the share of that, and what is always noise.
+MOVES, SHARE, NOISE = 0.3, 0.5, 0.05
+#: The seconds after which one that does not move is asked why.
+ASKED_WHY = 2.0
 
 
 def stopping_place(place: Vector, velocity: Vector) -> Vector:
@@ -223,9 +224,10 @@ class Motion:
             if left <= near:
                 return
             self._check_underway(what, order.modes, start)
-            if progress.is_over(left, self.moves, now):
+            if progress.is_over(left, self.moves, now, self._told):
                 await self._give_up(order)
-                words = patience.words.format(seconds=patience.seconds, left=left)
+                seconds = patience.bound(self.moves, self._told)
+                words = patience.words.format(seconds=seconds, left=left)
                 fence = await self.fence.perhaps() if order.goal is not None else ""
                 raise vehicle.error(f"{what} gave up: {words}{fence}")
             if not asked and self._is_refused(order, progress, now):
@@ -244,7 +246,8 @@ class Motion:
     @property
     def moves(self) -> bool:
         """Whether it moves over ground or up and down, as far as it tells."""
-        return self._state.speeds is not None and math.hypot(*self._state.speeds) > MOVES
+        least = MOVES if self._told is None else max(min(MOVES, SHARE * self._told), NOISE)
+        return self._state.speeds is not None and math.hypot(*self._state.speeds) > least
 
     def _is_refused(self, order: Order, progress: Progress, now: float) -> bool:
         """Whether it looks as if the autopilot does not want to go there."""
@@ -310,6 +313,11 @@ class Motion:
         """What was asked for last, else the limit of the binding, else the autopilot's own."""
         return self._speed or self._vehicle.binding.limits.get("speed")
 
+    @property
+    def _told(self) -> float | None:
+        """The speed of this motion, where it has one that is known."""
+        return self._pace or self.wanted_speed
+
     async def set_speed(self, speed: float) -> None:
         """The speed over ground for this motion and those that follow. Raises DeviceError."""
         if self._takes_speed:
@@ -333,7 +341,7 @@ class Motion:
     @property
     def faster(self) -> float | None:
         """What it may be told again after it was told to be slower, once in a motion; else None."""
-        return (self._pace or self.wanted_speed) if self._slowed == 1 else None
+        return self._told if self._slowed == 1 else None
 
     async def speed_up(self, speed: float) -> None:
         """Tell it a speed again after it was told to be slower. Raises DeviceError."""

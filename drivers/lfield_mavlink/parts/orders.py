@@ -26,6 +26,9 @@ _CHANGE_MODE = 1.0
 #: m/s by which PX4's rover drives faster than it is told, as recorded (1.5 for 1.0), and the least share of a
 #: speed that it is told because of that.
 _EXCESS, _LEAST_SHARE = 0.45, 0.5
+#: The share of a speed that is reckoned with, and how often it must have come closer by so much in a time
+#: until it is known that it does not.
+_SLOWEST, _CERTAIN = 0.5, 4.0
 #: How far ahead on an orbit the goal is, in radians.
 _AHEAD = 0.5
 
@@ -74,13 +77,24 @@ class Order:
 class Patience:
     """How long a motion may come no `closer`, and what is then said, with `{seconds}` and `{left}`.
 
-    While it moves it may take `turning` seconds: what steers like a car drives away from a goal behind it.
+    While it moves it may take `turning` seconds, or as long as `detour` metres take: what steers like a car
+    drives away from a goal behind it.
     """
 
     seconds: float = 10.0
     closer: float = 0.1
     turning: float = 0.0
+    detour: float = 0.0
     words: str = "no progress for {seconds:g} s, {left:.1f} m from its goal"
+
+    def bound(self, moves: bool, pace: float | None) -> float:
+        """The seconds without coming closer that are too many, at a speed in m/s where that is known.
+
+        What is told a speed may be half as fast: it gains speed, turns, or was corrected.
+        """
+        slow = math.inf if pace is None else _SLOWEST * pace
+        still = max(self.seconds, _CERTAIN * self.closer / slow)
+        return max(still, self.turning, self.detour / slow) if moves else still
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,8 @@ from lfield_mavlink.parts.orders import Circle, Patience
 
 #: Seconds that a rover stands until it is known to have stopped, and metres by which it may stop early.
 STOPPED, EARLY = 1.0, 0.3
+#: Metres from which ways are counted down whose end is not known.
+FAR = 1e6
 
 
 class Progress:
@@ -19,14 +21,13 @@ class Progress:
         self._patience = patience
         self._best, self._best_at, self._moved_at = math.inf, start, start
 
-    def is_over(self, left: float, moves: bool, now: float) -> bool:
-        """Take in what is left of the way; whether nothing can be hoped for any more."""
+    def is_over(self, left: float, moves: bool, now: float, pace: float | None = None) -> bool:
+        """Take in what is left of the way, and its speed where it is known; whether all hope is gone."""
         if moves:
             self._moved_at = now
         if left < self._best - self._patience.closer:
             self._best, self._best_at = left, now
-        waits = max(self._patience.seconds, self._patience.turning if moves else 0.0)
-        return now - self._best_at > waits
+        return now - self._best_at > self._patience.bound(moves, pace)
 
     def stood(self, now: float) -> float:
         """For how many seconds it has not moved."""
@@ -56,16 +57,20 @@ class Arrival:
 class WayBack:
     """The way back of a flight that may first climb, as a number that only falls while it gets on."""
 
+    #: Metres that are no noise: what hovers never adds them up.
+    STEP = 0.3
+
     def __init__(self) -> None:
         self._moved = 0.0
         self._last: Vector | None = None
 
     def left(self, place: Vector) -> float:
         """Minus the metres flown so far: a return has a shape of its own, so any motion is progress."""
-        if self._last is not None:
-            self._moved += math.dist(place, self._last)
-        self._last = place
-        return 1e6 - self._moved
+        step = 0.0 if self._last is None else math.dist(place, self._last)
+        if self._last is None or step >= self.STEP:
+            self._moved += step
+            self._last = place
+        return FAR - self._moved
 
 
 class Revolutions:

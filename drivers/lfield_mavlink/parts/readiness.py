@@ -24,8 +24,8 @@ FAILED = "its checks before arming have not passed"
 SAID = 35.0
 #: Seconds to wait for the autopilot to say it, once it was asked to.
 SPEAKS = 1.2
-#: Seconds after which SYS_STATUS and a position are old.
-FRESH = 3.0
+#: Seconds after which it is not known any more what SYS_STATUS and a position told.
+CHECKS_OLD = 3.0
 #: Seconds after a change of mode until the checks are those of the new one, and the bit has been told again.
 SETTLES = 2.0
 #: Seconds between two looks, and between two attempts to be in the mode to be armed in.
@@ -92,7 +92,7 @@ class Readiness:
         """What is missing, '' when nothing is."""
         if self._vehicle.silence > LINK_LOST:
             return f"nothing heard for {self._vehicle.silence:.1f} s"
-        since = max(self._counts_from, self._vehicle.clock.monotonic() - FRESH)
+        since = max(self._counts_from, self._vehicle.clock.monotonic() - CHECKS_OLD)
         return lack(self._state, since, px4=self._vehicle.profile.px4)
 
     @property

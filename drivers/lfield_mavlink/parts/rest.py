@@ -29,7 +29,7 @@ AT_HOME, CIRCLES = 5.0, 150.0
 #: Metres below the surface at which a submarine has come up.
 SURFACED = 0.5
 #: Seconds after which a speed is not known any more, as telemetry has it.
-FRESH = 3.0
+SPEED_OLD = 3.0
 #: Seconds without a heartbeat after which it is not known any more whether its motors are on.
 TOLD = 6.0
 
@@ -108,7 +108,7 @@ class Rest:
     def _speeds(self) -> tuple[float, float] | None:
         """Over ground and upwards, None when that is not known any more."""
         state = self._state
-        known = state.speeds is not None and self._vehicle.clock.monotonic() - state.speeds_at <= FRESH
+        known = state.speeds is not None and self._vehicle.clock.monotonic() - state.speeds_at <= SPEED_OLD
         return state.speeds if known else None
 
     def _way(self) -> list[str]:

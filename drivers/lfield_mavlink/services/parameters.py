@@ -7,7 +7,7 @@ ArduPilot and PX4, so "no answer" is how it is told.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,6 +61,26 @@ class Parameters:
         """
         found = await self._read(name)
         return None if found is None else found.value
+
+    async def read_any(self, names: Iterable[str]) -> tuple[str, float | None]:
+        """Ask for all names that one parameter has by version; the first that is answered for, and its value.
+
+        ("", None) when none is. Raises DeviceError.
+        """
+
+        async def ask(name: str) -> tuple[str, float | None]:
+            return name, await self.read(name)
+
+        asking = [asyncio.ensure_future(ask(name)) for name in names]
+        try:
+            for answer in asyncio.as_completed(asking):
+                name, present = await answer
+                if present is not None:
+                    return name, present
+        finally:
+            for question in asking:
+                question.cancel()
+        return "", None
 
     async def write(self, name: str, value: float) -> None:
         """Set a parameter; returns when the autopilot has told the new value. Raises DeviceError."""

@@ -9,8 +9,9 @@ from dataclasses import replace
 import pytest
 
 from lfield.errors import DeviceError
+from lfield_mavlink.contact.state import VehicleState
 from lfield_mavlink.parts.orders import Circle, Patience
-from lfield_mavlink.parts.progress import Arrival, Following, Progress, Turning
+from lfield_mavlink.parts.progress import Arrival, Following, Progress, Turning, WayBack
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.vehicle import Reach
 
@@ -113,6 +114,55 @@ def test_a_rover_may_drive_round_on_its_way_to_a_circle(bench):
     assert math.hypot(north + 6.0, east) == pytest.approx(3.0, abs=2.0)
 
 
+SLOW = {
+    "orbit": (1.0, ("orbit", [-20.0, 0.0, 0.0, 4.0, 0.3, 0.1])),
+    "goTo": (0.2, ("goTo", [-6.0, 0.0, 0.0])),
+    "returnHome": (0.2, ("returnHome", [])),
+}
+
+
+@pytest.mark.parametrize("name", SLOW)
+def test_a_slow_rover_is_given_the_time_that_its_way_round_takes(bench, name):
+    """It drives away from a goal behind it for as many metres as a fast one, and for longer."""
+    speed, (what, values) = SLOW[name]
+    b = bench(kind="rover", limits={"speed": speed})
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        if what == "returnHome":
+            await fc.execute("goTo", [5.0, 0.0, 0.0])
+        await fc.execute(what, values)
+
+    b.run(mission)
+
+
+def test_a_slow_vehicle_that_stands_is_given_up_all_the_same(bench):
+    b = bench(limits={"speed": 0.2})
+
+    async def mission(fc):
+        await up(fc)
+        flight = asyncio.create_task(fc.execute("goTo", [9.0, 0.0, -5.0]))
+        await asyncio.sleep(5.0)
+        b.autopilot.pace.change(0.001)
+        start = asyncio.get_running_loop().time()
+        with pytest.raises(DeviceError, match=r"goTo gave up: no progress for 10 s, 8\.\d m from its goal"):
+            await flight
+        assert asyncio.get_running_loop().time() - start < 12.0
+
+    b.run(mission)
+
+
+def test_px4_has_no_orbit_for_what_drives(bench):
+    b = bench(kind="rover", flavour="px4")
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        with pytest.raises(DeviceError, match="orbit refused: PX4 circles with what flies only; use goTo"):
+            await fc.execute("orbit", [9.0, 0.0, 0.0, 4.0, 1.0, 1.0])
+
+    b.run(mission)
+
+
 def test_a_rate_is_judged_by_what_it_should_have_turned():
     turning, slow = Turning(), Turning()
     assert not any(turning.fails(0.5, 0.5 * n * 0.4, 1.0, n * 0.4) for n in range(40))
@@ -146,6 +196,20 @@ def test_a_detour_is_given_time_and_a_stand_is_not():
     assert detour.is_over(30.0, True, 41.0)
     assert not stand.is_over(20.0, False, 1.0)
     assert stand.is_over(20.0, False, 11.1)
+
+
+def test_patience_grows_as_a_speed_falls():
+    drives = Patience(10.0, 0.1, turning=40.0, detour=30.0)
+    bounds = [drives.bound(moves, pace) for moves in (False, True) for pace in (None, 5.0, 0.3, 0.01)]
+    assert bounds == pytest.approx([10.0, 10.0, 10.0, 80.0, 40.0, 40.0, 200.0, 6000.0])
+
+
+def test_a_hover_on_the_way_back_is_no_progress():
+    """However its position trembles."""
+    way = WayBack()
+    hover = [way.left((0.1 * (n % 3), -0.1 * (n % 2), -10.0)) for n in range(1000)]
+    assert set(hover) == {hover[0]}
+    assert way.left((0.0, 3.0, -10.0)) == pytest.approx(hover[0] - 3.0)
 
 
 def test_the_farthest_place_of_a_circle():
@@ -247,3 +311,16 @@ def test_after_a_landing_it_can_be_armed_and_fly_again(bench, flavour):
 
     b.run(mission)
     assert b.autopilot.vehicle.airborne
+
+
+def test_a_landing_goes_on_below_home(bench, monkeypatch):
+    """A slope: where it comes down is 20 m lower than where it took off."""
+    b = bench()
+
+    async def mission(fc):
+        await up(fc, 9.0)
+        monkeypatch.setattr(VehicleState, "home_offset", (0.0, 0.0, -20.0))
+        await fc.execute("land", [])
+
+    b.run(mission)
+    assert not b.autopilot.armed

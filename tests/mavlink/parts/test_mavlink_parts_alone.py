@@ -107,6 +107,9 @@ class Parameters:
         if name not in self.stuck:
             self.values[name] = value
 
+    async def read_any(self, names):
+        return next(((name, self.values[name]) for name in names if name in self.values), ("", None))
+
     async def read_all(self):
         return self.values
 
@@ -262,6 +265,12 @@ def farthest(centre, radius):
         (lambda limits: limits.check_speed("setSpeed", 5.1), "setSpeed of 5.1 m/s is above the limit of 5"),
         (lambda limits: limits.check_way_out((79.5, 0.0, 0.0), (1.0, 0.0, 0.0)), "beyond the limit of 80 m"),
         (lambda limits: limits.check_way_out((0.0, 0.0, -29.5), (0.0, 0.0, -1.0)), "above the limit of 30 m"),
+        # With a ttl of 1 s and 4 m for braking.
+        (lambda limits: limits.check_way_out((72.1, 0.0, 0.0), (4.0, 0.0, 0.0)), "beyond the limit of 80 m"),
+        (
+            lambda limits: limits.check_return("returnHome", 31.0, "RTL_ALT"),
+            r"31 m \(RTL_ALT\), above the limit",
+        ),
     ],
 )
 def test_what_is_beyond_the_limits(check, words):
@@ -276,6 +285,8 @@ def check_all_allowed(limits: Limits) -> None:
     limits.check_goal("goTo", (80.0, 0.0, -30.0))
     limits.check_goal("orbit", farthest((50.0, 0.0, -5.0), 30.0))
     limits.check_speed("setSpeed", 5.0)
+    limits.check_return("returnHome", 30.0, "RTL_ALT")
+    limits.check_way_out((71.9, 0.0, 0.0), (4.0, 0.0, 0.0))
     # Who is outside already may come back.
     limits.check_way_out((90.0, 0.0, -40.0), (-1.0, 0.0, 1.0))
     limits.check_way_out(None, (99.0, 0.0, 0.0))

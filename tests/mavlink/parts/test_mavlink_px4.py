@@ -285,8 +285,10 @@ def test_a_refusal_counts_only_for_the_mode_that_it_is_about(px4, monkeypatch):
     b.run(mission)
 
 
-@pytest.mark.parametrize(("delay", "stays_on"), [(2.0, False), (14.0, False), (-1.0, True)])
-def test_a_landing_is_over_when_its_motors_are_off_or_stay_on(px4, delay, stays_on):
+@pytest.mark.parametrize(
+    ("delay", "stays_on", "said"), [(2.0, False, 0), (14.0, False, 1), (600.0, False, 1), (-1.0, True, 0)]
+)
+def test_a_landing_is_over_when_its_motors_are_off_or_are_to_stay_on(px4, delay, stays_on, said):
     b = px4()
     b.autopilot.parameters["COM_DISARM_LAND"] = delay
 
@@ -295,6 +297,7 @@ def test_a_landing_is_over_when_its_motors_are_off_or_stay_on(px4, delay, stays_
         await fc.execute("land", [])
         assert b.values["landed"]
         assert b.values["armed"] is stays_on
+        assert len([note for note in b.notes if "they are switched off" in note]) == said
         await fc.execute("arm", [])
         await asyncio.sleep(1.5)
         assert b.values["armed"] is True

@@ -1,0 +1,107 @@
+"""Every limit of a binding, on each autopilot, by each instruction that moves it: what is truly flown."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+
+from lfield.errors import DeviceError
+
+LIMITS = {"speed": 3.0, "altitude": 12.0, "radius": 40.0}
+#: What gusts and noise may add, as a binding has it by default.
+TOLERANCE = 1.2
+#: The parameter of the height at which it returns, and one below the limit.
+RETURNS = {"ardupilot": ("RTL_ALT", 1000.0), "px4": ("RTL_RETURN_ALT", 10.0)}
+
+
+class Most:
+    """The most of each limited quantity that a fake has flown."""
+
+    def __init__(self, vehicle):
+        self._vehicle, self.most = vehicle, dict.fromkeys(LIMITS, 0.0)
+
+    async def watch(self):
+        while True:
+            await asyncio.sleep(0.05)
+            (north, east, down), velocity = self._vehicle.place, self._vehicle.velocity
+            now = {"speed": math.hypot(*velocity[:2]), "altitude": -down, "radius": math.hypot(north, east)}
+            self.most = {name: max(value, now[name]) for name, value in self.most.items()}
+
+
+async def push(fc, *velocity):
+    """Velocities until they are refused, and then a stop."""
+
+    async def on():
+        while True:
+            await fc.execute("setVelocity", list(velocity))
+            await asyncio.sleep(0.2)
+
+    with pytest.raises(DeviceError, match=r"setVelocity refused: it leads (beyond|above) the limit"):
+        await on()
+    await asyncio.sleep(0.3)
+    await fc.execute("hold", [])
+    await asyncio.sleep(6.0)
+
+
+async def tour(b, fc, *, flies, circles):
+    """Everything that moves it, to the edge of what is allowed."""
+    down = -8.0 if flies else 0.0
+    await fc.execute("arm", [])
+    if flies:
+        await fc.execute("takeoff", [8.0])
+    await fc.execute("goTo", [38.0, 0.0, down])
+    latitude, longitude, _ = b.values["globalPosition"]
+    await fc.execute("goToGlobal", [latitude - 2e-4, longitude, 8.0])
+    if circles:
+        await fc.execute("orbit", [10.0, 10.0, down, 5.0, 2.5, 0.3])
+    await fc.execute("uploadMission", [[latitude - 1e-4, longitude, 8.0, latitude - 2e-4, longitude, 8.0]])
+    await fc.execute("startMission", [])
+    await asyncio.sleep(8.0)
+    await fc.execute("hold", [])
+    await push(fc, 0.0, 3.0, 0.0)
+    if flies:
+        await push(fc, 0.0, 0.0, -2.0)
+    await fc.execute("returnHome", [])
+
+
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+@pytest.mark.parametrize("kind", ["copter", "rover"])
+def test_every_limit_is_kept_however_it_is_moved(bench, kind, flavour):
+    b = bench(kind=kind, flavour=flavour, limits=LIMITS)
+    name, height = RETURNS[flavour]
+    b.autopilot.parameters[name] = height
+    flown, flies = Most(b.autopilot.vehicle), kind == "copter"
+
+    async def mission(fc):
+        watching = asyncio.create_task(flown.watch())
+        await tour(b, fc, flies=flies, circles=flies or flavour == "ardupilot")
+        watching.cancel()
+
+    b.run(mission)
+    assert all(flown.most[limit] <= LIMITS[limit] * TOLERANCE for limit in LIMITS), flown.most
+    assert flown.most["speed"] > 0.8 * LIMITS["speed"]
+    assert flown.most["radius"] > 36.0
+    assert [note for note in b.notes if "beyond" in note] == []
+    assert b.breaches == []
+
+
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_a_return_that_would_climb_too_high_is_refused_before_it_begins(bench, flavour):
+    b = bench(flavour=flavour, limits=LIMITS)
+    name, height = RETURNS[flavour]
+    mode = {"ardupilot": "RTL", "px4": "AUTO.RTL"}[flavour]
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        await fc.execute("takeoff", [4.0])
+        words = rf"refused: it would climb to \d+ m \({name}\), above the limit of 12 m; set {name} lower"
+        for order in (["returnHome", []], ["setMode", [mode]]):
+            with pytest.raises(DeviceError, match=words):
+                await fc.execute(*order)
+            assert b.autopilot.mode != mode
+        await fc.execute("setParameter", [name, height])
+        await fc.execute("setMode", [mode])
+
+    b.run(mission)
