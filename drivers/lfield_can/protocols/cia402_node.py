@@ -176,7 +176,7 @@ class Cia402Node(AxisProtocol):
         node.on_written = self.agreed.data.written
         await setting.read_ratings(node, self.units)
         await setting.set_limits(node, self.binding, self.units, note)
-        await setting.set_quick_stop(node, self.binding.safe_state, error)
+        await setting.set_quick_stop(node, self.binding.safe_state, error, note)
         self.modes = await setting.optional(node, 0x6502) or 0
         if self._longest:
             await self.set_watchdog(self._longest)

@@ -84,16 +84,39 @@ def _limits(binding: DeviceBinding, units: Units) -> Mapping[tuple[int, int], in
     return wanted
 
 
-async def set_quick_stop(node: CanopenNode, safe_state: str, error: Callable[[str], DeviceError]) -> None:
-    """torque_hold needs a quick stop that ends with torque; for brake the drive's own setting stands."""
-    if safe_state != "torque_hold":
+async def set_quick_stop(
+    node: CanopenNode, safe_state: str, error: Callable[[str], DeviceError], note: Note
+) -> None:
+    """torque_hold needs a quick stop that ends with torque; brake one that brakes, as the drive has it."""
+    if safe_state == "torque_off":
         return
+    if safe_state == "torque_hold":
+        await _set_hold(node, error)
+    else:
+        await _check_brakes(node, error, note)
+    if await optional(node, 0x605E) == t.LETS_GO:
+        note("a fault lets it run out (0x605E is 0)")
+
+
+async def _set_hold(node: CanopenNode, error: Callable[[str], DeviceError]) -> None:
     try:
         await node.write(0x605A, 0, t.STOP_AND_HOLD)
     except SdoRefused as refused:
         raise error(
             f"it cannot hold its torque after a quick stop ({refused.reason}); use another safe_state"
         ) from None
+
+
+async def _check_brakes(node: CanopenNode, error: Callable[[str], DeviceError], note: Note) -> None:
+    code = await optional(node, 0x605A)
+    if code == t.LETS_GO:
+        raise error(
+            "its quick stop lets it run out (0x605A is 0), which does not brake; set it to 2 by its maker's "
+            "tool, or use another safe_state"
+        )
+    if code is None or not 0 < code <= t.LAST_KNOWN:
+        told = "it does not tell how" if code is None else f"0x605A is {code}, which is its maker's own"
+        note(f"see its manual whether its quick stop brakes: {told}")
 
 
 async def set_watchdog(
