@@ -12,6 +12,8 @@ from lfield_can.protocols.cia402_tables import Units
 
 #: Milliseconds between two heartbeats of the drive.
 HEARTBEAT_EVERY = 100
+#: The slowest that a drive may have for good: two of it are heard before it counts as silent.
+SLOWEST_HEARTBEAT = 200
 #: The low half of 0x1000 of a drive.
 DRIVE_PROFILE = 402
 #: Bounds beyond which a position is not bounded at all.
@@ -40,14 +42,23 @@ async def optional(node: CanopenNode, index: int, subindex: int = 0) -> int | No
 
 
 async def set_heartbeat(node: CanopenNode, error: Callable[[str], DeviceError]) -> None:
-    """Have the drive say ten times a second that it is alive: that is how its silence is noticed."""
+    """Have the drive say ten times a second that it is alive: that is how its silence is noticed.
+
+    One that has a time of its own keeps it, if that is short enough. Raises DeviceError.
+    """
     try:
-        await node.write(0x1017, 0, HEARTBEAT_EVERY)
+        await node.write_raw(0x1017, 0, HEARTBEAT_EVERY.to_bytes(2, "little"))
+        why = "it takes no other time"
     except SdoRefused as refused:
+        why = refused.reason
+    every = await optional(node, 0x1017)
+    if not every:
         raise error(
-            f"it sends no heartbeat ({refused.reason}), and nobody would notice when it is gone; "
+            f"it sends no heartbeat ({why}), and nobody would notice when it is gone; "
             "node guarding, the older way, is not spoken here"
-        ) from None
+        )
+    if every > SLOWEST_HEARTBEAT:
+        raise error(f"its heartbeat comes every {every} ms, too seldom, and stays so ({why})")
 
 
 async def read_ratings(node: CanopenNode, units: Units) -> None:
