@@ -142,6 +142,23 @@ def test_option_codes_that_only_the_manual_explains_are_told(drive):
     b.run_real(mission)
 
 
+def test_what_comes_only_by_changes_holds_while_the_heartbeat_is_heard(drive):
+    """A drive that stands tells nothing new; its position is no older for that."""
+    b = drive()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        axis.protocol.agreed = dataclasses.replace(axis.protocol.agreed, by_changes=True)
+        b.world.faults.apply(["lost_tpdo=true"])
+        await asyncio.sleep(0.1)
+        for _ in range(4):
+            b.values.clear()
+            await asyncio.sleep(0.3)
+            assert b.values.keys() >= {"position", "velocity", "state", "enabled"}
+
+    b.run_real(mission)
+
+
 def test_a_load_is_not_let_go_when_an_axis_that_held_it_is_enabled(drive):
     """By transition 16; without voltage in between it would fall."""
     b = drive(safe_state="torque_hold")
