@@ -72,6 +72,17 @@ class Manifest:
         defaults = {option.name: option.default for option in self.options if option.default is not None}
         return {**defaults, **self.fakes.get(ANY, {}), **self.fakes.get(resource, {})}
 
+    def fake_words(self, resource: str) -> str:
+        """What a fake that nobody has bound is in such a resource, '' where there is nothing to choose."""
+        chosen = {key for options in self.fakes.values() for key in options}
+        given = self.fake_options(resource)
+        words = ", ".join(f"{o.name} {given[o.name]}" for o in self.options if o.name in chosen)
+        if not words:
+            return ""
+        guessed = ANY not in self.fakes and resource not in self.fakes
+        why = f"nothing tells what a {resource} is, so it is " if guessed else ""
+        return f"{why}simulated with {words}"
+
     @property
     def default_safe_state(self) -> str:
         """The first that the manifest lists; '' for a pure sensor."""

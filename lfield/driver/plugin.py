@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,16 @@ class Plugin:
     requires: tuple[str, ...] = ()
     manifests: tuple[str, ...] = ("manifest.yaml",)
     kit: str = ""
+
+    @property
+    def missing(self) -> list[str]:
+        """The vendor modules that are not installed; none of them is imported."""
+        return [vendor for vendor in self.requires if find_spec(vendor) is None]
+
+    @property
+    def to_install(self) -> str:
+        """The command that installs what may be missing."""
+        return f"pip install 'lfield[{self.extra}]'"
 
     def manifest_bytes(self, file: str) -> bytes:
         """One of its manifest files as it is installed. Raises PluginError."""
@@ -93,9 +104,7 @@ class Plugin:
         module, _, name = path.partition(":")
         missing = [vendor for vendor in self.requires if not _importable(vendor)]
         if missing:
-            raise PluginError(
-                f"driver '{self.name}' needs {', '.join(missing)}: pip install 'lfield[{self.extra}]'"
-            )
+            raise PluginError(f"driver '{self.name}' needs {', '.join(missing)}: {self.to_install}")
         try:
             return getattr(importlib.import_module(module), name)
         except Exception as error:  # a plugin is foreign code: whatever it raises on import is its fault

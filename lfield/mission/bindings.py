@@ -84,6 +84,23 @@ def on_fakes(
     return replace(bindings, devices=simulated, silence=SIM_SILENCE)
 
 
+def chosen_fakes(
+    bindings: Bindings, needed: Needed, drivers: Drivers, resources: Mapping[str, str]
+) -> list[str]:
+    """Which fakes `on_fakes` has chosen where nobody has bound the device, a line for each choice."""
+    devices: dict[str, list[str]] = {}
+    for agent, name, device_type in each_needed(needed):
+        driver, bound = maker_of(drivers, device_type), bindings.devices.get(agent, {}).get(name)
+        if driver is not None and bound == _fake(agent, name, device_type, drivers, resources):
+            words = driver.manifests[device_type].fake_words(resources.get(agent, ""))
+            devices.setdefault(words, []).append(f"{agent}.{name}")
+    return [
+        f"{', '.join(names)}: {words}; a devices file chooses another"
+        for words, names in devices.items()
+        if words
+    ]
+
+
 def _faked(device: DeviceBinding) -> DeviceBinding:
     """A bound device on its fake; devices of one endpoint share one."""
     if device.endpoint.startswith(SIMULATED):

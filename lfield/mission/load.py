@@ -53,6 +53,7 @@ def load_mission(
     registry = _settled(types.registry, loaded, plugins) if ways(loaded) else None
     shown = tuple(warning.render() for warning in warnings)
     mission = Mission(deploy.stem, loaded, team, bindings, drivers, registry, shown)
+    mission = mission.on_fakes() if simulate else mission
     return mission.at(team.at(parse_maps(maps, team))) if maps else mission
 
 

@@ -13,7 +13,7 @@ from lfield.bytecode.program import Program
 from lfield.capability.model import Registry
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers, KnownDrivers
-from lfield.mission.bindings import Bindings, Needed, on_fakes
+from lfield.mission.bindings import Bindings, Needed, chosen_fakes, on_fakes
 from lfield.mission.team import Team
 
 #: What the devices of a team are. A team that has none is neither.
@@ -25,7 +25,7 @@ class Mission:
     """Program, team, bindings, and the `drivers` of its devices.
 
     The `registry` is None when the program names no capability; its live attributes are in their own units.
-    `warnings` are what the compiler had to say, drawn.
+    `warnings` are what the compiler had to say, drawn, and which fakes were chosen.
     """
 
     name: str
@@ -59,8 +59,11 @@ class Mission:
         return "fakes" if all(endpoint.startswith(SIMULATED) for endpoint in endpoints) else "hardware"
 
     def on_fakes(self) -> Mission:
-        """The same mission with a fake for each device."""
-        return replace(self, bindings=on_fakes(self.bindings, self.needed, self.drivers, self.team.types))
+        """The same mission with a fake for each device; which were chosen is added to its warnings."""
+        needed, types = self.needed, self.team.types
+        bindings = on_fakes(self.bindings, needed, self.drivers, types)
+        chosen = chosen_fakes(bindings, needed, self.drivers, types)
+        return replace(self, bindings=bindings, warnings=tuple(dict.fromkeys((*self.warnings, *chosen))))
 
     def at(self, team: Team) -> Mission:
         """The same mission with its team at other addresses."""

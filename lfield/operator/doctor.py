@@ -11,9 +11,8 @@ import grp
 import os
 import pwd
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
@@ -24,6 +23,7 @@ from lfield.devices.lateness import Limit
 from lfield.devices.measuring import measured
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import Drivers
+from lfield.driver.plugin import load_plugin
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
 
@@ -37,9 +37,12 @@ _TIME_ERROR = 5
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at; `details` are a line each, `cure` says what to do when it is not well."""
+    """One thing that was looked at; `details` are a line each, `cure` says what to do when it is not well.
 
-    state: Literal["ok", "warning", "problem"]
+    A note is what nothing here needs now.
+    """
+
+    state: Literal["ok", "note", "warning", "problem"]
     what: str
     cure: str = ""
     details: Sequence[str] = ()
@@ -48,23 +51,22 @@ class Finding:
 def system(plugins: Plugins, root: Path = Path("/")) -> Iterator[Finding]:
     """Everything that can be seen without a mission. `root` is where /dev and /sys are, for tests."""
     yield Finding("ok", f"Python {sys.version.split()[0]}, {os.cpu_count()} processors")
-    yield from _drivers(plugins)
+    for problem in plugins.problems:
+        yield Finding("problem", problem, "install that driver again, or uninstall it")
     yield from _serial(root)
     yield from _can(root)
     yield _clock()
     yield _promptness()
 
 
-def _drivers(plugins: Plugins) -> Iterator[Finding]:
+def drivers(plugins: Plugins, used: Collection[str] = ()) -> Iterator[Finding]:
+    """The installed drivers. What one of them lacks is a problem only where a mission has `used` it."""
     for name, installed in sorted(plugins.by_driver.items()):
-        missing = [vendor for vendor in installed.plugin.requires if find_spec(vendor) is None]
-        if missing:
-            cure = f"pip install 'lfield[{installed.plugin.extra}]'"
-            yield Finding("problem", f"driver {name}: {', '.join(missing)} is not installed", cure)
+        if missing := installed.plugin.missing:
+            lacks = f"driver {name}: not installed: {', '.join(missing)}"
+            yield Finding("problem" if name in used else "note", lacks, installed.plugin.to_install)
         else:
             yield Finding("ok", f"driver {name}: {', '.join(sorted(installed.manifests))}")
-    for problem in plugins.problems:
-        yield Finding("problem", problem, "install that driver again, or uninstall it")
 
 
 def _serial(root: Path) -> Iterator[Finding]:
@@ -162,18 +164,26 @@ async def endpoints(
     `setup` is the command that sets up those that are not.
     """
     for device in devices:
+        plugin = load_plugin(drivers.by_driver[device.driver].reference)
+        if plugin.missing:
+            told(Finding("problem", f"{device.name}: not tried without its driver", plugin.to_install))
+            continue
         notes: list[str] = []
         guards = Guards(drivers, clock, notes.append)
         try:
             await guards.open([device])
         except DevicesError as error:
             for problem in error.problems:
-                unset = problem in error.not_set_up
-                cure = f"{setup} (it asks first)" if unset else "check power, cable, endpoint and ids"
-                details = [note.removeprefix(f"{device.name}: ") for note in notes] if unset else []
-                told(Finding("problem", problem, cure, details))
+                told(_not_open(device, problem, setup if problem in error.not_set_up else "", notes))
         else:
             identity = guards.guard_of(device.name).identities[device.name]
             told(Finding("ok", f"{device.name}: {identity} at {device.endpoint}"))
         finally:
             await guards.close()
+
+
+def _not_open(device: DeviceBinding, problem: str, setup: str, notes: Sequence[str]) -> Finding:
+    if not setup:
+        return Finding("problem", problem, "check power, cable, endpoint and ids")
+    details = [note.removeprefix(f"{device.name}: ") for note in notes]
+    return Finding("problem", problem, f"{setup} (it asks first)", details)

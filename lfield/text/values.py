@@ -6,17 +6,19 @@ from collections.abc import Mapping, Sequence
 
 #: So many quantities of a device are shown, the first of its manifest.
 SHOWN = 8
+#: From here on a number is told by three digits and a power of ten: nobody counts ten digits.
+LARGE = 1e6
 
 Shown = bool | int | float | str | Sequence[int | float]
 
 
 def in_words(value: Shown) -> str:
-    """One value: `yes`, `4.20`, `(1.00 2.00)`."""
+    """One value: `yes`, `4.20`, `-1.79e09`, `(1.00 2.00)`."""
     match value:
         case bool():
             return "yes" if value else "no"
         case float():
-            return f"{value:.2f}"
+            return f"{value:.2f}" if not abs(value) >= LARGE else f"{value:.3g}".replace("e+", "e")
         case int() | str():
             return str(value)
         case _:

@@ -56,6 +56,37 @@ def test_a_bundle_knows_it_too(tmp_path: Path) -> None:
     assert device.option("kind") == "rover"
 
 
+@pytest.mark.parametrize(
+    ("resource", "device", "words"),
+    [
+        ("Rover", "Mavlink", "one.d: simulated with kind rover; a devices file chooses another"),
+        (
+            "Boat",
+            "Mavlink",
+            "one.d: nothing tells what a Boat is, so it is simulated with kind copter; "
+            "a devices file chooses another",
+        ),
+        (
+            "Hoist",
+            "CanAxis",
+            "one.d: simulated with protocol cia402, node 1, counts 4096, homing_method 37; "
+            "a devices file chooses another",
+        ),
+    ],
+)
+def test_which_fake_was_chosen_is_told_once(tmp_path: Path, resource: str, device: str, words: str) -> None:
+    built = mission(tmp_path, f"resource {resource} {{ {device} d; init(string[] arg) {{ }} }}\n", resource)
+    assert built.warnings == (words,)
+    assert bundle.decode(bundle.encode(built)).on_fakes().warnings == (words,)
+
+
+def test_of_devices_that_a_file_binds_nothing_is_told(tmp_path: Path) -> None:
+    (tmp_path / "m.devices.yaml").write_text(
+        "agents: {one: {devices: {d: {driver: mavlink, kind: rover}}}}\n", encoding="utf-8"
+    )
+    assert mission(tmp_path, "resource Boat { Mavlink d; init(string[] arg) { } }\n", "Boat").warnings == ()
+
+
 def test_what_only_a_binding_can_know_is_asked_for(tmp_path: Path) -> None:
     program = "resource Jaw { CanSignals jaw; init(string[] arg) { } }\n"
     with pytest.raises(BindingError) as told:

@@ -136,6 +136,13 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield sim fault $name silent=true": DRIVER,
         "pytest": DRIVER,
     },
+    "lfield/driver/skeleton/sensor/README.md.in": {
+        "pip install -e .": DRIVER,
+        "lfield sim $name --listen tcp:127.0.0.1:5599 &": DRIVER,
+        "lfield kit $name --endpoint tcp:127.0.0.1:5599": DRIVER,
+        "lfield sim fault $name silent=true": DRIVER,
+        "pytest": DRIVER,
+    },
 }
 
 #: By page: files of the repository that it speaks of by other names. A folder is a mission.

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
+import dataclasses
 import os
 
 import pytest
 
+from lfield.clock import SystemClock
 from lfield.driver.plugins import Plugins
-from lfield.operator.doctor import system
+from lfield.operator.doctor import Finding, drivers, endpoints, system
+from lfield.testing.driver_bench import bind
 
 
 @pytest.fixture
@@ -62,16 +66,33 @@ def test_a_can_interface_that_is_down(findings, tmp_path):
     assert one(findings(), "can0: up").state == "ok"
 
 
-def test_a_missing_vendor_library_is_told_with_its_extra(tmp_path):
+@pytest.fixture
+def bare(monkeypatch):
+    """The MAVLink driver as it is installed without its extra."""
     plugins = Plugins()
     plugins.add("lfield_mavlink:PLUGIN")
-    installed = plugins.by_driver["mavlink"]
-    object.__setattr__(installed.plugin, "requires", ("no_such_library",))
-    try:
-        found = one({f.what: f for f in system(plugins, tmp_path)}, "driver mavlink")
-    finally:
-        object.__setattr__(installed.plugin, "requires", ("pymavlink",))
-    assert (found.state, found.cure) == ("problem", "pip install 'lfield[mavlink]'")
+    found = plugins.by_driver["mavlink"]
+    bare = dataclasses.replace(found.plugin, requires=("no_such_library",))
+    monkeypatch.setattr("lfield_mavlink.PLUGIN", bare)
+    plugins.by_driver["mavlink"] = dataclasses.replace(found, plugin=bare)
+    return plugins
+
+
+@pytest.mark.parametrize(("used", "state"), [((), "note"), (("can",), "note"), (("mavlink",), "problem")])
+def test_a_missing_library_is_a_problem_of_the_missions_that_use_its_driver(bare, used, state):
+    (found,) = drivers(bare, used)
+    assert found.what == "driver mavlink: not installed: no_such_library"
+    assert (found.state, found.cure) == (state, "pip install 'lfield[mavlink]'")
+
+
+def test_a_device_whose_driver_lacks_its_library_needs_that_and_no_cable(bare):
+    told: list[Finding] = []
+    asyncio.run(
+        endpoints(bare, [bind(bare.by_driver["mavlink"].plugin, "Mavlink")], SystemClock(), told.append)
+    )
+    assert [(f.state, f.what, f.cure) for f in told] == [
+        ("problem", "bench.device: not tried without its driver", "pip install 'lfield[mavlink]'")
+    ]
 
 
 def test_a_plugin_that_cannot_be_used(tmp_path):

@@ -61,6 +61,7 @@ def test_the_wheel_holds_the_packages_and_their_data(wheel):
         "lfield/docs/language.md",
         "lfield/docs/bytecode.md",
         "lfield/driver/skeleton/manifest.yaml.in",
+        "lfield/driver/skeleton/sensor/manifest.yaml.in",
         "lfield_can/axis.yaml",
         "lfield_can/L/winch.L",
         "lfield_dynamixel/servo.yaml",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 
+from lfield.driver import DeviceError
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols import cia402_tables as t
 from lfield_can.protocols.axis_protocol import Wiring
@@ -57,6 +59,7 @@ class Cia402(Cia402Node):
         """Step by step up the state machine, without a target that is left from before."""
         if self.agreed.data.takes(t.TO_VELOCITY):
             await self.objects.write(0x60FF, 0, 0)
+        await self._take_up()
         await self._set_mode(t.PROFILE_POSITION)
         for _ in range(len(t.STATES)):
             state = self.state.state
@@ -67,6 +70,20 @@ class Cia402(Cia402Node):
             await self._control(t.UPWARDS.get(state, t.DISABLE_VOLTAGE))
             await self._leave(state)
         raise self.wiring.error(f"enable failed: it stays in '{self.state.state}'")
+
+    async def _take_up(self) -> None:
+        """Out of a quick stop that holds by transition 16: without voltage a load would fall.
+
+        In the velocity mode, whose target is 0, since no goal from before may act. Not every drive can.
+        """
+        if self.state.state != "quick stop active" or not self.agreed.data.takes(t.TO_VELOCITY):
+            return
+        with suppress(DeviceError):
+            await self._set_mode(t.PROFILE_VELOCITY)
+            await self._control(t.ENABLE)
+            await self.wiring.news.seen(lambda: self.state.state != "quick stop active", TAKEN)
+        if self.state.state == "quick stop active":
+            self.wiring.note("it cannot be enabled out of a quick stop, and is without torque for a moment")
 
     async def _leave(self, state: str) -> None:
         await self.expect(lambda: self.state.state != state, STEP, f"it did not leave '{state}'")

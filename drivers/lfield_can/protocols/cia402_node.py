@@ -111,10 +111,18 @@ class Cia402Node(AxisProtocol):
         if self.configured and self._nmt != t.OPERATIONAL:
             self.configured, self.needs_setup = False, True
             self.forget("not operational")
-        old = self.wiring.clock.monotonic() - min(self._told_at.values()) > OLD
-        if old and not self.agreed.by_changes:
+        if self.agreed.by_changes:
+            return self._held()
+        if self.wiring.clock.monotonic() - min(self._told_at.values()) > OLD:
             self.state.position = self.state.velocity = None
         return {}
+
+    def _held(self) -> dict[str, object]:
+        """What comes only when it changes is still so, as long as the node is heard."""
+        state = self.state
+        if not self.configured or state.position is None or state.velocity is None:
+            return {}
+        return {**self._told(), "position": state.position, "velocity": state.velocity}
 
     def on_status(self, statusword: int) -> dict[str, object] | None:
         state = t.state_of(statusword)
@@ -176,7 +184,7 @@ class Cia402Node(AxisProtocol):
         node.on_written = self.agreed.data.written
         await setting.read_ratings(node, self.units)
         await setting.set_limits(node, self.binding, self.units, note)
-        await setting.set_quick_stop(node, self.binding.safe_state, error)
+        await setting.set_quick_stop(node, self.binding.safe_state, error, note)
         self.modes = await setting.optional(node, 0x6502) or 0
         if self._longest:
             await self.set_watchdog(self._longest)

@@ -12,6 +12,8 @@ from lfield_can.protocols.cia402_tables import Units
 
 #: Milliseconds between two heartbeats of the drive.
 HEARTBEAT_EVERY = 100
+#: The slowest that a drive may have for good: two of it are heard before it counts as silent.
+SLOWEST_HEARTBEAT = 200
 #: The low half of 0x1000 of a drive.
 DRIVE_PROFILE = 402
 #: Bounds beyond which a position is not bounded at all.
@@ -40,14 +42,23 @@ async def optional(node: CanopenNode, index: int, subindex: int = 0) -> int | No
 
 
 async def set_heartbeat(node: CanopenNode, error: Callable[[str], DeviceError]) -> None:
-    """Have the drive say ten times a second that it is alive: that is how its silence is noticed."""
+    """Have the drive say ten times a second that it is alive: that is how its silence is noticed.
+
+    One that has a time of its own keeps it, if that is short enough. Raises DeviceError.
+    """
     try:
-        await node.write(0x1017, 0, HEARTBEAT_EVERY)
+        await node.write_raw(0x1017, 0, HEARTBEAT_EVERY.to_bytes(2, "little"))
+        why = "it takes no other time"
     except SdoRefused as refused:
+        why = refused.reason
+    every = await optional(node, 0x1017)
+    if not every:
         raise error(
-            f"it sends no heartbeat ({refused.reason}), and nobody would notice when it is gone; "
+            f"it sends no heartbeat ({why}), and nobody would notice when it is gone; "
             "node guarding, the older way, is not spoken here"
-        ) from None
+        )
+    if every > SLOWEST_HEARTBEAT:
+        raise error(f"its heartbeat comes every {every} ms, too seldom, and stays so ({why})")
 
 
 async def read_ratings(node: CanopenNode, units: Units) -> None:
@@ -84,16 +95,39 @@ def _limits(binding: DeviceBinding, units: Units) -> Mapping[tuple[int, int], in
     return wanted
 
 
-async def set_quick_stop(node: CanopenNode, safe_state: str, error: Callable[[str], DeviceError]) -> None:
-    """torque_hold needs a quick stop that ends with torque; for brake the drive's own setting stands."""
-    if safe_state != "torque_hold":
+async def set_quick_stop(
+    node: CanopenNode, safe_state: str, error: Callable[[str], DeviceError], note: Note
+) -> None:
+    """torque_hold needs a quick stop that ends with torque; brake one that brakes, as the drive has it."""
+    if safe_state == "torque_off":
         return
+    if safe_state == "torque_hold":
+        await _set_hold(node, error)
+    else:
+        await _check_brakes(node, error, note)
+    if await optional(node, 0x605E) == t.LETS_GO:
+        note("a fault lets it run out (0x605E is 0)")
+
+
+async def _set_hold(node: CanopenNode, error: Callable[[str], DeviceError]) -> None:
     try:
         await node.write(0x605A, 0, t.STOP_AND_HOLD)
     except SdoRefused as refused:
         raise error(
             f"it cannot hold its torque after a quick stop ({refused.reason}); use another safe_state"
         ) from None
+
+
+async def _check_brakes(node: CanopenNode, error: Callable[[str], DeviceError], note: Note) -> None:
+    code = await optional(node, 0x605A)
+    if code == t.LETS_GO:
+        raise error(
+            "its quick stop lets it run out (0x605A is 0), which does not brake; set it to 2 by its maker's "
+            "tool, or use another safe_state"
+        )
+    if code is None or not 0 < code <= t.LAST_KNOWN:
+        told = "it does not tell how" if code is None else f"0x605A is {code}, which is its maker's own"
+        note(f"see its manual whether its quick stop brakes: {told}")
 
 
 async def set_watchdog(

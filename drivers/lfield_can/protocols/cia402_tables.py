@@ -27,6 +27,7 @@ OBJECTS: Mapping[tuple[int, int], tuple[str, int]] = {
     (0x6040, 0): ("control word", t.UNSIGNED16),
     (0x6041, 0): ("status word", t.UNSIGNED16),
     (0x605A, 0): ("quick stop option code", t.INTEGER16),
+    (0x605E, 0): ("fault reaction option code", t.INTEGER16),
     (0x6060, 0): ("mode of operation", t.INTEGER8),
     (0x6061, 0): ("mode of operation display", t.INTEGER8),
     (0x6064, 0): ("position", t.INTEGER32),
@@ -174,6 +175,8 @@ MODES: Mapping[int, str] = {
 
 # Values of the abort connection option code and the quick stop option code.
 ABORT_DISABLES, ABORT_QUICK_STOPS, STOP_AND_HOLD = 2, 3, 6
+#: Option codes of a quick stop and a fault: the motor runs out; the last that CiA 402 gives a meaning.
+LETS_GO, LAST_KNOWN = 0, 8
 
 #: Bits of the error register (CiA 301, object 0x1001).
 REGISTER: Mapping[int, str] = {

@@ -6,7 +6,8 @@ not fit is said with what the drive answered. When a PDO comes (CiA 301, 7.5.2.3
 
   by its timer    every EVERY seconds (transmission type 255, event timer in subindex 5)
   by SYNC         without a timer: type 1, and this driver sends SYNC (0x1005) every EVERY seconds
-  by its changes  without both: a value holds while the node's heartbeat is heard, and is read once a second
+  by its changes  without both, or at the SYNC after one (type 0): a value holds while the node's heartbeat is
+                  heard, and is read once a second
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ from lfield_can.protocols.process_data import TYPES_END, Pdo, ProcessData, choos
 
 #: Bits of a COB-id: not in use; no remote frames. With bit 29 its id would have 29 bits; ours have 11.
 UNUSED, NO_REMOTE = 1 << 31, 1 << 30
-#: Transmission types: by event and timer, and at every SYNC; above LAST_SYNC none waits for SYNC.
-BY_EVENT, BY_SYNC, LAST_SYNC = 255, 1, 240
+#: Transmission types: by event and timer, and at every SYNC. Up to LAST_SYNC they wait for SYNC, from
+#: FIRST_EVENT on for nothing, and between them for a remote frame.
+BY_EVENT, BY_SYNC, LAST_SYNC, FIRST_EVENT = 255, 1, 240, 254
 #: A PDO that comes at every nth SYNC only, or is held back for longer (in 0.1 ms), is too old when it comes.
 MOST_SYNCS, LONGEST_INHIBIT = 5, 1000
 #: PDOs of each direction that are looked at, and objects that one can hold.
@@ -53,19 +55,16 @@ class Agreed:
 
 async def agree(node: CanopenNode, number: int, error: Callable[[str], DeviceError], note: Note) -> Agreed:
     """Set up all process data of a node. Raises DeviceError with what does not fit."""
-    sides = []
-    for direction in (TOLD, TAKEN):
-        side = _Side(node, number, direction, note)
-        sides.append((await side.set_up(error), side.comes))
-    (told, comes), (taken, acts) = sides
+    sides = [_Side(node, number, direction, note) for direction in (TOLD, TAKEN)]
+    told, taken = [await side.set_up(error) for side in sides]
     values = {
         entry >> 8: await _value(node, entry)
         for pdo in taken
         for entry in pdo.entries
         if entry >> 16 >= TYPES_END
     }
-    kinds = {comes, acts}
-    return Agreed(ProcessData(told, taken, values), Comes.BY_SYNC in kinds, comes is Comes.BY_CHANGES)
+    by_sync = any(side.waits for side in sides)
+    return Agreed(ProcessData(told, taken, values), by_sync, sides[0].comes is Comes.BY_CHANGES)
 
 
 async def _value(node: CanopenNode, entry: int) -> bytes:
@@ -85,6 +84,8 @@ class _Side:
         #: PDOs, from 0, that are not used, and whose ids others have.
         self._given: list[int] = []
         self.comes = Comes.BY_TIMER
+        #: Whether one of them waits for SYNC, be it also for a change.
+        self.waits = False
 
     async def set_up(self, error: Callable[[str], DeviceError]) -> list[Pdo]:
         """Every PDO that is used, in use. Raises DeviceError."""
@@ -100,7 +101,7 @@ class _Side:
         missing = [entry for entries in self._d.ours for entry in entries if entry in self._refusals]
         used = {**mapped, **{pdo.number: pdo for pdo in choose(rest, missing)}}
         self._check(used.values(), missing, error)
-        return [await self._use(used[number], used) for number in sorted(used)]
+        return [await self._use(used[number], used, error) for number in sorted(used)]
 
     async def _read(self, number: int) -> tuple[int, tuple[int, ...]]:
         what = self._d.mapping + number
@@ -168,14 +169,16 @@ class _Side:
 
     # -- in use -----------------------------------------------------------------------------------------
 
-    async def _use(self, pdo: Pdo, used: Mapping[int, Pdo]) -> Pdo:
+    async def _use(self, pdo: Pdo, used: Mapping[int, Pdo], error: Callable[[str], DeviceError]) -> Pdo:
         """Give a PDO its times and its id, and have it in use. Raises DeviceError."""
         number = pdo.number - 1
         record, (cob, _) = self._d.record + number, self._there.get(number, (0, ()))
         identifier = await self._id(pdo, used)
-        with suppress(SdoRefused):
-            await self._write(record, 1, cob | UNUSED, 4)
-        self.comes = max(self.comes, await self._times(pdo, record))
+        # An id of its own it is given before it is in use, as some drives want it.
+        for unused in dict.fromkeys((cob | UNUSED, identifier | cob & NO_REMOTE | UNUSED)):
+            with suppress(SdoRefused):
+                await self._write(record, 1, unused, 4)
+        self.comes = max(self.comes, await self._times(pdo, record, error))
         try:
             await self._write(record, 1, identifier | cob & NO_REMOTE, 4)
         except SdoRefused:
@@ -197,16 +200,23 @@ class _Side:
             await self._write(self._d.record + free[0], 1, self._there[free[0]][0] | UNUSED, 4)
         return own[free[0]]
 
-    async def _times(self, pdo: Pdo, record: int) -> Comes:
-        """When it comes, at best."""
+    async def _times(self, pdo: Pdo, record: int, error: Callable[[str], DeviceError]) -> Comes:
+        """When it comes, at best. Raises DeviceError for one that comes only by remote frames."""
         kind = await self._settle(record, 2, BY_EVENT, 1)
         if not self._d.sent:
-            return Comes.BY_TIMER if kind > LAST_SYNC else Comes.BY_SYNC
+            self.waits |= kind <= LAST_SYNC
+            return Comes.BY_TIMER
+        if LAST_SYNC < kind < FIRST_EVENT:
+            raise error(
+                f"{self._d.name} {pdo.number} comes only when a remote frame asks for it (transmission type "
+                f"{kind}), and that cannot be changed; set it to 255 by its maker's tool"
+            )
         await self._lower_inhibit(pdo, record)
         timer = await self._settle(record, 5, round(t.EVERY * 1000), 2) if kind > LAST_SYNC else 0
         if 0 < timer <= LONGEST_INHIBIT // 10:
             return Comes.BY_TIMER
         kind = await self._settle(record, 2, BY_SYNC, 1)
+        self.waits |= kind <= LAST_SYNC
         if 0 < kind <= MOST_SYNCS:
             self._note(f"{self._d.name} {pdo.number} has no timer: SYNC asks for it")
             return Comes.BY_SYNC

@@ -11,9 +11,10 @@ from lfield.cli.mission_argument import setup_command
 from lfield.text.files import named_file
 
 if TYPE_CHECKING:
+    from lfield.driver.plugins import Plugins
     from lfield.operator.doctor import Finding
 
-_MARKS = {"ok": "ok      ", "warning": "warning ", "problem": "PROBLEM "}
+_MARKS = {"ok": "ok      ", "note": "note    ", "warning": "warning ", "problem": "PROBLEM "}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when nothing is a problem (warnings are none), 69 otherwise."""
+    """0 when nothing is a problem (notes and warnings are none), 69 otherwise."""
     from lfield import loop
     from lfield.driver.plugins import discover
     from lfield.operator.doctor import system
@@ -42,36 +43,42 @@ def run(args: argparse.Namespace) -> int:
         findings.append(finding)
         _tell(finding)
 
-    for finding in system(discover()):
+    plugins = discover()
+    for finding in system(plugins):
         told(finding)
     # On the loop of a host: it is its lateness that is measured.
-    loop.run(_look(told) if args.deploy is None else _try_devices(args, told))
+    loop.run(_look(plugins, told) if args.deploy is None else _try_devices(args, plugins, told))
     return exits.UNAVAILABLE if any(finding.state == "problem" for finding in findings) else exits.DONE
 
 
-async def _look(told: Callable[[Finding], None]) -> None:
+async def _look(plugins: Plugins, told: Callable[[Finding], None]) -> None:
     """Measure against what bindings say by default."""
     from lfield.clock import SystemClock
     from lfield.mission.bindings import Bindings
-    from lfield.operator.doctor import lateness
+    from lfield.operator.doctor import drivers, lateness
 
+    for finding in drivers(plugins):
+        told(finding)
     told(await lateness(Bindings().silence, SystemClock(), bound=False))
 
 
-async def _try_devices(args: argparse.Namespace, told: Callable[[Finding], None]) -> None:
+async def _try_devices(args: argparse.Namespace, plugins: Plugins, told: Callable[[Finding], None]) -> None:
     from lfield.clock import SystemClock
     from lfield.driver.known import installed_here
     from lfield.mission.load import open_mission
-    from lfield.operator.doctor import endpoints, lateness
+    from lfield.operator.doctor import drivers, endpoints, lateness
 
     mission = open_mission(args.deploy, devices=args.devices)
     team = mission.team
     hosts = [team.number(name) for name in ([team.lookup(args.host)] if args.host else team.hosts)]
     devices = mission.bindings.of([member.id for host in hosts for member in team.on(host)])
-    drivers = installed_here(mission.drivers, {device.driver for device in devices})
+    used = {device.driver for device in devices}
+    for finding in drivers(plugins, used):
+        told(finding)
+    here = installed_here(mission.drivers, used)
     told(await lateness(mission.bindings.silence, SystemClock(), bound=mission.world == "hardware"))
     setup = setup_command(args.deploy, args.host or "", args.devices)
-    await endpoints(drivers, devices, SystemClock(), told, setup)
+    await endpoints(here, devices, SystemClock(), told, setup)
 
 
 def _tell(finding: Finding) -> None:

@@ -15,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions.add_parser("list", help="the installed drivers with their device types")
     new = actions.add_parser("new", help="write a driver that passes the conformance kit on its own fake")
     new.add_argument("name", metavar="NAME", help="the driver's name: small letters and digits")
+    new.add_argument("--sensor", action="store_true", help="it only senses, and has no safe state")
     new.add_argument(
         "--into", metavar="DIR", type=Path, help="a folder that does not exist yet (lfield_NAME)"
     )
@@ -22,7 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0; the exit status tells nothing more."""
-    return _list() if args.action == "list" else _new(args.name, args.into or Path(f"lfield_{args.name}"))
+    if args.action == "list":
+        return _list()
+    return _new(args.name, args.into or Path(f"lfield_{args.name}"), sensor=args.sensor)
 
 
 def _list() -> int:
@@ -37,7 +40,7 @@ def _list() -> int:
     return 0
 
 
-def _new(name: str, folder: Path) -> int:
+def _new(name: str, folder: Path, *, sensor: bool) -> int:
     from lfield.driver.plugins import discover
     from lfield.driver.skeleton import write
 
@@ -47,7 +50,7 @@ def _new(name: str, folder: Path) -> int:
         raise UsageError(f"a driver '{name}' is installed already")
     if folder.exists():
         raise UsageError(f"{folder} exists already; nothing was written")
-    for path in write(name, folder):
+    for path in write(name, folder, sensor=sensor):
         print(path)
     print(f"\nnext: pip install -e {folder}, then what {folder}/README.md says")
     return 0

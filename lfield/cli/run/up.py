@@ -120,9 +120,10 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
 
     mission = bundle.read(file)
     team = mission.team.at(parse_maps(args.map, mission.team))
+    told = () if warn else mission.warnings
     mission = (mission.on_fakes() if args.sim else mission).at(team)
-    if warn:
-        for warning in mission.warnings:
+    if not args.leash:
+        for warning in mission.warnings[len(told) :]:
             print(warning, file=sys.stderr)
     if args.dump is not None and not args.leash:
         _look_at_dumps(args.dump)

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 AMBIENT, OVERHEATED = 25.0, 130.0
 #: Warming at rated current when it runs for long, in kelvin, and how fast that comes, in seconds.
 RATED_WARMING, WARMING_TIME = 40.0, 120.0
+#: Dry friction of a motor without power, by its rated torque: it runs out, and comes to a stand in the end.
+DRY = 0.005
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +29,7 @@ class MotorData:
     max_speed: float = 314.0
     supply: float = 48.0
     resistance: float = 0.1
-    brake: bool = True
+    brake: bool = False
 
 
 class Motor:
@@ -74,10 +76,12 @@ class Motor:
         """Without power: the brake stops and holds it; without a brake it coasts and its load moves it."""
         self.torque = 0.0
         if self.data.brake:
-            most = 2.0 * self.data.max_torque / self.data.inertia * dt
-            self._move(-max(-most, min(most, self.speed)) / dt, dt)
+            holding, pulled = 2.0 * self.data.max_torque, 0.0
         else:
-            self._move(-self._resisting(self.speed) / self.data.inertia, dt)
+            holding, pulled = DRY * self.data.rated_torque, -self._resisting(self.speed)
+        most = holding / self.data.inertia * dt
+        free = self.speed + pulled / self.data.inertia * dt
+        self._move((free - max(-most, min(most, free)) - self.speed) / dt, dt)
 
     def _resisting(self, speed: float) -> float:
         return self.data.load + self.data.friction * speed

@@ -79,7 +79,8 @@ def build(specs: Sequence[Spec], faults: Faults) -> list[Device]:
 
 def _drive(spec: Spec, flaw: Flaw) -> Device:
     turn = round(number(spec, "counts")) if "counts" in spec.options else INCREMENTS
-    return Cia402Device(_node(spec, 1, 127), flaw, _motor(spec, MotorData(), {"counts"}), turn)
+    motor = MotorData(brake=bool(_choice(spec, "brake", ("no", "yes"))))
+    return Cia402Device(_node(spec, 1, 127), flaw, _motor(spec, motor, {"counts", "brake"}), turn)
 
 
 def _node(spec: Spec, lowest: int, highest: int) -> int:
@@ -113,9 +114,17 @@ def number(spec: Spec, key: str) -> float:
     return value
 
 
+def _choice(spec: Spec, key: str, words: Sequence[str]) -> int:
+    """Which of some words an option is, the first where it is not given. Raises UsageError."""
+    word = spec.options.get(key, words[0])
+    if word not in words:
+        raise UsageError(f"{key} of {spec.kind} is one of {', '.join(words)}, not '{word}'")
+    return words.index(word)
+
+
 def _odrive(spec: Spec, flaw: Flaw) -> Device:
     watchdog = number(spec, "watchdog") if "watchdog" in spec.options else 0.0
-    data = _motor(spec, replace(MotorData(), brake=False), {"watchdog"})
+    data = _motor(spec, MotorData(), {"watchdog"})
     return OdriveNode(_node(spec, 0, 63), flaw, data, watchdog=watchdog)
 
 

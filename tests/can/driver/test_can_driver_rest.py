@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import re
 import struct
 
@@ -27,7 +28,8 @@ class FakeBus:
         self.bus = bus
         specs = [parse(text) for text in devices]
         self.faults = Faults(fake.FAULTS, {spec.id: spec.name for spec in specs})
-        self.world = World(build(specs, self.faults), self.faults, bitrate=1_000_000)
+        self.devices = build(specs, self.faults)
+        self.world = World(self.devices, self.faults, bitrate=1_000_000)
         self.port = fake.Port(lambda frame, _: bus.say(frame.identifier, frame.data))
         self.world.bus.attach(self.port)
         bus.device = self.on_frame
@@ -84,10 +86,97 @@ def test_an_axis_whose_torque_is_off_coasts_and_is_told_until_it_stands(rig):
         await axis.make_safe()
         words, seconds = await rests(axis, 60.0)
         assert re.fullmatch(r"turning at \d\d rad/s", words[0]), words[0]
-        assert words[-1].startswith("turning at 0.05")
+        assert words[-1].startswith("turning at 0.")
         assert seconds > 10.0  # nothing brakes it but its friction
 
     b.run(mission)
+
+
+CIA402 = {"options": {"protocol": "cia402", "node": 5, "counts": 4096}, "waivers": ["no_homing"]}
+
+
+@pytest.fixture
+def drive(rig):
+    """A fake CiA 402 drive with a load that hangs and no brake; its objects, and the bench."""
+
+    def make(**given):
+        b = rig("cia402:5,load=0.5,counts=4096", **{**CIA402, **given})
+        (b.drive,) = b.world.devices
+        return b
+
+    return make
+
+
+def keep(b, index, value):
+    """An owner has set the drive up so, and it keeps it."""
+    objects = b.drive.node.objects
+    objects.entries[index, 0] = dataclasses.replace(objects.entries[index, 0], default=value)
+    objects.put(index, value)
+
+
+@pytest.mark.parametrize("state", ["brake", "torque_hold"])
+def test_a_quick_stop_that_lets_go_is_no_brake(drive, state):
+    """0x605A = 0: the motor coasts. For torque_hold it is set; for brake it is the owner's."""
+    b = drive(safe_state=state)
+    keep(b, 0x605A, 0)
+
+    async def mission(axis):
+        if state == "torque_hold":
+            await axis.open()
+            assert b.drive.node.objects.get(0x605A) == 6
+            return
+        with pytest.raises(DeviceError, match=r"quick stop lets it run out \(0x605A is 0\).* set it to 2"):
+            await axis.open()
+
+    b.run_real(mission, opened=False)
+
+
+def test_option_codes_that_only_the_manual_explains_are_told(drive):
+    b = drive()
+    keep(b, 0x605A, 7)
+    keep(b, 0x605E, 0)
+
+    async def mission(axis):
+        assert [note for note in b.notes if "0x605" in note] == ["a fault lets it run out (0x605E is 0)"]
+
+    b.run_real(mission)
+
+
+def test_what_comes_only_by_changes_holds_while_the_heartbeat_is_heard(drive):
+    """A drive that stands tells nothing new; its position is no older for that."""
+    b = drive()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        axis.protocol.agreed = dataclasses.replace(axis.protocol.agreed, by_changes=True)
+        b.world.faults.apply(["lost_tpdo=true"])
+        await asyncio.sleep(0.1)
+        for _ in range(4):
+            b.values.clear()
+            await asyncio.sleep(0.3)
+            assert b.values.keys() >= {"position", "velocity", "state", "enabled"}
+
+    b.run_real(mission)
+
+
+def test_a_load_is_not_let_go_when_an_axis_that_held_it_is_enabled(drive):
+    """By transition 16; without voltage in between it would fall."""
+    b = drive(safe_state="torque_hold")
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await asyncio.sleep(0.3)
+        await axis.make_safe()
+        states, motor = set(), b.drive.motor
+        b.drive.axis.objects.watch(lambda key, value: states.add(b.drive.axis.state.name))
+        before = motor.angle
+        await axis.execute("enable", [])
+        assert states <= {"QUICK_STOP_ACTIVE", "OPERATION_ENABLED"}
+        assert abs(motor.angle - before) < 0.001
+        await axis.execute("setVelocity", [2.0])
+        await b.until(lambda: b.values["velocity"] == pytest.approx(2.0, abs=0.1))
+
+    b.run_real(mission)
 
 
 def test_a_load_that_turns_an_axis_without_torque_is_no_rest(rig):

@@ -279,22 +279,108 @@ def test_homing_without_a_method_is_an_error(bench):
     assert bench.status & 1 << 13
 
 
-@pytest.mark.parametrize(("option", "end"), [(2, DISABLED), (6, QUICK_STOP), (0, DISABLED)])
-def test_quick_stop_takes_time(bench, option, end):
-    bench.write(0x605A, option)
+def turning(options: str = "", **codes: int) -> DriveBench:
+    """A drive that turns at ten turns a second, with option codes by their index: `x605A=0`."""
+    bench = DriveBench(options)
+    bench.wait(0.1)
+    bench.write(0x6085, 25 * INCREMENTS)
+    for name, code in codes.items():
+        assert bench.write(int(name[1:], 16), code) == 0
     bench.enable(PV)
-    bench.write(0x60FF, 20 * INCREMENTS)
-    bench.wait(3.0)
+    bench.write(0x60FF, 10 * INCREMENTS)
+    bench.wait(2.0)
+    return bench
+
+
+#: Turns per second that a motor has left of ten, 0.1 s after it was let go, or is braked by each ramp.
+RUNS_OUT, SLOWLY, QUICKLY, HARD = 9.8, 9.0, 7.5, 4.8
+
+
+@pytest.mark.parametrize(
+    ("option", "left", "end"),
+    [
+        (0, RUNS_OUT, DISABLED),
+        (1, SLOWLY, DISABLED),
+        (2, QUICKLY, DISABLED),
+        (3, HARD, DISABLED),
+        (4, HARD, DISABLED),
+        (5, SLOWLY, QUICK_STOP),
+        (6, QUICKLY, QUICK_STOP),
+        (7, HARD, QUICK_STOP),
+        (8, HARD, QUICK_STOP),
+    ],
+)
+def test_quick_stop_by_its_option_code(option, left, end):
+    bench = turning(x605A=option)
     bench.write(0x6040, 0x0B)
-    bench.wait(0.05)
-    if option:
-        assert state(bench) == QUICK_STOP
-        assert bench.read(0x606C) > INCREMENTS
-    bench.wait(1.0)
-    assert bench.read(0x606C) == 0
+    bench.wait(0.1)
+    assert bench.read(0x606C) / INCREMENTS == pytest.approx(left, abs=0.15)
+    assert state(bench) == (QUICK_STOP if option else DISABLED)
+    bench.wait(1.2)
+    assert (bench.read(0x606C) == 0) is bool(option)
     assert state(bench) == end
     bench.write(0x6040, 0x0F)
     assert (state(bench) == ENABLED) is (end == QUICK_STOP)
+
+
+@pytest.mark.parametrize(
+    ("word", "index", "option", "left", "end"),
+    [
+        (0x06, 0x605B, 0, RUNS_OUT, 0x21),
+        (0x06, 0x605B, 1, SLOWLY, 0x21),
+        (0x07, 0x605C, 0, RUNS_OUT, 0x23),
+        (0x07, 0x605C, 1, SLOWLY, 0x23),
+        (0x00, 0x605B, 1, RUNS_OUT, DISABLED),
+        (0x10F, 0x605D, 1, SLOWLY, ENABLED),
+        (0x10F, 0x605D, 2, QUICKLY, ENABLED),
+        (0x10F, 0x605D, 3, HARD, ENABLED),
+    ],
+)
+def test_operation_ends_and_halts_by_option_codes(word, index, option, left, end):
+    """Shutdown, disable operation, disable voltage, halt: a ramp comes before the next state."""
+    bench = turning(**{f"x{index:X}": option})
+    bench.write(0x6040, word)
+    bench.wait(0.1)
+    assert bench.read(0x606C) / INCREMENTS == pytest.approx(left, abs=0.15)
+    assert state(bench) == (end if left == RUNS_OUT else ENABLED)
+    bench.wait(1.2)
+    assert state(bench) == end
+    assert (bench.read(0x606C) == 0) is (left != RUNS_OUT)
+
+
+def test_an_end_of_operation_is_called_off_and_overtaken():
+    bench = turning()
+    bench.write(0x6040, 0x07)
+    bench.wait(0.1)
+    bench.write(0x6040, 0x0F)
+    bench.wait(2.0)
+    assert bench.read(0x606C) == pytest.approx(10 * INCREMENTS, rel=0.01)
+    bench.write(0x6040, 0x07)
+    bench.write(0x6040, 0x02)
+    assert state(bench) == QUICK_STOP
+
+
+@pytest.mark.parametrize(("option", "left"), [(0, RUNS_OUT), (1, SLOWLY), (2, QUICKLY), (3, HARD), (4, HARD)])
+def test_the_reaction_to_a_fault_by_its_option_code(option, left):
+    bench = turning(x605E=option)
+    bench.fault("follow_error=true")
+    bench.wait(0.1)
+    assert bench.read(0x606C) / INCREMENTS == pytest.approx(left, abs=0.3)
+    assert state(bench) == (0x0F if option else FAULT)
+    bench.wait(1.2)
+    assert state(bench) == FAULT
+
+
+def test_a_halted_torque_mode_brakes(bench):
+    bench.enable(PT)
+    bench.write(0x6071, 500)
+    bench.wait(0.5)
+    bench.write(0x6040, 0x10F)
+    bench.wait(2.0)
+    assert bench.read(0x606C) == 0
+    bench.write(0x6040, 0x0F)
+    bench.wait(0.5)
+    assert bench.read(0x6077) == 500
 
 
 @pytest.mark.parametrize(("option", "end"), [(0, ENABLED), (1, FAULT), (2, DISABLED), (3, DISABLED)])
@@ -312,7 +398,7 @@ def test_the_lost_heartbeat_of_the_master(bench, option, end):
     bench.wait(0.5)
     assert bench.emergencies() == [(0x8130, 0x11)]
     assert state(bench) == end
-    assert (bench.read(0x606C) == 0) is (end != ENABLED)
+    assert (bench.read(0x606C) == 0) is (option in (1, 3)), "disabled, it runs out"
     bench.send(0x77F, b"\x05")
     bench.wait(0.02)
     assert bench.emergencies()[1:] == ([] if option == 1 else [(0, 0)])
@@ -329,7 +415,7 @@ def test_faults_stop_it_and_are_reset_when_the_cause_is_gone(bench, fault, code,
     bench.fault(f"{fault}@5=true")
     bench.wait(0.5)
     assert state(bench) == FAULT
-    assert bench.read(0x606C) == 0
+    assert (bench.read(0x606C) == 0) is (fault != "overcurrent"), "nothing brakes without its power stage"
     assert bench.emergencies() == [(code, register)]
     assert (bench.read(0x603F), bench.read(0x1001)) == (code, register)
     bench.write(0x6040, 0x80)
@@ -379,20 +465,23 @@ def test_nonsense_is_answered(bench):
     assert len(answers) == 5
 
 
-def test_a_load_needs_torque_and_is_held_by_the_brake():
-    bench = DriveBench(",load=0.5,counts=4096")
+@pytest.mark.parametrize("brake", ["no", "yes"])
+def test_a_load_needs_torque_or_a_brake(brake):
+    bench = DriveBench(f",load=0.5,counts=4096,brake={brake}")
     bench.wait(0.1)
     assert bench.read(0x608F, 1) == 4096
-    assert bench.read(0x6064) == 0
+    assert (bench.read(0x6064) == 0) is (brake == "yes"), "it hangs before anything is on"
     bench.enable(PV)
-    bench.wait(0.1)
+    bench.wait(1.0)
     assert bench.read(0x6077) == pytest.approx(500, abs=5)
-    assert bench.read(0x6064) == pytest.approx(0, abs=20)
+    assert bench.read(0x606C) == pytest.approx(0, abs=20)
     bench.write(0x6072, 400)
+    before = bench.read(0x6064)
     bench.wait(0.5)
-    assert bench.read(0x6064) < -500, "too weak for its load"
+    assert bench.read(0x6064) < before - 500, "too weak for its load"
     bench.write(0x6040, 0)
     bench.wait(0.2)
-    held = bench.read(0x6064)
+    off = bench.read(0x6064)
     bench.wait(1.0)
-    assert bench.read(0x6064) == held
+    assert (bench.read(0x6064) == off) is (brake == "yes")
+    assert (bench.read(0x606C) == 0) is (brake == "yes")

@@ -58,7 +58,7 @@ def node(request) -> Iterator[BaseNode402]:
     """The drive, operational, through each door."""
     doors = {"socketcand": ("socketcand:127.0.0.1:0", tcp), "slcan": ("slcan-pty", serial)}
     door, place = doors[request.param]
-    with running_fake("can", "--listen", door, "--device", "cia402:5,load=0.2") as fake:
+    with running_fake("can", "--listen", door, "--device", "cia402:5,load=0.2,brake=yes") as fake:
         network = canopen.Network()
         network.connect(**place(fake.endpoint))
         try:

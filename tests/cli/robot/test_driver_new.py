@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import subprocess
 import sys
 
 import pytest
 
+from lfield.devices.try_out import checks_of, try_devices
 from lfield.driver.plugin import load_plugin
 from lfield.driver.plugins import Plugins
+from lfield.driver.skeleton import write
 from lfield.lang.frontend import check_text
+from lfield.testing.driver_bench import bind
 
 pytestmark = pytest.mark.process
 
@@ -31,6 +35,14 @@ def site(tmp_path_factory):
     (info / "entry_points.txt").write_text(
         "[lfield.drivers.v1]\nlamp = lfield_lamp:PLUGIN\n[lfield.sims.v1]\nlamp = lfield_lamp.fake:SIM\n"
     )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sensor_site(tmp_path_factory):
+    """The same with a driver for a pure sensor, without being installed: its fake is given by its path."""
+    folder = tmp_path_factory.mktemp("sensor")
+    assert folder / "tests" / "test_eye.py" in write("eye", folder, sensor=True)
     return folder
 
 
@@ -84,6 +96,34 @@ def test_its_stock_resource_compiles(site, monkeypatch):
     checked = check_text(
         "include <lamp/mover.L>;\n"
         'coordinator C { init(string[] arg) { LampMover m = findLampMover("m"); m.moveTo(1.0); } }',
+        devices=plugins.device_types,
+        find_include=plugins.find_source,
+    )
+    assert not checked.errors
+
+
+def test_a_sensor_passes_its_tests_and_the_kit_without_anybody_having_to_agree(sensor_site, monkeypatch):
+    monkeypatch.syspath_prepend(str(sensor_site))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(sensor_site), os.environ.get("PYTHONPATH", "")]))
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "tests"]
+    tests = subprocess.run(command, cwd=sensor_site, capture_output=True, text=True, timeout=60)
+    assert "3 passed" in tests.stdout, tests.stdout
+    plugins = Plugins()
+    plugins.add("lfield_eye:PLUGIN")
+    fake = [sys.executable, "-m", "lfield.driver.sims", "lfield_eye.fake:SIM", "--until-stdin-closes"]
+    with subprocess.Popen(fake, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as running:
+        endpoint = running.stdout.readline().split()[1]
+        binding = bind(load_plugin("lfield_eye:PLUGIN"), endpoint=endpoint)
+        checks = checks_of(plugins.by_driver["eye"])
+        found = asyncio.run(try_devices(plugins, [binding], checks, False, print, silence=2.0))
+        running.stdin.close()
+    assert [f"{f.check}: {f.seen}" for f in found if f.outcome == "failed"] == []
+    assert {f.check for f in found if f.outcome == "not run"} == {
+        "the safe state is latched until release", "it comes to rest in its safe state",
+    }  # fmt: skip
+    checked = check_text(
+        "include <eye/meter.L>;\n"
+        'coordinator C { init(string[] arg) { EyeMeter m = findEyeMeter("m"); print(m.value()); } }',
         devices=plugins.device_types,
         find_include=plugins.find_source,
     )

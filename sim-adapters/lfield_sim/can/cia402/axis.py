@@ -7,7 +7,15 @@ from collections.abc import Callable
 from lfield_sim.can.canopen.sdo import ObjectDictionary
 from lfield_sim.can.cia402.drive import Drive, Trouble
 from lfield_sim.can.cia402.modes import MODES, Mode
-from lfield_sim.can.cia402.table import POWERED, TEMPERATURE, TRANSITIONS, Command, State, command
+from lfield_sim.can.cia402.table import (
+    END_OPTIONS,
+    POWERED,
+    TEMPERATURE,
+    TRANSITIONS,
+    Command,
+    State,
+    command,
+)
 from lfield_sim.can.motor import Motor
 
 #: Seconds from power to SWITCH ON DISABLED.
@@ -35,6 +43,8 @@ class Axis:
         self.state = State.NOT_READY
         self.drive.reset()
         self.mode: Mode = MODES[0]()
+        #: The state that it goes to when it stands, while it brakes at the end of operation.
+        self._leaving: State | None = None
         self._waited = 0.0
         self._cause: Callable[[], bool] = lambda: False
 
@@ -56,10 +66,9 @@ class Axis:
             self.fail((code, register))
             return
         self._report(code, _GENERIC | register)
-        if option == 2 and self.state in POWERED:
-            self._enter(State.SWITCH_ON_DISABLED)
-        elif option == 3 and self.state is State.OPERATION_ENABLED:
-            self._enter(State.QUICK_STOP_ACTIVE)
+        asked = {2: Command.DISABLE_VOLTAGE, 3: Command.QUICK_STOP}.get(option)
+        if asked and (goal := TRANSITIONS.get((self.state, asked))):
+            self._enter(goal)
 
     def regain_connection(self) -> None:
         """The master is back: the error is over, unless it was a fault."""
@@ -74,7 +83,7 @@ class Axis:
             self._waited += dt
             if self._waited >= START_UP:
                 self._enter(State.SWITCH_ON_DISABLED)
-        if self.state is State.OPERATION_ENABLED:
+        if self.state is State.OPERATION_ENABLED and not self._leaving:
             self._choose_mode()
             self.mode.step(self.drive, dt)
         elif self.state in POWERED:
@@ -102,11 +111,21 @@ class Axis:
         goal = TRANSITIONS.get((self.state, asked)) if asked else None
         if self.state is State.QUICK_STOP_ACTIVE and asked is Command.ENABLE_OPERATION:
             goal = goal if self.objects.get(0x605A) >= 5 else None
+        if self._leaving and asked is Command.ENABLE_OPERATION:
+            goal = State.OPERATION_ENABLED
         if goal:
-            self._enter(goal)
-        if self.state is State.OPERATION_ENABLED:
+            self._go(goal)
+        if self.state is State.OPERATION_ENABLED and not self._leaving:
             self._choose_mode()
             self.mode.control(self.drive, rising)
+
+    def _go(self, goal: State) -> None:
+        """A transition as it is commanded; one that ends operation may have a ramp before it."""
+        option = END_OPTIONS.get(goal) if self.state is State.OPERATION_ENABLED else None
+        if option and self.objects.get(option):
+            self._leaving = goal
+        else:
+            self._enter(goal)
 
     def _choose_mode(self) -> None:
         wanted = self.objects.get(0x6060)
@@ -115,7 +134,7 @@ class Axis:
             self.mode.begin(self.drive)
 
     def _enter(self, state: State) -> None:
-        self.state = state
+        self.state, self._leaving = state, None
         self.drive.watch_anew()
         if state is State.OPERATION_ENABLED:
             self.drive.take_over()
@@ -123,15 +142,20 @@ class Axis:
             self.mode.begin(self.drive)
 
     def _stop(self, dt: float) -> None:
-        """Quick stop and fault reaction."""
-        option = self.objects.get(0x605A) if self.state is State.QUICK_STOP_ACTIVE else 2
-        slowly = option in (1, 5)
+        """Quick stop, fault reaction, and the ramp at the end of operation; 0 lets the motor go."""
+        codes = {State.QUICK_STOP_ACTIVE: 0x605A, State.FAULT_REACTION_ACTIVE: 0x605E}
+        option = self.objects.get(codes[self.state]) if self.state in codes else 1
         if option:
-            self.drive.brake(dt, deceleration=self.objects.get(0x6084 if slowly else 0x6085))
-        still = not option or (self.drive.profile.velocity == 0.0 and abs(self.motor.speed) < STILL)
-        if still and self.state is State.FAULT_REACTION_ACTIVE:
+            self.drive.stop(dt, option)
+        else:
+            self.drive.rest(dt)
+        if option and (self.drive.profile.velocity != 0.0 or abs(self.motor.speed) >= STILL):
+            return
+        if self.state is State.FAULT_REACTION_ACTIVE:
             self._enter(State.FAULT)
-        elif still and option < 5:
+        elif self._leaving:
+            self._enter(self._leaving)
+        elif option < 5:
             self._enter(State.SWITCH_ON_DISABLED)
 
     def _show(self) -> None:

@@ -42,7 +42,7 @@ class Cia402Device:
         return self.node.boot()
 
     def power_down(self) -> None:
-        """The brake takes the motor."""
+        """Nothing drives the motor any more."""
         self.axis.reset()
 
     def on_frame(self, frame: Frame) -> list[Frame]:

@@ -112,6 +112,18 @@ class Drive:
         """Ramp down to rest, and stay there."""
         self.ramp(0.0, dt, acceleration=deceleration, deceleration=deceleration)
 
+    def stop(self, dt: float, option: int) -> None:
+        """Brake as an option code says (0x605A, 0x605D, 0x605E), but 0.
+
+        1 and 5 are the slow down ramp, 2 and 6 the quick stop ramp; the others all the torque there is.
+        """
+        ramps = {1: 0x6084, 5: 0x6084, 2: 0x6085, 6: 0x6085}
+        self.brake(dt, deceleration=self.objects.get(ramps[option]) if option in ramps else math.inf)
+
+    def halt(self, dt: float) -> None:
+        """Brake as the halt option code says, and stay in operation."""
+        self.stop(dt, self.objects.get(0x605D))
+
     def rest(self, dt: float) -> None:
         """No power: the reference goes with the motor."""
         self.motor.rest(dt)

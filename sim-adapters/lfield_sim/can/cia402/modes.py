@@ -70,7 +70,7 @@ class ProfilePosition(Mode):
     def step(self, drive: Drive, dt: float) -> None:
         objects = drive.objects
         if drive.halted or self._target is None:
-            drive.brake(dt, deceleration=objects.get(0x6084))
+            drive.halt(dt)
             self._settled.step(drive.profile.velocity == 0.0, dt)
             return
         drive.profile.to_position(
@@ -118,7 +118,11 @@ class ProfileVelocity(Mode):
     def step(self, drive: Drive, dt: float) -> None:
         objects = drive.objects
         self._wanted = 0.0 if drive.halted else _bounded(objects.get(0x60FF), drive)
-        drive.ramp(self._wanted, dt, acceleration=objects.get(0x6083), deceleration=objects.get(0x6084))
+        if drive.halted:
+            drive.halt(dt)
+        else:
+            slower = objects.get(0x6084)
+            drive.ramp(self._wanted, dt, acceleration=objects.get(0x6083), deceleration=slower)
         near = abs(self._wanted - drive.velocity) <= max(objects.get(0x606D), 1)
         self._settled.step(near, dt)
 
@@ -139,8 +143,13 @@ class ProfileTorque(Mode):
         drive.torque_demand = 0.0
 
     def step(self, drive: Drive, dt: float) -> None:
+        if drive.halted:
+            # Not by a torque of 0: it would run out.
+            drive.halt(dt)
+            drive.torque_demand = 0.0
+            return
         objects, rated = drive.objects, drive.motor.data.rated_torque
-        wanted = 0.0 if drive.halted else (objects.get(0x6071) + objects.get(0x60B2)) / 1000.0 * rated
+        wanted = (objects.get(0x6071) + objects.get(0x60B2)) / 1000.0 * rated
         wanted = max(-drive.strongest, min(drive.strongest, wanted))
         most = self._slope(drive) * dt
         drive.torque_demand += max(-most, min(most, wanted - drive.torque_demand))
@@ -179,7 +188,7 @@ class Homing(Mode):
 
     def step(self, drive: Drive, dt: float) -> None:
         if not self._running or drive.halted:
-            drive.brake(dt, deceleration=drive.objects.get(0x609A))
+            drive.halt(dt)
             return
         home = drive.home_position
         drive.profile.to_position(

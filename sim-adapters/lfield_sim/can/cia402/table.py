@@ -116,8 +116,11 @@ def _state_objects(turn: int) -> dict[Key, Entry]:
         (0x603F, 0): Entry("u16", "ro", mappable=True),
         (0x6040, 0): Entry("u16", "rw", mappable=True),
         (0x6041, 0): Entry("u16", "ro", mappable=True),
-        (0x605A, 0): Entry("i16", "rw", 2, choices=(0, 1, 2, 5, 6)),
-        (0x605E, 0): Entry("i16", "rw", 2, choices=(0, 2)),
+        (0x605A, 0): Entry("i16", "rw", 2, 0, 8),
+        (0x605B, 0): Entry("i16", "rw", 0, 0, 1),
+        (0x605C, 0): Entry("i16", "rw", 1, 0, 1),
+        (0x605D, 0): Entry("i16", "rw", 1, 1, 4),
+        (0x605E, 0): Entry("i16", "rw", 2, 0, 4),
         (0x6060, 0): Entry("i8", "rw", mappable=True, choices=MODES),
         (0x6061, 0): Entry("i8", "ro", mappable=True),
         (0x6062, 0): Entry("i32", "ro", mappable=True),
@@ -219,6 +222,9 @@ TRANSITIONS: Mapping[tuple[State, Command], State] = {
     (State.QUICK_STOP_ACTIVE, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,
     (State.QUICK_STOP_ACTIVE, Command.ENABLE_OPERATION): State.OPERATION_ENABLED,
 }
+
+#: How operation ends on the way to these states: 0 lets the motor go at once, 1 ramps it down before.
+END_OPTIONS: Mapping[State, int] = {State.READY_TO_SWITCH_ON: 0x605B, State.SWITCHED_ON: 0x605C}
 
 #: In these the power stage moves the motor.
 POWERED = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE})

@@ -1,0 +1,133 @@
+"""How process data are agreed on with drives that have their own mind: no bus, records that refuse."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+
+import pytest
+
+from lfield.driver import DeviceError
+from lfield_can.protocols import cia402_setup
+from lfield_can.protocols import cia402_tables as t
+from lfield_can.protocols.canopen_node import SdoRefused
+from lfield_can.protocols.pdo_setup import agree
+
+NODE = 9
+OLD, UNUSED = 0x1E5, 1 << 31
+
+
+class Records:
+    """The records of a drive; `refuses(index, subindex, value, now)` says no to a write."""
+
+    def __init__(self, refuses=lambda index, subindex, value, now: False, *, kind=255, timer=0, **objects):
+        self.refuses = refuses
+        self.values = {(entry >> 16, 0): 0 for entry in t.NUMBERS}
+        self.values |= {(int(name[1:], 16), 0): value for name, value in objects.items()}
+        for record, mapping, first, ours in (
+            (0x1800, 0x1A00, 0x180, t.TOLD.ours),
+            (0x1400, 0x1600, 0x200, t.TAKEN.ours),
+        ):
+            for number, entries in enumerate(ours):
+                self.values |= {
+                    (record + number, 1): first + 0x100 * number + NODE,
+                    (record + number, 2): kind if record == 0x1800 else 255,
+                    (record + number, 5): timer,
+                    (mapping + number, 0): len(entries),
+                    **{(mapping + number, n): entry for n, entry in enumerate(entries, 1)},
+                }
+
+    async def read_raw(self, index, subindex):
+        if (index, subindex) not in self.values:
+            raise SdoRefused("axis", "no such object", 0x06020000)
+        return struct.pack("<I", self.values[index, subindex])
+
+    async def read(self, index, subindex=0):
+        return int.from_bytes(await self.read_raw(index, subindex), "little")
+
+    async def write_raw(self, index, subindex, data):
+        value, now = int.from_bytes(data, "little"), self.values.get((index, subindex))
+        if now is None or self.refuses(index, subindex, value, now):
+            raise SdoRefused("axis", "refused", 0x08000022)
+        self.values[index, subindex] = value
+
+
+def agreed(records):
+    """What is agreed on, and the notes."""
+    notes = []
+    error = lambda text: DeviceError("axis", text)  # noqa: E731
+    return asyncio.run(agree(records, NODE, error, notes.append)), notes
+
+
+def fixed(*subindexes):
+    """No write to these of the parameters of TPDOs, nor to any mapping."""
+    return lambda index, subindex, value, now: (
+        index & 0xFE00 == 0x1A00 or (index & 0xFF00 == 0x1800 and subindex in subindexes)
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "timer", "by_sync", "by_changes"),
+    [
+        (255, 20, False, False),
+        (254, 20, False, False),
+        (254, 0, False, True),
+        (1, 0, True, False),
+        (5, 0, True, False),
+        (6, 0, True, True),
+        (0, 0, True, True),
+    ],
+)
+def test_every_transmission_type_that_cannot_be_changed(kind, timer, by_sync, by_changes):
+    """Of type 0 a change is told at the next SYNC: without one it would never be told."""
+    found, notes = agreed(Records(fixed(1, 2, 5), kind=kind, timer=timer))
+    assert (found.by_sync, found.by_changes) == (by_sync, by_changes)
+    assert any("only when it changes" in note for note in notes) is by_changes
+
+
+@pytest.mark.parametrize("kind", [252, 253])
+def test_one_that_waits_for_remote_frames_does_not_fit(kind):
+    with pytest.raises(DeviceError, match=f"TPDO 1 comes only when a remote frame .* type {kind}"):
+        agreed(Records(fixed(1, 2, 5), kind=kind, timer=20))
+
+
+def test_an_id_is_changed_while_it_is_not_in_use_and_used_afterwards():
+    """CiA 301, 7.5.2.35, read strictly: a write changes bit 31 or the id, not both."""
+
+    def refuses(index, subindex, value, now):
+        return index == 0x1800 and subindex == 1 and (now ^ value) >> 31 and (now ^ value) & 0x7FF
+
+    records = Records(refuses)
+    records.values[0x1800, 1] = OLD
+    assert agreed(records)[0].data.tells(0x180 + NODE)
+    assert records.values[0x1800, 1] == 0x180 + NODE
+
+
+def test_dummies_in_what_a_drive_takes_are_gaps():
+    """Entries of types (CiA 301, 7.5.2.36) are neither read nor sent as objects."""
+    records = Records(lambda index, subindex, value, now: index & 0xFE00 == 0x1600)
+    records.values |= {
+        (0x1600, 0): 3,
+        (0x1600, 1): 0x00050008,
+        (0x1600, 2): t.CONTROL,
+        (0x1600, 3): 0x00060010,
+    }
+    found, _ = agreed(records)
+    assert found.data.frame(t.CONTROL, 0x0F) == (0x200 + NODE, b"\0\x0f\0\0\0")
+
+
+@pytest.mark.parametrize(
+    ("present", "words"),
+    [(50, ""), (200, ""), (0, "it sends no heartbeat"), (1000, "comes every 1000 ms, too seldom")],
+)
+def test_a_heartbeat_that_cannot_be_changed_counts_if_it_comes_often_enough(present, words):
+    records = Records(lambda *write: True, x1017=present)
+
+    async def set_it():
+        await cia402_setup.set_heartbeat(records, lambda text: DeviceError("axis", text))
+
+    if not words:
+        asyncio.run(set_it())
+        return
+    with pytest.raises(DeviceError, match=words):
+        asyncio.run(set_it())

@@ -1,0 +1,26 @@
+"""Values of devices as people read them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from lfield.text.values import in_words
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (True, "yes"),
+        (4.2, "4.20"),
+        (-999_999.0, "-999999.00"),
+        (-1_789_999_999.123, "-1.79e09"),
+        (1e300, "1e300"),
+        (math.nan, "nan"),
+        (math.inf, "inf"),
+        ([1.0, 2.5e7], "(1.00 2.5e07)"),
+    ],
+)
+def test_a_number_is_never_longer_than_can_be_read(value, words):
+    assert in_words(value) == words
