@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -41,6 +42,10 @@ _ROOMS = {
 }
 #: The module of every subcommand.
 MODULES = {name: f"lfield.cli.{room}.{name}" for room, names in _ROOMS.items() for name in names}
+
+
+#: What may be empty: no emergency stop is refused for want of a reason.
+REASON = "--reason"
 
 
 class Command(Protocol):
@@ -125,7 +130,18 @@ def _tell(text: str) -> None:
     print(text, file=sys.stderr)
 
 
+def _refuse_empty(words: list[str]) -> None:
+    """An empty word names nothing; taken for none, it would mean all, or this folder. Raises UsageError."""
+    for before, word in zip(["", *words], words, strict=False):
+        option = before if not word else word[:-1] if re.fullmatch(r"--[a-z-]+=", word) else None
+        if option is None or option == REASON:
+            continue
+        what = f"the value of {option}" if option.startswith("-") else "a word of the command line"
+        raise UsageError(f"{what} is empty; is it a variable of the shell that is not set?")
+
+
 def _dispatch(words: list[str]) -> int:
+    _refuse_empty(words)
     parser = _Parser(prog="lfield", description="One program for a team of robots.", epilog=_STATUSES)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--version", action="version", version=f"lfield {__version__}")

@@ -14,13 +14,6 @@ from lfield.text.source import Source, Span
 MAX_TEXT = 16 << 20
 
 
-def named_file(word: str) -> Path:
-    """The file that a word of a command line names. Raises InputFileError for an empty one."""
-    if not word:
-        raise InputFileError("''", "the name is empty")
-    return Path(word)
-
-
 def look_at(path: Path) -> None:
     """See that there is such a file before others are named after it. Raises InputFileError."""
     try:
