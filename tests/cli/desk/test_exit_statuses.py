@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -134,24 +135,50 @@ def test_what_is_printed_and_finds_no_room_is_a_failure(files, command: str, str
     assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 74
 
 
-#: Interrupts itself while the command is being imported.
+#: Presses Ctrl-C itself, while a module is being imported by a command, or by Python as it ends.
 INTERRUPTED = """
-import _thread, sys
+import atexit, os, signal, sys
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
 class Finder:
     def find_spec(self, name, path=None, target=None):
         if name == "{module}":
-            raise KeyboardInterrupt
+            press()
 sys.meta_path.insert(0, Finder())
+if "{module}" == "the end":
+    atexit.register(press)
 from lfield.__main__ import main
 sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("module", ["lfield.cli", "argparse", "lfield.text.outlet", "lfield.cli.desk.check"])
-def test_a_ctrl_c_while_it_starts_is_no_traceback(files, module: str) -> None:
+@pytest.mark.parametrize(
+    ("module", "command"),
+    [
+        ("lfield.cli", "check mission.L"),
+        ("argparse", "check mission.L"),
+        ("lfield.cli.desk.check", "check mission.L"),
+        ("lfield.mission.load", "check mission.L"),
+        ("lfield.host.host", "up mission.dL --all"),
+        ("lfield.cli.run.up_all", "up mission.dL --all"),
+        ("the end", "check mission.L"),
+    ],
+)
+def test_a_ctrl_c_at_any_moment_is_no_traceback(files, module: str, command: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-S", "-c", INTERRUPTED.format(module=module), "check", "mission.L"],
+        [sys.executable, "-S", "-c", INTERRUPTED.format(module=module), *command.split()],
         cwd=files.folder, capture_output=True, text=True, check=False,
         env={"PYTHONPATH": ":".join(sys.path)},
     )  # fmt: skip
-    assert (done.returncode, done.stderr) == (exits.INTERRUPTED, "")
+    # What the system ends by the signal has no status of its own; a shell calls it 130.
+    assert done.returncode in (exits.INTERRUPTED, -signal.SIGINT)
+    assert done.stderr == ""
+
+
+def test_a_ctrl_c_that_was_to_be_ignored_is(files) -> None:
+    """As a shell has it for what it runs in the background."""
+    ignored = (
+        f"trap '' INT; exec {sys.executable} -c '{INTERRUPTED.format(module='argparse')}' check mission.L"
+    )
+    done = subprocess.run(["bash", "-c", ignored], cwd=files.folder, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
