@@ -122,6 +122,19 @@ def test_it_ends_with_it(files, here, command: str, status: int) -> None:
     assert words in "\n".join([*done.err, *done.out])
 
 
+@pytest.mark.parametrize(
+    "command", ["check mission.L", "check mission.dL", "build mission.dL", "up mission.dL --all"]
+)
+def test_a_missions_registry_is_read_also_when_its_program_asks_for_nothing(files, here, command) -> None:
+    files.write("mission.capabilities.yaml", b"abc\xe9")
+    done = here(*command.split())
+    assert (done.status, done.err[0].split(" ")[0]) == (65, "mission.capabilities.yaml:1:4:")
+
+
+def test_a_registry_that_is_named_is_not_passed_over(files, here) -> None:
+    assert here("build", "mission.dL", "--capabilities", "none.yaml").status == 66
+
+
 @pytest.mark.parametrize("streams", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_stream_that_is_closed_is_no_bug(files, streams: str) -> None:
     line = f"{sys.executable} -m lfield check mission.L none.L {streams}"
