@@ -92,8 +92,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         _tell(f"lfield: {error}")
         return error.exit_status
     except BindingError as error:
-        for problem in error.problems:
-            _tell(problem)
+        for line in filter(None, [*error.problems, error.cure]):
+            _tell(line)
         _tell(f"lfield: {len(error.problems)} problem(s) with the devices")
         return error.exit_status
     except LfieldError as error:
