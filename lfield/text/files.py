@@ -1,4 +1,7 @@
-"""Reading files that users name: bounded, with the errors a user can act on. A base module."""
+"""Reading files that users name: bounded, with the errors a user can act on. A base module.
+
+A named pipe is read too, and waits for its writer, as with any other program.
+"""
 
 from __future__ import annotations
 
