@@ -70,9 +70,13 @@ class ProgramError(LfieldError):
 
 
 class BindingError(LfieldError):
-    """A devices file that cannot be used; `problems` lists everything found wrong, a sentence each."""
+    """A devices file that cannot be used; `problems` lists everything found wrong, a sentence each.
+
+    `cure` is one about what to do, for all of them, or ''.
+    """
 
     exit_status = exits.DATA
+    cure = ""
 
     def __init__(self, problems: Sequence[str]) -> None:
         self.problems = tuple(problems)
@@ -93,8 +97,9 @@ class DevicesError(BindingError):
 
     def cured_by(self, command: str) -> DevicesError:
         """The same, with the command that sets up what is not."""
-        told = [f"{p}; this sets it up: {command}" if p in self.not_set_up else p for p in self.problems]
-        return DevicesError(told)
+        cured = DevicesError(self.problems, tuple(self.not_set_up))
+        cured.cure = f"this sets it up: {command}" if self.not_set_up else ""
+        return cured
 
 
 class ConstraintError(LfieldError):

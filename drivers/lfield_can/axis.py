@@ -44,7 +44,7 @@ class CanAxis(Device):
         self.malformed = 0
         self._heard_at: float | None = None
         self._last_velocity: float | None = None
-        self._lost = self._quiet = self._opened = False
+        self._lost = self._quiet = self._found = self._opened = False
         self._polled = 0.0
 
     # -- frames and signs of life -----------------------------------------------------------------------
@@ -121,10 +121,15 @@ class CanAxis(Device):
 
     async def _open(self) -> str:
         await self._find()
+        self._found = True
         identity = await self.protocol.setup()
         self.publish(online=True)
         self._opened = True
         return identity
+
+    def _touched(self) -> bool:
+        """It is only called until it is heard; then it is set up."""
+        return self._found
 
     async def _find(self) -> None:
         """Wait until the device is heard."""

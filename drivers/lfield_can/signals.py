@@ -133,6 +133,10 @@ class CanSignals(Device):
         heard = sorted(name for name in self._received if "." not in name)
         return f"DBC device, heard {', '.join(heard) or 'nothing'}"
 
+    def _touched(self) -> bool:
+        """Opening only listens."""
+        return False
+
     async def _make_safe(self, state: str) -> None:
         self._forget_setpoints()
         end = self.clock.monotonic() + SAFE_BY

@@ -70,6 +70,10 @@ class Members(Device):
         self.opened = True
         return ", ".join(identities)
 
+    def _touched(self) -> bool:
+        """It is read until its watchdog is set: that lets a servo which was stopped by it go on."""
+        return self._watchdog is not None
+
     @property
     def last_seen(self) -> Seen:
         """What each member measured when it was last looked at."""

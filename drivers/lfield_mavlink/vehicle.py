@@ -105,6 +105,10 @@ class MavlinkVehicle(Contact):
         await self._streams.prepare()
         return f"{self.profile.stack} {self.profile.kind}, system {self.system}"
 
+    def _touched(self) -> bool:
+        """Opening asks, and says which telemetry is wanted: it flies on as before."""
+        return False
+
     async def _renew(self) -> None:
         """Ask and set again what was asked and set when it was opened. Raises DeviceError."""
         await self._streams.prepare()

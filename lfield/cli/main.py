@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -43,6 +45,20 @@ _ROOMS = {
 MODULES = {name: f"lfield.cli.{room}.{name}" for room, names in _ROOMS.items() for name in names}
 
 
+#: The commands that a Ctrl-C lets end in order, by an exception, and what they import first: msgspec crashes
+#: when one comes while it makes a class. All others leave nothing behind; the system ends them at once.
+ORDERLY = {
+    "up": ("mission.bundle", "mission.cache", "operator.runs", "host.process.run"),
+    "estop": ("operator.addressed", "operator.descent", "operator.runs"),
+    "doctor": ("operator.doctor", "mission.load"),
+    "setup": ("devices.setup", "mission.load"),
+    "kit": ("devices.try_out", "mission.one_device"),
+    "sim": ("driver.sims",),
+}
+#: What may be empty: no emergency stop is refused for want of a reason.
+REASON = "--reason"
+
+
 class Command(Protocol):
     """What a module of a subcommand provides."""
 
@@ -76,8 +92,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         _tell(f"lfield: {error}")
         return error.exit_status
     except BindingError as error:
-        for problem in error.problems:
-            _tell(problem)
+        for line in filter(None, [*error.problems, error.cure]):
+            _tell(line)
         _tell(f"lfield: {len(error.problems)} problem(s) with the devices")
         return error.exit_status
     except LfieldError as error:
@@ -125,7 +141,18 @@ def _tell(text: str) -> None:
     print(text, file=sys.stderr)
 
 
+def _refuse_empty(words: list[str]) -> None:
+    """An empty word names nothing; taken for none, it would mean all, or this folder. Raises UsageError."""
+    for before, word in zip(["", *words], words, strict=False):
+        option = before if not word else word[:-1] if re.fullmatch(r"--[a-z-]+=", word) else None
+        if option is None or option == REASON:
+            continue
+        what = f"the value of {option}" if option.startswith("-") else "a word of the command line"
+        raise UsageError(f"{what} is empty; is it a variable of the shell that is not set?")
+
+
 def _dispatch(words: list[str]) -> int:
+    _refuse_empty(words)
     parser = _Parser(prog="lfield", description="One program for a team of robots.", epilog=_STATUSES)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--version", action="version", version=f"lfield {__version__}")
@@ -141,7 +168,13 @@ def _dispatch(words: list[str]) -> int:
     except SystemExit:
         # --help or --version has been answered: whether the answer got out is for `main` to see.
         return exits.DONE
-    return _command(args.command).run(args)
+    command = _command(args.command)
+    # Until here it ends the process (lfield/__main__.py).
+    if args.command in ORDERLY and signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        for module in ORDERLY[args.command]:
+            import_module(f"lfield.{module}")
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    return command.run(args)
 
 
 def _command(name: str) -> Command:

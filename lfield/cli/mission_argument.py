@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield.errors import NothingRuns, UsageError
-from lfield.text.files import named_file
 
 if TYPE_CHECKING:
     from lfield.operator.addressed import Party
@@ -18,10 +17,8 @@ if TYPE_CHECKING:
 def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
     """Declare it: `lfield up mission.lfm`, or `lfield up --deploy mission.dL`."""
     named = parser.add_mutually_exclusive_group(required=required)
-    named.add_argument(
-        "--deploy", metavar="MISSION", type=named_file, help="a deployment (.dL) or bundle (.lfm)"
-    )
-    named.add_argument("mission", metavar="MISSION", nargs="?", type=named_file, help="the same")
+    named.add_argument("--deploy", metavar="MISSION", type=Path, help="a deployment (.dL) or bundle (.lfm)")
+    named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help="the same")
 
 
 def add_running_mission(parser: argparse.ArgumentParser) -> None:

@@ -13,7 +13,7 @@ from lfield.clock import Clock
 from lfield.devices.fakes import Fake, on_running_fakes
 from lfield.devices.keeper import Answered, Guard
 from lfield.devices.lateness import Lateness, Limit
-from lfield.driver.binding import SIMULATED, DeviceBinding, by_bus
+from lfield.driver.binding import DeviceBinding, by_bus
 from lfield.driver.known import Drivers
 from lfield.errors import DeviceError, DevicesError
 from lfield.guard.core import SILENCE
@@ -49,7 +49,6 @@ class Guards:
         #: One for each emergency stop that is under way: several may be pressed at a time.
         self._stopping: list[asyncio.Event] = []
         self._fakes: list[Fake] = []
-        self._simulated: set[str] = set()
         #: Those of the problems of opening that `lfield setup` would solve.
         self._not_set_up: list[str] = []
         #: What `close` has found, also when the devices could not all be opened.
@@ -59,7 +58,6 @@ class Guards:
     async def open(self, devices: Sequence[DeviceBinding]) -> None:
         """Open all devices at once. Raises DevicesError with all problems; then none is left open."""
         problems: list[str] = []
-        self._simulated = {device.name for device in devices if device.endpoint.startswith(SIMULATED)}
         try:
             await self._open(devices, problems)
         except BaseException:
@@ -197,9 +195,6 @@ class Guards:
 
     async def _close(self, guard: Guard) -> dict[str, str]:
         unsafe = await guard.close()
-        if guard.half_open:
-            # A fake that nobody has used yet hurts nobody.
-            unsafe = dict.fromkeys(set(guard.movable) - self._simulated, "it was still being opened")
         guard.moving.update({name: "" for name in guard.movable if name not in unsafe})
         return {name: f"{why}; {guard.snapshots.in_words(name)}" for name, why in unsafe.items()}
 

@@ -40,7 +40,7 @@ from lfield.guard.messages import (
     Stopped,
     encode,
 )
-from lfield.guard.rest import UNSEEN
+from lfield.guard.rest import UNFINISHED, UNSEEN
 from lfield.loop import spawn, start_process, unexpected
 from lfield.manifest import DeviceValue, Instruction
 
@@ -91,18 +91,16 @@ class Guard(asyncio.SubprocessProtocol):
         self._pipe: asyncio.WriteTransport | None = None
         self._beating: asyncio.TimerHandle | None = None
         self._restarting: asyncio.Task[None] | None = None
-        self._opening: asyncio.Future[dict[str, str]] | None = None
+        self._opening: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._exited = asyncio.Event()
-        #: Set when this guard has ended for good.
-        self._over = asyncio.Event()
-        self._ready = self._stopping = self._hurried = False
+        # Set when the devices are open or never will be, and when this guard has ended for good.
+        self._settled, self._over = asyncio.Event(), asyncio.Event()
+        self._ready = self._stopping = self._hurried = self._spoken = False
         self._tokens = self._unanswered = 0
         self._calls: dict[int, tuple[DeviceBinding, Instruction, Answered]] = {}
         self._unsafe: dict[str, str] | None = None
         self._barred = ""
         self._told_way: dict[str, float] = {}
-        #: Whether it was told to end while it opened its devices: nobody knows how they are.
-        self.half_open = False
         #: Who the devices are, in their driver's words, once they are open.
         self.identities: dict[str, str] = {}
         #: Why a device is held in its safe state, by name; absent while it answers to calls.
@@ -118,8 +116,8 @@ class Guard(asyncio.SubprocessProtocol):
 
     async def open(self, latched: str = "") -> None:
         """Start the process and open the devices. Raises DevicesError with all that is wrong."""
-        loop = asyncio.get_running_loop()
-        self._opening, self._exited, self._reader = loop.create_future(), asyncio.Event(), MessageReader()
+        self._opening = asyncio.get_running_loop().create_future()
+        self._exited, self._reader = asyncio.Event(), MessageReader()
         try:
             await start_process(self, sys.executable, "-m", "lfield.guard.process", self._driver.reference)
         except OSError as error:
@@ -130,7 +128,7 @@ class Guard(asyncio.SubprocessProtocol):
         self._beat()
         try:
             async with asyncio.timeout(OPEN_BOUND):
-                self.identities = await self._opening
+                await self._opening
         except (TimeoutError, DevicesError) as error:
             self.kill()
             await self._exited.wait()
@@ -148,20 +146,19 @@ class Guard(asyncio.SubprocessProtocol):
         Returns those that have not been seen there, each with what is known of it. A guard that dies
         meanwhile is started again for it. Bounded by `rest_within` of its devices; `hurry` makes it short.
         """
-        self._stopping, opening = True, self._opening
-        if opening is not None and not self.identities and (opening.cancelled() or not opening.done()):
-            self.half_open = True
+        self._stopping = True
         if self._transport is None and self._restarting is None:
             return {}
         self._send(Stop(STOPPING))
-        bound = longest_rest(self._devices.values()) if self.identities else 0.0
         try:
-            async with asyncio.timeout(bound + STOP_BOUND):
+            async with asyncio.timeout(STOP_BOUND):
+                await self._settled.wait()
+            async with asyncio.timeout(longest_rest(self._devices.values()) + STOP_BOUND):
                 await self._over.wait()
         except TimeoutError:
             self._give_up()
             await self._exited.wait()
-        return self._found_unsafe() if self.identities else {}
+        return self._found_unsafe()
 
     def hurry(self) -> None:
         """Wait for the devices no longer; who is not at rest will be named."""
@@ -181,6 +178,8 @@ class Guard(asyncio.SubprocessProtocol):
     def _found_unsafe(self) -> dict[str, str]:
         if self._unsafe is not None:
             return self._unsafe
+        if not self.identities:
+            return dict.fromkeys(self.movable, UNFINISHED) if self._spoken else {}
         words = {name: self.moving.get(name, UNSEEN) for name in self.movable}
         return {name: f"{said}, and its guard has ended" for name, said in words.items() if said}
 
@@ -292,7 +291,7 @@ class Guard(asyncio.SubprocessProtocol):
 
     def pipe_data_received(self, fd: int, data: bytes) -> None:
         """Messages of the guard."""
-        self._unanswered = 0
+        self._unanswered, self._spoken = 0, True
         try:
             for message in self._reader.feed(data):
                 self._receive(message)
@@ -314,12 +313,14 @@ class Guard(asyncio.SubprocessProtocol):
         if was_ready and self._stopping and status == 0:
             self._unsafe = {}  # Its last words may be lost, when there is no memory for them.
         self._exited.set()
-        if self._opening is not None and not self._opening.done():
+        if not self._opening.done():
             self._opening.set_exception(DevicesError([f"the driver's process ended with status {status}"]))
-        for binding, instruction, answered in self._take_calls():
+        calls, self._calls = self._calls, {}
+        for binding, instruction, answered in calls.values():
             reason = f"{instruction.name}() is lost: the guard ended with status {status}"
             answered(DeviceError(binding.field, reason))
         if self._unsafe is not None or self._hurried or not self.identities:
+            self._settled.set()
             self._over.set()
             return
         self.confirmed.clear()
@@ -327,10 +328,6 @@ class Guard(asyncio.SubprocessProtocol):
         if was_ready:
             self._note(f"the guard of {self._who} died with status {status}; starting it again")
             self._restarting = spawn(self._restart())
-
-    def _take_calls(self) -> list[tuple[DeviceBinding, Instruction, Answered]]:
-        calls, self._calls = list(self._calls.values()), {}
-        return calls
 
     def _send(self, message: Message) -> None:
         if self._pipe is not None and not self._pipe.is_closing():
@@ -367,13 +364,13 @@ class Guard(asyncio.SubprocessProtocol):
                 self._note(f"{device}: released")
             case Note(device, text):
                 self._note(f"{device}: {text}")
-            case Ready(identities) if self._opening is not None and not self._opening.done():
-                self._opening.set_result(identities)
-                self._ready = True
-            case Failed(problems) if self._opening is not None and not self._opening.done():
-                kinds = {self._sentence(*problem): problem[1] for problem in problems}
-                unset = [sentence for sentence, kind in kinds.items() if kind == NOT_SET_UP]
-                self._opening.set_exception(DevicesError(list(kinds), unset))
+            case Ready(identities) if self._stopping or not self._opening.done():
+                self.identities, self._ready = identities, True
+                self._settled.set()
+                if not self._opening.done():
+                    self._opening.set_result(None)
+            case Failed(problems):
+                self._on_failed(problems)
             case Stopped(unsafe):
                 self._unsafe = unsafe
 
@@ -386,14 +383,18 @@ class Guard(asyncio.SubprocessProtocol):
             self._told_way[device] = now
             self._note(f"{device}: {moving}")
 
-    def _sentence(self, device: str, _: str, reason: str) -> str:
-        return f"{device or self._who}: {reason}"
+    def _on_failed(self, problems: list[tuple[str, str, str]]) -> None:
+        kinds = {f"{device or self._who}: {reason}": kind for device, kind, reason in problems}
+        if self._opening.done():  # Nobody waits for it any more.
+            self._unsafe = {}
+            return
+        unset = [told for told, kind in kinds.items() if kind == NOT_SET_UP]
+        self._opening.set_exception(DevicesError(list(kinds), unset))
 
     def _on_done(self, token: int, value: Any) -> None:
         binding, instruction, answered = self._calls.pop(token)
         try:
             answered(conform(value, instruction.result))
         except ValueError as error:
-            answered(
-                DeviceError(binding.field, f"{instruction.name}() gave no {instruction.result}: {error}")
-            )
+            reason = f"{instruction.name}() gave no {instruction.result}: {error}"
+            answered(DeviceError(binding.field, reason))

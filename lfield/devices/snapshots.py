@@ -19,6 +19,8 @@ from lfield.vm.memory.values import word_of
 
 #: A device that was heard before is lost after so many seconds of silence, at least.
 LOST_AFTER = 3.0
+#: So many quantities are told in a line of the log that says something else first.
+IN_A_LINE = 4
 
 
 class Snapshots:
@@ -108,7 +110,7 @@ class Snapshots:
         if device not in self.heard:
             return "it was never heard"
         age = self._clock.monotonic() - self.heard[device]
-        words = telemetry_in_words(self.telemetry[device])
+        words = telemetry_in_words(self.telemetry[device], IN_A_LINE)
         return f"last heard {age:.1f} s ago{f': {words}' if words else ''}"
 
     @property

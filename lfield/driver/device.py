@@ -64,9 +64,9 @@ class Device:
     """One device on a bus.
 
     Authors override `_open`, `_make_safe` (but for a pure sensor), for a device that has one `_set_watchdog`,
-    for one that takes its time to come to rest `_moving`, for one that others may take over `_taken_over` and
-    `_guard_restarted`, for one that keeps settings which a binding needs `_settings`, `_write_setting` and
-    `_in_use`, and write the `do_...` coroutines.
+    for one that opening only asks at first `_touched`, for one that takes its time to come to rest `_moving`,
+    for one that others may take over `_taken_over` and `_guard_restarted`, for one that keeps settings which
+    a binding needs `_settings`, `_write_setting` and `_in_use`, and write the `do_...` coroutines.
 
     A device that can do much may have `parts`: any objects, made in its constructor, whose `do_...` are
     looked up beside its own. A part takes what it needs (often the device itself, to ask and to publish),
@@ -101,6 +101,13 @@ class Device:
     async def find(self) -> str:
         """Only find it, as for those who want to look; its identity in words. Raises DeviceError."""
         return await self._open()
+
+    def touched(self) -> bool:
+        """Whether opening, as far as it has got, may have changed what it does: not while it was only asked.
+
+        A guard that has to end meanwhile leaves it as it is, or finishes the opening and makes it safe.
+        """
+        return self._touched()
 
     async def execute(self, instruction: str, arguments: Sequence[object]) -> DeviceValue:
         """Carry an instruction out and return its result. Raises DeviceError when it did not happen."""
@@ -219,6 +226,10 @@ class Device:
     async def _open(self) -> str:
         raise NotImplementedError
 
+    def _touched(self) -> bool:
+        """See `touched`; of a driver that does not say it, nobody knows that it only asks."""
+        return True
+
     async def _make_safe(self, state: str) -> None:
         raise NotImplementedError
 
@@ -321,25 +332,6 @@ class Driver:
 
     def _resume(self) -> None:
         """Take them up again."""
-
-
-async def open_all(
-    devices: Sequence[Device], *, again: bool = False
-) -> tuple[dict[str, str], list[tuple[str, str, str]]]:
-    """Open devices at once: identities by name, and all that went wrong (name, kind, reason)."""
-    opened = (device.open(again=again) for device in devices)
-    found = await asyncio.gather(*opened, return_exceptions=True)
-    identities: dict[str, str] = {}
-    problems: list[tuple[str, str, str]] = []
-    for device, answer in zip(devices, found, strict=True):
-        if isinstance(answer, str):
-            identities[device.binding.name] = answer
-        elif isinstance(answer, DeviceError):
-            kind = NOT_SET_UP if isinstance(answer, NotSetUp) else answer.kind
-            problems.append((device.binding.name, kind, answer.reason))
-        else:
-            problems.append((device.binding.name, "DeviceException", f"the driver failed: {answer!r}"))
-    return identities, problems
 
 
 def check_methods(device: type[Device], manifest: Manifest, parts: Iterable[object] = ()) -> None:

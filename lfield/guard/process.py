@@ -17,12 +17,11 @@ from typing import Any
 
 from lfield import exits, loop
 from lfield.clock import Clock, SystemClock
-from lfield.driver.device import Driver, check_methods, open_all
-from lfield.driver.plugin import Plugin, check_same, load_plugin
-from lfield.errors import DeviceError, LfieldError, PluginError, WireError
+from lfield.driver.device import Driver
+from lfield.driver.plugin import Plugin, load_plugin
+from lfield.errors import DeviceError, LfieldError, WireError
 from lfield.guard.core import GuardCore
 from lfield.guard.effects import Cancel, Effect, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
-from lfield.guard.endpoint_lock import EndpointLock
 from lfield.guard.messages import (
     Allow,
     Beat,
@@ -35,9 +34,12 @@ from lfield.guard.messages import (
     Ready,
     Safe,
     Stop,
+    Stopped,
     encode,
     last_words,
 )
+from lfield.guard.opening import Opening
+from lfield.guard.rest import UNFINISHED
 from lfield.guard.telemetry import Telemetry
 from lfield.text.outlet import never_waiting
 
@@ -62,14 +64,15 @@ class Shell(asyncio.Protocol):
         clock: Clock,
         on_loaded: Callable[[], None] = lambda: None,
     ) -> None:
-        self._plugin, self._output, self._clock, self._on_loaded = plugin, output, clock, on_loaded
+        self._output, self._clock = output, clock
         self._loop = asyncio.get_running_loop()
         # A driver's callback that raises (of a socket, a timer) has no task to tell of it.
         self._loop.set_exception_handler(self._callback_raised)
         self._reader = MessageReader()
         self._core: GuardCore | None = None
-        self._driver: Driver | None = None
-        self._lock = EndpointLock()
+        self._opening = Opening(plugin, clock, self, on_loaded)
+        # How the core ends that comes of an opening during which somebody wanted the end.
+        self._leave: Callable[[GuardCore], list[Effect]] | None = None
         self._telemetry = Telemetry(clock, self._tell_snapshot, self._is_taken)
         # Of what a driver can tell, new values and signs of life.
         self.publish, self.heard = self._telemetry.publish, self._telemetry.heard
@@ -78,9 +81,8 @@ class Shell(asyncio.Protocol):
         self._making: dict[str, asyncio.Task[None]] = {}
         self._tasks: set[asyncio.Task[Any]] = set()
         self._timer: asyncio.Handle | None = None
-        self._timer_at = 0.0
-        self._answered = 0.0
-        self._starved = False
+        self._timer_at = self._answered = 0.0
+        self._asked = self._starved = False
         self.exit: asyncio.Future[int] = self._loop.create_future()
 
     # -- the pipe -------------------------------------------------------------------------------------
@@ -99,17 +101,18 @@ class Shell(asyncio.Protocol):
 
     def gone(self, reason: str) -> None:
         """There is nobody left to work for."""
-        if self._core is not None:
-            self._run(self._core.gone(reason))
-        else:
-            self._finish(1)
+        self._end(lambda core: core.gone(reason))
 
     def _receive(self, message: Message) -> None:
-        if isinstance(message, Open) and self._driver is None:
+        if isinstance(message, Open) and not self._asked:
+            self._asked = True
             self._spawn(self._open(message))
+        elif isinstance(message, Stop):
+            self._end(
+                lambda core: core.stop(message.reason, at_once=message.at_once), at_once=message.at_once
+            )
         elif self._core is None:
-            if isinstance(message, Stop):
-                self._finish(0)
+            pass
         elif isinstance(message, Beat):
             self._run(self._core.beat(message.sent))
             self._answer_beat()
@@ -119,8 +122,6 @@ class Shell(asyncio.Protocol):
             self._run(self._core.safe(message.device, message.reason, barred=message.barred))
         elif isinstance(message, Allow):
             self._run(self._core.allow())
-        elif isinstance(message, Stop):
-            self._run(self._core.stop(message.reason, at_once=message.at_once))
 
     def _answer_beat(self) -> None:
         """Now and then, so that the host can tell a guard that hangs from one with nothing to say."""
@@ -146,7 +147,7 @@ class Shell(asyncio.Protocol):
 
     def _is_taken(self, device: str) -> bool:
         """Whether somebody else has it; while it is opened, as the guard before this one knew."""
-        if self._core is None or self._driver is None:
+        if self._core is None:
             return device in self._taken_before
         try:
             return self._driver.devices[device].taken_over()
@@ -210,27 +211,15 @@ class Shell(asyncio.Protocol):
     # -- opening --------------------------------------------------------------------------------------
 
     async def _open(self, message: Open) -> None:
-        problems: list[tuple[str, str, str]] = []
         self._taken_before = message.taken
-        try:
-            await self._lock.take(message.devices[0].endpoint)
-            self._driver = self._make_driver(message)
-            self._on_loaded()
-            await self._driver.open()
-            devices = list(self._driver.devices.values())
-            identities, problems = await open_all(devices, again=bool(message.latched))
-            for device in devices if message.latched and not problems else ():
-                device.guard_restarted(device.binding.name in message.taken)
-        except DeviceError as error:
-            problems = [("", error.kind, error.reason)]
-        except PluginError as error:
-            problems = [("", "DeviceException", str(error))]
-        except Exception as error:  # a driver is foreign code: whatever it raises is reported, not lost
-            problems = [("", "DeviceException", f"the driver failed to open: {error!r}")]
+        # A guard that has not said a word has opened nothing.
+        self._tell(Beat(self._clock.monotonic()))
+        identities, problems = await self._opening.run(message)
         if problems:
             self._tell(Failed(problems))
             self._finish(1)
             return
+        devices = [self._driver.devices[name] for name in identities]
         self._core = GuardCore(
             [(d.binding.name, d.manifest.device, d.binding.ttl, d.binding.rest_within) for d in devices],
             self._clock,
@@ -240,13 +229,32 @@ class Shell(asyncio.Protocol):
         self._telemetry.flush()
         self._tell(Ready(identities))
         self._run(self._core.opened(message.latched))
+        if self._leave is not None:
+            self._run(self._leave(self._core))
 
-    def _make_driver(self, message: Open) -> Driver:
-        check_same(message.driver, self._plugin)
-        driver = self._plugin.load()(message.devices, message.driver.manifests, self._clock, self)
-        for device in driver.devices.values():
-            check_methods(type(device), device.manifest, device.parts)
-        return driver
+    def _end(self, leave: Callable[[GuardCore], list[Effect]], *, at_once: bool = False) -> None:
+        """The host wants to end, or is gone; what is half open is finished first, but not `at_once`."""
+        if self._core is not None:
+            self._run(leave(self._core))
+            return
+        seconds, first = self._opening.leave(), self._leave is None
+        self._leave = leave
+        if at_once or seconds == 0.0:
+            self._give_up()
+        elif first and seconds is not None:
+            self._loop.call_later(seconds, self._give_up)
+
+    def _give_up(self) -> None:
+        """The devices are not open, and are waited for no longer."""
+        if self._core is None and not self.exit.done():
+            self._tell(Stopped(unsafe := dict.fromkeys(self._opening.touched, UNFINISHED)))
+            self._finish(1 if unsafe else 0)
+
+    @property
+    def _driver(self) -> Driver:
+        """The driver, which is there as soon as the core is."""
+        assert self._opening.driver is not None
+        return self._opening.driver
 
     # -- effects --------------------------------------------------------------------------------------
 
@@ -273,7 +281,6 @@ class Shell(asyncio.Protocol):
         self._set_timer()
 
     def _be_quiet(self, on: bool) -> None:
-        assert self._driver is not None
         try:
             if on:
                 self._driver.quiet()
@@ -284,7 +291,6 @@ class Shell(asyncio.Protocol):
 
     def _look(self, name: str) -> None:
         assert self._core is not None
-        assert self._driver is not None
         try:
             moving = self._driver.devices[name].moving()
         except Exception as error:  # foreign code again; what is not known is not rest
@@ -294,7 +300,6 @@ class Shell(asyncio.Protocol):
     async def _execute(self, call: Call) -> None:
         core, driver = self._core, self._driver
         assert core is not None
-        assert driver is not None
         try:
             value = await driver.devices[call.device].execute(call.instruction, call.arguments)
             # Whoever asks when the call is done must see what it has done.
@@ -313,7 +318,6 @@ class Shell(asyncio.Protocol):
     async def _make_safe(self, name: str) -> None:
         core, driver = self._core, self._driver
         assert core is not None
-        assert driver is not None
         try:
             await driver.devices[name].make_safe()
         except DeviceError as error:
@@ -353,9 +357,7 @@ class Shell(asyncio.Protocol):
         """Give the bus back; the messages written so far still go out."""
         for task in list(self._tasks):
             task.cancel()
-        if self._driver is not None:
-            await self._driver.close()
-        self._lock.release()
+        await self._opening.close()
 
 
 async def serve(plugin: Plugin, input_fd: int, output_fd: int) -> int:

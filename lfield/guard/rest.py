@@ -15,6 +15,8 @@ from dataclasses import dataclass
 #: Seconds between two looks at a device, and between two words about it on its way.
 LOOK, TELL = 0.25, 0.5
 
+#: What is said of a device that was not open in time, and of one whose safe state was commanded.
+UNFINISHED = "it was still being set up"
 UNSEEN = "its safe state was not seen"
 
 

@@ -90,14 +90,21 @@ def beside(path: Path, suffix: str) -> Path | None:
 
 
 def _registry_types(mission: Path | None, deploy: Path | None) -> RegistryTypes:
-    """The registry with what a mission adds to it, read only when a program names a capability."""
+    """The registry with what a mission adds to it; ours alone is read only when a program names a capability.
+
+    What the mission adds is looked at in any case: whoever has written it wants to hear what is wrong there.
+    Raises ProgramError, InputFileError.
+    """
 
     def read() -> Registry:
         from lfield.capability.reading.reader import read_registry
 
         return read_registry(mission=mission, agents=None if deploy is None else agents_of(deploy))
 
-    return RegistryTypes(read)
+    if mission is None:
+        return RegistryTypes(read)
+    whole = read()
+    return RegistryTypes(lambda: whole)
 
 
 def _settled(registry: Registry, program: Program, plugins: Plugins) -> Registry:

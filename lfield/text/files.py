@@ -1,4 +1,7 @@
-"""Reading files that users name: bounded, with the errors a user can act on. A base module."""
+"""Reading files that users name: bounded, with the errors a user can act on. A base module.
+
+A named pipe is read too, and waits for its writer, as with any other program.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,6 @@ from lfield.text.source import Source, Span
 
 #: The largest file of a program, or deployment, in bytes.
 MAX_TEXT = 16 << 20
-
-
-def named_file(word: str) -> Path:
-    """The file that a word of a command line names. Raises InputFileError for an empty one."""
-    if not word:
-        raise InputFileError("''", "the name is empty")
-    return Path(word)
 
 
 def look_at(path: Path) -> None:

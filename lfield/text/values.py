@@ -25,8 +25,8 @@ def in_words(value: Shown) -> str:
             return f"({' '.join(in_words(part) for part in value)})"
 
 
-def telemetry_in_words(values: Mapping[str, Shown | None]) -> str:
-    """The first SHOWN quantities that have a value, and how many more there are: `armed yes, mode LAND`."""
+def telemetry_in_words(values: Mapping[str, Shown | None], most: int = SHOWN) -> str:
+    """The first quantities that have a value, and how many more there are: `armed yes, mode LAND`."""
     known = [f"{name} {in_words(value)}" for name, value in values.items() if value is not None]
-    more = [f"and {len(known) - SHOWN} more"] if len(known) > SHOWN else []
-    return ", ".join([*known[:SHOWN], *more])
+    more = [f"and {len(known) - most} more"] if len(known) > most else []
+    return ", ".join([*known[:most], *more])

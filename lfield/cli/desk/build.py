@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield.errors import UsageError
-from lfield.text.files import named_file
 
 if TYPE_CHECKING:
     from lfield.mission.inputs import Watch
@@ -20,20 +19,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file",
         metavar="FILE",
-        type=named_file,
+        type=Path,
         help="a deployment (.dL), a program (.L), or a bundle (.lfm) that gets other bindings",
     )
     parser.add_argument(
         "-o", "--output", metavar="FILE", type=Path, help="default: FILE.lfm, of a program FILE.lb, beside it"
     )
+    parser.add_argument("--program", metavar="FILE", type=Path, help="L text or program file (default: M.L)")
     parser.add_argument(
-        "--program", metavar="FILE", type=named_file, help="L text or program file (default: M.L)"
+        "--devices", metavar="FILE", type=Path, help="device bindings (default: M.devices.yaml)"
     )
     parser.add_argument(
-        "--devices", metavar="FILE", type=named_file, help="device bindings (default: M.devices.yaml)"
-    )
-    parser.add_argument(
-        "--capabilities", metavar="FILE", type=named_file, help="its registry (default: M.capabilities.yaml)"
+        "--capabilities", metavar="FILE", type=Path, help="its registry (default: M.capabilities.yaml)"
     )
     parser.add_argument("--sim", action="store_true", help="bind every device to its fake")
     # For `lfield up`, which keeps what it builds here: names of files stay as they are, and of what it was

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exits
 from lfield.errors import UsageError
-from lfield.text.files import named_file
 
 if TYPE_CHECKING:
     from lfield.capability.model import Registry
@@ -23,24 +23,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     show = actions.add_parser("show", help="all about a term, capability, attribute, provider or rule")
     show.add_argument("name", metavar="NAME", help="its name or id")
     show.add_argument("--L", dest="as_class", action="store_true", help="the class of a capability in L")
-    show.add_argument(
-        "--program", metavar="FILE.L", type=named_file, help="with --L: as this program gets it"
-    )
+    show.add_argument("--program", metavar="FILE.L", type=Path, help="with --L: as this program gets it")
     _add_mission(show)
     check = actions.add_parser("check", help="every mistake in registry files; in ours without FILE")
-    check.add_argument(
-        "files", metavar="FILE", nargs="*", type=named_file, help="files of a registry or a mission"
-    )
+    check.add_argument("files", metavar="FILE", nargs="*", type=Path, help="files of a registry or a mission")
     check.add_argument("--alone", action="store_true", help="without the registry that comes with lfield")
-    check.add_argument(
-        "--program", metavar="FILE.L", type=named_file, help="also against this program's resources"
-    )
+    check.add_argument("--program", metavar="FILE.L", type=Path, help="also against this program's resources")
 
 
 def _add_mission(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--capabilities", metavar="FILE", type=named_file, help="with what a mission adds to it"
-    )
+    parser.add_argument("--capabilities", metavar="FILE", type=Path, help="with what a mission adds to it")
 
 
 def run(args: argparse.Namespace) -> int:

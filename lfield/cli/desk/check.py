@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 from lfield import exits
-from lfield.text.files import named_file
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "files",
         metavar="FILE.L",
         nargs="+",
-        type=named_file,
+        type=Path,
         help="programs, deployments (.dL) and bundles (.lfm)",
     )
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-
-from lfield.text.files import named_file
+from pathlib import Path
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -12,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file",
         metavar="FILE",
-        type=named_file,
+        type=Path,
         help="a program file, L text, a deployment or a bundle",
     )
 

@@ -6,8 +6,6 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.text.files import named_file
-
 if TYPE_CHECKING:
     from lfield.vm.inspect.decode import BlockView, ThreadView
 
@@ -17,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file",
         metavar="FILE",
-        type=named_file,
+        type=Path,
         help="a dump of 'lfield up --dump DIR', a bundle or a deployment",
     )
 

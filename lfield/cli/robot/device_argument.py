@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield.errors import UsageError
-from lfield.text.files import named_file
 
 if TYPE_CHECKING:
     from lfield.driver.binding import DeviceBinding
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 def add_devices(parser: argparse.ArgumentParser) -> None:
     """Declare them."""
     parser.add_argument("--endpoint", metavar="E", default="", help="where it is, as in a devices file")
-    parser.add_argument(
-        "--devices", metavar="FILE", type=named_file, help="take ids, limits and waivers from here"
-    )
+    parser.add_argument("--devices", metavar="FILE", type=Path, help="take ids, limits and waivers from here")
     parser.add_argument("--type", default="", help="the device type in L, if the driver has several")
     parser.add_argument(
         "--set",

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exits
 from lfield.cli.mission_argument import setup_command
-from lfield.text.files import named_file
 
 if TYPE_CHECKING:
     from lfield.driver.plugins import Plugins
@@ -22,11 +22,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--deploy",
         metavar="MISSION",
-        type=named_file,
+        type=Path,
         help="also try every device of this deployment or bundle",
     )
     parser.add_argument(
-        "--devices", metavar="FILE", type=named_file, help="the bindings, if not beside the deployment"
+        "--devices", metavar="FILE", type=Path, help="the bindings, if not beside the deployment"
     )
     parser.add_argument("--host", metavar="NAME", help="only the devices of this host of the deployment")
 

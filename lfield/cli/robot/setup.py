@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 from lfield import exits
 from lfield.cli.robot.device_argument import add_devices, named_devices, named_driver
 from lfield.errors import DevicesError, UsageError
-from lfield.text.files import named_file
 
 if TYPE_CHECKING:
     from lfield.devices.kept import Kept
@@ -30,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     parser.add_argument("driver", metavar="DRIVER", nargs="?", default="", help="for one device: its driver")
     parser.add_argument(
-        "--deploy", metavar="MISSION", type=named_file, help="the devices of a deployment or bundle"
+        "--deploy", metavar="MISSION", type=Path, help="the devices of a deployment or bundle"
     )
     parser.add_argument("--host", metavar="NAME", help="only those of this host of the deployment")
     add_devices(parser)

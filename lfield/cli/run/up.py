@@ -6,6 +6,7 @@ It always runs a bundle: the one that is named, or one that is built for it in a
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,7 +15,6 @@ from typing import TYPE_CHECKING
 
 from lfield.cli.mission_argument import add_mission, mission_path, setup_command
 from lfield.errors import DevicesError, OutputFileError, UsageError
-from lfield.text.files import named_file
 
 if TYPE_CHECKING:
     from lfield.mission.mission import Mission
@@ -27,11 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--host", metavar="NAME", help="the host to run here (default: this machine's own)")
     where.add_argument("--all", action="store_true", help="run every host as a process of its own, here")
+    parser.add_argument("--program", metavar="FILE", type=Path, help="L text or program file (default: M.L)")
     parser.add_argument(
-        "--program", metavar="FILE", type=named_file, help="L text or program file (default: M.L)"
-    )
-    parser.add_argument(
-        "--devices", metavar="FILE", type=named_file, help="device bindings (default: M.devices.yaml)"
+        "--devices", metavar="FILE", type=Path, help="device bindings (default: M.devices.yaml)"
     )
     parser.add_argument(
         "--sim", action="store_true", help="bind every device to its fake, and start the fakes"
@@ -140,13 +138,11 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
 
 
 def _look_at_dumps(folder: Path) -> None:
-    """Say now what is wrong with the folder, and not only when an agent has died."""
+    """See that agents that die can be dumped there, before anything moves. Raises OutputFileError."""
     from lfield.text.private import private_folder
 
-    try:
-        private_folder(folder)
-    except OutputFileError as error:
-        tell(f"agents that die will not be dumped: {error}")
+    if not os.access(private_folder(folder), os.W_OK | os.X_OK):
+        raise OutputFileError(str(folder), "nothing may be written there")
 
 
 def _run_one(mission: Mission, args: argparse.Namespace) -> int:

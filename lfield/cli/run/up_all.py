@@ -154,7 +154,8 @@ class _Team:
         args = self.args
         words = [sys.executable, "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
         # One word each: what begins with a dash would be taken for another option.
-        words += ["--listen-fd", str(descriptor), f"--door={self.doors.addresses.get(host, '')}"]
+        words += ["--listen-fd", str(descriptor)]
+        words += [f"--door={self.doors.addresses[host]}"] if host in self.doors.addresses else []
         words.append(f"--setup={setup_command(mission_path(args), host, args.devices)}")
         for name, address in self.addresses.items():
             words.append(f"--map={name}={address}")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs, named_mission
 from lfield.errors import UsageError
-from lfield.text.files import named_file
 from lfield.text.suggest import listed
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_running_mission(parser)
     parser.add_argument(
-        "--capabilities", metavar="FILE", type=named_file, help="the mission's registry, if not beside it"
+        "--capabilities", metavar="FILE", type=Path, help="the mission's registry, if not beside it"
     )
     parser.add_argument("--at", metavar="HOST", default="", help="answer as this host would")
     parser.add_argument("--files", action="store_true", help="from the files alone: ask no host")

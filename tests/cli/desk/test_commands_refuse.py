@@ -118,10 +118,31 @@ def test_a_file_that_is_not_what_it_should_be(lfield, refused, good, command, na
     ["check", "build", "disasm", "inspect", "up --all", "setup --deploy", "doctor --deploy"],
 )
 def test_a_name_from_which_no_other_can_be_made(here, command):
-    for name, words in (("", "'': the name is empty"), (".", ".: is a dir"), ("/", "/: is a dir")):
+    for name, words in ((".", ".: is a dir"), ("/", "/: is a dir")):
         done = here(*command.split(), name)
         assert done.status == 66, done.err
         assert f"lfield: cannot read {words}" in "\n".join(done.err)
+
+
+@pytest.mark.parametrize(
+    ("command", "what"),
+    [
+        (["check", ""], "a word of the command line"),
+        (["build", "mission.dL", "-o", ""], "the value of -o"),
+        (["up", "mission.dL", "--all", "--dump", ""], "the value of --dump"),
+        (["up", "mission.dL", "--all", "--devices="], "the value of --devices"),
+        (["setup", "--back", "--state", ""], "the value of --state"),
+        (["driver", "new", "lamp", "--into", ""], "the value of --into"),
+        (["ps", "--run", ""], "the value of --run"),
+        (["sim", "mavlink", "--log", ""], "the value of --log"),
+    ],
+)
+def test_an_empty_name_is_no_name(lfield, refused, good, command, what):
+    refused(64, f"lfield: {what} is empty; is it a variable of the shell that is not set?", *command)
+
+
+def test_an_emergency_stop_needs_no_reason(refused, here):
+    assert here("estop", "--reason", "").status == 69
 
 
 def test_what_is_no_mission_is_told_by_its_own_name(refused):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -34,6 +35,7 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("up", 65): ("up mission.dL --devices latin.yaml --host alpha", "latin.yaml:1:4: error["),
     ("up", 66): ("up none.lfm --host alpha", "cannot read none.lfm"),
     ("up", 69): ("up mission.dL --host alpha --map alpha=no.such.host.invalid:1", "leads to no address"),
+    ("up", 73): ("up mission.dL --all --dump mission.L", "cannot write mission.L: it is not a folder"),
     ("ps", 65): ("ps latin.lfm", "not a sound bundle"),
     ("ps", 66): ("ps none.lfm", "cannot read none.lfm"),
     ("ps", 69): ("ps mission.dL --map alpha=127.0.0.1:1", "nobody listens there"),
@@ -65,7 +67,6 @@ ELSEWHERE: dict[tuple[str, int], str] = {
     ("up", 1): "run/test_up_life_and_death.py",
     ("up", 3): "stops",
     ("up", 4): "run/test_up_life_and_death.py",
-    ("up", 73): "run/test_up_dumps.py",
     ("up", 76): "run",
     ("estop", 3): "team",
     ("setup", 1): "robot/test_setup_command.py",
@@ -121,6 +122,19 @@ def test_it_ends_with_it(files, here, command: str, status: int) -> None:
     assert words in "\n".join([*done.err, *done.out])
 
 
+@pytest.mark.parametrize(
+    "command", ["check mission.L", "check mission.dL", "build mission.dL", "up mission.dL --all"]
+)
+def test_a_missions_registry_is_read_also_when_its_program_asks_for_nothing(files, here, command) -> None:
+    files.write("mission.capabilities.yaml", b"abc\xe9")
+    done = here(*command.split())
+    assert (done.status, done.err[0].split(" ")[0]) == (65, "mission.capabilities.yaml:1:4:")
+
+
+def test_a_registry_that_is_named_is_not_passed_over(files, here) -> None:
+    assert here("build", "mission.dL", "--capabilities", "none.yaml").status == 66
+
+
 @pytest.mark.parametrize("streams", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_stream_that_is_closed_is_no_bug(files, streams: str) -> None:
     line = f"{sys.executable} -m lfield check mission.L none.L {streams}"
@@ -134,24 +148,50 @@ def test_what_is_printed_and_finds_no_room_is_a_failure(files, command: str, str
     assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 74
 
 
-#: Interrupts itself while the command is being imported.
+#: Presses Ctrl-C itself, while a module is being imported by a command, or by Python as it ends.
 INTERRUPTED = """
-import _thread, sys
+import atexit, os, signal, sys
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
 class Finder:
     def find_spec(self, name, path=None, target=None):
         if name == "{module}":
-            raise KeyboardInterrupt
+            press()
 sys.meta_path.insert(0, Finder())
+if "{module}" == "the end":
+    atexit.register(press)
 from lfield.__main__ import main
 sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("module", ["lfield.cli", "argparse", "lfield.text.outlet", "lfield.cli.desk.check"])
-def test_a_ctrl_c_while_it_starts_is_no_traceback(files, module: str) -> None:
+@pytest.mark.parametrize(
+    ("module", "command"),
+    [
+        ("lfield.cli", "check mission.L"),
+        ("argparse", "check mission.L"),
+        ("lfield.cli.desk.check", "check mission.L"),
+        ("lfield.mission.load", "check mission.L"),
+        ("lfield.host.host", "up mission.dL --all"),
+        ("lfield.cli.run.up_all", "up mission.dL --all"),
+        ("the end", "check mission.L"),
+    ],
+)
+def test_a_ctrl_c_at_any_moment_is_no_traceback(files, module: str, command: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-S", "-c", INTERRUPTED.format(module=module), "check", "mission.L"],
+        [sys.executable, "-S", "-c", INTERRUPTED.format(module=module), *command.split()],
         cwd=files.folder, capture_output=True, text=True, check=False,
         env={"PYTHONPATH": ":".join(sys.path)},
     )  # fmt: skip
-    assert (done.returncode, done.stderr) == (exits.INTERRUPTED, "")
+    # What the system ends by the signal has no status of its own; a shell calls it 130.
+    assert done.returncode in (exits.INTERRUPTED, -signal.SIGINT)
+    assert done.stderr == ""
+
+
+def test_a_ctrl_c_that_was_to_be_ignored_is(files) -> None:
+    """As a shell has it for what it runs in the background."""
+    ignored = (
+        f"trap '' INT; exec {sys.executable} -c '{INTERRUPTED.format(module='argparse')}' check mission.L"
+    )
+    done = subprocess.run(["bash", "-c", ignored], cwd=files.folder, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")

@@ -1,4 +1,4 @@
-"""Hosts that end while they open their devices: what nobody has seen safe is named all the same."""
+"""Hosts that end while they open their devices: what was changed is named, what was only asked is not."""
 
 from __future__ import annotations
 
@@ -26,14 +26,28 @@ def bound_nowhere(lfield, port: int, lead: str = "") -> tuple[object, ...]:
     return ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha")
 
 
-def test_a_device_that_was_still_being_opened_is_named(lfield, alone):
+def test_a_device_that_was_only_asked_is_not_called_unsafe(lfield, alone):
     (port,) = lfield.ports.take(1)
     host = lfield.start(*bound_nowhere(lfield, port), env=alone)
     while not any(map(is_guard, lfield.left())):
         time.sleep(0.02)
     host.signal(signal.SIGTERM)
-    assert host.wait() == 3, host.said
-    assert "wing.fc: NOT SAFE: it was still being opened; it was never heard" in host.err
+    assert host.wait() == 0, host.said
+    assert "NOT SAFE" not in host.said
+
+
+def test_a_team_with_a_port_that_is_not_there_ends_with_69_and_names_it(lfield, alone):
+    """The others are told to stop while they wait for the first word of theirs: nothing was commanded."""
+    taken = lfield.ports.take(2)
+    nowhere = {f"copter{n}": f"udp:127.0.0.1:{port}" for n, port in enumerate(taken)}
+    bound = devices({"lead": "serial:none:57600", **nowhere}, 2.0)
+    agents = "".join(f"//Copter:{name}@{name}\n" for name in ("lead", *nowhere))
+    program = PROGRAM.replace("fc.arm(); fc.takeoff(3.0);", "")
+    deployment = lfield.mission(program, agents, bound)
+    team = lfield("up", deployment, "--all", "--until-done", env=alone)
+    assert lfield.status(team) == 69, team.said
+    assert "lead.fc: cannot open serial:none" in team.said
+    assert "NOT SAFE" not in team.said
 
 
 def test_a_device_that_fell_silent_while_another_could_not_be_opened_is_named(lfield, alone):
