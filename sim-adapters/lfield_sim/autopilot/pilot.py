@@ -50,6 +50,7 @@ class Pilot:
     setpoint_at          when the last setpoint came; stream_at the first of those without a pause
     takeoff_goal         the height in m that a takeoff of PX4 was given
     lifts_at, lift_goal  when the motors are up for a takeoff under way, and how far down it leads
+    entered_at, entered_down  when the mode was entered, and how far down; a return may climb, and keep that
     sinks_at             when a landing goes down: ArduCopter's failsafes stand still for a while first
     on_its_way           of PX4's rover: what it calls flying
     stood                what was last said about standing
@@ -96,6 +97,8 @@ class Pilot:
     sinks_at: float = 0.0
     lift_goal: float = 0.0
     over_home_at: float | None = None
+    entered_at: float = 0.0
+    entered_down: float = 0.0
     setpoint_at: float = -math.inf
     stream_at: float = math.inf
     station_at: float = -math.inf
@@ -111,9 +114,7 @@ class Pilot:
         self.parameters = dict(self.kind.parameters)
         limits = replace(self.kind.limits)
         self.vehicle = (
-            Vehicle(limits)
-            if self.kind.name == "copter"
-            else GroundVehicle(limits, turning_radius=self.kind.turning_radius)
+            Vehicle(limits) if self.kind.name == "copter" else GroundVehicle(limits, wheels=self.kind.wheels)
         )
         self.pace = self.kind.pace(self.own_speed, lambda: self.vehicle.limits.top)
         self.homing = Home(self.dice)
@@ -290,6 +291,7 @@ class Pilot:
         if self.role in (Role.HOLD, Role.GUIDED):
             self.resumes = self.mode
         self.mode, self.over_home_at = name, None
+        self.entered_at, self.entered_down = self.now, self.vehicle.place[2]
         self.apply_parameters()
         vehicle = self.vehicle
         self.pace.enter(guided=self.role is Role.GUIDED)
@@ -306,7 +308,9 @@ class Pilot:
             self.armed_at = self.now
 
     def _say_return(self) -> None:
-        """PX4 tells how high it returns."""
+        """PX4 tells how high it returns; its rover lands from the beginning."""
+        if not self.flies:
+            self.say("RTL: land at destination\t")
         far = math.dist(self.vehicle.place[:2], self.home[:2])
         up = max(self.home[2] - self.vehicle.place[2], self.return_height_at(far))
         top = self.altitude - self.home[2] + up
@@ -342,8 +346,8 @@ class Pilot:
         self.vehicle.goal, self.vehicle.yaw_rate_goal = Rest(), None
 
     def disarm(self, *, force: bool = False, text: str = "") -> Result:
-        """COMPONENT_ARM_DISARM 0: refused until it has landed, unless forced."""
-        if self.armed and not (self.landed or force):
+        """COMPONENT_ARM_DISARM 0: refused while it flies and has not landed, unless forced."""
+        if self.armed and self.flies and not (self.landed or force):
             if self.flavour.airborne_text:
                 self.say(self.flavour.airborne_text, Severity.CRITICAL)
             return self.flavour.refusal

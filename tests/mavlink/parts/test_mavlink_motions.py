@@ -12,6 +12,7 @@ from lfield.errors import DeviceError
 from lfield_mavlink.parts.orders import Circle, Patience
 from lfield_mavlink.parts.progress import Arrival, Following, Progress, Turning
 from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.ground import Wheels
 from lfield_sim.autopilot.vehicle import Reach
 
 
@@ -65,7 +66,7 @@ async def turn_on(fc, times):
 
 def test_a_rover_turns_by_setpoints(bench):
     b = bench(kind="rover")
-    b.autopilot.vehicle.turning_radius = 0.0
+    b.autopilot.vehicle.wheels = Wheels()
 
     async def mission(fc):
         await fc.execute("arm", [])

@@ -20,6 +20,7 @@ from lfield_sim.autopilot.flavours import (
     Severity,
     Warming,
 )
+from lfield_sim.autopilot.ground import Wheels
 from lfield_sim.autopilot.pace import CopterPace, RoverPace
 from lfield_sim.autopilot.vehicle import Limits
 
@@ -264,7 +265,7 @@ ACKERMANN = Kind(
     RoverPace,
     ROVER_WARMING,
     Limits(braking=1.0, jerk=2.0, overshoot=0.43, rolls_out=0.5),
-    turning_radius=1.4,
+    wheels=Wheels(1.4),
     home_altitude=0.19,
     lands=False,
 )
@@ -307,5 +308,5 @@ KINDS = {
         return_pause=("RTL_LOIT_TIME", 1000.0),
     ),
     "rover": ACKERMANN,
-    "rover_skid": replace(ACKERMANN, turning_radius=0.0),
+    "rover_skid": replace(ACKERMANN, wheels=Wheels()),
 }
