@@ -297,6 +297,8 @@ class Pilot:
         self.pace.enter(guided=self.role is Role.GUIDED)
         vehicle.yaw_goal = vehicle.yaw_rate_goal = None
         vehicle.goal = self._first_goal()
+        if self.kind.limits.eases and self.role in (Role.HOLD, Role.RETURN):
+            vehicle.level()
         if self.role is Role.RETURN and self.flavour.takeoff_mode and self.armed and self.aloft:
             self._say_return()
         if self.role is Role.MISSION:
@@ -311,8 +313,8 @@ class Pilot:
         """PX4 tells how high it returns; its rover lands from the beginning."""
         if not self.flies:
             self.say("RTL: land at destination\t")
-        far = math.dist(self.vehicle.place[:2], self.home[:2])
-        up = max(self.home[2] - self.vehicle.place[2], self.return_height_at(far))
+        here, home = self.vehicle.place, self.home
+        up = max(home[2] - here[2], self.return_height_at(math.dist(here[:2], home[:2])))
         top = self.altitude - self.home[2] + up
         self.say(f"RTL: start return at {top:.0f} m ({up:.0f} m above destination)\t")
 
@@ -326,11 +328,11 @@ class Pilot:
         """What a mode does as soon as it is entered; without a transmitter ArduPilot's throttle is down."""
         if not self.flies:
             return self.vehicle.released() if self.kind.modes[self.mode].by_hand else Rest()
-        if not self.armed:
-            return Rest()
-        if self.role is Role.LAND:
+        if self.armed and self.role is Role.LAND:
             return Descend()
-        return Sink() if self.kind.modes[self.mode].by_hand and self.vehicle.airborne else Rest()
+        if self.armed and self.kind.modes[self.mode].by_hand and self.vehicle.airborne:
+            return Sink()
+        return Rest(self.kind.limits.eases * (self.role is Role.HOLD))
 
     def fall_back(self, role: Role, *, pause: float = 0.0) -> None:
         """What a failsafe does, a landing after a pause in s; a rover stops where a copter would land."""
@@ -343,7 +345,7 @@ class Pilot:
 
     def stop_moving(self) -> None:
         """The setpoint is over: stand still where it is."""
-        self.vehicle.goal, self.vehicle.yaw_rate_goal = Rest(), None
+        self.vehicle.goal, self.vehicle.yaw_rate_goal = Rest(self.kind.limits.eases), None
 
     def disarm(self, *, force: bool = False, text: str = "") -> Result:
         """COMPONENT_ARM_DISARM 0: refused while it flies and has not landed, unless forced."""
@@ -392,7 +394,6 @@ class Pilot:
     def _circle_ahead(self) -> Circle:
         """ArduCopter's CIRCLE: the centre is a radius (cm) ahead; CIRCLE_RATE is in degrees per second."""
         radius = min(max(self.value("CIRCLE_RADIUS") / 100.0, 1.0), 2000.0)
-        north, east, down = self.vehicle.place
-        yaw = self.vehicle.yaw
+        (north, east, down), yaw = self.vehicle.place, self.vehicle.yaw
         centre = (north + radius * math.cos(yaw), east + radius * math.sin(yaw), down)
         return Circle(centre, radius, math.radians(min(self.value("CIRCLE_RATE"), 90.0)) * radius)

@@ -301,7 +301,7 @@ KINDS = {
         },
         CopterPace,
         COPTER_WARMING,
-        Limits(braking=2.5, jerk=5.0, spool=0.6, awake=3.3, lift=1.0, takeoff=2.5),
+        Limits(braking=2.5, jerk=5.0, eases=0.8, spool=0.6, awake=3.3, lift=1.0, takeoff=2.5),
         # Its missions are curves of little jerk, GUIDED goes straight at its goal.
         mission_limits={"braking": 1.25, "jerk": 1.5},
         return_height=("RTL_ALT", 100.0),
