@@ -39,6 +39,7 @@ def test_copters_of_both_autopilots_and_a_rover_pass(fake, try_kit):
     )
     assert failed(found) == []
     assert not_run(found) == {("rover", "it does not take off with its motors off")}
+    assert "only while it drives" in found["rover", "a short trip"].seen
     assert found["ardupilot", "motors on and off"].seen == "armed in GUIDED, disarmed"
     assert "then it was in LAND" in found["ardupilot", "a velocity that is not renewed ends"].seen
     assert "then it was in HOLD" in found["rover", "a velocity that is not renewed ends"].seen
@@ -46,6 +47,18 @@ def test_copters_of_both_autopilots_and_a_rover_pass(fake, try_kit):
     for vehicle in ("ardupilot", "rover", "px4"):
         assert "m/s at most, of 5" in found[vehicle, "its speed limit is kept"].seen
         assert "motors off" in found[vehicle, "it stands at the end"].seen
+
+
+def test_px4s_rover_goes_turns_and_stands(fake, try_kit):
+    (rover,) = vehicles(fake, "5:rover:px4 --set-up hold --param RO_SPEED_LIM=5")
+    where = f'endpoint: "{rover.endpoint}", system: 5, kind: rover, safe_state: hold'
+    found = try_kit(
+        "mavlink",
+        {"px4": f"{where}, {WAIVED}, {LIMITS}"},
+        only=("a short trip", "it stands at the end"),
+    )
+    assert failed(found) == []
+    assert "; turned, " in found["px4", "a short trip"].seen
 
 
 def test_a_vehicle_that_does_not_do_it_fails(fake, try_kit):

@@ -11,12 +11,16 @@ import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
+from lfield.driver import DeviceError
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused, rested
+from lfield_mavlink.parts.guidance import CANNOT_TURN, HEADING_TOLERANCE
 
 MOTION = Kit()
 
 #: Metres: how high a copter flies, and how far everything goes.
 HEIGHT, FAR = 3.0, 3.0
+#: Radians that it turns.
+QUARTER = math.pi / 2
 #: Seconds of flight at the speed limit that are enough to be faster than it, and the least share of it that
 #: a vehicle must have come to for that to be known.
 RUN, TRIED = 5.0, 0.6
@@ -52,7 +56,7 @@ async def arming(bench: Bench) -> str:
 
 @MOTION.check("a short trip", moves=True)
 async def trip(bench: Bench) -> str:
-    """Up, over and back, hold; goTo() returns when it is there, hold() when it is in the mode."""
+    """Up, over and back, a turn, hold; goTo() returns when it is there, hold() when it is in the mode."""
     async with _under_way(bench):
         start = bench.query("position")
         off = []
@@ -61,11 +65,12 @@ async def trip(bench: Bench) -> str:
             await bench.call("goTo", *goal)
             off.append(math.dist(bench.query("position")[:2], goal[:2]))
         _see(max(off) <= await _tolerance(bench), f"goTo() returned {max(off):.2f} m from its goal")
+        turned = await _turn(bench)
         await bench.call("hold")
         await _stops(bench)
         return (
             f"at {bench.query('altitude'):.1f} m; {off[0]:.2f} m off when {_far(bench):g} m away, "
-            f"{off[1]:.2f} m off when back; held in {bench.query('mode')}"
+            f"{off[1]:.2f} m off when back; {turned}; held in {bench.query('mode')}"
         )
 
 
@@ -172,6 +177,20 @@ async def _fastest(bench: Bench, *goal: float) -> float:
 
 async def _stops(bench: Bench) -> None:
     await bench.until(lambda: math.hypot(*bench.query("velocity")[:2]) < STANDS, 10.0, "it to stop")
+
+
+async def _turn(bench: Bench) -> str:
+    """A quarter to the right; what steers like a car may say that it cannot turn on the spot."""
+    heading = bench.query("heading") + QUARTER
+    try:
+        await bench.call("yaw", heading)
+    except DeviceError as error:
+        if CANNOT_TURN in str(error):
+            return "it turns only while it drives"
+        raise
+    off = abs(math.remainder(bench.query("heading") - heading, math.tau))
+    _see(off <= 2.0 * HEADING_TOLERANCE, f"yaw() returned {off:.2f} rad from its heading")
+    return f"turned, {off:.2f} rad off"
 
 
 def _kind(bench: Bench) -> str:

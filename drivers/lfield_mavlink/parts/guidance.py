@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable
 from contextlib import suppress
 
 from lfield.driver import DeviceError
@@ -12,7 +13,7 @@ from lfield_mavlink.geo import Place, Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect, result_words
 from lfield_mavlink.parts.motion import Motion
-from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Patience, Target
+from lfield_mavlink.parts.orders import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Circle, Order, Patience, Target
 from lfield_mavlink.parts.progress import Following, Revolutions, Turning
 
 #: How exactly a heading is reached, in radians.
@@ -21,6 +22,13 @@ HEADING_TOLERANCE = math.radians(4.0)
 CANNOT_TURN = "this frame cannot turn on the spot, only while it drives: use goTo or setVelocity"
 TURNS = Patience(closer=0.05, words="no progress for {seconds:g} s, {left:.2f} rad from its heading")
 TURNS_ON_THE_SPOT = Patience(2.0, 0.05, words="its heading did not change for {seconds:g} s; " + CANNOT_TURN)
+#: Metres about it that PX4's rover may take to drive round in, and what ends that.
+ROOM = 5.0
+DRIVES_ROUND = Patience(
+    4.0, 0.05, room=ROOM,
+    words="driving round it came no closer to its heading for {seconds:g} s, or {room:g} m away, and is "
+    "{left:.2f} rad off; give it more room by goTo",
+)  # fmt: skip
 #: Metres ahead of what does not follow a velocity, where its own fence is looked for.
 AHEAD = 5.0
 #: Seconds of setpoints that PX4 must have noticed before it is told to enter OFFBOARD.
@@ -87,20 +95,39 @@ class Guidance:
         await motion.travel(what, order, distance, motion.tolerance, motion.patience)
 
     async def do_yaw(self, heading: float) -> None:
-        """Turn on the spot to a heading."""
+        """Turn to a heading: on the spot, but for a rover with PX4, which drives round."""
         if not math.isfinite(heading):
             raise self._vehicle.error(f"yaw needs a finite heading, not {heading}")
         self._check_placed("yaw")
         motion, state = self._motion, self._state
         motion.begin("yaw")
         order = motion.orders.turn(state, heading, motion.wanted_speed)
-        await motion.start("yaw", order)
 
         def left(_: Vector) -> float:
             return math.inf if state.yaw is None else abs(math.remainder(state.yaw - heading, math.tau))
 
+        if self._vehicle.profile.px4 and not self._vehicle.profile.flies:
+            await self._drive_round(order, left)
+            return
+        await motion.start("yaw", order)
         patience = TURNS if order.command else TURNS_ON_THE_SPOT
         await motion.travel("yaw", order, left, HEADING_TOLERANCE, patience)
+
+    async def _drive_round(self, order: Order, left: Callable[[Vector], float]) -> None:
+        """Follow a velocity until the nose shows there, within some room; then hold."""
+        motion, place = self._motion, self._state.position
+        assert place is not None, "the caller has looked"
+        assert order.target is not None, "so the order is made"
+        if left(place) <= HEADING_TOLERANCE:
+            return
+        farthest = Circle((place[0], place[1], 0.0), ROOM, 1.0, clockwise=True).farthest
+        self._limits.check_goal(f"yaw, which takes {ROOM:g} m to drive round in,", farthest)
+        if why := await motion.fence.why_beyond(farthest, f"it needs {ROOM:g} m to drive round in, up to"):
+            raise self._vehicle.error(f"yaw refused: {why}")
+        await self._follow("yaw", order.target(place))
+        await motion.travel("yaw", order, left, HEADING_TOLERANCE, DRIVES_ROUND)
+        motion.stream.stop()
+        await motion.hold()
 
     async def do_orbit(
         self, north: float, east: float, down: float, radius: float, speed: float, turns: float

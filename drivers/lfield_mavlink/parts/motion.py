@@ -215,7 +215,7 @@ class Motion:
         """
         vehicle = self._vehicle
         start = vehicle.clock.monotonic()
-        progress, sent_at, asked = Progress(patience, start), -math.inf, False
+        progress, sent_at, asked = Progress(patience, start, self._state.position), -math.inf, False
         while True:
             now = vehicle.clock.monotonic()
             vehicle.check_link()
@@ -224,10 +224,10 @@ class Motion:
             if left <= near:
                 return
             self._check_underway(what, order.modes, start)
-            if progress.is_over(left, self.moves, now, self._told):
+            if progress.is_over(left, self.moves, now, self._told, place):
                 await self._give_up(order)
                 seconds = patience.bound(self.moves, self._told)
-                words = patience.words.format(seconds=seconds, left=left)
+                words = patience.words.format(seconds=seconds, left=left, room=patience.room)
                 fence = await self.fence.perhaps() if order.goal is not None else ""
                 raise vehicle.error(f"{what} gave up: {words}{fence}")
             if not asked and self._is_refused(order, progress, now):

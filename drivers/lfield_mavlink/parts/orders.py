@@ -31,6 +31,9 @@ _EXCESS, _LEAST_SHARE = 0.45, 0.5
 _SLOWEST, _CERTAIN = 0.5, 4.0
 #: How far ahead on an orbit the goal is, in radians.
 _AHEAD = 0.5
+#: How fast PX4's rover drives round to a heading, in m/s, and the seconds between its setpoints: without two
+#: in a second it would leave OFFBOARD.
+_ROUND, _FED = 1.5, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +78,17 @@ class Order:
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long a motion may come no `closer`, and what is then said, with `{seconds}` and `{left}`.
+    """How long a motion may come no `closer`, and what is then said: `{seconds}`, `{left}` and `{room}`.
 
     While it moves it may take `turning` seconds, or as long as `detour` metres take: what steers like a car
-    drives away from a goal behind it.
+    drives away from a goal behind it. It may come `room` metres away from where it began.
     """
 
     seconds: float = 10.0
     closer: float = 0.1
     turning: float = 0.0
     detour: float = 0.0
+    room: float = math.inf
     words: str = "no progress for {seconds:g} s, {left:.1f} m from its goal"
 
     def bound(self, moves: bool, pace: float | None) -> float:
@@ -125,7 +129,7 @@ class Stack(Protocol):
         """To a place, in metres of home, at a speed over ground; None leaves it to the autopilot."""
 
     def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
-        """On the spot, to a heading; what cannot do that drives there at the speed."""
+        """On the spot, to a heading; what cannot do that drives round, no faster than the speed."""
 
     def orbit(self, state: VehicleState, circle: Circle) -> Order:
         """Around a place."""
@@ -192,7 +196,15 @@ class Px4:
         return self._reposition(state, goal, None, speed)
 
     def turn(self, state: VehicleState, heading: float, speed: float | None) -> Order:
-        """DO_REPOSITION to where it is, with the heading in radians."""
+        """DO_REPOSITION to where it is, with the heading in radians.
+
+        A rover takes no notice of that heading, as recorded: it is given a velocity there, which it turns to.
+        """
+        if state.kind == "rover":
+            told = self.told_speed(state, min(speed or _ROUND, _ROUND))
+            velocity = (told * math.cos(heading), told * math.sin(heading), 0.0)
+            target = Target(ONLY_VELOCITY, velocity=velocity)
+            return Order(frozenset({"OFFBOARD"}), target=lambda _: target, period=_FED)
         return self._reposition(state, state.position, math.remainder(heading, math.tau), speed)
 
     def orbit(self, state: VehicleState, circle: Circle) -> Order:

@@ -15,19 +15,28 @@ FAR = 1e6
 
 
 class Progress:
-    """Whether a motion that began at `start` (on the clock) still gets on."""
+    """Whether a motion that began at `start` (on the clock), at `place`, still gets on."""
 
-    def __init__(self, patience: Patience, start: float) -> None:
-        self._patience = patience
+    def __init__(self, patience: Patience, start: float, place: Vector | None = None) -> None:
+        self._patience, self._place = patience, place
         self._best, self._best_at, self._moved_at = math.inf, start, start
 
-    def is_over(self, left: float, moves: bool, now: float, pace: float | None = None) -> bool:
-        """Take in what is left of the way, and its speed where it is known; whether all hope is gone."""
+    def is_over(
+        self, left: float, moves: bool, now: float, pace: float | None = None, place: Vector | None = None
+    ) -> bool:
+        """Take in what is left of the way, its speed and its place where known; whether all hope is gone."""
         if moves:
             self._moved_at = now
         if left < self._best - self._patience.closer:
             self._best, self._best_at = left, now
-        return now - self._best_at > self._patience.bound(moves, pace)
+        waits = self._patience.bound(moves, pace)
+        return now - self._best_at > waits or self._gone(place) > self._patience.room
+
+    def _gone(self, place: Vector | None) -> float:
+        """Metres over ground from where it began, as far as that is known."""
+        if self._place is None or place is None:
+            return 0.0
+        return math.dist(self._place[:2], place[:2])
 
     def stood(self, now: float) -> float:
         """For how many seconds it has not moved."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Protocol
 
+from lfield_sim.autopilot.ground import Wheels
 from lfield_sim.autopilot.vehicle import Limits
 
 
@@ -277,7 +278,7 @@ class Kind:
 
     `speeds` are the parameters of the limits of motion with how many of their units make one SI unit;
     `return_height` and `return_pause` likewise; `takeoff_height` is PX4's in metres. `limits` are those that
-    no parameter sets, `pace` how fast it goes to a place, `turning_radius` that of a rover (0: on the spot),
+    no parameter sets, `pace` how fast it goes to a place, `wheels` are those of a rover,
     `home_altitude` the height above mean sea level that it takes for home's, wherever that is; `lands` says
     that it knows takeoff, landing and being landed. `mission_limits` are those that hold in a mission only.
     """
@@ -292,7 +293,7 @@ class Kind:
     pace: PaceMaker
     warming: Warming
     limits: Limits = field(default_factory=Limits)
-    turning_radius: float = 0.0
+    wheels: Wheels = field(default_factory=Wheels)
     home_altitude: float | None = None
     lands: bool = True
     mission_limits: Mapping[str, float] = field(default_factory=dict)

@@ -16,6 +16,11 @@ from lfield_sim.autopilot.vehicle import Descend, Fall, Reach, Rest
 
 #: Metres from a goal within which a rover has reached it.
 AT_GOAL = 0.3
+#: Of an ArduCopter's return: seconds until its climb begins, and that it takes to settle over home before its
+#: wait does; it is level there within so many m/s and m (f-fence-landing, f-fence-breach, i-home-moves).
+STOPS, SETTLES, LEVEL = 0.9, 0.8, 0.1
+#: Metres from home within which a return does not climb.
+NEAR_HOME = 1.0
 
 
 def fly(pilot: Pilot) -> None:
@@ -25,8 +30,11 @@ def fly(pilot: Pilot) -> None:
 
 
 def _return(pilot: Pilot) -> None:
-    """Up to the return height, over to home, a moment there, down."""
-    vehicle, home = pilot.vehicle, pilot.home
+    """Up to the return height, over to home, a moment there, down.
+
+    An ArduCopter that was climbing comes back to the height at which it was told, and waits when it is there.
+    """
+    vehicle, home, waits = pilot.vehicle, pilot.home, pilot.return_pause
     north, east, down = vehicle.place
     far = math.dist((north, east), home[:2])
     height = home[2] - pilot.return_height_at(far)
@@ -36,18 +44,29 @@ def _return(pilot: Pilot) -> None:
             _come_home(pilot)
     elif not vehicle.airborne:
         vehicle.goal = Rest()
-    elif far < AT_HEIGHT and math.hypot(*vehicle.velocity[:2]) < 0.5:
+    elif pilot.over_home_at is not None or _is_over_home(pilot, far):
         _come_home(pilot)
-        vehicle.goal = Descend() if pilot.now - (pilot.over_home_at or 0.0) >= pilot.return_pause else Rest()
-    elif far > 1.0 and down > height + AT_HEIGHT:
-        vehicle.goal = Reach((north, east, height))
+        over = pilot.now - (pilot.over_home_at or 0.0)
+        vehicle.goal = Descend() if over >= waits + (SETTLES if waits else 0.0) else Rest()
+    elif far > NEAR_HOME and down > height + AT_HEIGHT:
+        stops = bool(waits) and pilot.now - pilot.entered_at < STOPS
+        vehicle.goal = Rest() if stops else Reach((north, east, height))
     else:
-        vehicle.goal = Reach((home[0], home[1], min(down, height)))
+        kept = pilot.entered_down if far <= NEAR_HOME else min(pilot.entered_down, height)
+        pilot.entered_down = kept
+        vehicle.goal = Reach((home[0], home[1], kept if waits else min(down, height)))
+
+
+def _is_over_home(pilot: Pilot, far: float) -> bool:
+    """Whether a copter has come to a stop over home; PX4 sinks at once, whatever its height does."""
+    velocity = pilot.vehicle.velocity
+    level = abs(velocity[2]) < LEVEL and abs(pilot.vehicle.place[2] - pilot.entered_down) < LEVEL
+    return far < AT_HEIGHT and math.hypot(*velocity[:2]) < 0.5 and (level or not pilot.return_pause)
 
 
 def _come_home(pilot: Pilot) -> None:
-    """It is over home from now on, which PX4 tells."""
-    if pilot.over_home_at is None and pilot.flavour.takeoff_mode:
+    """It is over home from now on, which PX4's copter tells."""
+    if pilot.over_home_at is None and pilot.flavour.takeoff_mode and pilot.flies:
         pilot.say("RTL: land at destination\t")
     pilot.over_home_at = pilot.now if pilot.over_home_at is None else pilot.over_home_at
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from lfield_sim.autopilot.vehicle import (
     ZERO,
@@ -18,27 +18,36 @@ from lfield_sim.autopilot.vehicle import (
     wrap,
 )
 
-#: Metres from a place within which it has reached it.
-AT_PLACE = 0.05
-#: Speeds in m/s: what is faster brakes on straight before it turns back for a place behind, down to the next.
-BRAKES, TURNS = 1.9, 0.3
-#: How fast wheels that steer take a tight turn, in m/s.
-TIGHT = 1.6
+#: The speed in m/s down to which one brakes that brakes before it turns back.
+TURNS = 0.3
 #: How far off its nose may be when a skid steered rover sets out for a place, in rad.
 PIVOTS = math.radians(10.0)
 #: m/s2 by which an overshoot goes back; m/s2 that rolling takes beside the share of the speed.
 SETTLES, FRICTION = 0.2, 0.02
 
 
-@dataclass(slots=True)
-class GroundVehicle(Vehicle):
-    """A rover: it drives where its nose points, and turns to point where it must go.
+@dataclass(frozen=True, slots=True)
+class Wheels:
+    """How a rover comes round, and to a stop at a place.
 
-    `turning_radius` in m is that of its front wheels (Ackermann): such a one turns only as it drives. 0 is
-    skid steering, which turns on the spot.
+    `radius` in m is that of its tightest circle (Ackermann): such a one turns only as it drives. 0 is skid
+    steering, which turns on the spot. `tight` is how fast it takes that circle, in m/s. What is faster than
+    `brakes`, in m/s, brakes on straight before it turns back for a place behind it. It stops within `arrives`
+    metres of a place; one that `returns` drives round for a place that it has just passed.
     """
 
-    turning_radius: float = 0.0
+    radius: float = 0.0
+    tight: float = 1.6
+    brakes: float = 1.9
+    arrives: float = 0.05
+    returns: bool = False
+
+
+@dataclass(slots=True)
+class GroundVehicle(Vehicle):
+    """A rover: it drives where its nose points, and turns to point where it must go."""
+
+    wheels: Wheels = field(default_factory=Wheels)
     _turns_back: bool = False
     _excess: float = 0.0
 
@@ -85,11 +94,12 @@ class GroundVehicle(Vehicle):
         self.acceleration = (push * math.cos(self.yaw), push * math.sin(self.yaw), 0.0)
 
     def _approach(self, place: Vector) -> Vector:
-        """As a copter; but wheels that steer do not turn back for a place that they have just passed."""
+        """As a copter; but wheels that steer may not turn back for a place that they have just passed."""
         north, east = place[0] - self.place[0], place[1] - self.place[1]
         far = math.hypot(north, east)
-        passed = math.cos(math.atan2(east, north) - self.yaw) < 0.0
-        if far < AT_PLACE or (self.turning_radius and passed and far < 2.0 * self.turning_radius):
+        behind = math.cos(math.atan2(east, north) - self.yaw) < 0.0
+        passed = behind and not self.wheels.returns and far < 2.0 * self.wheels.radius
+        if far < self.wheels.arrives or passed:
             return ZERO
         return Vehicle._approach(self, place)
 
@@ -101,14 +111,14 @@ class GroundVehicle(Vehicle):
 
     def _turning_speed(self, wanted: float, off: float) -> float:
         """How fast it drives while its nose is off: by its skids it turns first for a place."""
-        if self.turning_radius:
-            return max(min(wanted, TIGHT), wanted * math.cos(off))
+        if self.wheels.radius:
+            return max(min(wanted, self.wheels.tight), wanted * math.cos(off))
         return 0.0 if isinstance(self.goal, Reach) and off > PIVOTS else wanted * max(0.0, math.cos(off))
 
     def _brakes_first(self, course: float | None, along: float) -> bool:
         """Whether it still brakes straight on because the place that it is to go to is behind it."""
         behind = isinstance(self.goal, Reach) and course is not None and abs(wrap(course - self.yaw)) > 1.6
-        self._turns_back = behind and along > (TURNS if self._turns_back else BRAKES)
+        self._turns_back = behind and along > (TURNS if self._turns_back else self.wheels.brakes)
         return self._turns_back
 
     def _overshoot(self, wanted: float, along: float, dt: float) -> float:
@@ -122,6 +132,6 @@ class GroundVehicle(Vehicle):
         return self._excess
 
     def _turning(self, speed: float) -> float:
-        if not self.turning_radius:
+        if not self.wheels.radius:
             return self.limits.yaw_rate
-        return min(self.limits.yaw_rate, speed / self.turning_radius)
+        return min(self.limits.yaw_rate, speed / self.wheels.radius)

@@ -34,7 +34,9 @@ def landed_state(pilot: Pilot) -> LandedState:
     if not pilot.kind.lands:
         return LandedState.UNDEFINED
     if not pilot.flies:
-        return LandedState.ON_GROUND if pilot.landed else LandedState.IN_AIR
+        # It calls its whole return a landing.
+        returns = LandedState.LANDING if pilot.role is Role.RETURN else LandedState.IN_AIR
+        return LandedState.ON_GROUND if pilot.landed else returns
     if pilot.lifts_at is not None:
         return LandedState.TAKEOFF if _has_lifted(pilot) else LandedState.ON_GROUND
     if pilot.landed:

@@ -50,6 +50,7 @@ class Pilot:
     setpoint_at          when the last setpoint came; stream_at the first of those without a pause
     takeoff_goal         the height in m that a takeoff of PX4 was given
     lifts_at, lift_goal  when the motors are up for a takeoff under way, and how far down it leads
+    entered_at, entered_down  when the mode was entered, and how far down; a return may climb, and keep that
     sinks_at             when a landing goes down: ArduCopter's failsafes stand still for a while first
     on_its_way           of PX4's rover: what it calls flying
     stood                what was last said about standing
@@ -96,6 +97,8 @@ class Pilot:
     sinks_at: float = 0.0
     lift_goal: float = 0.0
     over_home_at: float | None = None
+    entered_at: float = 0.0
+    entered_down: float = 0.0
     setpoint_at: float = -math.inf
     stream_at: float = math.inf
     station_at: float = -math.inf
@@ -111,9 +114,7 @@ class Pilot:
         self.parameters = dict(self.kind.parameters)
         limits = replace(self.kind.limits)
         self.vehicle = (
-            Vehicle(limits)
-            if self.kind.name == "copter"
-            else GroundVehicle(limits, turning_radius=self.kind.turning_radius)
+            Vehicle(limits) if self.kind.name == "copter" else GroundVehicle(limits, wheels=self.kind.wheels)
         )
         self.pace = self.kind.pace(self.own_speed, lambda: self.vehicle.limits.top)
         self.homing = Home(self.dice)
@@ -290,11 +291,14 @@ class Pilot:
         if self.role in (Role.HOLD, Role.GUIDED):
             self.resumes = self.mode
         self.mode, self.over_home_at = name, None
+        self.entered_at, self.entered_down = self.now, self.vehicle.place[2]
         self.apply_parameters()
         vehicle = self.vehicle
         self.pace.enter(guided=self.role is Role.GUIDED)
         vehicle.yaw_goal = vehicle.yaw_rate_goal = None
         vehicle.goal = self._first_goal()
+        if self.kind.limits.eases and self.role in (Role.HOLD, Role.RETURN):
+            vehicle.level()
         if self.role is Role.RETURN and self.flavour.takeoff_mode and self.armed and self.aloft:
             self._say_return()
         if self.role is Role.MISSION:
@@ -306,9 +310,11 @@ class Pilot:
             self.armed_at = self.now
 
     def _say_return(self) -> None:
-        """PX4 tells how high it returns."""
-        far = math.dist(self.vehicle.place[:2], self.home[:2])
-        up = max(self.home[2] - self.vehicle.place[2], self.return_height_at(far))
+        """PX4 tells how high it returns; its rover lands from the beginning."""
+        if not self.flies:
+            self.say("RTL: land at destination\t")
+        here, home = self.vehicle.place, self.home
+        up = max(home[2] - here[2], self.return_height_at(math.dist(here[:2], home[:2])))
         top = self.altitude - self.home[2] + up
         self.say(f"RTL: start return at {top:.0f} m ({up:.0f} m above destination)\t")
 
@@ -322,11 +328,11 @@ class Pilot:
         """What a mode does as soon as it is entered; without a transmitter ArduPilot's throttle is down."""
         if not self.flies:
             return self.vehicle.released() if self.kind.modes[self.mode].by_hand else Rest()
-        if not self.armed:
-            return Rest()
-        if self.role is Role.LAND:
+        if self.armed and self.role is Role.LAND:
             return Descend()
-        return Sink() if self.kind.modes[self.mode].by_hand and self.vehicle.airborne else Rest()
+        if self.armed and self.kind.modes[self.mode].by_hand and self.vehicle.airborne:
+            return Sink()
+        return Rest(self.kind.limits.eases * (self.role is Role.HOLD))
 
     def fall_back(self, role: Role, *, pause: float = 0.0) -> None:
         """What a failsafe does, a landing after a pause in s; a rover stops where a copter would land."""
@@ -339,11 +345,11 @@ class Pilot:
 
     def stop_moving(self) -> None:
         """The setpoint is over: stand still where it is."""
-        self.vehicle.goal, self.vehicle.yaw_rate_goal = Rest(), None
+        self.vehicle.goal, self.vehicle.yaw_rate_goal = Rest(self.kind.limits.eases), None
 
     def disarm(self, *, force: bool = False, text: str = "") -> Result:
-        """COMPONENT_ARM_DISARM 0: refused until it has landed, unless forced."""
-        if self.armed and not (self.landed or force):
+        """COMPONENT_ARM_DISARM 0: refused while it flies and has not landed, unless forced."""
+        if self.armed and self.flies and not (self.landed or force):
             if self.flavour.airborne_text:
                 self.say(self.flavour.airborne_text)
             return self.flavour.refusal
@@ -388,7 +394,6 @@ class Pilot:
     def _circle_ahead(self) -> Circle:
         """ArduCopter's CIRCLE: the centre is a radius (cm) ahead; CIRCLE_RATE is in degrees per second."""
         radius = min(max(self.value("CIRCLE_RADIUS") / 100.0, 1.0), 2000.0)
-        north, east, down = self.vehicle.place
-        yaw = self.vehicle.yaw
+        (north, east, down), yaw = self.vehicle.place, self.vehicle.yaw
         centre = (north + radius * math.cos(yaw), east + radius * math.sin(yaw), down)
         return Circle(centre, radius, math.radians(min(self.value("CIRCLE_RATE"), 90.0)) * radius)

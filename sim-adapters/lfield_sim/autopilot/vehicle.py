@@ -14,6 +14,8 @@ GRAVITY = 9.80665
 AIRBORNE = 0.05
 #: Metres to a place within which the nose stays as it is.
 NEAR = 3.0
+#: m/s2 that are left when it eases to a stop.
+STILL = 0.05
 #: How fast a copter comes down with its throttle down, in m/s.
 SINK = 2.5
 
@@ -38,7 +40,9 @@ class Limits:
     """Speeds in m/s, accelerations in m/s2, jerk in m/s3, yaw rate in rad/s.
 
     `cruise` bounds the way to a place, `top` everything over ground; `braking` is how hard it slows down
-    before a place. `spool` are the seconds that motors need before they lift it, `awake` those from arming,
+    before a place. `eases` are the seconds in which a copter takes two thirds of what it still lacks of a
+    velocity, or loses two thirds of its speed where it holds.
+    `spool` are the seconds that motors need before they lift it, `awake` those from arming,
     `lift` is how it leaves the ground (m/s2), `takeoff` how fast it climbs then. `nose_follows` turns the
     nose along a velocity. `overshoot` is by how much (m/s) a rover shoots over a velocity before it settles
     there; `rolls_out` is the share of its speed that it loses in a second when nothing drives it, 0 for one
@@ -61,6 +65,7 @@ class Limits:
     takeoff: float = 2.5
     yaw_rate: float = math.radians(60.0)
     nose_follows: bool = True
+    eases: float = 0.0
     overshoot: float = 0.0
     rolls_out: float = 0.0
     goal_response: Response = Response()
@@ -69,7 +74,9 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """Goal: stay where you are."""
+    """Goal: stay where you are; the last of the speed goes as `Limits.eases` says, with 0 it brakes on."""
+
+    eases: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +195,10 @@ class Vehicle:
         else:
             self.settle()
 
+    def level(self) -> None:
+        """It stops leaning at once: a new mode begins with no acceleration over ground."""
+        self.acceleration = (0.0, 0.0, self.acceleration[2])
+
     def settle(self) -> None:
         """Stand on the ground, with the motors off."""
         self.place, self.velocity, self.acceleration = (*self.place[:2], 0.0), ZERO, ZERO
@@ -198,7 +209,7 @@ class Vehicle:
         before, limits = self.velocity, self.limits
         north, east, down = self._kept_in(self._wanted())
         missing = (north - before[0], east - before[1])
-        lean = eased(self.acceleration[:2], missing, self._strongest, limits.jerk, dt)
+        lean = eased(self.acceleration[:2], missing, self._strongest(missing), limits.jerk, dt)
         vertical = _towards(before[2], down, self._vertical(down) * dt)
         self.velocity = (before[0] + lean[0] * dt, before[1] + lean[1] * dt, vertical)
         self._move(dt)
@@ -243,12 +254,15 @@ class Vehicle:
             return math.dist(self.place[:2], self.goal.place[:2]) > NEAR
         return self.limits.nose_follows
 
-    @property
-    def _strongest(self) -> float:
+    def _strongest(self, missing: tuple[float, float]) -> float:
         """How hard it may be sped up or slowed down over ground now."""
         if isinstance(self.goal, Lean):
             return math.hypot(self.goal.north, self.goal.east)
-        return self.limits.acceleration
+        goal, along = self.goal, sum(m * v for m, v in zip(missing, self.velocity, strict=False))
+        gains = isinstance(goal, Keep) and along >= 0.0
+        eases = goal.eases if isinstance(goal, Rest) else self.limits.eases * gains
+        easy = math.hypot(*missing) / eases + STILL if eases else math.inf
+        return min(self.limits.acceleration, easy)
 
     def _vertical(self, down: float) -> float:
         """How hard its speed up or down is changed; gently until it has left the ground at its speed."""

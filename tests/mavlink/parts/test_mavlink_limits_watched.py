@@ -143,7 +143,7 @@ def test_ardupilot_is_told_its_speed_when_it_keeps_it(limited, kind):
         assert await fastest(b, fc.execute("goToGlobal", [latitude - 1e-4, longitude, 5.0])) <= 3.06
         await fc.execute("hold", [])
         assert await fastest(b, fc.execute("goTo", [15.0, 0.0, -5.0])) <= 3.06
-        assert await fastest(b, fc.execute("orbit", [15.0, 0.0, -5.0, 4.0, 2.0, 0.3])) <= 2.1
+        assert await fastest(b, fc.execute("orbit", [15.0, 0.0, -5.0, 4.0, 2.0, 0.3])) <= 2.2
 
     b.run(mission)
     assert [note for note in b.notes if "limit" in note] == []

@@ -13,6 +13,7 @@ from lfield_mavlink.contact.state import VehicleState
 from lfield_mavlink.parts.orders import Circle, Patience
 from lfield_mavlink.parts.progress import Arrival, Following, Progress, Turning, WayBack
 from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.ground import Wheels
 from lfield_sim.autopilot.vehicle import Reach
 
 
@@ -66,7 +67,7 @@ async def turn_on(fc, times):
 
 def test_a_rover_turns_by_setpoints(bench):
     b = bench(kind="rover")
-    b.autopilot.vehicle.turning_radius = 0.0
+    b.autopilot.vehicle.wheels = Wheels()
 
     async def mission(fc):
         await fc.execute("arm", [])

@@ -11,6 +11,7 @@ from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Result
+from lfield_sim.autopilot.ground import Wheels
 
 TARGET = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
@@ -48,6 +49,45 @@ def test_a_whole_flight(px4):
 
     b.run(mission)
     assert not b.autopilot.armed
+
+
+def test_a_rover_drives_round_to_its_heading_and_holds(px4):
+    b = px4(kind="rover", limits={"speed": 2.0, "radius": 8.0})
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        for heading in (math.pi, -1.0, -1.02):
+            before, modes = b.values["position"], len(sent(b, TARGET))
+            await fc.execute("yaw", [heading])
+            assert math.remainder(b.values["heading"] - heading, math.tau) == pytest.approx(0.0, abs=0.08)
+            assert b.values["mode"] == "AUTO.LOITER"
+            await asyncio.sleep(2.0)
+            assert math.remainder(b.values["heading"] - heading, math.tau) == pytest.approx(0.0, abs=0.08)
+            assert math.dist(b.values["position"], before) < 4.0
+        assert len(sent(b, TARGET)) == modes, "it was there already"
+        await fc.execute("goTo", [5.0, 0.0, 0.0])
+        with pytest.raises(DeviceError, match=r"to drive round in, refused: .* beyond the limit of 8 m"):
+            await fc.execute("yaw", [0.0])
+
+    b.run(mission)
+
+
+def test_a_rover_that_does_not_come_round_is_given_up(px4):
+    b = px4(kind="rover")
+    b.autopilot.vehicle.wheels = Wheels(20.0)
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        with pytest.raises(DeviceError, match=r"yaw gave up: driving round .* or 5 m away"):
+            await fc.execute("yaw", [2.0])
+        assert b.values["mode"] == "AUTO.LOITER"
+        await asyncio.sleep(2.0)
+        b.autopilot.parameters["GF_MAX_HOR_DIST"] = 8.0
+        with pytest.raises(DeviceError, match=r"refused: it needs 5 m .*GF_MAX_HOR_DIST ends at 8 m"):
+            await fc.execute("yaw", [2.0])
+
+    b.run(mission)
+    assert math.hypot(*b.autopilot.vehicle.place[:2]) < 7.0
 
 
 def test_a_velocity_is_streamed_until_its_time_is_over_and_no_longer(px4):

@@ -19,6 +19,7 @@ from lfield_sim.autopilot.flavours import (
     Role,
     Warming,
 )
+from lfield_sim.autopilot.ground import Wheels
 from lfield_sim.autopilot.pace import CopterPace, RoverPace
 from lfield_sim.autopilot.vehicle import Limits
 
@@ -272,7 +273,7 @@ ACKERMANN = Kind(
     RoverPace,
     ROVER_WARMING,
     Limits(braking=1.0, jerk=2.0, overshoot=0.43, rolls_out=0.5),
-    turning_radius=1.4,
+    wheels=Wheels(1.4),
     home_altitude=0.19,
     lands=False,
 )
@@ -308,12 +309,12 @@ KINDS = {
         },
         CopterPace,
         COPTER_WARMING,
-        Limits(braking=2.5, jerk=5.0, spool=0.6, awake=3.3, lift=1.0, takeoff=2.5),
+        Limits(braking=2.5, jerk=5.0, eases=0.8, spool=0.6, awake=3.3, lift=1.0, takeoff=2.5),
         # Its missions are curves of little jerk, GUIDED goes straight at its goal.
         mission_limits={"braking": 1.25, "jerk": 1.5},
         return_height=("RTL_ALT", 100.0),
         return_pause=("RTL_LOIT_TIME", 1000.0),
     ),
     "rover": ACKERMANN,
-    "rover_skid": replace(ACKERMANN, turning_radius=0.0),
+    "rover_skid": replace(ACKERMANN, wheels=Wheels()),
 }
