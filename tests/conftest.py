@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+import zlib
 from collections.abc import Iterator
 
 import pytest
@@ -82,11 +83,11 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with tests of real processes begin first, long ones before all; the rest fills their waiting."""
-    long, process = (
-        {item.path for item in items if item.get_closest_marker(name)} for name in ("long", "process")
-    )
-    items.sort(key=lambda item: (item.path not in long, item.path not in process))
+    """Workers begin with long files, and mix the others: who computes fills the time of those who wait."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
+    long = {item.path for item in items if item.get_closest_marker("long")}
+    items.sort(key=lambda item: (item.path not in long, zlib.crc32(item.path.name.encode())))
 
 
 @pytest.fixture(scope="session", autouse=True)
