@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
+import zlib
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.remote import Producer
+from xdist.scheduler import LoadFileScheduling
 
 settings.register_profile("any computer", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any computer")
@@ -19,13 +23,38 @@ os.environ["XDG_CACHE_HOME"] = _CACHE.name
 os.environ["XDG_STATE_HOME"] = os.path.join(_CACHE.name, "state")
 #: Nor do the commands of tests find, or stop, what else runs on this computer.
 os.environ["LFIELD_RUNS"] = "here"
+#: What Python compiles is kept, whatever the environment wants: a run starts a thousand interpreters.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
+#: Files and folders whose tests share nothing and mostly wait.
+WAITING = (
+    "tests/cli/run/test_thesis_and_examples.py",
+    "tests/cli/run/test_up_",
+    "tests/cli/stops/",
+    "tests/cli/team/test_estop.py",
+    "tests/kits/",
+    "tests/mavlink/client/",
+)
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Two workers for each core, since many tests wait for processes; none for a few files or one test."""
+    """Three workers for each core, since many tests wait for processes; none for a few files or one test."""
     if config.option.keyword or any(word.partition("::")[0].endswith(".py") for word in config.args):
         return 0
-    return 2 * len(os.sched_getaffinity(0))
+    return 3 * len(os.sched_getaffinity(0))
+
+
+class Dealing(LoadFileScheduling):
+    """The tests of a file stay together, for they may share what is costly; those of WAITING do not."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return nodeid if nodeid.startswith(WAITING) else super()._split_scope(nodeid)
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Dealing:
+    """Who gets which test."""
+    return Dealing(config, log)
 
 
 #: Tests in which others' software uses our fakes, or stands in for what our drivers meet.
@@ -54,11 +83,11 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with tests of real processes begin first, long ones before all; the rest fills their waiting."""
-    long, process = (
-        {item.path for item in items if item.get_closest_marker(name)} for name in ("long", "process")
-    )
-    items.sort(key=lambda item: (item.path not in long, item.path not in process))
+    """Workers begin with long files, and mix the others: who computes fills the time of those who wait."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
+    long = {item.path for item in items if item.get_closest_marker("long")}
+    items.sort(key=lambda item: (item.path not in long, zlib.crc32(item.path.name.encode())))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -9,7 +9,7 @@ import pytest
 from kit_findings import failed, not_run
 from pymavlink import mavutil
 
-pytestmark = pytest.mark.process
+pytestmark = [pytest.mark.process, pytest.mark.long]
 
 FAST = ("--climb", "8", "--cruise", "15", "--descend", "8", "--land", "6", "--acceleration", "15")
 WAIVED = "waivers: [device_watchdog]"
@@ -23,6 +23,7 @@ def vehicles(fake, *specs):
     ]
 
 
+@pytest.mark.timeout(300)
 def test_copters_of_both_autopilots_and_a_rover_pass(fake, try_kit):
     copter, rover, px4 = vehicles(
         fake,

@@ -112,7 +112,7 @@ def test_a_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
     words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--set", "limits={speed: 3.0}")
     kept = lfield.folder / "state" / "setup.json"
     # So late are the answers that the command is in the middle of its writes when it is interrupted.
-    assert lfield.status(lfield("sim", "fault", "mavlink", "delay=0.2")) == 0
+    assert lfield.status(lfield("sim", "fault", "mavlink", "delay=0.4")) == 0
     writing = lfield.start("setup", *words, "--yes", "--state", "state")
     writing.wait_for("FS_GCS_ENABLE was 0 and is now 5")
     writing.signal(signal.SIGINT)

@@ -20,7 +20,7 @@ include <mavlink/copter.L>;
 coordinator Pilot {
     init(string[] arg) {
         Copter copter = findCopter(arg[1]);
-        copter.takeOff(2.0);
+        copter.takeOff(1.0);
         print("in the air");
         copter.land();
         print("landed");
