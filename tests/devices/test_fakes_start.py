@@ -88,7 +88,8 @@ def test_every_command_names_the_extra(bare: None, lfield_here, driver: str, com
     if (command, driver) == ("sim", "dynamixel"):
         pytest.skip("this fake needs no library")
     status, said = lfield_here(*words)
-    assert status == 69
+    # Without a mission a missing library is only worth a word: perhaps nothing needs it.
+    assert status == (0 if command == "doctor" else 69)
     assert f"pip install 'lfield[{driver}]'" in said
     assert "Traceback" not in said
 

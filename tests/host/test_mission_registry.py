@@ -58,11 +58,17 @@ def test_a_mission_joins_its_own_file_to_what_we_ship(folder: Path) -> None:
     assert {"Crane", "Copter", "Winch"} <= registry.providers.keys()
 
 
-def test_without_a_capability_in_the_program_nothing_is_read(folder: Path) -> None:
+def test_without_a_capability_in_the_program_the_mission_has_no_registry(folder: Path) -> None:
     write(folder, ".L", PLAIN)
-    write(folder, ".capabilities.yaml", "no registry: at all")
     assert load_mission(folder / "mission.dL").registry is None
     assert check_file(folder / "mission.L") == []
+
+
+def test_a_wrong_registry_beside_a_mission_is_told_though_nothing_asks_it(folder: Path) -> None:
+    write(folder, ".L", PLAIN)
+    write(folder, ".capabilities.yaml", "no registry: at all")
+    with pytest.raises(ProgramError):
+        load_mission(folder / "mission.dL")
 
 
 def test_a_program_file_has_the_registry_too(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 
 import pytest
@@ -159,17 +160,22 @@ def test_a_device_is_lost_when_it_is_silent_for_longer_than_its_quickest_value_m
 
 
 def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
-    clock = ManualClock()
-    guard = Guard(installed.by_driver["mavlink"], [bound], clock, print, Lateness(Limit(0.2)), lambda: True)
-    assert guard.trouble("sky.fc") == Trouble("fc: its guard has died and is being started again")
-    guard._ready = True
-    assert guard.trouble("sky.fc") is None
-    guard._receive(Latched("sky.fc", "the host was silent for over 200 ms", True))
-    assert guard.trouble("sky.fc") == Trouble(
-        "fc: in its safe state land: the host was silent for over 200 ms"
-    )
-    guard.latched.clear()
-    guard.snapshots.take(Snapshot("sky.fc", {}, clock.now))
-    clock.advance(1000.0)
-    trouble = guard.trouble("sky.fc")
-    assert trouble.sentence(clock.now) == "fc: not heard for 1000 s"
+    async def story():
+        clock = ManualClock()
+        guard = Guard(
+            installed.by_driver["mavlink"], [bound], clock, print, Lateness(Limit(0.2)), lambda: True
+        )
+        assert guard.trouble("sky.fc") == Trouble("fc: its guard has died and is being started again")
+        guard._ready = True
+        assert guard.trouble("sky.fc") is None
+        guard._receive(Latched("sky.fc", "the host was silent for over 200 ms", True))
+        assert guard.trouble("sky.fc") == Trouble(
+            "fc: in its safe state land: the host was silent for over 200 ms"
+        )
+        guard.latched.clear()
+        guard.snapshots.take(Snapshot("sky.fc", {}, clock.now))
+        clock.advance(1000.0)
+        trouble = guard.trouble("sky.fc")
+        assert trouble.sentence(clock.now) == "fc: not heard for 1000 s"
+
+    asyncio.run(story())

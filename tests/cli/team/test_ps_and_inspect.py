@@ -247,7 +247,8 @@ def test_a_damaged_dump(lfield, here, died, damage):
 
 
 def test_a_dump_that_cannot_be_written_is_told(lfield):
-    lfield.write("dumps", "a file in the way\n")
+    (lfield.folder / "dumps").mkdir(mode=0o700)
+    (lfield.folder / "dumps" / "tom.block").mkdir()  # in the way
     deployment = lfield.mission(FAULTY, "//Careless:tom@alpha?post\n//Post:post@alpha\n")
     done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
     assert lfield.status(done) == 1

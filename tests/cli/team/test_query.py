@@ -212,7 +212,11 @@ def test_refusals_as_json(ask):
             ],
         ),
         ("Lift payload", 64, ['lfield: a question is written like "Lift" or "Lift where payload >= 2.0"']),
-        ("", 64, ['lfield: a question is written like "Lift" or "Lift where payload >= 2.0"']),
+        (
+            "",
+            64,
+            ["lfield: a word of the command line is empty; is it a variable of the shell that is not set?"],
+        ),
     ],
 )
 def test_mistakes_in_a_query(ask, query, status, told):
