@@ -8,9 +8,10 @@ import errno
 import gc
 import os
 import resource
+import signal
 from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 T = TypeVar("T")
 
@@ -56,6 +57,28 @@ async def start_process(protocol: asyncio.SubprocessProtocol, *command: str) -> 
     await asyncio.get_running_loop().subprocess_exec(
         lambda: protocol, *command, stderr=None, start_new_session=True
     )
+
+
+def kill(process: asyncio.SubprocessTransport) -> None:
+    """End a process by force, if it has not ended.
+
+    Not by a transport of the loops: it would reap a process that has just ended, behind the loop's back.
+    """
+    if process.get_returncode() is not None:
+        return
+    if isinstance(process, Killable):
+        process.kill_now()
+    elif pid := process.get_pid():
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
+@runtime_checkable
+class Killable(Protocol):
+    """A process that only looks like one to the loops."""
+
+    def kill_now(self) -> None:
+        """End it."""
 
 
 #: What the loops take to start a process, with some to spare.

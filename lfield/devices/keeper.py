@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import signal
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Any, cast
 
 from lfield.capability.directory.news import Trouble
@@ -41,7 +38,7 @@ from lfield.guard.messages import (
     encode,
 )
 from lfield.guard.rest import UNFINISHED, UNSEEN
-from lfield.loop import spawn, start_process, unexpected
+from lfield.loop import kill, spawn, start_process, unexpected
 from lfield.manifest import DeviceValue, Instruction
 
 #: So many beats without a word from the guard, and it hangs. Beats are counted, not seconds: a host that
@@ -185,10 +182,8 @@ class Guard(asyncio.SubprocessProtocol):
 
     def kill(self) -> None:
         """End the process by force; unless this end is wanted, the next one makes the devices safe."""
-        if self._transport is not None and self._transport.get_returncode() is None and self.pid:
-            # Not by the transport: it would reap a process that has just ended, behind the loop's back.
-            with suppress(ProcessLookupError):
-                os.kill(self.pid, signal.SIGKILL)
+        if self._transport is not None:
+            kill(self._transport)
 
     def _beat(self) -> None:
         if self._pipe is None or self._pipe.is_closing() or not self._turned():

@@ -10,7 +10,6 @@ import asyncio
 import errno
 import os
 import random
-import secrets
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -93,14 +92,16 @@ class Host:
         self.clock = options.clock
         self.started = self.clock.monotonic()
         here = self.team.number(name)
-        self.peers = Peers(self, transport, self.clock, self.team.hosts, self.team.addresses, here)
+        self.peers = Peers(
+            self, transport, self.clock, options.dice, self.team.hosts, self.team.addresses, here
+        )
         self.guards = Guards(
             mission.drivers, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
         )
         self.core = HostCore(
             mission,
             name,
-            secrets.randbits(62) + 1,
+            options.dice.getrandbits(62) + 1,
             self.clock,
             Surroundings(self.peers, self.guards),
             options.dice,

@@ -69,6 +69,7 @@ class Peers:
         owner: Owner,
         transport: Transport,
         clock: Clock,
+        dice: random.Random,
         hosts: Sequence[str],
         addresses: Sequence[str],
         here: int,
@@ -79,7 +80,6 @@ class Peers:
         self._tasks: list[asyncio.Task[None]] = []
         self._listeners: list[Listener] = []
         self._complaints: set[str] = set()
-        dice = random.Random()
         self._ungreeted: Guests[Session] = Guests(MOST_UNGREETED, dice)
         self._observers: Guests[Session] = Guests(MOST_OBSERVERS, dice)
         #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.

@@ -1,85 +1,63 @@
-"""Many hosts in one process on virtual time: the real cores, links that can be cut, computers that can die.
+"""A team on simulated computers: its hosts and guards are the real ones, what they stand on is a model.
 
-Sockets and processes are models here; everything that decides is what runs on a robot. There is no loop and
-no thread: one queue of what is due, in the order of time and then of asking, so one seed is one run.
+Sockets, pipes, disks, clocks and hardware are models; links, greetings, machine, mobility, guards and the way
+a host ends are what runs on a robot. One seed is one run, to the byte.
 """
 
 from __future__ import annotations
 
 import hashlib
-import heapq
+import io
 import random
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations
 
-from lfield.bytecode.program import DeviceCall
-from lfield.capability.directory.news import Trouble
-from lfield.clock import ManualClock
-from lfield.errors import DeviceError
+from msgspec import structs
+
+from lfield.driver.known import KnownDrivers
+from lfield.errors import LfieldError
 from lfield.host.core import HostCore
-from lfield.host.effects import Call, Effect, KeepStart, Say, Write
-from lfield.manifest import DeviceValue, Observation
+from lfield.host.host import Host, Options
+from lfield.host.logbook import Logbook
+from lfield.host.process.run import live
+from lfield.host.process.stop_words import StopWords
 from lfield.mission.mission import Mission
-from lfield.mobility.effects import Send, SendTransfer
-from lfield.vm.contract import Reading
-from lfield.wire.messages import Control, Hello, Transfer
+from lfield.net.tcp import TcpTransport
+from lfield.simulate.beside import REFERENCE, Disk, guard
+from lfield.simulate.computers.computer import Computer, Process
+from lfield.simulate.computers.machines import Machine
+from lfield.simulate.computers.network import Network
+from lfield.simulate.computers.timeline import Timeline
+from lfield.simulate.hardware import Hardware
 
-#: Seconds until a link that can be is there (again), and that a message is under way: at least and at most.
-RECONNECT, LATENCY = (0.05, 1.0), (0.001, 0.02)
-#: Seconds between the start of a host's resources and that of its coordinators.
-CENSUS = 1.5
-#: Turns of one host that may follow one another at the same moment: more, and it spins.
-MOST_TURNS = 100_000
+#: By how much clocks run fast or slow at most.
+CLOCKS = 0.0005
+#: Where every host listens on its machine.
+PORT = 8181
 
 Watch = Callable[["Fleet"], None]
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Life:
-    """One life of one host, from its start to its crash."""
+    """One life of one host: its process, the host itself, and the words that end it."""
 
-    core: HostCore
-    nearby: Links
-    #: The number of its next turn: one that was arranged before is none any more.
-    turn: int = 0
-    output: list[str] = field(default_factory=list)
+    process: Process
+    host: Host
+    words: StopWords
 
-
-class Links:
-    """What a host of the simulation has nearby: its links, and no devices."""
-
-    def __init__(self, others: list[str], now: float) -> None:
-        self.away: dict[str, float] = dict.fromkeys(others, now)
-        self.heard: dict[str, float] = {}
-
-    def last_heard(self, host: str) -> float | None:
-        """When something last came from a host."""
-        return self.heard.get(host)
-
-    def last(self, device: str, quantity: str) -> Observation | None:
-        """There are no devices."""
-        return None
-
-    def trouble(self, device: str) -> Trouble | None:
-        """There are no devices."""
-        return Trouble(f"{device}: not simulated")
-
-    def query(self, agent: str, call: DeviceCall) -> DeviceValue:
-        """There are no devices: raises DeviceError."""
-        raise DeviceError(call.field, "is not simulated")
-
-    def reading(self, agent: str, call: DeviceCall) -> Reading | None:
-        """There are no devices."""
-        return None
+    @property
+    def core(self) -> HostCore:
+        """What decides in it."""
+        return self.host.core
 
 
 class Fleet:
     """The hosts of a mission, all up at the beginning. Everything that is left to chance comes from `seed`.
 
-    `watch` is called after every event, and raises AssertionError for what must never be. A portal call of a
-    host that cannot be reached is given up after `unreachable_after` seconds.
+    `watch` is called after every event, and raises AssertionError for what must never be. With `lost_after`
+    hosts end when all coordinators have, as with --until-done. Times are in seconds.
     """
 
     def __init__(
@@ -88,47 +66,69 @@ class Fleet:
         seed: int = 0,
         watch: Watch = lambda fleet: None,
         unreachable_after: float = 10.0,
+        lost_after: float | None = None,
     ) -> None:
-        self.mission, self.dice, self._watch = mission, random.Random(seed), watch
-        self.unreachable_after = unreachable_after
-        #: Called for every new life of a host.
-        self.on_boot: Callable[[str, Life], None] = lambda name, life: None
-        #: The record of starts of each host: it stays when the host crashes, and may be lost.
-        self.disks: dict[str, int] = {}
-        self.clock = ManualClock(0.0)
-        self.lives: dict[str, Life] = {}
-        self.left: set[str] = set()
+        self._watch, self._unreachable_after, self._lost_after = watch, unreachable_after, lost_after
+        dice = random.Random(seed)
+        self.timeline = Timeline()
         #: Every line of program output and of the logs: seconds, host, text.
         self.log: list[tuple[float, str, str]] = []
-        #: The pairs that are linked, with the number of the link, and those that cannot be.
-        self.linked: dict[frozenset[str], int] = {}
-        self.apart: set[frozenset[str]] = set()
-        self.events = self.transfers = 0
-        self._queue: list[tuple[float, int, Callable[[], None]]] = []
-        self._asked = 0
-        self._links = 0
-        self._calling: set[frozenset[str]] = set()
-        #: When the last message of each direction of each link arrives: none overtakes another.
-        self._last_due: dict[tuple[int, str], float] = {}
-        for name in mission.team.hosts:
+        names = mission.team.hosts
+        self.machines = {name: self._machine(name, dice) for name in names}
+        self.network = Network(self.timeline, self.machines, dice)
+        programs = {"lfield.guard.process": guard}
+        self.computers = {m.name: Computer(m, self.network, programs) for m in self.machines.values()}
+        self.disks = {name: Disk() for name in names}
+        #: By the names of devices that share it.
+        self.hardware: dict[str, Hardware] = {}
+        self.mission = self._on_hardware(mission, dice).at(
+            mission.team.at({name: f"{name}:{PORT}" for name in names})
+        )
+        #: The hosts that run now; the exit statuses of those that have ended by themselves.
+        self.lives: dict[str, Life] = {}
+        self.left: dict[str, int] = {}
+        for name in names:
             self.boot(name)
+
+    def _machine(self, name: str, dice: random.Random) -> Machine:
+        rate = 1.0 + dice.uniform(-CLOCKS, CLOCKS)
+        return Machine(name, self.timeline, random.Random(dice.random()), rate)
+
+    def _on_hardware(self, mission: Mission, dice: random.Random) -> Mission:
+        """The same mission, with a device of this simulation in the place of each."""
+        hosts = {member.id: mission.team.hosts[member.host] for member in mission.team.members}
+        endpoints: dict[tuple[str, str], str] = {}
+        for device in mission.bindings.all:
+            if device.bus not in endpoints:
+                made = Hardware(self.timeline, random.Random(dice.random()))
+                endpoint = endpoints[device.bus] = f"virtual:{device.endpoint}"
+                self.machines[hosts[device.agent]].hardware[endpoint] = made
+                self.hardware[device.name] = made
+        bound = {
+            agent: {field: structs.replace(d, endpoint=endpoints[d.bus]) for field, d in fields.items()}
+            for agent, fields in mission.bindings.devices.items()
+        }
+        simulated = {
+            name: replace(driver, reference=REFERENCE, files={})
+            for name, driver in mission.drivers.by_driver.items()
+        }
+        bindings = replace(mission.bindings, devices=bound)
+        return replace(mission, bindings=bindings, drivers=KnownDrivers(simulated))
 
     # --- time -----------------------------------------------------------------------------------------
 
+    @property
+    def now(self) -> float:
+        """True time, in seconds since the simulation began."""
+        return self.timeline.now
+
     def later(self, seconds: float, event: Callable[[], None]) -> None:
         """Let something happen after so many seconds."""
-        self._asked += 1
-        heapq.heappush(self._queue, (self.clock.now + seconds, self._asked, event))
+        self.timeline.after(seconds, event)
 
     def run(self, seconds: float) -> None:
         """Let time go on for so long."""
-        end = self.clock.now + seconds
-        while self._queue and self._queue[0][0] <= end:
-            self.clock.now, _, event = heapq.heappop(self._queue)
-            self.events += 1
-            event()
-            self._watch(self)
-        self.clock.now = end
+        self.timeline.run(seconds, partial(self._watch, self))
 
     @property
     def digest(self) -> str:
@@ -139,193 +139,91 @@ class Fleet:
     # --- hosts ----------------------------------------------------------------------------------------
 
     def boot(self, name: str) -> None:
-        """Start a host, with nothing left of its earlier life."""
-        others = [other for other in self.mission.team.hosts if other != name]
-        nearby = Links(others, self.clock.now)
-        dice = random.Random(self.dice.random())
-        life = self.dice.getrandbits(62) + 1
-        core = HostCore(self.mission, name, life, self.clock, nearby, dice, self.unreachable_after)
-        started = self.lives[name] = Life(core, nearby)
-        self.enter(name, started, core.start_resources)
-        for other in others:
-            self._reconnect(name, other)
-        start = partial(core.start_coordinators, self.disks.get(name))
-        self.later(CENSUS, lambda: self.enter(name, started, start))
-        self.on_boot(name, started)
-
-    def lose_disk(self, name: str) -> None:
-        """A host has no record of its starts any more."""
-        self.disks.pop(name, None)
-
-    def leave(self, name: str) -> None:
-        """A host ends in order, for good."""
-        self.left.add(name)
-        self.crash(name)
+        """Start a host's process, and its computer if that is off; nothing is left of an earlier life."""
+        computer = self.computers[name]
+        if not computer.machine.on:
+            computer.power_on()
+        process = computer.start()
+        process.on_end = partial(self._ended, name, process)
+        process.loop.enter(partial(self._begin, name, process))
 
     def crash(self, name: str) -> None:
-        """End a host as a power cut does."""
-        del self.lives[name]
-        for pair in [pair for pair in self.linked if name in pair]:
-            self._lose(pair)
+        """Kill a host's process, as by SIGKILL."""
+        self.lives[name].process.die(-9)
 
-    def enter(self, name: str, life: Life, event: Callable[[], None]) -> None:
-        """An event of a host, if it is still alive; then its turn, and what comes of it."""
-        if self.lives.get(name) is not life:
-            return
-        event()
-        self._turn(name, life)
+    def power_off(self, name: str) -> None:
+        """Its computer is gone with all that runs there, and tells nobody."""
+        self.computers[name].power_off()
+        self.lives.pop(name, None)
 
-    def _turn(self, name: str, life: Life) -> None:
-        for _ in range(MOST_TURNS):
-            pause = life.core.run()
-            for effect in life.core.take():
-                self._carry_out(name, life, effect)
-            if pause != 0.0:
-                break
-        else:
-            raise AssertionError(f"{name} spins at {self.clock.now:.3f} s")
-        life.turn += 1
-        if pause is not None:
-            self.later(pause, partial(self._come_back, name, life, life.turn))
+    def lose_disk(self, name: str) -> None:
+        """Its disk is replaced by an empty one."""
+        self.disks[name].replace()
 
-    def _come_back(self, name: str, life: Life, turn: int) -> None:
-        if life.turn == turn:
-            self.enter(name, life, lambda: None)
+    def _begin(self, name: str, process: Process) -> None:
+        machine, disk, book = self.machines[name], self.disks[name], Book(self, name, process)
+        options = Options(
+            listen=f"{name}:{PORT}",
+            clock=machine.clock,
+            dice=random.Random(machine.dice.random()),
+            unreachable_after=self._unreachable_after,
+            record=disk,
+            first_start=disk.new,
+        )
+        host = Host(self.mission, name, TcpTransport(self.mission.max_block), Logbook(book, book), options)
+        life = self.lives[name] = Life(process, host, StopWords(machine.clock))
+        process.loop.create_task(self._live(name, life))
 
-    def _carry_out(self, name: str, life: Life, effect: Effect) -> None:
-        match effect:
-            case Send():
-                self.send(name, effect.host, partial(self._received, effect.message))
-            case SendTransfer():
-                self.transfers += 1
-                arrival = partial(self._arrived, effect.header, bytes(effect.block))
-                self.send(name, effect.host, arrival)
-            case Write() | Say():
-                if isinstance(effect, Write):
-                    life.output.append(effect.text)
-                self.log.append((self.clock.now, name, effect.text))
-            case Call():
-                life.core.answered(effect, DeviceError(effect.call.field, "is not simulated"))
-            case KeepStart():
-                self.disks[name] = effect.generation
-                life.core.kept(effect.generation)
-            case _:
-                pass
+    async def _live(self, name: str, life: Life) -> None:
+        try:
+            status = await live(life.host, life.words, self._lost_after)
+        except LfieldError as error:
+            status = error.exit_status
+            life.host.note(str(error))
+        # What is killed is closed, and whoever waits in it for a device's rest hears of that here.
+        if not life.process.loop.dead:
+            self.left[name] = status
+            life.process.exit(status)
+
+    def _ended(self, name: str, process: Process, _: int) -> None:
+        if name in self.lives and self.lives[name].process is process:
+            del self.lives[name]
 
     # --- links ----------------------------------------------------------------------------------------
 
     def cut(self, one: str, other: str) -> None:
-        """Break a link with all that is on its way, and let no new one come about until `heal`."""
-        pair = frozenset((one, other))
-        self.apart.add(pair)
-        self._lose(pair)
+        """Break what connects two computers, both are told, and let nothing through until `heal`."""
+        self.network.reset(one, other)
+        self.network.silence(one, other)
+        self.network.silence(other, one)
 
     def heal(self, one: str, other: str) -> None:
-        """Let links come about again."""
-        self.apart.discard(frozenset((one, other)))
+        """Let everything through again, and first what has waited."""
+        self.network.heal(one, other)
+        self.network.heal(other, one)
 
     def heal_all(self) -> None:
-        """Let all links come about again, and start all hosts that are down."""
-        self.apart.clear()
-        for name in self.mission.team.hosts:
-            if name not in self.lives.keys() | self.left:
-                self.boot(name)
-
-    def _reconnect(self, one: str, other: str) -> None:
-        """Try to link two hosts by and by; one attempt at a time."""
-        pair = frozenset((one, other))
-        if pair not in self._calling:
-            self._calling.add(pair)
-            self.later(self.dice.uniform(*RECONNECT), partial(self._connect, one, other))
-
-    def _connect(self, one: str, other: str) -> None:
-        pair = frozenset((one, other))
-        self._calling.discard(pair)
-        if pair in self.linked or not pair <= self.lives.keys():
-            return
-        if pair in self.apart:
-            self._reconnect(one, other)
-            return
-        self._links += 1
-        self.linked[pair] = self._links
-        for near, far in ((one, other), (other, one)):
-            self.send(near, far, partial(self._greeted, self.lives[near].core.hello()))
-
-    def _lose(self, pair: frozenset[str]) -> None:
-        if self.linked.pop(pair, None) is None:
-            return
-        one, other = sorted(pair)
-        for near, far in ((one, other), (other, one)):
-            life = self.lives.get(near)
-            if life is not None and far not in life.nearby.away:
-                life.nearby.away[far] = self.clock.now
-                self.later(0.0, partial(self.enter, near, life, partial(life.core.unlinked, far)))
-        self._reconnect(one, other)
-
-    def send(self, near: str, far: str, arrive: Callable[[str, str], None]) -> None:
-        """Put something on its way; when the link breaks meanwhile, it is lost."""
-        number = self.linked.get(frozenset((near, far)))
-        if number is None:
-            return
-        due = max(self._last_due.get((number, near), 0.0), self.clock.now + self.dice.uniform(*LATENCY))
-        self._last_due[number, near] = due
-        self.later(due - self.clock.now, partial(self._deliver, number, near, far, arrive))
-
-    def _deliver(self, number: int, near: str, far: str, arrive: Callable[[str, str], None]) -> None:
-        if self.linked.get(frozenset((near, far))) == number:
-            self.lives[far].nearby.heard[near] = self.clock.now
-            arrive(near, far)
-
-    def _greeted(self, hello: Hello, near: str, far: str) -> None:
-        life = self.lives[far]
-        life.nearby.away.pop(near, None)
-        self.enter(far, life, partial(life.core.linked, hello))
-
-    def _received(self, message: Control, near: str, far: str) -> None:
-        life = self.lives[far]
-        self.enter(far, life, partial(life.core.received, near, message))
-
-    def _arrived(self, header: Transfer, block: bytes, near: str, far: str) -> None:
-        life = self.lives[far]
-        self.enter(far, life, partial(life.core.arrived, near, header, memoryview(block)))
+        """All ways speak, all processes run, and all hosts that did not end by themselves are up."""
+        self.network.heal_all()
+        for computer in self.computers.values():
+            for process in list(computer.processes):
+                process.loop.thaw()
+        for name in self.computers.keys() - self.lives.keys() - self.left.keys():
+            self.boot(name)
 
 
-@dataclass(frozen=True, slots=True)
-class Weather:
-    """What goes wrong, drawn from the dice of a fleet: mean seconds between two faults of a kind, 0 for none.
+class Book(io.StringIO):
+    """Both streams of a host's process, into the log of the simulation."""
 
-    A link that is cut is healed, a host that crashed is started, after up to `lasts` seconds.
-    """
+    def __init__(self, fleet: Fleet, name: str, process: Process) -> None:
+        super().__init__()
+        self._fleet, self._name, self._process = fleet, name, process
 
-    cut_every: float = 0.0
-    crash_every: float = 0.0
-    lasts: float = 8.0
-
-    def over(self, fleet: Fleet) -> None:
-        """Let it break over a fleet from now on."""
-        for mean, strike in ((self.cut_every, self._cut), (self.crash_every, self._crash)):
-            if mean:
-                fleet.later(fleet.dice.expovariate(1.0 / mean), partial(self._strike, fleet, mean, strike))
-
-    def _strike(self, fleet: Fleet, mean: float, strike: Callable[[Fleet], None]) -> None:
-        strike(fleet)
-        fleet.later(fleet.dice.expovariate(1.0 / mean), partial(self._strike, fleet, mean, strike))
-
-    def _cut(self, fleet: Fleet) -> None:
-        one, other = fleet.dice.choice(list(combinations(fleet.mission.team.hosts, 2)))
-        fleet.cut(one, other)
-        fleet.later(fleet.dice.uniform(0.0, self.lasts), partial(fleet.heal, one, other))
-
-    def _crash(self, fleet: Fleet) -> None:
-        name = fleet.dice.choice(fleet.mission.team.hosts)
-        if name in fleet.lives:
-            fleet.crash(name)
-            fleet.later(fleet.dice.uniform(0.0, self.lasts), partial(_boot_again, fleet, name))
-
-
-def _boot_again(fleet: Fleet, name: str) -> None:
-    if name not in fleet.lives.keys() | fleet.left:
-        fleet.boot(name)
+    def write(self, text: str) -> int:
+        """A piece of either."""
+        if not self._process.loop.dead:
+            self._fleet.log.append((self._fleet.now, self._name, text))
+        return len(text)
 
 
 def copies(fleet: Fleet) -> Mapping[tuple[str, int], list[str]]:

@@ -1,8 +1,9 @@
-"""Ten real host cores on virtual time: links are cut, hosts crash, and one seed is one run."""
+"""Ten whole hosts on simulated computers: links are cut, hosts crash, and one seed is one run."""
 
 from __future__ import annotations
 
 import os
+import random
 import subprocess
 import sys
 from collections import Counter
@@ -15,7 +16,8 @@ from lfield.mission.mission import Mission
 from lfield.mobility.copies import Copy
 from lfield.mobility.departures import Departures
 from lfield.mobility.effects import Effect
-from lfield.simulate.fleet import Fleet, Weather, copies
+from lfield.simulate.fleet import Fleet, copies
+from lfield.simulate.weather import Weather
 
 HOSTS = 10
 PROGRAM = """
@@ -45,7 +47,7 @@ coordinator Walker {
     }
 }
 """
-ROUGH = Weather(cut_every=3.0, crash_every=20.0)
+ROUGH = Weather(cut=3.0, one_way=6.0, reset=4.0, slow=8.0, kill=20.0, stop=20.0, power=60.0)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +66,7 @@ def written(folder: Path) -> Mission:
 def one_copy(fleet: Fleet) -> None:
     """Of one start of a coordinator never two copies can run."""
     for start, hosts in copies(fleet).items():
-        assert len(hosts) == 1, f"{start} runs on {hosts} at {fleet.clock.now:.3f} s"
+        assert len(hosts) == 1, f"{start} runs on {hosts} at {fleet.now:.3f} s"
 
 
 def stamps(fleet: Fleet) -> Counter[str]:
@@ -82,17 +84,16 @@ def test_without_faults_everybody_walks_and_nothing_is_lost(mission: Mission) ->
         numbers = [int(stamp.split()[1]) for stamp in made if stamp.startswith(walker)]
         assert numbers == list(range(len(numbers)))
         assert len(numbers) > 150
-    assert fleet.transfers > 500
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_links_are_cut_and_hosts_crash_and_no_start_ever_has_two_copies(mission: Mission, seed: int) -> None:
     fleet = Fleet(mission, seed, watch=one_copy)
-    ROUGH.over(fleet)
-    fleet.run(120.0)
-    assert fleet.transfers > 300
+    storm = ROUGH.over(fleet, random.Random(seed))
+    fleet.run(60.0)
+    assert len(storm.faults) > 30
+    assert sum(stamps(fleet).values()) > 50
     assert any("lost the link" in text for _, _, text in fleet.log)
-    fleet.heal_all()
 
 
 def test_a_sender_that_resumes_what_it_has_sent_is_found(
@@ -107,9 +108,9 @@ def test_a_sender_that_resumes_what_it_has_sent_is_found(
 
     def breach(seed: int) -> bool:
         fleet = Fleet(mission, seed, watch=one_copy, unreachable_after=0.5)
-        Weather(cut_every=0.2, lasts=5.0).over(fleet)
+        Weather(cut=0.5).over(fleet, random.Random(seed))
         try:
-            fleet.run(100.0)
+            fleet.run(40.0)
         except AssertionError as found:
             return "runs on" in str(found)
         return False
@@ -117,20 +118,20 @@ def test_a_sender_that_resumes_what_it_has_sent_is_found(
     assert any(breach(seed) for seed in range(20))
 
 
-def test_cut_links_alone_make_no_call_twice(mission: Mission) -> None:
+def test_cut_and_broken_links_alone_make_no_call_twice(mission: Mission) -> None:
     fleet = Fleet(mission, seed=5, watch=one_copy)
-    Weather(cut_every=1.0).over(fleet)
-    fleet.run(200.0)
+    Weather(cut=2.0, reset=2.0, one_way=3.0, slow=3.0).over(fleet, random.Random(5))
+    fleet.run(100.0)
     made = stamps(fleet)
     assert set(made.values()) == {1}
-    assert sum(made.values()) > 1000
+    assert sum(made.values()) > 300
 
 
 def test_one_seed_is_one_run_and_another_is_another(mission: Mission) -> None:
     def digest(seed: int) -> str:
         fleet = Fleet(mission, seed)
-        ROUGH.over(fleet)
-        fleet.run(40.0)
+        ROUGH.over(fleet, random.Random(seed))
+        fleet.run(20.0)
         return fleet.digest
 
     assert digest(7) == digest(7)
@@ -141,7 +142,7 @@ def test_a_run_does_not_depend_on_the_process(tmp_path: Path) -> None:
     """Sets of strings have another order in every process: nothing may hang on it."""
     written(tmp_path)
     command = [sys.executable, "-m", "lfield.simulate", str(tmp_path / "mission.dL"), "--seed", "3"]
-    command += ["--seconds", "30", "--cut-every", "2", "--crash-every", "10", "--quiet"]
+    command += ["--seconds", "20", "--faults", "cut=2", "kill=10", "power=20", "--quiet"]
     runs = [
         subprocess.run(
             command, env={**os.environ, "PYTHONHASHSEED": salt}, capture_output=True, text=True, check=True

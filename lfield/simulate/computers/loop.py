@@ -1,0 +1,166 @@
+"""The loop of a process of a simulated machine: its time is the machine's, and it can be stopped and killed.
+
+Everything that comes from outside (bytes, the end of a link, the answer of a disk) goes through `enter`. What
+is under way in a process that is frozen, as by SIGSTOP, waits; of one that is dead it is gone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Coroutine, Sequence
+from contextlib import suppress
+from typing import Any
+
+from lfield.simulate.computers.machines import Machine
+from lfield.simulate.computers.timeline import Planned
+
+#: Rounds of one loop that may follow one another at the same moment: more, and it spins.
+MOST_ROUNDS = 100_000
+
+
+class _Nothing:
+    """Stands where a loop has its selector: nothing is ever ready, and where it would wait it is over."""
+
+    def __init__(self, loop: ProcessLoop) -> None:
+        self._loop = loop
+
+    def select(self, timeout: float | None) -> Sequence[object]:
+        self._loop.would_wait(timeout)
+        return ()
+
+
+class ProcessLoop(asyncio.BaseEventLoop):
+    """The loop of a process. It runs while the timeline is at one moment, and never waits."""
+
+    def __init__(self, machine: Machine) -> None:
+        super().__init__()
+        self._selector = _Nothing(self)
+        self.machine, self._timeline, self.clock = machine, machine.timeline, machine.clock
+        self.frozen = self.dead = False
+        self._backlog: list[Callable[[], object]] = []
+        self._wake: Planned | None = None
+        self._woken_at = math.inf
+        self._rounds = 0
+        self._tasks: list[asyncio.Task[Any]] = []
+        self.set_task_factory(_remembered)  # type: ignore[arg-type]
+
+    def time(self) -> float:
+        """Its machine's monotonic clock."""
+        return self.clock.monotonic()
+
+    # --- from outside ---------------------------------------------------------------------------------
+
+    def enter(self, event: Callable[[], object]) -> None:
+        """Something comes in: let the loop run, if the process can."""
+        if self.dead:
+            return
+        if self.frozen:
+            self._backlog.append(event)
+            return
+        self.call_soon(event)
+        self._run()
+
+    def soon(self, event: Callable[[], object], seconds: float = 0.0) -> None:
+        """Let something come in, later on."""
+        self._timeline.after(seconds, lambda: self.enter(event))
+
+    def freeze(self) -> None:
+        """As SIGSTOP."""
+        self.frozen = True
+
+    def thaw(self) -> None:
+        """As SIGCONT: what has come meanwhile, and the timers that are over, all at once."""
+        if self.frozen and not self.dead:
+            self.frozen = False
+            for event in self._backlog:
+                self.call_soon(event)
+            self._backlog.clear()
+            self._run()
+
+    def die(self) -> None:
+        """As SIGKILL. Its coroutines are closed; what stands in their `finally` runs, and leads nowhere."""
+        self.dead = True
+        self._backlog.clear()
+        if self._wake is not None:
+            self._wake.call_off()
+        for task in list(self._tasks):
+            with suppress(RuntimeError, ValueError):
+                task.get_coro().close()
+        self._tasks.clear()
+
+    # --- the loop -------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        self._rounds = 0
+        self.run_forever()
+
+    def would_wait(self, timeout: float | None) -> None:
+        """There is nothing more to do for so many seconds of its clock, None for ever."""
+        self._rounds += 1
+        if self._rounds > MOST_ROUNDS:
+            raise AssertionError(f"a process spins at {self._timeline.now:.6f} s")
+        if timeout == 0:
+            return
+        self.stop()
+        if timeout is not None:
+            self._wake_at(self.clock.true(self.time() + timeout))
+
+    def _wake_at(self, when: float) -> None:
+        if self._wake is not None:
+            if self._woken_at <= when and self._wake.event is not None:
+                return
+            self._wake.call_off()
+        self._woken_at = when
+        self._wake = self._timeline.at(when, self._on_wake)
+
+    def _on_wake(self) -> None:
+        self._wake = None
+        self._woken_at = math.inf
+        if self.dead:
+            return
+        if self.frozen:
+            self._backlog.append(_nothing)
+            return
+        self._run()
+
+    def _process_events(self, events: object) -> None:
+        """Nothing comes in by itself."""
+
+    def _write_to_self(self) -> None:
+        """There are no threads."""
+
+    def call_exception_handler(self, context: dict[str, Any]) -> None:
+        """What a dead process complains of nobody hears."""
+        if not self.dead:
+            super().call_exception_handler(context)
+
+    def run_in_executor(self, _: object, func: Callable[..., Any], *args: Any) -> Any:  # type: ignore[override]
+        """What others do in a thread, a disk for the most part: it takes its time, and others go on."""
+        future = self.create_future()
+
+        def done() -> None:
+            if future.done():
+                return
+            try:
+                future.set_result(func(*args))
+            except Exception as error:
+                future.set_exception(error)
+
+        self.soon(done, 0.002)
+        return future
+
+
+def _remembered(
+    loop: asyncio.AbstractEventLoop, coro: Coroutine[Any, Any, Any], **more: Any
+) -> asyncio.Task[Any]:
+    """All tasks of a loop are known, so that none goes on when its process is dead."""
+    assert isinstance(loop, ProcessLoop)
+    task: asyncio.Task[Any] = asyncio.Task(coro, loop=loop, **more)
+    loop._tasks.append(task)
+    task.add_done_callback(loop._tasks.remove)
+    return task
+
+
+def _nothing() -> None:
+    pass

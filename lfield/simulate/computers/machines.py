@@ -1,0 +1,82 @@
+"""Simulated machines, each switched on or off and with a clock of its own, and the ways between them.
+
+Of each pair of machines each direction is a way of its own, which may be slow, or silent for a while.
+"""
+
+from __future__ import annotations
+
+import random
+
+from lfield.simulate.computers.timeline import Timeline
+
+#: Seconds that bytes take at least and at most, where nothing else is said.
+LATENCY = (0.001, 0.02)
+
+#: From one machine to another, by their names.
+Way = tuple[str, str]
+
+
+class MachineClock:
+    """The clock of one machine in seconds: it begins anywhere, and runs fast or slow."""
+
+    def __init__(self, timeline: Timeline, *, began: float = 0.0, rate: float = 1.0) -> None:
+        self._timeline, self.rate = timeline, rate
+        self._began, self._since = began, timeline.now
+        #: How far the time of day is ahead of the time since it was switched on.
+        self.ahead = 0.0
+
+    def monotonic(self) -> float:
+        """Since it was switched on, more or less."""
+        return self._began + (self._timeline.now - self._since) * self.rate
+
+    def time(self) -> float:
+        """What it takes for the time of day."""
+        return self.monotonic() + self.ahead
+
+    def true(self, monotonic: float) -> float:
+        """When its monotonic time will be that, in true time."""
+        return self._since + (monotonic - self._began) / self.rate
+
+
+class Machine:
+    """A machine by its name. `dice` are its own, so that what happens on one changes nothing on another."""
+
+    def __init__(self, name: str, timeline: Timeline, dice: random.Random, rate: float = 1.0) -> None:
+        self.name, self.timeline, self.dice, self._rate = name, timeline, dice, rate
+        #: What is plugged in, by endpoint.
+        self.hardware: dict[str, object] = {}
+        self.on = False
+        self.switch_on()
+
+    def switch_on(self) -> None:
+        """Its monotonic clock begins anew, its time of day is anything."""
+        self.on = True
+        self.clock = MachineClock(self.timeline, began=self.dice.uniform(1.0, 1e5), rate=self._rate)
+        self.clock.ahead = self.dice.uniform(0.0, 2e9)
+
+
+class Ways:
+    """How the ways are now. `slow` has the latencies of some in seconds, least and most."""
+
+    def __init__(self, dice: random.Random) -> None:
+        self._dice = dice
+        self.silent: set[Way] = set()
+        self.slow: dict[Way, tuple[float, float]] = {}
+        #: Pieces and bytes that were sent, by machine.
+        self.pieces: dict[str, int] = {}
+        self.bytes: dict[str, int] = {}
+
+    def delay(self, way: Way) -> float:
+        """How long something takes that way, in seconds; within a machine hardly any time."""
+        if way[0] == way[1]:
+            return 0.0001
+        return self._dice.uniform(*self.slow.get(way, LATENCY))
+
+    def silences(self, one: str, other: str) -> bool:
+        """Whether either direction is silent."""
+        return (one, other) in self.silent or (other, one) in self.silent
+
+    def count(self, machine: str, size: int) -> None:
+        """A piece leaves a machine."""
+        self.pieces[machine] = self.pieces.get(machine, 0) + 1
+        self.bytes[machine] = self.bytes.get(machine, 0) + size

@@ -1,0 +1,198 @@
+"""Hardware of any kind on virtual time, and its driver: it does what its manifest says, and keeps a record.
+
+What a device is does not matter here, only who commands it when. It moves while a command is carried out, and
+after a setpoint until it is told otherwise, or until nobody has fed its watchdog for too long.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import random
+from collections.abc import Mapping, Sequence
+from inspect import Parameter, Signature
+from typing import Any, NamedTuple
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.contract import RELEASE
+from lfield.driver.device import Device, Driver, method_name
+from lfield.driver.plugin import Plugin
+from lfield.errors import DeviceError
+from lfield.manifest import DeviceManifest, DeviceValue, Instruction
+from lfield.simulate.computers.loop import ProcessLoop
+from lfield.simulate.computers.timeline import Timeline
+
+#: Seconds that an answer takes, a command takes to be carried out, and the way into a safe state.
+ANSWER, ACT, STOP = (0.002, 0.02), (0.1, 3.0), (0.05, 0.6)
+#: Seconds between two signs of life of a driver.
+FEED = 0.1
+#: Seconds to wait for the guard that had it before, as for the lock of an endpoint.
+PATIENCE = 5.0
+#: What a query answers, by L type.
+VALUES: Mapping[str, DeviceValue] = {
+    "boolean": True, "int": 1, "real": 1.0, "string": "", "real[]": [0.0, 0.0, 0.0], "int[]": [0],
+}  # fmt: skip
+
+
+class Told(NamedTuple):
+    """What a device was told: when in true time, by which opening of it, and what."""
+
+    at: float
+    owner: int
+    what: str
+    arguments: tuple[object, ...] = ()
+
+
+class Hardware:
+    """One bus with its devices, as it is whoever opens it."""
+
+    def __init__(self, timeline: Timeline, dice: random.Random) -> None:
+        self._timeline, self.dice = timeline, dice
+        self.record: list[Told] = []
+        #: The openings of it that are not closed, each with the loop of its process.
+        self._openings: dict[int, asyncio.AbstractEventLoop] = {}
+        self._watchdog = 1.0
+        self._fed = self._until = float("-inf")
+
+    def feed(self, watchdog: float = 0.0) -> None:
+        """A sign of life; with a time, that is its watchdog's from now on."""
+        self._watchdog, self._fed = watchdog or self._watchdog, self._timeline.now
+
+    def tell(self, owner: int, what: str, arguments: tuple[object, ...], seconds: float) -> None:
+        """It is told something, for which it moves so long."""
+        self.feed()
+        self.record.append(Told(self._timeline.now, owner, what, arguments))
+        self._until = self._timeline.now + seconds
+
+    @property
+    def owners(self) -> list[int]:
+        """The openings of it whose process lives: never two at a time."""
+        return [owner for owner, loop in self._openings.items() if not getattr(loop, "dead", False)]
+
+    def opened(self, owner: int) -> None:
+        """Somebody has it now."""
+        self._openings[owner] = asyncio.get_running_loop()
+
+    def closed(self, owner: int) -> None:
+        """And has it no longer."""
+        self._openings.pop(owner, None)
+
+    @property
+    def moving(self) -> bool:
+        """Whether it moves now."""
+        now = self._timeline.now
+        return now < self._until and now < self._fed + self._watchdog
+
+
+_OWNERS = itertools.count(1)
+
+
+class AnyDriver(Driver):
+    """The driver of any device type."""
+
+    def _set_up(self) -> None:
+        self.hardware, self.owner = _plugged_in(self.endpoint), next(_OWNERS)
+        self._feeding = True
+
+    def _device(self, binding: DeviceBinding) -> AnyDevice:
+        manifest = self.manifests[binding.type]
+        kind = type(binding.type, (AnyDevice,), _methods(manifest.device))
+        made: AnyDevice = kind(self, binding, manifest, self.clock, self.reports)
+        return made
+
+    async def _open(self) -> None:
+        end = self.clock.monotonic() + PATIENCE
+        while self.hardware.owners:
+            if self.clock.monotonic() > end:
+                raise DeviceError(self.bindings[0].field, "another guard has it")
+            await asyncio.sleep(FEED)
+        self.hardware.opened(self.owner)
+        self.spawn(self._feed())
+
+    async def _close(self) -> None:
+        self.hardware.closed(self.owner)
+
+    async def _feed(self) -> None:
+        while True:
+            if self._feeding:
+                self.hardware.feed()
+                for device in self.devices.values():
+                    device.heard()
+            for device in self.devices.values():
+                device.publish(**{q.name: VALUES[q.type] for q in device.manifest.device.telemetry})
+            await asyncio.sleep(FEED)
+
+    def _quiet(self) -> None:
+        self._feeding = False
+
+    def _resume(self) -> None:
+        self._feeding = True
+
+
+class AnyDevice(Device):
+    """A device of any type."""
+
+    def __init__(self, driver: AnyDriver, *given: Any) -> None:
+        super().__init__(*given)
+        self._driver, self._hardware = driver, driver.hardware
+
+    async def carry_out(self, instruction: Instruction, arguments: Sequence[object]) -> DeviceValue:
+        """Any instruction."""
+        await self._takes(ANSWER)
+        if not instruction.only_asks:
+            seconds = self._hardware.dice.uniform(*ACT) if instruction.blocking else float("inf")
+            self._hardware.tell(self._driver.owner, instruction.name, tuple(arguments), seconds)
+            if instruction.blocking:
+                await asyncio.sleep(seconds)
+        return VALUES.get(instruction.result)
+
+    async def _takes(self, seconds: tuple[float, float]) -> None:
+        await asyncio.sleep(self._hardware.dice.uniform(*seconds))
+
+    async def _open(self) -> str:
+        await self._takes(ANSWER)
+        return f"a simulated {self.binding.type}"
+
+    async def _set_watchdog(self, longest: float) -> float | None:
+        await self._takes(ANSWER)
+        self._hardware.feed(longest)
+        return longest
+
+    async def _make_safe(self, state: str) -> None:
+        self._hardware.tell(self._driver.owner, state, (), self._hardware.dice.uniform(*STOP))
+        await self._takes(ANSWER)
+
+    def _moving(self) -> str:
+        return "moving" if self._hardware.moving else ""
+
+
+def _methods(manifest: DeviceManifest) -> dict[str, Any]:
+    """A coroutine for each instruction, as the guard looks for them."""
+    return {
+        method_name(i.name): _method(i)
+        for i in manifest.instructions
+        if not i.is_query and i.name != RELEASE.name
+    }
+
+
+def _method(instruction: Instruction) -> Any:
+    """One that says of itself that it takes as many parameters as its instruction."""
+
+    async def method(device: AnyDevice, *arguments: object) -> DeviceValue:
+        return await device.carry_out(instruction, arguments)
+
+    taken = [Parameter(f"p{n}", Parameter.POSITIONAL_ONLY) for n in range(len(instruction.parameters) + 1)]
+    method.__signature__ = Signature(taken)  # type: ignore[attr-defined]
+    return method
+
+
+def _plugged_in(endpoint: str) -> Hardware:
+    """What stands at an endpoint of the machine that this runs on."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, ProcessLoop)
+    found = loop.machine.hardware[endpoint]
+    assert isinstance(found, Hardware)
+    return found
+
+
+PLUGIN = Plugin("simulated", "lfield.simulate", "lfield.simulate.hardware:AnyDriver", "all")

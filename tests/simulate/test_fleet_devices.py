@@ -1,0 +1,139 @@
+"""Guards and devices of a simulated team: whoever dies or hangs, a device has one owner and comes to rest."""
+
+from __future__ import annotations
+
+import random
+from itertools import pairwise
+
+import pytest
+
+from lfield.devices.keeper import UNANSWERED
+from lfield.devices.lateness import BEAT
+from lfield.mission.bindings import SIM_SILENCE
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.simulate.computers.computer import Process
+from lfield.simulate.fleet import Fleet
+from lfield.simulate.weather import Weather
+
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal visit(real seconds) {
+        fc.release();
+        fc.setVelocity(1.0, 0.0, 0.0);
+        sleep(seconds);
+    }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post[] all = findPost();
+        int at = 0;
+        while (true) {
+            at = at + 1;
+            try { all[at % all.length()].visit(0.3); } catch (Exception lost) { }
+            sleep(0.2);
+        }
+    }
+}
+"""
+HOSTS = ("alpha", "bravo", "carol")
+
+
+@pytest.fixture(scope="module")
+def mission(tmp_path_factory: pytest.TempPathFactory) -> Mission:
+    folder = tmp_path_factory.mktemp("mission")
+    lines = [f"//Post:{host[0]}@{host}" for host in HOSTS]
+    (folder / "mission.L").write_text(PROGRAM)
+    (folder / "mission.dL").write_text("\n".join([*lines, "//Walker:walker@alpha", ""]))
+    return load_mission(folder / "mission.dL", simulate=True)
+
+
+def guard_of(fleet: Fleet, host: str) -> Process:
+    (guard,) = fleet.lives[host].process.children[-1:]
+    return guard
+
+
+def moves_at(fleet: Fleet, device: str, seconds: float = 20.0) -> None:
+    """Go on until a device moves."""
+    for _ in range(int(seconds / 0.01)):
+        fleet.run(0.01)
+        if fleet.hardware[device].moving:
+            return
+    raise AssertionError(f"{device} never moved")
+
+
+def rests_within(fleet: Fleet, device: str, seconds: float) -> bool:
+    """Whether a device comes to rest, and stays there for as long again."""
+    fleet.run(seconds)
+    rests = not fleet.hardware[device].moving
+    fleet.run(seconds)
+    return rests and not fleet.hardware[device].moving
+
+
+def test_a_device_of_a_killed_host_is_made_safe_by_its_guard(mission: Mission) -> None:
+    fleet = Fleet(mission, 1)
+    moves_at(fleet, "b.fc")
+    fleet.crash("bravo")
+    assert rests_within(fleet, "b.fc", 1.5)
+    assert fleet.hardware["b.fc"].record[-1].what == "land"
+    assert fleet.hardware["b.fc"].owners == []
+
+
+def test_a_device_of_a_host_that_stands_still_is_made_safe_by_its_guard(mission: Mission) -> None:
+    fleet = Fleet(mission, 2)
+    moves_at(fleet, "b.fc")
+    fleet.lives["bravo"].process.loop.freeze()
+    assert rests_within(fleet, "b.fc", SIM_SILENCE + 1.0)
+
+
+@pytest.mark.parametrize("how", ["kill", "freeze"])
+def test_a_device_whose_guard_is_gone_is_stopped_by_its_own_watchdog_and_then_by_the_next_guard(
+    mission: Mission, how: str
+) -> None:
+    fleet = Fleet(mission, 3)
+    moves_at(fleet, "b.fc")
+    guard, device = guard_of(fleet, "bravo"), fleet.hardware["b.fc"]
+    before = len(device.record)
+    if how == "kill":
+        guard.die(-9)
+    else:
+        guard.loop.freeze()
+        assert rests_within(fleet, "b.fc", 2 * 0.5 + 0.1)
+    fleet.run(UNANSWERED * BEAT + 3.0)
+    assert device.record[before].what == "land"
+    assert "b.fc: is in its safe state 'land': its guard died" in "".join(text for _, _, text in fleet.log)
+
+
+def test_a_device_of_a_computer_without_power_is_stopped_by_its_own_watchdog(mission: Mission) -> None:
+    fleet = Fleet(mission, 4)
+    moves_at(fleet, "c.fc")
+    fleet.power_off("carol")
+    assert rests_within(fleet, "c.fc", 2 * 0.5 + 0.1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_in_any_weather_a_device_has_one_owner_and_none_moves_for_nobody(mission: Mission, seed: int) -> None:
+    unowned: dict[str, float] = {}
+
+    def watch(fleet: Fleet) -> None:
+        for name, hardware in fleet.hardware.items():
+            assert len(hardware.owners) <= 1, f"{name} has {len(hardware.owners)} owners"
+            if hardware.owners or not hardware.moving:
+                unowned.pop(name, None)
+            else:
+                since = unowned.setdefault(name, fleet.now)
+                assert fleet.now - since < 1.01, f"{name} moves though nobody has had it since {since:.3f} s"
+
+    fleet = Fleet(mission, seed, watch)
+    weather = Weather(cut=5.0, kill=10.0, stop=8.0, power=20.0, guard_kill=6.0, guard_stop=6.0)
+    storm = weather.over(fleet, random.Random(seed))
+    fleet.run(60.0)
+    assert {what.split()[0] for _, what in storm.faults} == {"cut", "kill", "stop", "power"}
+    storm.end()
+    fleet.run(20.0)
+    owners = [told.owner for told in fleet.hardware["a.fc"].record]
+    assert all(one <= other for one, other in pairwise(owners)), (
+        "an earlier owner commanded after a later one"
+    )
