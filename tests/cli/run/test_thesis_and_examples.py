@@ -136,7 +136,7 @@ def test_first_flight(lfield):
     assert flight.wait() == 0, flight.said
     lines = [line.partition(" | ")[2] for line in flight.out]
     assert [line for line in lines if "taking off" in line] == [
-        "lead: taking off to 2.5 m", "wing: taking off to 4.0 m",
+        "lead: taking off to 2.0 m", "wing: taking off to 3.5 m",
     ]  # fmt: skip
     places = re.findall(r"^(\w+): at \((-?[\d.]+), (-?[\d.]+)\) at ([\d.]+) m$", "\n".join(lines), re.M)
     assert [place[0] for place in places] == ["lead", "wing"] * 3
