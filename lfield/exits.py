@@ -39,7 +39,8 @@ INTERRUPTED = 130
 #: For people, in the order of the numbers.
 MEANINGS: Mapping[int, str] = {
     DONE: "success",
-    FAILED: "the mission failed: a coordinator died, or is lost for certain; of `kit`: a check failed",
+    FAILED: "the mission failed: a coordinator died, or is lost for certain; of `kit`: a check failed; "
+    "of `query`: nobody can do it",
     UNSAFE: "a device was not seen in its safe state and at rest: look at it",
     UNHEARD: "a host was not heard of for too long: what became of the mission there is not known",
     USAGE: "the command line makes no sense",

@@ -4,7 +4,8 @@ A device is free or latched. It is latched, and its safe state commanded until i
 
   - the host has been silent for longer than `silence` (this only if the host has moved the device since it
     was opened or released: what nobody commanded is left as it is), or is gone, or asks for it;
-  - the time-to-live of a setpoint is over and nothing has replaced it;
+  - the time-to-live of a setpoint is over and nothing has replaced it: it counts from when the device took
+    it, and a call under way that would replace it has as long;
   - its driver raised anything but a DeviceError or reports a breach, or the guard was restarted.
 
 Only `release()` frees it, and only once its safe state is confirmed. On each channel of a device one
@@ -152,7 +153,7 @@ class GuardCore:
         instruction = device.declared(call)
         how = way(instruction)
         if how == "setpoint":
-            device.setpoints[instruction.channel] = call.sent + device.ttl
+            device.setpoints[instruction.channel] = self._clock.monotonic() + device.ttl
         elif how == "act":
             device.setpoints.pop(instruction.channel, None)
         return [*effects, Tell(Done(token, value))]

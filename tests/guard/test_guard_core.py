@@ -89,6 +89,18 @@ def test_a_setpoint_that_is_not_renewed_ends_in_the_safe_state():
     assert "time-to-live of 0.5 s is over" in told(effects, Latched)[0].reason
 
 
+def test_a_setpoint_lives_from_when_the_device_took_it_and_a_call_under_way_has_as_long():
+    """The first one may take its time: a mode has to be entered first. A program can renew it only then."""
+    rig = Rig()
+    for _ in range(5):
+        rig.call("steer", 1.0)
+        assert made_safe(rig.wait(0.4)) == []
+        rig.core.finished(rig.token, None)
+        assert made_safe(rig.wait(0.4)) == []
+    rig.call("steer", 1.0)
+    assert made_safe(rig.wait(TTL + 0.05)) == ["a"]
+
+
 def test_a_setpoint_that_is_renewed_goes_on():
     rig = Rig()
     for _ in range(10):

@@ -22,7 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when there are no errors, else 65."""
-    found = [finding for path in args.files for finding in _findings(path)]
+    # A deployment leads to its program, which may be named beside it: what is wrong there is told once.
+    found = list(dict.fromkeys(finding for path in args.files for finding in _findings(path)))
     for shown, _ in found:
         print(shown, file=sys.stderr)
     errors = sum(is_error for _, is_error in found)

@@ -39,6 +39,7 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("ps", 65): ("ps latin.lfm", "not a sound bundle"),
     ("ps", 66): ("ps none.lfm", "cannot read none.lfm"),
     ("ps", 69): ("ps mission.dL --map alpha=127.0.0.1:1", "nobody listens there"),
+    ("query", 1): ("query Lift mission.dL --files", "from the files"),
     ("query", 65): ("query Lift mission.dL --capabilities latin.yaml", "latin.yaml:1:4: error["),
     ("query", 66): ("query Lift mission.dL --capabilities none.yaml", "cannot read none.yaml"),
     ("query", 69): ("query Lift", "no mission runs here"),
