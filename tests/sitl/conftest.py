@@ -60,7 +60,8 @@ class Field:
                 pytest.fail(simulator.trouble, pytrace=False)
             if time.monotonic() > end:
                 place = f"{self.kind.name} is not heard at {simulator.second} within {HEARD:g} s"
-                pytest.fail(f"{place}; it said\n{simulator.words}", pytrace=False)
+                said = f"; it said\n{simulator.words}" if simulator.words else ""
+                pytest.fail(f"{place}{said}", pytrace=False)
             time.sleep(LOOK)
             if self._watcher is None:
                 # A simulator takes a while to listen.
