@@ -131,6 +131,9 @@ class CanAxis(Device):
         """It is only called until it is heard; then it is set up."""
         return self._found
 
+    async def _serial(self) -> str:
+        return await self.protocol.serial()
+
     async def _find(self) -> None:
         """Wait until the device is heard."""
         patience: float = self.binding.option("connect")

@@ -24,8 +24,9 @@ from lfield_mavlink.parts.rest import Rest
 from lfield_mavlink.parts.storage import Files, Settings
 from lfield_mavlink.parts.upkeep import Upkeep
 from lfield_mavlink.services.file_transfer import FileTransfer
-from lfield_mavlink.services.parameters import EncodingQuestion, Parameters
+from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.services.plan_transfer import PlanTransfer
+from lfield_mavlink.services.version import Version
 from lfield_mavlink.watchdog import Watchdog
 
 
@@ -49,7 +50,8 @@ class MavlinkVehicle(Contact):
         super().__init__(binding, manifest, clock, reports, send)
         self._why_silent = why_silent
         self._streams, self._health = Streams(self), LinkHealth(self, counts)
-        self.parameters = Parameters(self, EncodingQuestion(self).ask)
+        self._version = Version(self)
+        self.parameters = Parameters(self, self._version.encoding)
         self.files = FileTransfer(self)
         self.plans = PlanTransfer(self, lambda: not self.profile.px4)
         self.motion = Motion(self, self.parameters)
@@ -153,6 +155,9 @@ class MavlinkVehicle(Contact):
 
     async def _settings(self) -> Sequence[Setting]:
         return await self.watchdog.settings()
+
+    async def _serial(self) -> str:
+        return await self._version.serial()
 
     async def _write_setting(self, name: str, value: float) -> None:
         await self.parameters.write(name, value)

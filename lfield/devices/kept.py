@@ -30,12 +30,21 @@ class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What was written to one device at once: when (ISO 8601), to whom, and how it is reached."""
+    """What was written to one device at once: when (ISO 8601), to whom, and how it is reached.
+
+    `serial` is what the device has of its own, '' for one that tells nothing: others may be in its place.
+    """
 
     when: str
     identity: str
     changes: list[Change]
     binding: DeviceBinding
+    serial: str = ""
+
+    @property
+    def who(self) -> str:
+        """`ArduPilot copter, system 1, uid 3f21`."""
+        return in_words(self.identity, self.serial)
 
 
 class _Pages(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -43,6 +52,11 @@ class _Pages(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     version: int
     entries: list[Entry]
+
+
+def in_words(identity: str, serial: str) -> str:
+    """Who a device is, for people."""
+    return f"{identity}, {serial}" if serial else identity
 
 
 class Kept:

@@ -1,4 +1,4 @@
-"""Looks at what devices keep, writes what their bindings need, and puts back what was there.
+"""Looks at what devices keep, and writes what their bindings need (`back` puts back what was there).
 
 Devices are reached in this process, without a guard, since nothing is commanded: they are found, their
 settings are read and written, and that is all. Who else has an endpoint is told of, as to a guard.
@@ -12,12 +12,12 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 
 from lfield.clock import Clock
-from lfield.devices.kept import Change, Entry, Kept
+from lfield.devices.kept import Change, Entry, Kept, in_words
 from lfield.driver.binding import DeviceBinding, by_bus
 from lfield.driver.device import Device, Driver
 from lfield.driver.known import Drivers
 from lfield.driver.plugin import check_same, load_plugin
-from lfield.driver.settings import Setting, same, wrong
+from lfield.driver.settings import Setting, wrong
 from lfield.errors import DeviceError, DevicesError, PluginError
 from lfield.guard.endpoint_lock import EndpointLock
 from lfield.manifest import DeviceValue
@@ -28,16 +28,25 @@ Tell = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A device that answers, and what it keeps of what its binding needs."""
+    """A device that answers, and what it keeps of what its binding needs.
+
+    `serial` is what it has of its own, '' for nothing; a device that keeps nothing is not asked.
+    """
 
     device: Device
     identity: str
     settings: Sequence[Setting]
+    serial: str = ""
 
     @property
     def name(self) -> str:
         """`alpha.fc`."""
         return self.device.binding.name
+
+    @property
+    def who(self) -> str:
+        """`ArduPilot copter, system 1, uid 3f21`."""
+        return in_words(self.identity, self.serial)
 
     @property
     def wrong(self) -> list[Setting]:
@@ -113,10 +122,11 @@ class _Bus:
 async def _look(device: Device) -> Found:
     identity = await device.find()
     settings = await device.settings()
-    if settings:
-        # What is written would not be enough: the binding is what must change first.
-        await device.check_watchdog()
-    return Found(device, identity, settings)
+    if not settings:
+        return Found(device, identity, settings)
+    # What is written would not be enough: the binding is what must change first.
+    await device.check_watchdog()
+    return Found(device, identity, settings, await device.serial())
 
 
 def _problem(name: str, error: BaseException) -> str:
@@ -178,7 +188,7 @@ async def _tried(found: Sequence[Found], act: Callable[[Found], Awaitable[None]]
 
 def _entry(found: Found, when: str) -> Entry:
     changes = [Change(setting.name, setting.present, setting.wanted) for setting in found.wrong]
-    return Entry(when, found.identity, changes, found.device.binding)
+    return Entry(when, found.identity, changes, found.device.binding, found.serial)
 
 
 async def _write(found: Found, tell: Tell) -> None:
@@ -186,42 +196,3 @@ async def _write(found: Found, tell: Tell) -> None:
         await found.device.write_setting(setting.name, setting.wanted)
         tell(f"{found.name}: {setting.name} was {setting.present:.9g} and is now {setting.wanted:.9g}")
     await found.device.check_settings()
-
-
-async def put_back(
-    kept: Kept, meant: Callable[[DeviceBinding], bool], drivers: Drivers, clock: Clock, tell: Tell
-) -> list[str]:
-    """Give devices back what they had before, the last first; what could not be done, a sentence each.
-
-    What somebody has changed since is left as it is, and told. What could not be reached stays kept.
-    """
-    problems: list[str] = []
-    for entry in reversed([entry for entry in kept.entries() if meant(entry.binding)]):
-        try:
-            async with reached(drivers, [entry.binding], clock, tell) as (found,):
-                problems += await _restore(found, entry, tell)
-        except DevicesError as error:
-            problems += error.problems
-            continue
-        kept.remove(entry)
-    return problems
-
-
-async def _restore(found: Found, entry: Entry, tell: Tell) -> list[str]:
-    """Raises DevicesError when not all could be tried."""
-    left: list[str] = []
-    present = {setting.name: setting.present for setting in found.settings}
-    for change in entry.changes:
-        is_now = present.get(change.name)
-        if is_now is not None and same(is_now, change.was):
-            continue
-        if is_now is None or not same(is_now, change.now):
-            told = "is not told any more" if is_now is None else f"is {is_now:.9g}, by somebody else"
-            left.append(f"{found.name}: {change.name} {told}: left alone; it was {change.was:.9g} before")
-            continue
-        try:
-            await found.device.write_setting(change.name, change.was)
-        except DeviceError as error:
-            raise DevicesError([*left, f"{found.name}: {error.reason}"]) from None
-        tell(f"{found.name}: {change.name} was {change.now:.9g} and is {change.was:.9g} again")
-    return left

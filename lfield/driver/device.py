@@ -66,7 +66,7 @@ class Device:
     Authors override `_open`, `_make_safe` (but for a pure sensor), for a device that has one `_set_watchdog`,
     for one that opening only asks at first `_touched`, for one that takes its time to come to rest `_moving`,
     for one that others may take over `_taken_over` and `_guard_restarted`, for one that keeps settings which
-    a binding needs `_settings`, `_write_setting` and `_in_use`, and write the `do_...` coroutines.
+    a binding needs `_settings`, `_write_setting`, `_in_use` and `_serial`, and write the `do_...` coroutines.
 
     A device that can do much may have `parts`: any objects, made in its constructor, whose `do_...` are
     looked up beside its own. A part takes what it needs (often the device itself, to ask and to publish),
@@ -186,6 +186,13 @@ class Device:
             told = f"{not_right[0]}" + (f", and {len(not_right) - 1} more" if not_right[1:] else "")
             raise NotSetUp(self.binding.field, f"it is not set up for its binding: {told}")
 
+    async def serial(self) -> str:
+        """What tells it from every other of its kind, in words, such as `uid 3f21`; '' when it has nothing.
+
+        It is its own for good: wherever it is found again, and whatever it was told. Raises DeviceError.
+        """
+        return await self._serial()
+
     async def write_setting(self, name: str, value: float) -> None:
         """Write one lasting setting, and see that it is written. Raises DeviceError, also while in use."""
         self.check_idle()
@@ -256,6 +263,10 @@ class Device:
     async def _settings(self) -> Sequence[Setting]:
         """See `settings`; most devices keep nothing that a binding needs."""
         return ()
+
+    async def _serial(self) -> str:
+        """See `serial`; asked of a device that has `_settings`."""
+        return ""
 
     async def _write_setting(self, name: str, value: float) -> None:
         """See `write_setting`; whoever has `_settings` needs it."""

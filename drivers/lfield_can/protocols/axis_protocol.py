@@ -80,6 +80,10 @@ class AxisProtocol:
         """Find the device and set it up, not enabled; its identity. Called again when it has restarted."""
         raise NotImplementedError
 
+    async def serial(self) -> str:
+        """As `Device._serial`."""
+        return ""
+
     async def set_watchdog(self, longest: float) -> float | None:
         """As `Device._set_watchdog`."""
         return None

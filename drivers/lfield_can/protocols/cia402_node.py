@@ -192,6 +192,11 @@ class Cia402Node(AxisProtocol):
         self.configured, self.needs_setup = True, False
         return f"CiA 402 drive, node {self.node}, {identity}"
 
+    async def serial(self) -> str:
+        """`serial number 1001`, object 0x1018 of CiA 301, by which drives of one vendor differ; or ''."""
+        number = await setting.optional(self.objects, 0x1018, 4)
+        return f"serial number {number}" if number else ""
+
     async def _start(self) -> None:
         """Operational, and telling its state and motion."""
         self._nmt = None

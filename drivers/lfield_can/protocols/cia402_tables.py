@@ -22,6 +22,7 @@ OBJECTS: Mapping[tuple[int, int], tuple[str, int]] = {
     (0x1017, 0): ("producer heartbeat time", t.UNSIGNED16),
     (0x1018, 1): ("vendor id", t.UNSIGNED32),
     (0x1018, 2): ("product code", t.UNSIGNED32),
+    (0x1018, 4): ("serial number", t.UNSIGNED32),
     (0x6007, 0): ("abort connection option code", t.INTEGER16),
     (0x603F, 0): ("error code", t.UNSIGNED16),
     (0x6040, 0): ("control word", t.UNSIGNED16),

@@ -40,15 +40,6 @@ class Encoding(Enum):
     BYTEWISE = "bytewise"
 
 
-def encoding_of(autopilot: int, capabilities: int) -> Encoding:
-    """By AUTOPILOT_VERSION.capabilities; where that does not tell, PX4 is byte-wise and the rest casts."""
-    if capabilities & dialect.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE:
-        return Encoding.BYTEWISE
-    if capabilities & dialect.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST:
-        return Encoding.CAST
-    return Encoding.BYTEWISE if autopilot == dialect.MAV_AUTOPILOT_PX4 else Encoding.CAST
-
-
 def decode(raw: bytes, kind: int, encoding: Encoding) -> int | float | None:
     """The value in the four bytes; None when they are none (a cast integer that is not finite)."""
     number: float = struct.unpack("<f", raw)[0]

@@ -11,14 +11,12 @@ from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.services.parameter_values import (
     NAME_LENGTH,
     Encoding,
     decode,
     encode,
-    encoding_of,
     param_set,
     raw_value,
 )
@@ -31,8 +29,6 @@ PATIENCE, QUESTIONS = 0.2, 15
 LIST_SILENCE, GAPS = 1.0, 50
 #: Rounds of asking for gaps in which nothing comes before a list has failed, and the longest it may take.
 ROUNDS, LONGEST = 6, 180.0
-#: How often AUTOPILOT_VERSION is asked for.
-VERSIONS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,29 +171,6 @@ class Parameters:
             self._peer.send(
                 dialect.MAVLink_param_request_read_message(self._peer.system, AUTOPILOT, b"", index)
             )
-
-
-class EncodingQuestion:
-    """How a vehicle sends integers, asked of the vehicle."""
-
-    def __init__(self, vehicle: Contact) -> None:
-        self._vehicle = vehicle
-        self._capabilities: int | None = None
-        vehicle.on(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, self._on_version)
-
-    async def ask(self) -> Encoding:
-        """By what the autopilot says it can do; by which autopilot it is where it does not say."""
-        vehicle, version = self._vehicle, float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-        for _ in range(VERSIONS):
-            answer = await vehicle.exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, version)
-            if await vehicle.seen(lambda: self._capabilities is not None, PATIENCE):
-                break
-            if answer.result != dialect.MAV_RESULT_ACCEPTED:
-                break
-        return encoding_of(vehicle.state.autopilot, self._capabilities or 0)
-
-    def _on_version(self, message: Any) -> None:
-        self._capabilities = message.capabilities
 
 
 def _parameter(message: Any, encoding: Encoding, name: str = "") -> Parameter | None:

@@ -1,6 +1,7 @@
 """`lfield setup`: writes what devices must keep for their bindings, after a yes; `--back` puts back what was.
 
-It commands no motion. What was there is on the disk before anything is written.
+It commands no motion. What was there is on the disk before anything is written, and what is there now is read
+before anything is put back.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ async def _set_up(
 
 async def _back(args: argparse.Namespace, plugins: Plugins, kept: Kept) -> int:
     from lfield.clock import SystemClock
-    from lfield.devices.setup import put_back
+    from lfield.devices.back import look_back, put_back
 
     named = bool(args.driver) or args.deploy is not None
     meant = {(d.driver, d.endpoint) for d in _meant(args, plugins)[1]} if named else None
@@ -107,19 +108,15 @@ async def _back(args: argparse.Namespace, plugins: Plugins, kept: Kept) -> int:
     if not entries:
         print(f"nothing to put back: {kept.path} has nothing of these devices")
         return exits.DONE
-    for entry in reversed(entries):
-        print(f"{entry.binding.name}, {entry.identity} at {entry.binding.endpoint}, since {entry.when}:")
-        for change in entry.changes:
-            print(f"    {change.name} is {change.now:.9g} and was {change.was:.9g}")
-    if not (args.yes or _agreed()):
+    for driver in {entry.binding.driver for entry in entries}:
+        named_driver(driver, plugins)
+    steps, problems = await look_back(entries, plugins, SystemClock(), _tell)
+    for step in steps:
+        print(*step.lines(), sep="\n")
+    if any(step.needs_yes for step in steps) and not (args.yes or _agreed()):
         print("nothing was written")
         return exits.FAILED
-    drivers = {entry.binding.driver for entry in entries}
-    for driver in drivers:
-        named_driver(driver, plugins)
-    problems = await put_back(
-        kept, lambda binding: meant is None or binding.bus in meant, plugins, SystemClock(), _tell
-    )
+    problems += await put_back(steps, kept, plugins, SystemClock(), _tell)
     if problems:
         raise DevicesError(problems)
     print("done: all is as it was before")

@@ -37,9 +37,13 @@ class Setpoint:
 
 @dataclass(slots=True)
 class Autopilot(Pilot):
-    """One vehicle with its autopilot: a pilot that takes commands and has failsafes (faults: see `Pilot`)."""
+    """One vehicle with its autopilot: a pilot that takes commands and has failsafes (faults: see `Pilot`).
+
+    `board` is the number of its board, in 96 bits, which nothing changes; 0 when it tells none.
+    """
 
     kind: Kind = KINDS["copter"]
+    board: int = 0
     failsafes: Failsafes = field(init=False)
 
     def __post_init__(self) -> None:

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import secrets
 from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import PluginError, UsageError
 from lfield_sim.faults import add_fault_option
 from lfield_sim.mavlink.options import (
+    BOARD_BITS,
     FLAVOURS,
     KINDS,
     SPEEDS,
     VehicleOption,
+    board,
     fitted,
     parse_listen,
     positive,
@@ -59,6 +62,10 @@ class MavlinkSim:
             "--fitted", type=fitted, default="all", metavar="all|none|HARDWARE,...",
             help="what hangs on it: camera, gimbal, gripper, winch",
         )  # fmt: skip
+        parser.add_argument(
+            "--board", type=board, metavar="HEX",
+            help="number of its board, 0 for none (drawn); of the next vehicle one more",
+        )  # fmt: skip
         add_log_option(parser)
         add_fault_option(parser)
         parser.add_argument(
@@ -90,7 +97,8 @@ class MavlinkSim:
             from lfield_sim.mavlink.run import Setup, serve
         except ImportError:
             raise PluginError("the fake 'mavlink' needs pymavlink: pip install 'lfield[mavlink]'") from None
-        setup = Setup(wanted, args.battery, args.capacity, limits, given, args.fitted, args.set_up)
+        number = secrets.randbits(BOARD_BITS) if args.board is None else args.board
+        setup = Setup(wanted, args.battery, args.capacity, limits, given, args.fitted, args.set_up, number)
         try:
             faults = setup.faults(args.fault)
         except ValueError as error:

@@ -10,6 +10,8 @@ from lfield.errors import UsageError
 
 #: What an integer parameter cannot hold any more.
 LARGEST = 2.0**31
+#: The number of a board is drawn in so many bits.
+BOARD_BITS = 95
 KINDS, FLAVOURS = ("copter", "rover", "rover_skid"), ("ardupilot", "px4")
 #: The rover that turns on the spot; that of plain `rover` has wheels that steer.
 SKID = "rover_skid"
@@ -61,6 +63,14 @@ def system(text: str) -> int:
     if not text.isdecimal() or not 1 <= int(text) <= 254:
         raise argparse.ArgumentTypeError("a system id from 1 to 254")
     return int(text)
+
+
+def board(text: str) -> int:
+    """The number of a board, in hexadecimal; those of all vehicles of a link fit 96 bits."""
+    value = int(text, 16)
+    if not 0 <= value < 1 << BOARD_BITS:
+        raise argparse.ArgumentTypeError(f"a hexadecimal number of {BOARD_BITS} bits")
+    return value
 
 
 def fitted(text: str) -> frozenset[str]:

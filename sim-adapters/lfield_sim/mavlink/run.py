@@ -30,7 +30,8 @@ class Setup:
     """The vehicles of a link, and what is set in them: charge, mAh, limits (SI).
 
     `parameters` are by system, 0 for all; `fitted` is what hangs on them; `state` is what they do when their
-    computer is gone ('': as they come out of the box, nothing).
+    computer is gone ('': as they come out of the box, nothing). `board` is the number of the first one's
+    board, one less than the next one's; 0 when they tell none.
     """
 
     vehicles: Sequence[VehicleOption]
@@ -40,6 +41,7 @@ class Setup:
     parameters: Mapping[int, Mapping[str, float]]
     fitted: frozenset[str] = HARDWARE
     state: str = ""
+    board: int = 0
 
     @property
     def devices(self) -> dict[str, str]:
@@ -77,7 +79,8 @@ class Setup:
 
     def _make(self, number: int, option: VehicleOption, faults: Faults) -> MavlinkFake:
         kind = FLAVOURS[option.flavour][option.kind]
-        autopilot = Autopilot(kind, battery=Battery(self.charge), payload=Payload(self.fitted))
+        board = self.board + number if self.board else 0
+        autopilot = Autopilot(kind, board=board, battery=Battery(self.charge), payload=Payload(self.fitted))
         start = Place()
         latitude, longitude = start.at(0.0, number * APART)
         place = Place(latitude / 1e7, longitude / 1e7, start.altitude)

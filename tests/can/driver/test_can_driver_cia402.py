@@ -57,9 +57,10 @@ def test_who_it_is(rig):
     b = rig()
 
     async def mission(axis):
-        return await axis.open()
+        return await axis.open(), await axis.serial()
 
-    assert b.run_real(mission, opened=False) == "CiA 402 drive, node 5, vendor 0xABC, product 0x7"
+    identity = "CiA 402 drive, node 5, vendor 0xABC, product 0x7"
+    assert b.run_real(mission, opened=False) == (identity, "serial number 4711")
 
 
 def test_its_watchdog_is_set_read_back_and_fed_until_the_bus_is_quiet(rig):

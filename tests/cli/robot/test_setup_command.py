@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 
 import pytest
@@ -129,6 +130,58 @@ def test_a_ctrl_c_between_two_writes_loses_nothing(lfield, setup, endpoint):
     again = setup(*words)
     assert ["FS_GCS_ENABLE", "0", "5"] in [line.split()[1:4] for line in again.out]
     assert ["WPNAV_SPEED", "1000", "300"] in [line.split()[1:4] for line in again.out]
+
+
+def test_what_one_had_is_not_put_back_to_another_in_its_place(lfield, setup):
+    """Two vehicles of one system id, one after the other on one desk."""
+
+    def there(where, *words):
+        fake = lfield.start("sim", "mavlink", "--until-stdin-closes", "--listen", where, *words, stdin=True)
+        return fake, fake.wait_for(r"^ready (\S+)")[1]
+
+    def gone(fake):
+        fake.popen.stdin.close()
+        assert fake.wait() == 0
+
+    mine, endpoint = there("udp:127.0.0.1:0", "--board", "a1")
+    words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0", "--set", "system=1", "--yes")
+    assert setup(*words).status == 0
+    (entry,) = json.loads((lfield.folder / "state" / "setup.json").read_text())["entries"]
+    gone(mine)
+    other, _ = there(endpoint, "--param", "FS_GCS_TIMEOUT=9", "--param", "FS_GCS_ENABLE=1")
+    assert setup(*words).status == 0
+    back = setup("--back", "--yes")
+    assert back.status == 69, back
+    assert "kit.device: FS_GCS_ENABLE was 5 and is 1 again" in back.out
+    assert "kit.device: FS_GCS_TIMEOUT was 2 and is 9 again" in back.out
+    assert "and not ArduPilot copter, system 1, uid 0000000000000000000000a1: what that had" in back.err[0]
+    assert not any("somebody else" in line for line in back.err)
+    gone(other)
+
+    # What the fake has written is gone when it ends.
+    written = [f"--param={change['name']}={change['now']}" for change in entry["changes"]]
+    there(endpoint, "--board", "a1", *written)
+    back = setup("--back", "--yes")
+    assert (back.status, back.out[-1]) == (0, "done: all is as it was before")
+    assert "kit.device: FS_GCS_ENABLE was 5 and is 0 again" in back.out
+    assert setup("--back").out[0].startswith("nothing to put back")
+
+
+def test_what_is_there_is_read_before_anybody_is_asked(lfield, setup, endpoint):
+    words = ("mavlink", "--endpoint", endpoint, "--set", "ttl=1.0")
+    kept = lfield.folder / "state" / "setup.json"
+    assert setup(*words, "--yes").status == 0
+    whole = kept.read_bytes()
+    asked = setup("--back")
+    assert asked.status == 64, asked
+    assert "    FS_GCS_ENABLE from 5 back to 0" in asked.out
+    assert setup("--back", "--yes").status == 0
+    # As if it had been killed before its first write.
+    kept.write_bytes(whole)
+    back = setup("--back")
+    assert back.status == 0, back
+    assert back.out[1:] == ["    nothing to write", "done: all is as it was before"]
+    assert not kept.exists()
 
 
 @pytest.mark.parametrize(

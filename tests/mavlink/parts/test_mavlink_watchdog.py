@@ -12,6 +12,7 @@ from lfield.errors import DeviceError, NotSetUp
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_mavlink.watchdog import NEEDS
 from lfield_sim.mavlink.link.codec import Writer
+from lfield_sim.mavlink.telemetry.messages import MESSAGES
 
 SET = dialect.MAVLINK_MSG_ID_PARAM_SET
 EACH = list(itertools.product(("ardupilot", "px4"), ("copter", "rover"), ("land", "hold", "return")))
@@ -38,6 +39,43 @@ async def set_up(fc):
     await fc.find()
     for setting in wrong(await fc.settings()):
         await fc.write_setting(setting.name, setting.wanted)
+
+
+def told(uid, uid2):
+    """What a fake tells instead of its own board."""
+    return lambda autopilot, place: dialect.MAVLink_autopilot_version_message(
+        autopilot.flavour.capabilities, 0, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, uid, uid2
+    )
+
+
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_it_is_told_by_its_board_also_after_a_reboot(bench, flavour):
+    b = bench(flavour=flavour, board=0x3F21, faults=("loss=0.2",))
+
+    async def story(fc):
+        first = await fc.serial()
+        b.autopilot.reboot()
+        await fc.find()
+        return {first, await fc.serial()}
+
+    assert b.run(story) == {"uid 000000000000000000003f21"}
+
+
+@pytest.mark.parametrize(
+    ("uid", "uid2", "serial"),
+    [
+        (0xAB, [1, 2, *[0] * 16], "uid 0102"),
+        (0xAB, [0] * 18, "uid ab"),
+        (0, [0] * 18, ""),
+    ],
+)
+def test_the_longer_number_of_a_board_wins(bench, monkeypatch, uid, uid2, serial):
+    monkeypatch.setitem(MESSAGES, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION, told(uid, uid2))
+
+    async def story(fc):
+        return await fc.serial()
+
+    assert bench().run(story) == serial
 
 
 @pytest.mark.parametrize(("flavour", "kind", "state"), EACH)

@@ -12,8 +12,9 @@ from scripted_peer import Channel, run
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
-from lfield_mavlink.services.parameter_values import Encoding, decode, encode, encoding_of
+from lfield_mavlink.services.parameter_values import Encoding, decode, encode
 from lfield_mavlink.services.parameters import Parameters
+from lfield_mavlink.services.version import encoding_of
 
 REAL, INT8, UINT8, INT16, UINT16, INT32, UINT32 = 9, 2, 1, 4, 3, 6, 5
 RANGES = {

@@ -145,10 +145,11 @@ def rc_channels(autopilot: Autopilot, _: Place) -> Any:
 
 
 def autopilot_version(autopilot: Autopilot, _: Place) -> Any:
-    """AUTOPILOT_VERSION 148."""
-    flavour = autopilot.flavour
+    """AUTOPILOT_VERSION 148: ArduPilot has its board's number in uid2 alone, PX4 a part of it in uid, too."""
+    flavour, board = autopilot.flavour, autopilot.board
+    uid, uid2 = board & (1 << 64) - 1 if flavour.submodes else 0, [*board.to_bytes(12), *[0] * 6]
     return dialect.MAVLink_autopilot_version_message(
-        flavour.capabilities, flavour.version, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0, [0] * 18
+        flavour.capabilities, flavour.version, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, uid, uid2
     )
 
 
