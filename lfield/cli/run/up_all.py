@@ -156,7 +156,7 @@ class _Team:
         # One word each: what begins with a dash would be taken for another option.
         words += ["--listen-fd", str(descriptor)]
         words += [f"--door={self.doors.addresses[host]}"] if host in self.doors.addresses else []
-        # Of all hosts: the first that finds a device which is not set up ends the others before they can tell.
+        # Of all hosts: the first with a device that is not set up ends the others before they can tell.
         words.append(f"--setup={setup_command(mission_path(args), devices=args.devices)}")
         for name, address in self.addresses.items():
             words.append(f"--map={name}={address}")
