@@ -143,6 +143,13 @@ class VehicleState:
         """Whether it is known where home is in the local frame, so that positions are about home."""
         return self.home is not None and (self._origin is not None or self._local_home is not None)
 
+    def enters(self, mode: str) -> None:
+        """It has acknowledged truly that it is in this mode, before a heartbeat tells.
+
+        Else a mode that is wanted back at once would be taken for one that it never left.
+        """
+        self.mode = mode
+
     def update(self, message: Any, now: float) -> Values:
         """Take a message in; the telemetry quantities it gives. What makes no sense gives none."""
         handler = _HANDLERS.get(message.get_msgId())

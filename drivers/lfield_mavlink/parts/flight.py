@@ -126,6 +126,8 @@ class Flight:
     async def do_takeoff(self, height: float) -> None:
         """Up to `height` above home."""
         state = self._state
+        if not self._vehicle.profile.flies:
+            raise self._vehicle.error(f"takeoff refused: a {state.kind} does not fly")
         self._limits.check_goal("takeoff", (0.0, 0.0, -height))
         if height <= 0.0:
             raise self._vehicle.error(f"takeoff needs a height above 0, not {height:g}")

@@ -33,7 +33,7 @@ DRIVES_ROUND = Patience(
 AHEAD = 5.0
 #: Seconds of setpoints that PX4 must have noticed before it is told to enter OFFBOARD.
 NOTICES = 0.15
-#: Seconds for its answer, and for the mode to show, before it is told again; and how often it may refuse.
+#: Seconds for an answer, and for the mode to show, before it is told again; and how often PX4 may refuse.
 SHOWN, REFUSALS = 0.05, 2
 #: Seconds after its acceptance, asked again meanwhile, after which it would have said that it does not.
 BELIEVED = 0.1
@@ -190,7 +190,6 @@ class Guidance:
         motion, vehicle = self._motion, self._vehicle
         until = vehicle.clock.monotonic() + vehicle.binding.ttl
         motion.begin(what)
-        guided = vehicle.profile.guided
         if vehicle.profile.px4:
             motion.stream.start(motion.setpoint(target), until)
             try:
@@ -200,9 +199,28 @@ class Guidance:
                 motion.stream.stop()
                 raise
             return
-        if self._state.mode != guided:
-            await motion.set_mode(guided)
+        if not self._is_guided():
+            await self._enter_guided(until)
         vehicle.send(motion.setpoint(target))
+
+    async def _enter_guided(self, until: float) -> None:
+        """ArduPilot has entered GUIDED when it acknowledges that: this counts, or its heartbeat, if sooner.
+
+        Any of these packets may be lost, so it is asked again soon. What it refuses, or leaves without an
+        answer for the whole time-to-live, is asked for like any other mode: so the reason is found.
+        """
+        motion, guided, before = self._motion, self._vehicle.profile.guided, self._state.mode
+        result = None
+        while result is None and not self._is_guided():
+            if self._vehicle.clock.monotonic() >= until:
+                break
+            result = await self._ask_for_guided()
+        if result == dialect.MAV_RESULT_ACCEPTED:
+            self._state.enters(guided)
+        if not self._is_guided():
+            await motion.set_mode(guided)
+        # Heartbeats from before may be under way, on another link.
+        motion.claim(guided, before)
 
     async def _enter_offboard(self, what: str, until: float) -> None:
         """PX4 enters OFFBOARD when it has noticed the setpoints, and shows it by CURRENT_MODE.
@@ -238,11 +256,15 @@ class Guidance:
     async def _ask_for_offboard(self, asked: float) -> int | None:
         """Tell PX4 once, and wait a moment for what becomes of it; the result of the command."""
         vehicle, guided = self._vehicle, self._vehicle.profile.guided
-        values = self._motion.mode_values(guided)
-        command = dialect.MAV_CMD_DO_SET_MODE
-        answer = await vehicle.exchange.command(command, *values, once=True, patience=SHOWN)
-        if answer.result is not None:
+        result = await self._ask_for_guided()
+        if result is not None:
             await vehicle.seen(lambda: self._is_guided() or vehicle.is_unavailable(guided, asked), SHOWN)
+        return result
+
+    async def _ask_for_guided(self) -> int | None:
+        """Tell it once to enter the mode of setpoints; the result, None when none has come soon."""
+        values, command = self._motion.mode_values(self._vehicle.profile.guided), dialect.MAV_CMD_DO_SET_MODE
+        answer = await self._vehicle.exchange.command(command, *values, once=True, patience=SHOWN)
         return answer.result
 
     def _is_guided(self) -> bool:

@@ -59,7 +59,7 @@ class Readiness:
         start = vehicle.clock.monotonic()
         moded_at, noted = -math.inf, False
         self._counts_from = -math.inf
-        while lack := self._lack():
+        while lack := self._lack() or self._elsewhere():
             now = vehicle.clock.monotonic()
             if now - start >= seconds:
                 raise await self._gave_up(seconds, lack)
@@ -70,7 +70,9 @@ class Readiness:
                 await self._enter_mode()
                 moded_at = vehicle.clock.monotonic()
                 self._counts_from = moded_at + SETTLES
-            await vehicle.seen(lambda: not self._lack(), min(LOOK, start + seconds - now))
+            await vehicle.seen(
+                lambda: not (self._lack() or self._elsewhere()), min(LOOK, start + seconds - now)
+            )
 
     async def _words(self, lack: str) -> str:
         """What the autopilot says against arming, when it is asked to say it; else what it lacks."""
@@ -82,7 +84,8 @@ class Readiness:
             await vehicle.seen(lambda: bool(self._said(now)), SPEAKS)
             await vehicle.seen(lambda: False, 0.2 * SPEAKS)
         earlier = self._said(now - SAID) if lack.startswith(FAILED) else ""
-        return self._said(now) or earlier or lack
+        unsaid = "; ".join(filter(None, dict.fromkeys((lack, self._elsewhere()))))
+        return self._said(now) or earlier or unsaid
 
     def _said(self, since: float) -> str:
         texts = (text for text in self._vehicle.texts.since(since) if text.startswith(COMPLAINTS))
@@ -94,6 +97,16 @@ class Readiness:
             return f"nothing heard for {self._vehicle.silence:.1f} s"
         since = max(self._counts_from, self._vehicle.clock.monotonic() - CHECKS_OLD)
         return lack(self._state, since, px4=self._vehicle.profile.px4)
+
+    def _elsewhere(self) -> str:
+        """What its checks do not say while ArduPilot is in another mode than it is armed in, '' when they do.
+
+        A rover's pass in MANUAL 20 s before it can be armed in GUIDED.
+        """
+        profile, mode = self._vehicle.profile, self._state.mode
+        if profile.px4 or not self._is_in_another_mode:
+            return ""
+        return f"its checks before arming are those of {mode}, and it is armed in {profile.arming}"
 
     @property
     def _is_in_another_mode(self) -> bool:

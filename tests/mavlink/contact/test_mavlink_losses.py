@@ -8,21 +8,24 @@ import pytest
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
+from lfield_sim.autopilot.flavours import Result
 
-CALLS, TTL = 200, 0.5
+CALLS, TTL, SEEDS = 200, 0.5, 20
+VEHICLES = [("ardupilot", "copter"), ("ardupilot", "rover"), ("px4", "copter")]
 TOLD = (dialect.MAVLINK_MSG_ID_CURRENT_MODE, dialect.MAVLINK_MSG_ID_HEARTBEAT)
 
 
 @pytest.fixture
 def flown(bench):
-    """A PX4 that hovers, and what is done to it then."""
+    """A vehicle that is under way, a PX4 unless a test wants another, and what is done to it then."""
 
-    def run(work):
-        b = bench(flavour="px4", ttl=TTL)
+    def run(work, *, flavour="px4", kind="copter", **given):
+        b = bench(flavour=flavour, kind=kind, ttl=TTL, **given)
 
         async def mission(fc):
             await fc.execute("arm", [])
-            await fc.execute("takeoff", [5.0])
+            if kind == "copter":
+                await fc.execute("takeoff", [5.0])
             return await work(b, fc)
 
         return b.run(mission)
@@ -41,24 +44,73 @@ def without(*kinds):
     return passes
 
 
-def test_the_first_velocity_is_in_time_however_bad_the_link_is(flown):
-    """CURRENT_MODE comes once, and then not for half a second: too late when that packet is lost."""
+@pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
+def test_the_first_velocity_is_in_time_however_bad_the_link_is(flown, flavour, kind):
+    """What shows the mode comes once, and then not for a while: too late when that packet is lost."""
 
     async def work(b, fc):
-        loop, took = asyncio.get_running_loop(), []
+        loop, took, guided = asyncio.get_running_loop(), [], fc.profile.guided
         b.faults.apply(["loss=0.2"])
         for number in range(CALLS):
             await fc.execute("hold", [])
+            assert b.autopilot.mode == fc.profile.hold
             await asyncio.sleep(0.2 + 0.013 * (number % 10))
             start = loop.time()
             await fc.execute("setVelocity", [0.2 * (-1.0) ** number, 0.0, 0.0])
             took.append(loop.time() - start)
-            assert b.autopilot.mode == "OFFBOARD"
+            assert b.autopilot.mode == guided
         return took
 
-    took = flown(work)
+    took = flown(work, flavour=flavour, kind=kind)
     assert max(took) < TTL
     assert sum(seconds > 0.35 for seconds in took) < 0.05 * CALLS
+
+
+@pytest.mark.parametrize("pause", [0.1, 0.2])
+@pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
+@pytest.mark.parametrize("seed", range(1, SEEDS + 1))
+def test_velocities_and_holds_by_turns_are_in_time_on_a_bad_link(flown, flavour, kind, seed, pause):
+    """The dice of a link are those of the system's id. Each hold is one, however soon after a velocity."""
+
+    async def work(b, fc):
+        loop = asyncio.get_running_loop()
+        b.faults.apply(["loss=0.2"])
+        for number in range(8):
+            for _ in range(8):
+                start = loop.time()
+                await fc.execute("setVelocity", [1.5 * (-1.0) ** number, 0.0, 0.0])
+                assert loop.time() - start < TTL
+                await asyncio.sleep(pause)
+            await fc.execute("hold", [])
+            assert b.autopilot.mode == fc.profile.hold
+
+    flown(work, flavour=flavour, kind=kind, systems=(seed,), limits={"speed": 3.0})
+
+
+@pytest.mark.parametrize("seed", range(1, SEEDS + 1))
+@pytest.mark.parametrize("kind", ["copter", "rover"])
+def test_a_late_acknowledgement_of_an_entry_is_none_of_a_hold(flown, kind, seed):
+    """The entry is asked for several times meanwhile, and what is lost is the hold."""
+
+    async def work(b, fc):
+        b.faults.apply(["loss=0.2", "delay=0.15"])
+        for _ in range(20):
+            await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+            assert b.autopilot.mode == "GUIDED"
+            await fc.execute("hold", [])
+            assert b.autopilot.mode == fc.profile.hold
+
+    flown(work, flavour="ardupilot", kind=kind, systems=(seed,))
+
+
+def test_an_entry_that_is_refused_is_told_in_its_words(flown, monkeypatch):
+    async def work(b, fc):
+        await fc.execute("hold", [])
+        monkeypatch.setattr(type(b.autopilot), "set_mode", lambda *_: Result.FAILED)
+        with pytest.raises(DeviceError, match="GUIDED refused: FAILED"):
+            await fc.execute("setVelocity", [0.5, 0.0, 0.0])
+
+    flown(work, flavour="ardupilot")
 
 
 def test_what_it_accepts_and_does_not_speak_against_is_believed_while_it_shows_no_mode(flown):

@@ -59,6 +59,20 @@ def test_a_rover_has_no_height_of_a_home_that_was_taken_before_there_was_one(ben
 # -- rovers -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
+def test_what_does_not_fly_refuses_to_take_off_at_once(bench, flavour):
+    b = bench(kind="rover", flavour=flavour)
+
+    async def mission(fc):
+        await fc.execute("arm", [])
+        start = asyncio.get_running_loop().time()
+        with pytest.raises(DeviceError, match="takeoff refused: a rover does not fly"):
+            await fc.execute("takeoff", [3.0])
+        assert asyncio.get_running_loop().time() == start
+
+    b.run(mission)
+
+
 async def turn_on(fc, times):
     for _ in range(times):
         await fc.execute("setYawRate", [0.5])

@@ -81,6 +81,23 @@ def test_from_cold_it_waits_until_it_can_be_armed_and_is(bench, kind, flavour):
     b.run(mission)
 
 
+@pytest.mark.parametrize("after", [5.0, 15.0, 25.0, 33.0, 36.5])
+@pytest.mark.parametrize("kind", ["copter", "rover"])
+def test_checks_that_pass_in_another_mode_are_no_readiness(bench, kind, after):
+    """The first mode needs no position, and says so by the bit: the wait is for that to be armed in."""
+    b = bench(kind=kind, warm_up=43.0, options={"connect": 45.0})
+
+    async def mission(fc):
+        await asyncio.sleep(after)
+        if why := await fc.execute("whyNotReady", []):
+            assert "Arm: " in why or f"those of {b.autopilot.mode}, and it is armed in GUIDED" in why
+        await fc.execute("waitReady", [90.0])
+        await fc.execute("arm", [])
+        assert 42.0 < b.autopilot.uptime < 50.0
+
+    b.run(mission)
+
+
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 def test_a_wait_in_vain_is_bounded_and_says_why(bench, flavour):
     b = bench(flavour=flavour, refuse_arming="Compass not calibrated")
