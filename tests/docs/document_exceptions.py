@@ -67,8 +67,8 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     },
     "examples/01-first-flight/README.md": {
         "lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done": EXAMPLES,
-        "alpha | lead: taking off to 2.5 m": EXAMPLES,
-        "bravo | pilot: never closer than 8.9 m; batteries lead 95 %, wing 94 %": EXAMPLES,
+        "alpha | lead: taking off to 2.0 m": EXAMPLES,
+        "bravo | pilot: never closer than 7.1 m; batteries lead 95 %, wing 95 %": EXAMPLES,
         "lfield ps --deploy examples/01-first-flight/mission.dL": INSPECT,
         "$ lfield ps --deploy examples/01-first-flight/mission.dL": INSPECT,
     },
