@@ -1,10 +1,10 @@
 """Whether the autopilot's own failsafe has the vehicle, also in a mode that the program itself uses.
 
-By the recordings (`e-gcs-loss`, `f-fence-breach`, `f-fence-landing`). PX4 says "Failsafe activated", and its
+By the recordings (`e-gcs-loss`, `f-fence-breach`, `f-fence-landing`): PX4 says "Failsafe activated", and its
 CURRENT_MODE has another intended mode than the one it is in; where both are the same (a hold in place of a
-hold) its heartbeat says CRITICAL. ArduPilot says "GCS Failsafe" and is CRITICAL; of a fence it tells FENCE_STATUS,
-and is in its new mode within 0.1 s. What it says it does not always do: so only the mode in which it is then,
-or is led to at once, is its failsafe's.
+hold) its heartbeat says CRITICAL. ArduPilot says "GCS Failsafe" and is CRITICAL; of a fence it tells
+FENCE_STATUS, and is in its new mode within 0.1 s. What it says it does not always do: so only the mode in
+which it is then, or is led to at once, is its failsafe's.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Failsafe:
     @property
     def holding(self) -> str:
         """That somebody else has it: `its failsafe has it (Circle fence breached)`."""
-        return f"{self.holder} has it" + (f" ({self.words})" if self.words and self.has_it else "")
+        return f"{self.holder} has it" + (f" ({self.words})" if self.has_it and self.words else "")
 
     async def explains(self) -> None:
         """Wait a moment for what is said of a motion that ended: the words may come after the mode."""
