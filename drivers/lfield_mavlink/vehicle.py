@@ -175,13 +175,15 @@ class MavlinkVehicle(Contact):
         return not self.motion.ours
 
     def _guard_restarted(self, taken: bool) -> None:
-        if not taken:
-            self.motion.claim(self.state.mode)
+        if taken:
+            self.motion.failsafe.has_had_it()
+        else:
+            self.motion.release()
             self._flight.may_be_arming()
 
     async def do_release(self) -> None:
         """Whatever mode it is in, the program takes the vehicle back."""
-        self.motion.claim(self.state.mode)
+        self.motion.release()
 
     def stop_setpoints(self) -> None:
         """Send no setpoint of a stream any more."""

@@ -78,6 +78,11 @@ class Contact(Device):
         """Seconds since its autopilot said anything at all."""
         return self.clock.monotonic() - self._heard_at
 
+    @property
+    def unbeaten(self) -> float:
+        """Seconds since its last heartbeat, whatever else it says."""
+        return self.clock.monotonic() - (-math.inf if self.state.heard is None else self.state.heard)
+
     def heard(self) -> None:
         """Its autopilot has said something, whatever that is, read or not."""
         self._heard_at = self.clock.monotonic()
@@ -217,7 +222,10 @@ class Contact(Device):
             if self.is_unavailable(mode, start):
                 raise self.error(f"{what} refused{self.reasons(start)}")
         self.check_link()
-        raise self.error(f"{what} was accepted but did not happen within {SHOWS:g} s{self.reasons(start)}")
+        shown = f"did not happen within {SHOWS:g} s"
+        if self.unbeaten > SHOWS / 2:
+            shown = f"it cannot be seen: no heartbeat for {self.unbeaten:.1f} s, which would tell it"
+        raise self.error(f"{what} was accepted but {shown}{self.reasons(start)}")
 
     def is_unavailable(self, mode: str, start: float) -> bool:
         """Whether PX4 has said since `start` that it does not enter this mode, which it has accepted."""

@@ -77,8 +77,9 @@ class VehicleState:
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
-        #: When the last heartbeat came.
+        #: When the last heartbeat came, and when it was known last whether its motors are on.
         self.heard: float | None = None
+        self.armed_at = -math.inf
         self.profile: Profile | None = None
         self.autopilot = -1
         self.type = -1
@@ -150,13 +151,18 @@ class VehicleState:
         """
         self.mode = mode
 
+    def switched_off(self, now: float) -> Values:
+        """Its motors are off, by what it answered instead of by its heartbeat; the telemetry of that."""
+        self.armed, self.armed_at = False, now
+        return {"armed": False}
+
     def update(self, message: Any, now: float) -> Values:
         """Take a message in; the telemetry quantities it gives. What makes no sense gives none."""
         handler = _HANDLERS.get(message.get_msgId())
         return handler(self, message, now) if handler else {}
 
     def _on_heartbeat(self, message: Any, now: float) -> Values:
-        self.heard = now
+        self.heard = self.armed_at = now
         self.autopilot, self.type = message.autopilot, message.type
         self.profile = PROFILES.get((message.autopilot, self.kind))
         number = message.custom_mode

@@ -119,6 +119,8 @@ class Flight:
     async def do_disarm(self) -> None:
         """Motors off."""
         self._motion.begin("disarm")
+        if self._vehicle.unbeaten > NEWS and await self._disarmed():
+            return
         await self._vehicle.achieve(
             "disarm", lambda: not self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0
         )
@@ -256,21 +258,30 @@ class Flight:
                 raise vehicle.error("it may be arming, and does not answer a disarm", timeout=True)
         # An answer may be that to the arming: what is heard after it shows what became of that.
         since = vehicle.clock.monotonic()
-        if not await vehicle.seen(lambda: (self._state.heard or 0.0) > since, NEWS):
-            untold = vehicle.clock.monotonic() - (self._state.heard or -math.inf)
-            raise vehicle.error(f"no heartbeat for {untold:.1f} s", timeout=True)
+        if await vehicle.seen(lambda: (self._state.heard or 0.0) > since, NEWS):
+            return
+        if self._state.armed or not await self._disarmed():
+            raise vehicle.error(f"no heartbeat for {vehicle.unbeaten:.1f} s", timeout=True)
 
     def _leave(self) -> None:
         """A pilot or the autopilot's own failsafe flies it: to take it from them would be less safe."""
         if self._left_in != self._state.mode:
             self._left_in = self._state.mode
-            self._vehicle.note(f"in {self._state.mode}, by {self._state.holder}: left to them")
+            self._vehicle.note(f"in {self._state.mode}, by {self._motion.failsafe.holder}: left to them")
 
     async def _disarmed(self) -> bool:
-        """Try to switch the motors off on the ground; the autopilot refuses if it is not there."""
-        answer = await self._vehicle.exchange.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+        """Try to switch the motors off on the ground; the autopilot refuses if it is not there.
+
+        Without heartbeats its answer there is all that tells it: the bit of the motors in SYS_STATUS is the
+        same whether they are on or off, by all recordings.
+        """
+        vehicle = self._vehicle
+        answer = await vehicle.exchange.command(dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
         if answer.result != dialect.MAV_RESULT_ACCEPTED:
             return False
+        if vehicle.unbeaten > NEWS and self._state.landed:
+            vehicle.publish(**self._state.switched_off(vehicle.clock.monotonic()))
+            return True
         return await self._vehicle.seen(lambda: not self._state.armed, SHOWS)
 
     # -- steps ----------------------------------------------------------------------------------------

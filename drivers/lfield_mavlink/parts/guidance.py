@@ -46,20 +46,21 @@ class Guidance:
         self._vehicle, self._state = vehicle, vehicle.state
         self._motion, self._limits = motion, limits
         self._turning, self._following = Turning(), Following()
-        # The places ahead of it to which it does not go.
-        self._ahead: asyncio.Queue[Vector] = asyncio.Queue()
+        # Places that its fence may be about: what is said before and of it.
+        self._doubtful: asyncio.Queue[tuple[str, str, Vector]] = asyncio.Queue()
+        motion.failsafe.on_taken = self._look_here
 
     async def keep(self) -> None:
-        """Say which fence of its own keeps it from following velocities, until cancelled.
+        """Say which fence of its own keeps it from following velocities, or has it held, until cancelled.
 
         A call of setVelocity does not wait for the parameters of the fence: it must be repeated in time.
         """
         while True:
-            place = await self._ahead.get()
+            what, subject, place = await self._doubtful.get()
             # A link that is lost meanwhile is said elsewhere.
             with suppress(DeviceError):
-                if why := await self._motion.fence.why_beyond(place, f"{AHEAD:g} m ahead is"):
-                    self._vehicle.note(f"setVelocity has hardly moved it for {Following.JUDGED:g} s: {why}")
+                if why := await self._motion.fence.why_beyond(place, subject):
+                    self._vehicle.note(f"{what}: {why}")
 
     # -- places ---------------------------------------------------------------------------------------
 
@@ -144,6 +145,8 @@ class Guidance:
         limits.check_speed("orbit", speed)
         self._check_placed("orbit")
         motion.begin("orbit")
+        if why := await motion.fence.why_beyond(circle.farthest, "the circle leads up to"):
+            raise self._vehicle.error(f"orbit refused: {why}")
         order = motion.orders.orbit(self._state, circle)
         await motion.start("orbit", order)
         await motion.travel("orbit", order, Revolutions(circle, abs(turns)).left, 0.0, motion.patience)
@@ -173,7 +176,13 @@ class Guidance:
         if self._following.fails(velocity, state.velocity, ttl, now) and place is not None:
             share = AHEAD / math.hypot(*velocity)
             north, east, down = (p + share * v for p, v in zip(place, velocity, strict=True))
-            self._ahead.put_nowait((north, east, down))
+            what = f"setVelocity has hardly moved it for {Following.JUDGED:g} s"
+            self._doubtful.put_nowait((what, f"{AHEAD:g} m ahead is", (north, east, down)))
+
+    def _look_here(self) -> None:
+        """Have its fence looked at, when a failsafe has taken it; its words name no parameter."""
+        if (place := self._state.position) is not None and not self._vehicle.quiet:
+            self._doubtful.put_nowait((f"its failsafe has it in {self._state.mode}", "it is", place))
 
     async def do_set_yaw_rate(self, rate: float) -> None:
         """One setpoint: it turns on the spot at this rate until the time-to-live."""

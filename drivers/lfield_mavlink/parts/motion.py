@@ -13,6 +13,7 @@ from lfield_mavlink.contact.contact import SHOWS, Contact
 from lfield_mavlink.geo import Vector
 from lfield_mavlink.limits import BRAKES
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
+from lfield_mavlink.parts.failsafe import Failsafe
 from lfield_mavlink.parts.fences import OwnFence
 from lfield_mavlink.parts.orders import ONLY_POSITION, ORDERS, Order, Patience, Stack, Target
 from lfield_mavlink.parts.progress import Arrival, Progress
@@ -71,7 +72,7 @@ class Motion:
 
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
-        self.fence = OwnFence(vehicle, parameters)
+        self.fence, self.failsafe = OwnFence(vehicle, parameters), Failsafe(vehicle)
         self.stream = SetpointStream(vehicle.clock, vehicle.send)
         self.tolerance: float = vehicle.binding.option("tolerance")
         # The modes that the last order leads to; any other mode is somebody else's doing.
@@ -98,15 +99,20 @@ class Motion:
 
     @property
     def ours(self) -> bool:
-        """Whether the mode is one that this program led to; of a vehicle at rest it does not matter."""
-        if not self._state.armed:
-            return True
+        """Whether this program led to the mode, not a failsafe; of a vehicle at rest it does not matter."""
+        if self.failsafe.has_it or not self._state.armed:
+            return not self._state.armed
         profile = self._vehicle.profile
         return self._state.mode in (profile.guided, *profile.own, *self._commanded)
 
     def claim(self, *modes: str) -> None:
         """These modes are what this program led to, and no others."""
         self._commanded = frozenset(modes)
+
+    def release(self) -> None:
+        """Whatever mode it is in, and whoever chose it, is this program's from now on."""
+        self.failsafe.release()
+        self.claim(self._state.mode)
 
     def begin(self, what: str) -> None:
         """A new motion ends the setpoints. Raises DeviceError when the vehicle is not ours to move."""
@@ -115,7 +121,7 @@ class Motion:
         if not self.ours:
             raise self._vehicle.error(
                 f"{what} refused: the vehicle is in {self._state.mode}, which this program did not "
-                f"choose; {self._state.holder} has it. release() takes it back"
+                f"choose; {self.failsafe.holding}. release() takes it back"
             )
         self._began, self._stopped = self._vehicle.clock.monotonic(), ""
         self._slowed, self._pace = 0, None
@@ -223,7 +229,7 @@ class Motion:
             left = distance(place) if place is not None else math.inf
             if left <= near:
                 return
-            self._check_underway(what, order.modes, start)
+            await self._check_underway(what, order, start)
             if progress.is_over(left, self.moves, now, self._told, place):
                 await self._give_up(order)
                 seconds = patience.bound(self.moves, self._told)
@@ -297,13 +303,20 @@ class Motion:
             with suppress(DeviceError):
                 await self.hold()
 
-    def _check_underway(self, what: str, modes: frozenset[str], start: float) -> None:
-        """Raise when somebody else has taken over, or the motors are off."""
+    async def _check_underway(self, what: str, order: Order, start: float) -> None:
+        """Raise when somebody else has taken over, or the motors are off, with what is said of that.
+
+        A landing or a return goes on when a failsafe wants the same.
+        """
         if self._stopped:
             raise self._vehicle.error(f"{what} was stopped, since {self._stopped}")
-        if self._state.armed and self._state.mode in modes:
+        state = self._state
+        taken = self.failsafe.has_it and (order.command is not None or order.target is not None)
+        if state.armed and state.mode in order.modes and not taken:
             return
-        why = f"the vehicle went to {self._state.mode}" if self._state.armed else "the motors are off"
+        await self.failsafe.explains()
+        chosen = ", which its failsafe chose" if self.failsafe.has_it else ""
+        why = f"the vehicle went to {state.mode}{chosen}" if state.armed else "the motors are off"
         raise self._vehicle.error(f"{what} ended early: {why}{self._vehicle.reasons(start)}")
 
     # -- speed ----------------------------------------------------------------------------------------

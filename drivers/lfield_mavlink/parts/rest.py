@@ -45,10 +45,12 @@ class Rest:
         vehicle, state = self._vehicle, self._state
         if state.heard is None:
             return "not heard yet"
-        untold = vehicle.clock.monotonic() - state.heard
+        untold = vehicle.clock.monotonic() - state.armed_at
         if vehicle.silence > LINK_LOST or untold > TOLD:
             last = ", ".join(self._way()) if state.armed else "with its motors off"
-            return f"not heard for {untold:.1f} s, last seen {last}"
+            if vehicle.silence > LINK_LOST:
+                return f"not heard for {vehicle.silence:.1f} s, last seen {last}"
+            return f"no heartbeat for {untold:.1f} s, which would tell its motors; last told {last}"
         if not state.armed or (self._rests() and not self._is_a_pilots):
             return ""
         return ", ".join(self._way())

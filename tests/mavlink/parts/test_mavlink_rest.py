@@ -231,6 +231,7 @@ class Known:
         self.state = self.binding = self.clock = self
         self.safe_state, self.mode = safe_state, mode
         self.armed, self.heard, self.landed, self.type = True, 0.0, False, 2
+        self.armed_at = 0.0
         self.position, self.height, self.speeds, self.speeds_at = None, None, None, 0.0
         self.now = 0.0
         for name, value in known.items():
