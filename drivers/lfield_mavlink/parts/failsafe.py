@@ -78,6 +78,15 @@ class Failsafe:
         self.has_it, self._led, self._noticed_at = False, False, -math.inf
         self._released_at = self._vehicle.clock.monotonic()
 
+    async def did_the_same(self, what: str, command: int, *values: float) -> None:
+        """It did what this command is for, when so many were lost that PX4 missed its setpoints first.
+
+        It names no reason then. Have the command taken: the mode is ours. Raises DeviceError.
+        """
+        if self.has_it and set(self.words.split(", ")) <= {"", "Failsafe activated"}:
+            await self._vehicle.command(what, command, *values)
+            self.release()
+
     def has_had_it(self) -> None:
         """It, or somebody else, had the vehicle before all that is known here."""
         self._notice()

@@ -260,7 +260,8 @@ class Flight:
         since = vehicle.clock.monotonic()
         if await vehicle.seen(lambda: (self._state.heard or 0.0) > since, NEWS):
             return
-        if self._state.armed or not await self._disarmed():
+        # Whoever says nothing at all answers no disarm either.
+        if self._state.armed or vehicle.silence >= NEWS or not await self._disarmed():
             raise vehicle.error(f"no heartbeat for {vehicle.unbeaten:.1f} s", timeout=True)
 
     def _leave(self) -> None:

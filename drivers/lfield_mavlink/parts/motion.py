@@ -174,16 +174,16 @@ class Motion:
         *values: float,
         done: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Enter a mode by a command that leads to it, or see that what it is for is `done`.
-
-        Raises DeviceError.
-        """
+        """Enter a mode by a command that leads to it, or see that it is `done`. Raises DeviceError."""
         # Noted before it is known to have worked: a safe state that is tried again must count as ours, and so
         # must the mode that it is still in when the new one is refused.
         self._commanded |= {mode}
+        fed = self._state.mode == "OFFBOARD"
         await self._vehicle.achieve(
             what, lambda: self._state.mode == mode or done(), command, *values, mode=mode
         )
+        if fed:
+            await self.failsafe.did_the_same(what, command, *values)
         self._has_goal = False
         self.claim(mode)
 

@@ -131,8 +131,8 @@ def test_first_flight(lfield):
     flight = lfield.start(
         "up", "--deploy", EXAMPLES / "01-first-flight" / "mission.dL", "--all", "--sim", "--until-done"
     )
-    flight.wait_for("lead: landed")
-    flight.wait_for("wing: landed")
+    for word in ("wing: at", "lead: landed", "wing: landed"):
+        flight.wait_for(word)
     assert flight.wait() == 0, flight.said
     lines = [line.partition(" | ")[2] for line in flight.out]
     assert [line for line in lines if "taking off" in line] == [
