@@ -268,7 +268,8 @@ class Flight:
         """A pilot or the autopilot's own failsafe flies it: to take it from them would be less safe."""
         if self._left_in != self._state.mode:
             self._left_in = self._state.mode
-            self._vehicle.note(f"in {self._state.mode}, by {self._motion.failsafe.holder}: left to them")
+            by = self._motion.failsafe.holder.rstrip(",")
+            self._vehicle.note(f"in {self._state.mode}, by {by}: left to them")
 
     async def _disarmed(self) -> bool:
         """Try to switch the motors off on the ground; the autopilot refuses if it is not there.
