@@ -15,6 +15,7 @@ from lfield.driver.plugins import Plugins, discover
 from lfield.errors import DamagedFileError, Finding, InputFileError, ProgramError, ProgramFileError
 from lfield.lang.deployment import read_deployment
 from lfield.mission import bundle
+from lfield.mission.bindings import chosen_fakes
 from lfield.mission.bindings_file import read_bindings
 from lfield.mission.mission import Mission, makers_of, needed_devices
 from lfield.mission.team import parse_maps, team_of
@@ -51,9 +52,9 @@ def load_mission(
     )
     drivers = makers_of(plugins, {device.type for device in bindings.all})
     registry = _settled(types.registry, loaded, plugins) if ways(loaded) else None
-    shown = tuple(warning.render() for warning in warnings)
+    chosen = chosen_fakes(bindings, needed, plugins, team.types) if simulate else []
+    shown = (*(warning.render() for warning in warnings), *chosen)
     mission = Mission(deploy.stem, loaded, team, bindings, drivers, registry, shown)
-    mission = mission.on_fakes() if simulate else mission
     return mission.at(team.at(parse_maps(maps, team))) if maps else mission
 
 

@@ -41,11 +41,10 @@ Watch = Callable[["Fleet"], None]
 
 @dataclass(frozen=True, slots=True)
 class Life:
-    """One life of one host: its process, the host itself, and the words that end it."""
+    """One life of one host: its process, and the host itself."""
 
     process: Process
     host: Host
-    words: StopWords
 
     @property
     def core(self) -> HostCore:
@@ -171,12 +170,12 @@ class Fleet:
             first_start=disk.new,
         )
         host = Host(self.mission, name, TcpTransport(self.mission.max_block), Logbook(book, book), options)
-        life = self.lives[name] = Life(process, host, StopWords(machine.clock))
+        life = self.lives[name] = Life(process, host)
         process.loop.create_task(self._live(name, life))
 
     async def _live(self, name: str, life: Life) -> None:
         try:
-            status = await live(life.host, life.words, self._lost_after)
+            status = await live(life.host, StopWords(life.host.clock), self._lost_after)
         except LfieldError as error:
             status = error.exit_status
             life.host.note(str(error))

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from types import SimpleNamespace
 
 import pytest
+from thing_guard import Output, guard_of, known_thing
 
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.contract import Manifest
-from lfield.driver.device import Device, Driver
-from lfield.driver.known import KnownDriver, ManifestFile
-from lfield.guard.messages import Failed, MessageReader, Open, Ready, Stop, Stopped, encode
+from lfield.driver.device import Device
+from lfield.guard.messages import Failed, Open, Ready, Stop, Stopped, encode
 from lfield.guard.opening import FINISH
-from lfield.guard.process import Shell
-from lfield.manifest import DeviceManifest
 from lfield.simulate.time import LoopClock, run_jumping
 
 #: A device by the name of its field: seconds until it is found, and then until it is set up; -1 fails.
@@ -54,40 +50,8 @@ class Unsaid(Thing):
     _touched = Device._touched
 
 
-class Output:
-    """The pipe to the host: keeps what is told."""
-
-    def __init__(self):
-        self._reader, self.told = MessageReader(), []
-
-    def write(self, data):
-        self.told += self._reader.feed(data)
-
-    def is_closing(self):
-        return False
-
-    def get_write_buffer_size(self):
-        return 0
-
-
 def stopped(*fields, kind=Thing, at=0.2, **stop):
     """What a guard says that is told to stop some time after it began to open these, and how long it took."""
-
-    class Bus(Driver):
-        def _device(self, binding):
-            return kind(binding, self.manifests[binding.type], self.clock, self.reports)
-
-        async def _open(self):
-            pass
-
-        async def _close(self):
-            pass
-
-    manifest = Manifest(DeviceManifest("Thing", "thing", (), safe_states=("off",)))
-    known = KnownDriver(
-        "thing", "lfield_thing:PLUGIN", {"Thing": manifest},
-        {"Thing": ManifestFile("manifest.yaml", bytes(32))}, "",
-    )  # fmt: skip
     devices = [
         DeviceBinding(
             agent="a", field=field, type="Thing", driver="thing", endpoint="here", safe_state="off",
@@ -98,9 +62,8 @@ def stopped(*fields, kind=Thing, at=0.2, **stop):
 
     async def story():
         clock, output = LoopClock(), Output()
-        plugin = SimpleNamespace(load=lambda: Bus, manifest_digest=lambda file: bytes(32))
-        shell = Shell(plugin, output, clock)
-        shell.data_received(encode(Open(devices, "", 0.2, known)))
+        shell = guard_of(kind, output)
+        shell.data_received(encode(Open(devices, "", 0.2, known_thing())))
         await asyncio.sleep(at)
         told_at = clock.monotonic()
         shell.data_received(encode(Stop("the host is stopping", **stop)))

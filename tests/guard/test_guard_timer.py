@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-from types import SimpleNamespace
+
+from thing_guard import Output, guard_of, known_thing
 
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.contract import Manifest
-from lfield.driver.device import Device, Driver
-from lfield.driver.known import KnownDriver, ManifestFile
-from lfield.guard.messages import Beat, Call, Latched, MessageReader, Open, encode
-from lfield.guard.process import Shell
-from lfield.manifest import DeviceManifest, Instruction
+from lfield.driver.device import Device
+from lfield.guard.messages import Beat, Call, Latched, Open, encode
+from lfield.manifest import Instruction
 from lfield.simulate.time import JumpingLoop, LoopClock
 
 SILENCE = 0.2
+GO = Instruction("go", (), effect="actuate", blocking=True)
 
 
 class CoarseLoop(JumpingLoop):
@@ -45,47 +44,6 @@ class Thing(Device):
         pass
 
 
-class Bus(Driver):
-    def _device(self, binding):
-        return Thing(binding, self.manifests[binding.type], self.clock, self.reports)
-
-    async def _open(self):
-        pass
-
-    async def _close(self):
-        pass
-
-
-class Output:
-    """The pipe to the host: keeps what is told."""
-
-    def __init__(self):
-        self._reader, self.told = MessageReader(), []
-
-    def write(self, data):
-        self.told += self._reader.feed(data)
-
-    def is_closing(self):
-        return False
-
-    def get_write_buffer_size(self):
-        return 0
-
-
-def guard_of_a_thing(output):
-    """A guard with one device that may go; its driver has no watchdog to set."""
-    plugin = SimpleNamespace(load=lambda: Bus, manifest_digest=lambda file: bytes(32))
-    return Shell(plugin, output, LoopClock())
-
-
-def driver_of_a_thing():
-    """What the host knows of that driver."""
-    go = Instruction("go", (), effect="actuate", blocking=True)
-    manifest = Manifest(DeviceManifest("Thing", "thing", (go,), safe_states=("off",)))
-    files = {"Thing": ManifestFile("manifest.yaml", bytes(32))}
-    return KnownDriver("thing", "lfield_thing:PLUGIN", {"Thing": manifest}, files, "")
-
-
 def test_what_comes_when_the_timer_is_almost_due_breaks_nothing():
     binding = DeviceBinding(
         agent="alpha", field="thing", type="Thing", driver="thing", endpoint="here", safe_state="off",
@@ -94,8 +52,8 @@ def test_what_comes_when_the_timer_is_almost_due_breaks_nothing():
 
     async def story():
         clock, output = LoopClock(), Output()
-        shell = guard_of_a_thing(output)
-        shell.data_received(encode(Open([binding], "", SILENCE, driver_of_a_thing())))
+        shell = guard_of(Thing, output)
+        shell.data_received(encode(Open([binding], "", SILENCE, known_thing(GO))))
         await asyncio.sleep(0.01)
         start = clock.monotonic()
         shell.data_received(encode(Call(1, "alpha.thing", "go", [], start)))

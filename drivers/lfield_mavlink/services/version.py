@@ -48,9 +48,9 @@ class Version:
         return f"uid {told.uid:x}" if told.uid else ""
 
     async def _ask(self) -> Any | None:
-        """The message; None when it does not come."""
+        """The message, asked for until it is known; None when it does not come."""
         vehicle, version = self._vehicle, float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
-        for _ in range(ATTEMPTS):
+        for _ in range(ATTEMPTS if self._told is None else 0):
             answer = await vehicle.exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, version)
             if await vehicle.seen(lambda: self._told is not None, PATIENCE):
                 break

@@ -147,7 +147,6 @@ class End(asyncio.Transport):
     def _send(self, what: bytes | Exception | None) -> None:
         if isinstance(what, bytes):
             self._pending += len(what)
-            self._ways.count(self.machine.name, len(what))
         self._waiting.append(what)
         self._plan()
 

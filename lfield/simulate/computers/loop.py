@@ -17,6 +17,8 @@ from lfield.simulate.computers.timeline import Planned
 
 #: Rounds of one loop that may follow one another at the same moment: more, and it spins.
 MOST_ROUNDS = 100_000
+#: Seconds that work in a thread takes.
+IN_A_THREAD = 0.002
 
 
 class _Nothing:
@@ -147,7 +149,7 @@ class ProcessLoop(asyncio.BaseEventLoop):
             except Exception as error:
                 future.set_exception(error)
 
-        self.soon(done, 0.002)
+        self.soon(done, IN_A_THREAD)
         return future
 
 

@@ -62,9 +62,6 @@ class Ways:
         self._dice = dice
         self.silent: set[Way] = set()
         self.slow: dict[Way, tuple[float, float]] = {}
-        #: Pieces and bytes that were sent, by machine.
-        self.pieces: dict[str, int] = {}
-        self.bytes: dict[str, int] = {}
 
     def delay(self, way: Way) -> float:
         """How long something takes that way, in seconds; within a machine hardly any time."""
@@ -75,8 +72,3 @@ class Ways:
     def silences(self, one: str, other: str) -> bool:
         """Whether either direction is silent."""
         return (one, other) in self.silent or (other, one) in self.silent
-
-    def count(self, machine: str, size: int) -> None:
-        """A piece leaves a machine."""
-        self.pieces[machine] = self.pieces.get(machine, 0) + 1
-        self.bytes[machine] = self.bytes.get(machine, 0) + size

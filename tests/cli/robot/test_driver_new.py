@@ -88,18 +88,21 @@ def test_without_agreement_nothing_moves(site, endpoint):
     assert "3 passed, 0 failed, 7 not run" in said
 
 
+def errors(plugins, program):
+    """What is wrong in a program, by the compiler with these drivers."""
+    return check_text(program, devices=plugins.device_types, find_include=plugins.find_source).errors
+
+
 def test_its_stock_resource_compiles(site, monkeypatch):
     monkeypatch.syspath_prepend(str(site))
     plugins = Plugins()
     plugins.add("lfield_lamp:PLUGIN")
     assert load_plugin("lfield_lamp:PLUGIN").read_manifests()
-    checked = check_text(
+    assert not errors(
+        plugins,
         "include <lamp/mover.L>;\n"
         'coordinator C { init(string[] arg) { LampMover m = findLampMover("m"); m.moveTo(1.0); } }',
-        devices=plugins.device_types,
-        find_include=plugins.find_source,
     )
-    assert not checked.errors
 
 
 def test_a_sensor_passes_its_tests_and_the_kit_without_anybody_having_to_agree(sensor_site, monkeypatch):
@@ -121,13 +124,11 @@ def test_a_sensor_passes_its_tests_and_the_kit_without_anybody_having_to_agree(s
     assert {f.check for f in found if f.outcome == "not run"} == {
         "the safe state is latched until release", "it comes to rest in its safe state",
     }  # fmt: skip
-    checked = check_text(
+    assert not errors(
+        plugins,
         "include <eye/meter.L>;\n"
         'coordinator C { init(string[] arg) { EyeMeter m = findEyeMeter("m"); print(m.value()); } }',
-        devices=plugins.device_types,
-        find_include=plugins.find_source,
     )
-    assert not checked.errors
 
 
 def test_what_is_there_is_not_overwritten(site, tmp_path):

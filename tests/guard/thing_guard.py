@@ -1,0 +1,53 @@
+"""A guard in this process with devices of a type Thing, whose driver a test writes: no pipe, no port."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from lfield.driver.contract import Manifest
+from lfield.driver.device import Driver
+from lfield.driver.known import KnownDriver, ManifestFile
+from lfield.guard.messages import MessageReader
+from lfield.guard.process import Shell
+from lfield.manifest import DeviceManifest
+from lfield.simulate.time import LoopClock
+
+
+class Output:
+    """The pipe to the host: keeps what is told."""
+
+    def __init__(self):
+        self._reader, self.told = MessageReader(), []
+
+    def write(self, data):
+        self.told += self._reader.feed(data)
+
+    def is_closing(self):
+        return False
+
+    def get_write_buffer_size(self):
+        return 0
+
+
+def guard_of(kind, output):
+    """A guard whose driver makes devices of this class, on a bus that needs no opening."""
+
+    class Bus(Driver):
+        def _device(self, binding):
+            return kind(binding, self.manifests[binding.type], self.clock, self.reports)
+
+        async def _open(self):
+            pass
+
+        async def _close(self):
+            pass
+
+    plugin = SimpleNamespace(load=lambda: Bus, manifest_digest=lambda file: bytes(32))
+    return Shell(plugin, output, LoopClock())
+
+
+def known_thing(*instructions):
+    """What the host knows of that driver."""
+    manifest = Manifest(DeviceManifest("Thing", "thing", instructions, safe_states=("off",)))
+    files = {"Thing": ManifestFile("manifest.yaml", bytes(32))}
+    return KnownDriver("thing", "lfield_thing:PLUGIN", {"Thing": manifest}, files, "")
