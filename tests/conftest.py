@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import tempfile
 import zlib
@@ -26,6 +27,8 @@ os.environ["LFIELD_RUNS"] = "here"
 #: What Python compiles is kept, whatever the environment wants: a run starts a thousand interpreters.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+#: Whoever runs the tests in the background may ignore Ctrl-C, and what tests start would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 #: Files and folders whose tests share nothing and mostly wait.
 WAITING = (
