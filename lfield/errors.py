@@ -11,6 +11,9 @@
     ├── BlockError                bytes that are not a sound block of this program            65
     ├── InputFileError            a file cannot be read                                       66
     ├── OutputFileError           a file cannot be written (full disk, no permission)         73
+    ├── JournalError              a journal that cannot be kept (full or broken disk)         73
+    │   ├── JournalInUse          a journal that another process keeps                        69
+    │   └── ForeignJournal        one of a newer version, another mission or computer         65
     ├── WireError                 bytes from a peer that break the protocol                   76
     ├── GreetingError             a peer that must not be talked to                           76
     ├── AddressError              a port in use, an address that is not ours                  69
@@ -173,6 +176,33 @@ class OutputFileError(LfieldError):
     def __init__(self, path: str, reason: str) -> None:
         self.path, self.reason = path, reason
         super().__init__(f"cannot write {path}: {reason}")
+
+
+class JournalError(LfieldError):
+    """A journal that cannot be opened or kept: `path` says which, `reason` why, `advice` what to do."""
+
+    exit_status = exits.NO_OUTPUT
+
+    def __init__(self, path: str, reason: str, advice: str = "") -> None:
+        self.path, self.reason, self.advice = path, reason, advice
+        super().__init__(f"cannot keep the journal {path}: {reason}" + (f"; {advice}" if advice else ""))
+
+
+class JournalInUse(JournalError):
+    """A journal that another process keeps; `process` is its number, 0 when it is not known."""
+
+    exit_status = exits.UNAVAILABLE
+
+    def __init__(self, path: str, process: int) -> None:
+        self.process = process
+        who = f"process {process}" if process else "another process"
+        super().__init__(path, f"{who} keeps it", "a host runs once: end that one, or name another --state")
+
+
+class ForeignJournal(JournalError):
+    """A journal that is sound and not ours to use: of a newer version, another deployment or computer."""
+
+    exit_status = exits.DATA
 
 
 class WireError(LfieldError):

@@ -1,0 +1,63 @@
+"""What a journal promises, whoever keeps it; and where the one of a host lies."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import NamedTuple, Protocol
+from urllib.parse import quote
+
+from lfield.journal.pages import Key, Page
+from lfield.text.record import state_folder
+
+
+class Change(NamedTuple):
+    """What one call asks for: pages to be written, in this order, and then keys to be forgotten."""
+
+    pages: Sequence[Page] = ()
+    keys: Collection[Key] = ()
+
+
+class Journal(Protocol):
+    """Keeps pages. Calls of `keep` and `forget` are committed in the order in which they were made.
+
+    Neither ever waits on the loop: those that are called while a commit is under way become the next one.
+    When a commit fails, so does all that was called before the failure is told: nothing is kept whose
+    predecessor was lost. Each call is kept as a whole or not at all.
+    """
+
+    #: The random number of this memory. One from which something was lost gets another: it cannot say
+    #: of a transfer any more that it never arrived.
+    identity: int
+    #: Why nothing more should be taken in, '' when all is well. `keep` may still succeed, as long as the
+    #: space lasts that was kept in advance.
+    trouble: str
+
+    def pages(self) -> list[Page]:
+        """All pages, as they were read when it was opened."""
+
+    async def keep(self, pages: Sequence[Page]) -> None:
+        """Write pages over those with the same keys; all are on the disk when it returns.
+
+        Without pages it finds out whether the journal can keep again, once it was in trouble.
+        Raises JournalError; then it is not known to be kept, and may be tried again.
+        """
+
+    async def forget(self, keys: Collection[Key]) -> None:
+        """Remove pages for good; a key without one is none the worse. Raises JournalError."""
+
+    def commits_last_minute(self, now: float) -> int:
+        """How many commits there were in the last 60 s; `now` is in seconds, of its monotonic clock."""
+
+    def close(self) -> None:
+        """Leave it so that it is quickly opened. What is under way fails; none is called after it."""
+
+
+#: Its name in the folder of a host.
+FILE_NAME = "host.journal"
+
+
+def journal_file(folder: Path | None, deployment: str, host: str) -> Path:
+    """Where the journal of a host is: in the folder that is named, else in the service's or the user's."""
+    place = f"{quote(deployment, safe='')}@{quote(host, safe='')}"
+    return (folder or state_folder()) / place / FILE_NAME

@@ -1,0 +1,154 @@
+"""The pages of a journal: one for each thing that is kept, written over by its key; and their bytes.
+
+A page is written as a msgpack array whose first item is its tag. `lfield/docs/formats.md` has the table of
+all kinds, those to come included.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Literal, NamedTuple
+
+import msgspec
+from msgspec import Struct
+
+from lfield.wire.messages import Count, Hash, Outcome
+
+#: The version of all pages that are written here. A page of a newer one is not read.
+VERSION = 1
+
+#: What is kept of a copy. FROZEN is not: nothing was sent, so it is the copy that last began to run here.
+KeptState = Literal["ABSENT", "RUN", "PREPARED", "MOVED", "EXITED"]
+
+_CHECKED = struct.Struct("<qdH")
+
+
+class Key(NamedTuple):
+    """Which page: its kind, and the agent or digest (in hex) and the number that it is about, if any."""
+
+    kind: str
+    name: str = ""
+    number: int = 0
+
+
+class CopyPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="copy"):
+    """One start of one coordinator, seen from this host (mobility/copies.py).
+
+    `sequence` is the highest transfer number that this start used or tried here. `kind` and `reason` are the
+    refusal of that transfer, '' for none. `target` is where it was sent, and `memory` the identity of that
+    host's journal, or of its process if it has none. `outcome`, `detail` and `ended_on` belong to EXITED.
+    `program` is the digest of the program the block belongs to, b"" without a block; `block` its bytes, b""
+    for none. `doubt` is why the fate of a copy that was sent is not known, '' where it is.
+    """
+
+    agent: str
+    generation: Count
+    state: KeptState
+    sequence: Count = 0
+    hops: Count = 0
+    kind: str = ""
+    reason: str = ""
+    target: str = ""
+    memory: Count = 0
+    outcome: Outcome | Literal[""] = ""
+    detail: str = ""
+    ended_on: str = ""
+    program: Hash = b""
+    block: bytes = b""
+    doubt: str = ""
+
+
+class Starts(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="starts"):
+    """How many starts this host has made: the counter that generations come from."""
+
+    count: Count
+
+
+class Run(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="run"):
+    """Whether this host's run goes on at its next start. An orderly end with nothing left closes it."""
+
+    open: bool
+
+
+class Fence(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="fence"):
+    """No copy of an earlier generation of this agent may run here any more."""
+
+    agent: str
+    generation: Count
+
+
+class ProgramPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="program"):
+    """What explains blocks: their program, once for each digest that pages name.
+
+    `code` is a program file (bytecode/encoding.py). `members`, `types` and `hosts` are the ids and types of
+    the team's agents and its hosts, in their order: proxies and trails are numbers in them.
+    """
+
+    digest: Hash
+    code: bytes
+    members: tuple[str, ...] = ()
+    types: tuple[str, ...] = ()
+    hosts: tuple[str, ...] = ()
+
+
+Page = CopyPage | Starts | Run | Fence | ProgramPage
+
+_encode = msgspec.msgpack.Encoder().encode
+_decoder: msgspec.msgpack.Decoder[Page] = msgspec.msgpack.Decoder(Page)
+
+
+class PageError(Exception):
+    """Bytes that are not the page that their key and their checksum promise. It never leaves this room."""
+
+
+def key_of(page: Page) -> Key:
+    """Under which key a page is kept."""
+    match page:
+        case CopyPage():
+            return Key("copy", page.agent, page.generation)
+        case Fence():
+            return Key("fence", page.agent)
+        case ProgramPage():
+            return Key("program", page.digest.hex())
+        case Starts():
+            return Key("starts")
+        case Run():
+            return Key("run")
+
+
+class Entry(NamedTuple):
+    """A page as it lies on the disk: `since` is Unix time in seconds, `check` covers all the rest."""
+
+    key: Key
+    since: float
+    version: int
+    body: bytes
+    check: int
+
+
+def entry(page: Page, since: float) -> Entry:
+    """A page, made ready for the disk."""
+    key, body = key_of(page), _encode(page)
+    return Entry(key, since, VERSION, body, _check(key, since, VERSION, body))
+
+
+def page_of(found: Entry) -> Page:
+    """The page of an entry that is not of a newer version. Raises PageError for a damaged one."""
+    try:
+        if found.check != _check(found.key, found.since, found.version, found.body):
+            raise PageError("its checksum does not fit")
+        page = _decoder.decode(found.body)
+        if key_of(page) != found.key:
+            raise PageError("it lies under the key of another page")
+        return page
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise PageError(f"it cannot be read ({error})") from None
+    except (TypeError, ValueError, AttributeError, struct.error):
+        raise PageError("its key is damaged") from None
+
+
+def _check(key: Key, since: float, version: int, body: bytes) -> int:
+    """The CRC-32 of all that an entry says, its place included."""
+    start = zlib.crc32(f"{key.kind}\0{key.name}\0".encode())
+    return zlib.crc32(body, zlib.crc32(_CHECKED.pack(key.number, since, version), start))
