@@ -8,6 +8,7 @@ from __future__ import annotations
 from msgspec import Struct
 
 from lfield.bytecode.program import DeviceCall
+from lfield.journal.pages import Page
 from lfield.manifest import DeviceValue
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.vm.agent import Agent
@@ -46,16 +47,17 @@ class Died(Struct, frozen=True):
     agent: Agent
 
 
-class KeepStart(Struct, frozen=True):
-    """Put the number of a start on record, then call `HostCore.kept`: nothing starts before that."""
+class Keep(Struct, frozen=True):
+    """Have pages on disk, then call `HostCore.kept`; batches in the order of their numbers."""
 
-    generation: int
+    number: int
+    pages: list[Page]
 
 
 class Changed(Struct, frozen=True):
     """What is known of coordinators has changed: whoever waits for an end looks again."""
 
 
-Effect = Send | SendTransfer | Write | Say | Complain | Call | Died | KeepStart | Changed
+Effect = Send | SendTransfer | Write | Say | Complain | Call | Died | Keep | Changed
 
 CHANGED = Changed()

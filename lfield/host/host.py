@@ -24,10 +24,12 @@ from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
 from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
-from lfield.host.effects import Call, Complain, Died, Effect, KeepStart, Say, Write
+from lfield.host.effects import Call, Complain, Died, Effect, Keep, Say, Write
 from lfield.host.logbook import Logbook
+from lfield.host.scribe import Scribe
 from lfield.host.status import status_of
 from lfield.host.surroundings import Surroundings
+from lfield.journal.journal import Journal
 from lfield.loop import spawn
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
@@ -37,7 +39,6 @@ from lfield.mobility.fates import Fate
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
 from lfield.text.private import write_private
-from lfield.text.record import Record
 from lfield.vm.agent import Agent
 from lfield.vm.inspect import dump
 from lfield.vm.machine import Machine
@@ -66,8 +67,9 @@ LOOKING, LAST_LOOK = 3.0, 1.5
 class Options:
     """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
 
-    `record` has the host's earlier starts, None where none are kept: all hosts are then heard first.
-    `first_start`: somebody says that there were none. Times are in seconds.
+    `journal` keeps what this host has of coordinators; without one that is gone with its process, and all
+    hosts are heard before any is started. `first_start`: somebody says that there was no start before. Times
+    are in seconds.
     """
 
     listen: str
@@ -76,7 +78,7 @@ class Options:
     door: str = ""
     clock: Clock = field(default_factory=SystemClock)
     dice: random.Random = field(default_factory=random.Random)
-    record: Record | None = None
+    journal: Journal | None = None
     first_start: bool = False
 
 
@@ -98,6 +100,11 @@ class Host:
         self.guards = Guards(
             mission.drivers, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
         )
+        self.scribe = Scribe(
+            options.journal,
+            lambda number: self._enter(partial(self.core.kept, number)),
+            lambda why: self._enter(partial(self.core.not_kept, why)),
+        )
         self.core = HostCore(
             mission,
             name,
@@ -106,6 +113,8 @@ class Host:
             Surroundings(self.peers, self.guards),
             options.dice,
             options.unreachable_after,
+            self.scribe.memory,
+            self.scribe.pages,
         )
         self.changed = asyncio.Event()
         #: Set when the host has failed: `failure` says by what.
@@ -125,8 +134,6 @@ class Host:
         self._entered = self._stopped = self._pressed = False
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
-        #: What puts a start on record.
-        self._writing: asyncio.Task[None] | None = None
 
     @property
     def machine(self) -> Machine:
@@ -152,13 +159,11 @@ class Host:
         await self.guards.open(devices)
         self.note(f"{self.name} is up on {self.address}")
         self._enter(self.core.start_resources)
-        if not any(member.kind == "coordinator" for member in self.team.on(self.core.here)):
+        if not self.core.has_coordinators:
             return
-        record = self.options.record.read() if self.options.record else None
         await self.peers.first_round(CENSUS)
-        self._enter(partial(self.core.start_coordinators, record, first=self.options.first_start))
-        if self._writing is not None:
-            await asyncio.wait([self._writing])
+        self._enter(partial(self.core.start_coordinators, first=self.options.first_start))
+        await self.scribe.all_kept()
 
     async def _open_door(self, door: str) -> None:
         """A host that cannot be asked on this computer runs all the same."""
@@ -177,11 +182,12 @@ class Host:
         """
         if self._stopped:
             return {}
-        self.core.halt()
+        self._enter(self.core.halt)
         unsafe = await self.guards.close()
         for name, why in unsafe.items():
             self.note(f"{name}: NOT SAFE: {why}")
         await self._be_seen()
+        await self.scribe.close()
         self._stopped = True
         if self._timer:
             self._timer.cancel()
@@ -275,8 +281,8 @@ class Host:
                 self.peers.complain(effect.text)
             case Call():
                 self._call(effect)
-            case KeepStart():
-                self._writing = spawn(self._keep(effect.generation))
+            case Keep():
+                self.scribe.keep(effect)
             case Died():
                 if self.options.dump:
                     self._dump(effect.agent, self.options.dump)
@@ -292,15 +298,6 @@ class Host:
             self.guards.call(asked.agent.id, call.field, call.instruction, asked.values, answered)
         except DeviceError as error:
             answered(error)
-
-    async def _keep(self, generation: int) -> None:
-        try:
-            if self.options.record is not None:
-                await self.options.record.write(generation)
-        except OutputFileError as error:
-            self._enter(partial(self.core.not_kept, str(error)))
-        else:
-            self._enter(partial(self.core.kept, generation))
 
     def _dump(self, agent: Agent, folder: Path) -> None:
         data = dump.encode(

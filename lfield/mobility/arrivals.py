@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from lfield.mobility.copies import MAX_STARTS, Copies, Copy
 from lfield.mobility.departures import LIMIT, UNREACHABLE
-from lfield.mobility.effects import Effect, Note, Refusal, Send
+from lfield.mobility.effects import Effect, Go, Note, Refusal, Send
 from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Inquire, Refused, Transfer, clip
 
 if TYPE_CHECKING:
@@ -36,27 +36,27 @@ class Arrivals:
 
     def arrive(self, host: str, header: Transfer, block: Buffer) -> list[Effect]:
         """A coordinator has arrived from `host`."""
-        if header.receiver_incarnation != self._own.incarnation:
+        if header.receiver_memory != self._own.remembers:
             return [self._late(host, header)]
         unfit = self._unfit(header, len(block))
         if unfit is not None:
             return [Send(host, _refused(header, unfit))]
         copy = self._copies.enter(header.agent, header.generation)
         assert copy is not None
-        effects = self._take(copy, header, block) if header.sequence > copy.sequence else []
+        effects = self._decide(copy, header, block) if header.sequence > copy.sequence else []
         effects.append(Send(host, _verdict(copy, header)))
         return effects
 
     def oversize(self, host: str, header: Transfer, size: int) -> list[Effect]:
         """A coordinator whose block was too large to be read."""
-        if header.receiver_incarnation != self._own.incarnation:
+        if header.receiver_memory != self._own.remembers:
             return [self._late(host, header)]
         unfit = self._unfit(header, size) or self._too_large(header.agent, size)
         return [Send(host, _refused(header, unfit))]
 
     def inquire(self, host: str, message: Inquire) -> list[Effect]:
         """What became of a transfer? One that was never seen is refused for good, should it still come."""
-        if message.receiver_incarnation != self._own.incarnation:
+        if message.receiver_memory != self._own.remembers:
             return [self._late(host, message)]
         copy = self._copies.enter(message.agent, message.generation)
         if copy is None:
@@ -65,11 +65,21 @@ class Arrivals:
         if message.sequence > copy.sequence:
             effects = self._outrun(copy)
             copy.sequence, copy.refusal = message.sequence, _NEVER_ARRIVED
+            effects += self._copies.keep(copy)
         effects.append(Send(host, _verdict(copy, message)))
         return effects
 
+    def _decide(self, copy: Copy, header: Transfer, block: Buffer) -> list[Effect]:
+        """Decide on a number not seen before: the verdict is kept before anybody hears of it."""
+        effects = self._take(copy, header, block)
+        taken = copy.state == "RUN" and copy.sequence == header.sequence and copy.refusal is None
+        if taken and self._copies.kept:
+            copy.block = bytes(block)
+        effects += self._copies.keep(copy)
+        return [*effects, Go(copy.agent, copy.generation)] if taken else effects
+
     def _take(self, copy: Copy, header: Transfer, block: Buffer) -> list[Effect]:
-        """Decide on a number not seen before; the verdict is in `copy` afterwards."""
+        """The verdict is in `copy` afterwards."""
         effects: list[Effect] = []
         restarted = len(self._copies.of(header.agent)) > 1
         if restarted:

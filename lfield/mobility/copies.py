@@ -1,16 +1,21 @@
-"""What one host remembers of each start of each coordinator: its copy, and its last verdict."""
+"""What one host remembers of each start of each coordinator: its copy, and its last verdict.
+
+A host with a journal keeps every change of it that others may come to rely on (durability: what is forced to
+disk before what).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from lfield.journal.pages import CopyPage
+from lfield.mobility.effects import Effect, Persist, Refusal
 from lfield.wire.messages import Known, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
 
-    from lfield.mobility.effects import Refusal
     from lfield.wire.framing import Buffer
 
 #: ABSENT: no copy was ever here, only a transfer that was refused. The rest is `messages.CopyState`.
@@ -28,9 +33,10 @@ class Copy:
     """One start of one coordinator, seen from one host; its size does not grow with the hops.
 
     `sequence` is the highest transfer number that this start used or tried here. `refusal` is set when
-    that transfer came from elsewhere and was refused. `target`, `incarnation` (of the target when the
-    block was sent), `deadline` (seconds) and `seal` belong to the departure under way. `block` is what was
-    last sent: the shadow, once the copy is MOVED. `doubt` says why the copy's fate is not known.
+    that transfer came from elsewhere and was refused. `target`, `memory` (what the target answers from),
+    `deadline` (seconds) and `seal` belong to the departure under way. `block` is what was last sent, or kept:
+    the shadow, once the copy is MOVED. `doubt` says why the copy's fate is not known. `restored`: it is here
+    from the journal, and has not gone on yet.
     """
 
     agent: str
@@ -40,7 +46,7 @@ class Copy:
     hops: int = 0
     refusal: Refusal | None = None
     target: str = ""
-    incarnation: int = 0
+    memory: int = 0
     deadline: float = 0.0
     seal: Callable[[int], Buffer] | None = None
     block: Buffer | None = None
@@ -48,6 +54,7 @@ class Copy:
     outcome: Outcome | Literal[""] = ""
     detail: str = ""
     ended_on: str = ""
+    restored: bool = False
 
     @property
     def alive(self) -> bool:
@@ -59,6 +66,7 @@ class Copy:
         self.state, self.sequence, self.hops = "RUN", sequence, hops
         self.refusal = self.seal = self.block = None
         self.doubt = self.outcome = self.detail = self.ended_on = ""
+        self.restored = False
 
     def end(self, outcome: Outcome, detail: str, host: str) -> None:
         """Become the memory of an ending."""
@@ -82,17 +90,63 @@ class Copy:
         assert state != "ABSENT"
         where = {"RUN": "", "EXITED": self.ended_on}.get(state, self.target)
         detail = self.doubt or self.detail
-        life = self.incarnation if state in ("PREPARED", "IN DOUBT", "MOVED") else 0
+        memory = self.memory if state in ("PREPARED", "IN DOUBT", "MOVED") else 0
         return Known(
-            self.agent, self.generation, self.sequence, self.hops, state, where, self.outcome, detail, life
+            self.agent, self.generation, self.sequence, self.hops, state, where, self.outcome, detail, memory
         )
+
+    def page(self, program: bytes) -> CopyPage:
+        """What a journal keeps of it. A copy that waits for a link runs, for whoever reads this later."""
+        return CopyPage(
+            self.agent,
+            self.generation,
+            "RUN" if self.state == "FROZEN" else self.state,
+            self.sequence,
+            self.hops,
+            self.refusal.kind if self.refusal else "",
+            self.refusal.reason if self.refusal else "",
+            self.target,
+            self.memory,
+            self.outcome,
+            self.detail,
+            self.ended_on,
+            program,
+            bytes(self.block) if self.block is not None else b"",
+            self.doubt,
+        )
+
+    def restore(self, page: CopyPage) -> None:
+        """Become what a page says."""
+        self.state, self.sequence, self.hops = page.state, page.sequence, page.hops
+        self.refusal = Refusal(page.kind, page.reason) if page.kind else None
+        self.target, self.memory, self.outcome = page.target, page.memory, page.outcome
+        self.detail, self.ended_on, self.block = page.detail, page.ended_on, page.block or None
+        self.doubt = page.doubt
+        self.restored = self.state in ("RUN", "PREPARED")
 
 
 class Copies:
-    """All copies of one host, for the coordinators of its deployment and for no others."""
+    """All copies of one host, for the coordinators of its deployment and for no others.
 
-    def __init__(self, agents: Collection[str]) -> None:
+    `program` is the digest of theirs, b"" on a host that keeps no journal.
+    """
+
+    def __init__(self, agents: Collection[str], program: bytes = b"") -> None:
         self._starts: dict[str, dict[int, Copy]] = {agent: {} for agent in agents}
+        self._program = program
+
+    @property
+    def kept(self) -> bool:
+        """Whether this host has a journal."""
+        return bool(self._program)
+
+    def keep(self, copy: Copy) -> list[Effect]:
+        """Have what is known of it on disk before anything that comes after."""
+        return [Persist(copy.agent, copy.page(self._program))] if self._program else []
+
+    def keep_soon(self, copy: Copy) -> list[Effect]:
+        """The same, but nothing waits for it: if it is lost, it is asked for again."""
+        return [Persist(copy.agent, copy.page(self._program), soon=True)] if self._program else []
 
     def __iter__(self) -> Iterator[Copy]:
         return (copy for starts in self._starts.values() for copy in starts.values())

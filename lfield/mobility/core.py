@@ -9,20 +9,31 @@ The rule everything serves: of one start of a coordinator, never two copies run.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from lfield.mobility.arrivals import Arrivals
 from lfield.mobility.copies import LIVE, Copies
 from lfield.mobility.departures import Departures
+from lfield.mobility.effects import Began, Go
 from lfield.mobility.endings import Endings
-from lfield.wire.messages import Accepted, Ended, EndedAck, Hello, Inquire, Known, Outcome, Refused, Transfer
+from lfield.wire.messages import Accepted, Ended, EndedAck, Hello, Inquire, Known, Refused, Transfer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
+    from lfield.journal.pages import CopyPage
+    from lfield.mobility.copies import Copy
     from lfield.mobility.effects import Effect, Refusal
     from lfield.mobility.fates import Fate
     from lfield.wire.framing import Buffer
+
+
+class Put(Protocol):
+    """Puts a copy that was kept into the machine; see `Mobility.wake`."""
+
+    def __call__(self, copy: Copy, *, runs: bool) -> Callable[[int], Buffer] | None:
+        """What gives the block to send, None when the copy cannot go on."""
+
 
 #: The messages for `Mobility.receive`.
 MobilityMessage = Accepted | Refused | Inquire | Ended | EndedAck
@@ -51,18 +62,55 @@ class Mobility:
         inject: Callable[[Transfer, Buffer], Refusal | None],
         unreachable_after: float = 10.0,
     ) -> None:
-        self._copies = Copies(agents)
+        self._own = own
+        self._copies = Copies(agents, own.program if own.memory else b"")
         self._links: dict[str, Hello] = {}
         self._endings = Endings(own.host, frozenset(peers) - {own.host}, self._copies, self._links)
         self._departures = Departures(own, self._copies, self._links, self._endings, unreachable_after)
         self._arrivals = Arrivals(own, self._copies, self._departures, self._endings, inject)
 
-    def start(self, agent: str, generation: int) -> None:
+    def start(self, agent: str, generation: int) -> list[Effect]:
         """A coordinator starts here. `generation` must be new, and greater than those of earlier starts."""
         copy = self._copies.enter(agent, generation)
         if copy is None or copy.state != "ABSENT":
             raise ValueError(f"{agent} cannot be started as generation {generation}")
         copy.run(0, 0)
+        return [*self._copies.keep(copy), Began(agent, generation)]
+
+    def save(self, agent: str, block: Buffer) -> list[Effect]:
+        """The running copy of `agent`, frozen by the caller, calls a portal of this host: keep it there."""
+        for copy in self._copies.of(agent):
+            if copy.state == "RUN":
+                copy.block, copy.restored = bytes(block), False
+                return [*self._copies.keep(copy), Go(agent, copy.generation)]
+        raise ValueError(f"{agent} does not run here")
+
+    def restore(self, pages: Iterable[CopyPage]) -> None:
+        """What the journal of this host has of the coordinators. Those that can go on here: see `wake`."""
+        for page in pages:
+            copy = self._copies.enter(page.agent, page.generation)
+            if copy is not None:
+                copy.restore(page)
+                self._endings.restored(copy)
+
+    def wake(self, put: Put, now: float) -> list[Effect]:
+        """Go on with what was restored: `put(copy, runs=...)` has it in the machine again.
+
+        There it is frozen at its portal call, or goes on if it `runs`. `put` returns the `seal` for its
+        departure, or None if the block is none.
+        """
+        effects: list[Effect] = []
+        for copy in self._copies:
+            if not copy.restored:
+                continue
+            runs = copy.state == "RUN"
+            copy.restored = not runs
+            copy.seal = put(copy, runs=runs)
+            if copy.seal is None:
+                copy.doubt = f"what {self._own.host} has kept of it cannot be read"
+            elif not runs:
+                effects += self._departures.woken(copy, now)
+        return effects
 
     def depart(self, agent: str, host: str, seal: Callable[[int], Buffer], now: float) -> list[Effect]:
         """The running copy of `agent`, frozen by the caller, wants to go to `host`.
@@ -82,6 +130,11 @@ class Mobility:
         if copy is None or not (copy.doubt if outcome == "lost" else copy.state in ("RUN", "FROZEN")):
             raise ValueError(f"{agent} of generation {generation} cannot end here as {outcome!r}")
         return self._endings.end(copy, outcome, detail)
+
+    @property
+    def memories(self) -> dict[str, int]:
+        """What each linked host answers from; see `Hello.remembers`."""
+        return {host: peer.remembers for host, peer in self._links.items()}
 
     def linked(self, peer: Hello) -> list[Effect]:
         """A link to a host is up; `peer` is what it said in its greeting."""
@@ -158,6 +211,11 @@ class Mobility:
     def lost(self) -> bool:
         """Whether a start of any coordinator is known here to be lost."""
         return any(copy.outcome == "lost" for copy in self._copies)
+
+    def superseded(self, agent: str, generation: int) -> bool:
+        """Whether a start was stopped because another goes on."""
+        copy = self._copies.find(agent, generation)
+        return copy is not None and copy.outcome == "superseded"
 
     def unconfirmed(self, hosts: Collection[str]) -> bool:
         """Whether one of these hosts has yet to confirm an ending that it was told of."""

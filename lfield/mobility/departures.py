@@ -15,8 +15,11 @@ if TYPE_CHECKING:
     from lfield.wire.framing import Buffer
     from lfield.wire.messages import Known
 
-#: The L exceptions a refused hop ends in (appendix I names the first).
+#: The L exceptions a refused hop ends in (appendix I names the first and the last).
 UNREACHABLE = "UnreachableResourceException"
+RESTARTED = "RestartException"
+#: What is known of a call that a restart has come between.
+UNBEGUN, PERHAPS = "this call has not begun", "this call may have begun"
 LIMIT = "LimitException"
 
 
@@ -44,8 +47,15 @@ class Departures:
         effects: list[Effect] = []
         for copy in self._copies:
             if copy.target == peer.host and (copy.state in ("FROZEN", "PREPARED") or copy.gave_way):
-                effects += self._take_up(copy, peer)
+                # What is restored is not in the machine yet: it could not go on.
+                effects += [] if copy.restored and copy.seal is None else self._take_up(copy, peer)
         return effects
+
+    def woken(self, copy: Copy, now: float) -> list[Effect]:
+        """A copy that was sent before this host was started again is in the machine."""
+        copy.deadline = now + self._unreachable_after
+        peer = self._links.get(copy.target)
+        return [] if peer is None else self._take_up(copy, peer)
 
     def accepted(self, host: str, message: Accepted) -> list[Effect]:
         """The receiver has it: the commit point, seen from here."""
@@ -82,8 +92,9 @@ class Departures:
 
     def moved(self, copy: Copy) -> list[Effect]:
         """The copy lives elsewhere; the block stays as its shadow."""
-        copy.state, copy.seal, copy.doubt = "MOVED", None, ""
-        return [Departed(copy.agent, copy.generation, copy.sequence, copy.target)]
+        copy.state, copy.seal, copy.doubt, copy.restored = "MOVED", None, "", False
+        departed = Departed(copy.agent, copy.generation, copy.sequence, copy.target)
+        return [departed, *self._copies.keep_soon(copy)]
 
     def overdue(self, copy: Copy) -> list[Effect]:
         """The time of a departure is over: nothing was sent, so resume; or something was, so doubt."""
@@ -103,34 +114,37 @@ class Departures:
         if peer is None:
             copy.state = "FROZEN"
             return []
-        assert copy.seal is not None
         copy.sequence += 1
         copy.refusal = None
-        copy.block = block = copy.seal(copy.sequence)
+        copy.block = block = self._sealed(copy)
         size = len(block)
         if size > peer.max_block:
             reason = f"{copy.agent} has {size} bytes and {peer.host} takes at most {peer.max_block}"
             return self._resume(copy, LIMIT, reason)
-        copy.state, copy.incarnation = "PREPARED", peer.incarnation
+        copy.state, copy.memory = "PREPARED", peer.remembers
         header = Transfer(
             copy.agent,
             copy.generation,
             copy.sequence,
             copy.hops + 1,
             self._own.program,
-            peer.incarnation,
+            peer.remembers,
             size,
         )
-        return [SendTransfer(peer.host, header, block)]
+        return [*self._copies.keep(copy), SendTransfer(peer.host, header, block)]
+
+    def _sealed(self, copy: Copy) -> Buffer:
+        """The block to send. What is kept must stay as it is when the copy goes on here after all."""
+        assert copy.seal is not None
+        block = copy.seal(copy.sequence)
+        return bytes(block) if self._copies.kept else block
 
     def _take_up(self, copy: Copy, peer: Hello) -> list[Effect]:
         """The link is back for a copy that waits."""
         if copy.state == "FROZEN":
             return self._send(copy)
-        if peer.incarnation == copy.incarnation:
-            return [
-                Send(peer.host, Inquire(copy.agent, copy.generation, copy.sequence, copy.incarnation)),
-            ]
+        if peer.remembers == copy.memory:
+            return [Send(peer.host, Inquire(copy.agent, copy.generation, copy.sequence, copy.memory))]
         if copy.gave_way:
             return []
         return self._doubt(
@@ -146,7 +160,12 @@ class Departures:
         return [InDoubt(copy.agent, copy.generation, copy.sequence, copy.target, reason)]
 
     def _resume(self, copy: Copy, kind: str, reason: str) -> list[Effect]:
-        copy.state, copy.seal, copy.block = "RUN", None, None
+        copy.state, copy.seal = "RUN", None
+        if not self._copies.kept:
+            copy.block = None
+        if copy.restored:
+            kind, reason = RESTARTED, f"{self._own.host} was started again; {UNBEGUN}: {reason}"
+            copy.restored = False
         return [Resume(copy.agent, copy.generation, copy.sequence, kind, clip(reason))]
 
     def _under_way(self, host: str, answer: Accepted | Refused) -> Copy | None:

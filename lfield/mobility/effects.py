@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
+from lfield.journal.pages import Page
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Control, Outcome, Transfer
 
@@ -26,6 +27,31 @@ class SendTransfer(Struct, frozen=True):
     host: str
     header: Transfer
     block: Buffer
+
+
+class Persist(Struct, frozen=True):
+    """Have a page on disk before the effects on that agent that come after this one; only with a journal.
+
+    `soon`: it may wait for the next page that anything depends on.
+    """
+
+    agent: str
+    page: Page
+    soon: bool = False
+
+
+class Began(Struct, frozen=True):
+    """A coordinator of this host starts: what it is known by is kept."""
+
+    agent: str
+    generation: int
+
+
+class Go(Struct, frozen=True):
+    """Let the copy held here go on: it has arrived, or is kept at a portal call of this host."""
+
+    agent: str
+    generation: int
 
 
 class Departed(Struct, frozen=True):
@@ -84,7 +110,9 @@ class Note(Struct, frozen=True):
     reason: str
 
 
-Effect = Send | SendTransfer | Departed | Resume | InDoubt | Supersede | Finished | Note
+Effect = (
+    Send | SendTransfer | Persist | Began | Go | Departed | Resume | InDoubt | Supersede | Finished | Note
+)
 
 
 class Refusal(Struct, frozen=True):

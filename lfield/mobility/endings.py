@@ -32,7 +32,14 @@ class Endings:
         copy.end(outcome, detail, self._host)
         message = Ended(copy.agent, copy.generation, outcome, detail, self._host)
         self._untold[copy.agent, copy.generation] = message, set(self._peers)
-        return [Send(host, message) for host in sorted(self._peers & self._links.keys())]
+        told: list[Effect] = [Send(host, message) for host in sorted(self._peers & self._links.keys())]
+        return self._copies.keep(copy) + told
+
+    def restored(self, copy: Copy) -> None:
+        """An ending that was known before this host was restarted: who has confirmed it is not."""
+        if copy.outcome and copy.ended_on == self._host:
+            message = Ended(copy.agent, copy.generation, copy.outcome, copy.detail, copy.ended_on)
+            self._untold[copy.agent, copy.generation] = message, set(self._peers)
 
     def lose(self, agent: str, generations: Iterable[int], detail: str) -> list[Effect]:
         """There is proof now that these starts are lost: tell all that can be reached.
@@ -47,6 +54,7 @@ class Endings:
             detail = clip(detail)
             if copy.state != "EXITED":
                 copy.end("lost", detail, self._host)
+                effects += self._copies.keep(copy)
                 effects.append(Finished(agent, generation, "lost", detail, self._host))
             message = Ended(agent, generation, "lost", detail, self._host)
             self._untold[agent, generation] = message, set(self._links)
@@ -109,18 +117,22 @@ class Endings:
         if copy.state == "PREPARED" and ended.outcome == "lost" and not self._forsaken(copy):
             return []
         copy.end(ended.outcome, ended.detail, ended.host)
-        return [Finished(ended.agent, ended.generation, ended.outcome, ended.detail, ended.host)]
+        return [
+            *self._copies.keep(copy),
+            Finished(ended.agent, ended.generation, ended.outcome, ended.detail, ended.host),
+        ]
 
     def _forsaken(self, copy: Copy) -> bool:
         """Whether a copy in doubt waits for an answer from a life that is over: it can never come."""
         target = self._links.get(copy.target)
-        return bool(copy.doubt) and target is not None and target.incarnation != copy.incarnation
+        return bool(copy.doubt) and target is not None and target.remembers != copy.memory
 
     def stop(self, copy: Copy, reason: str, host: str) -> list[Effect]:
         """End a copy because `host` said an earlier start is alive; no need to tell others."""
         held = copy.state in LIVE
         copy.end("superseded", reason, host)
-        return [Supersede(copy.agent, copy.generation, reason)] if held else []
+        kept = self._copies.keep(copy)
+        return [*kept, Supersede(copy.agent, copy.generation, reason)] if held else kept
 
     def compare(self, host: str, known: Known) -> list[Effect]:
         """`host` holds a live copy of a start: supersede that start, or the later ones known here."""
@@ -149,6 +161,7 @@ class Endings:
                 reason = f"{copy.agent} was in doubt on {self._host} when a later start of it came"
                 effects.append(Supersede(copy.agent, copy.generation, reason))
                 copy.give_way()
+                effects += self._copies.keep(copy)
         return effects
 
     def yields(self, copy: Copy) -> list[Effect]:

@@ -36,14 +36,15 @@ class Absent:
     """The hosts that did not answer, and the lives of those that did.
 
     `gone` have ended for certain, `unheard` are those that nobody has heard for so many seconds, which is too
-    long, `elsewhere` all others: somebody hears them, or did a moment ago. `lives` are the incarnations of
-    the hosts that answered.
+    long, `elsewhere` all others: somebody hears them, or did a moment ago. `lives` are the memories of
+    the hosts that answered. `kept`: hosts keep journals, so what one had is not lost with it.
     """
 
     gone: Collection[str] = ()
     unheard: Mapping[str, float] = field(default_factory=dict)
     elsewhere: Collection[str] = ()
     lives: Mapping[str, int] = field(default_factory=dict)
+    kept: bool = False
 
 
 Records = Sequence[Known]
@@ -111,7 +112,7 @@ def _as_memory(row: Known, host: str, life: int) -> Known:
     """What a record says later on: of a copy that was alive on a host, that it had come there."""
     if row.state not in _ALIVE:
         return row
-    return structs.replace(row, state="MOVED", where=host, receiver_incarnation=life)
+    return structs.replace(row, state="MOVED", where=host, receiver_memory=life)
 
 
 def _certain(fate: Fate, before: Fate | None) -> bool:
@@ -177,7 +178,7 @@ class _Census:
         there = known.get(where)
         if there is None or any(row.sequence >= last.sequence for row in there):
             return None
-        if self.absent.lives.get(where) == last.receiver_incarnation:
+        if self.absent.lives.get(where) == last.receiver_memory:
             # It is on its way into that very life, or waits there for the devices to open.
             return None
         return self._nowhere(f"{way}, which was restarted")
@@ -186,6 +187,8 @@ class _Census:
         """It is lost, unless it has gone on from there to a host that does not answer."""
         if self.absent.elsewhere:
             return None
+        if self.absent.kept:
+            return Fate(self.agent, "unheard", f"{how}; what that host has kept of it goes on when it is up again")
         if self.absent.unheard:
             return self._unheard(min(self.absent.unheard), f"{how}, but it may have gone on from there, and")
         return Fate(self.agent, "lost", how)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import random
+from collections.abc import Collection, Sequence
 
 from lfield.driver.plugin import load_plugin
-from lfield.errors import OutputFileError
+from lfield.errors import JournalError
 from lfield.guard.process import Shell
+from lfield.journal.pages import Key, Page, key_of
 from lfield.simulate.computers.computer import Input, Process
 
 #: Where the driver of simulated hardware is.
@@ -36,26 +39,57 @@ def guard(process: Process, output: asyncio.WriteTransport) -> Input:
 
 
 class Disk:
-    """The record of a host's starts. What is not on it yet when its process ends never gets there."""
+    """The disk of a host, which outlives its processes; each of them opens the journal on it."""
 
-    def __init__(self) -> None:
-        #: Whether nothing was ever kept on it, as whoever set the team up knows.
-        self.new = True
+    def __init__(self, dice: random.Random) -> None:
+        self._dice = dice
         #: Whether it takes nothing any more.
         self.full = False
-        self._starts: int | None = None
+        #: Whether nothing was ever kept on it, as whoever set the team up knows.
+        self.new = True
+        self._empty()
+
+    def _empty(self) -> None:
+        self.identity = self._dice.getrandbits(62) + 1
+        self.kept: dict[Key, Page] = {}
 
     def replace(self) -> None:
         """Another disk, empty, of which nobody knows what was on the one before."""
-        self._starts, self.new = None, False
+        self._empty()
+        self.new = False
 
-    def read(self) -> int | None:
-        """The last start; None for none."""
-        return self._starts
+    def open(self) -> DiskJournal:
+        """The journal, for a new process."""
+        return DiskJournal(self)
 
-    async def write(self, generation: int) -> None:
-        """Keep a start. Raises OutputFileError when the disk is full."""
+
+class DiskJournal:
+    """A `Journal`. What is not on the disk yet when its process ends never gets there."""
+
+    trouble = ""
+
+    def __init__(self, disk: Disk) -> None:
+        self._disk, self.identity = disk, disk.identity
+
+    def pages(self) -> list[Page]:
+        """See `Journal`."""
+        return list(self._disk.kept.values())
+
+    async def keep(self, pages: Sequence[Page]) -> None:
+        """See `Journal`."""
         await asyncio.sleep(SYNC)
-        if self.full:
-            raise OutputFileError("starts.json", "No space left on device")
-        self._starts, self.new = generation, False
+        if self._disk.full:
+            raise JournalError("host.journal", "no space is left on its disk")
+        self._disk.kept.update((key_of(page), page) for page in pages)
+
+    async def forget(self, keys: Collection[Key]) -> None:
+        """See `Journal`."""
+        for key in keys:
+            self._disk.kept.pop(key, None)
+
+    def commits_last_minute(self, now: float) -> int:
+        """See `Journal`."""
+        return 0
+
+    def close(self) -> None:
+        """See `Journal`."""

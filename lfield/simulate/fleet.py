@@ -56,7 +56,8 @@ class Fleet:
     """The hosts of a mission, all up at the beginning. Everything that is left to chance comes from `seed`.
 
     `watch` is called after every event, and raises AssertionError for what must never be. With `lost_after`
-    hosts end when all coordinators have, as with --until-done. Times are in seconds.
+    hosts end when all coordinators have, as with --until-done. They keep journals, unless told not to. Times are
+    in seconds.
     """
 
     def __init__(
@@ -66,7 +67,9 @@ class Fleet:
         watch: Watch = lambda fleet: None,
         unreachable_after: float = 10.0,
         lost_after: float | None = None,
+        keeps: bool = True,
     ) -> None:
+        self._keeps = keeps
         self._watch, self._unreachable_after, self._lost_after = watch, unreachable_after, lost_after
         dice = random.Random(seed)
         self.timeline = Timeline()
@@ -77,7 +80,7 @@ class Fleet:
         self.network = Network(self.timeline, self.machines, dice)
         programs = {"lfield.guard.process": guard}
         self.computers = {m.name: Computer(m, self.network, programs) for m in self.machines.values()}
-        self.disks = {name: Disk() for name in names}
+        self.disks = {name: Disk(random.Random(dice.random())) for name in names}
         #: By the names of devices that share it.
         self.hardware: dict[str, Hardware] = {}
         self.mission = self._on_hardware(mission, dice).at(
@@ -166,9 +169,10 @@ class Fleet:
             clock=machine.clock,
             dice=random.Random(machine.dice.random()),
             unreachable_after=self._unreachable_after,
-            record=disk,
+            journal=disk.open() if self._keeps else None,
             first_start=disk.new,
         )
+        disk.new = False
         host = Host(self.mission, name, TcpTransport(self.mission.max_block), Logbook(book, book), options)
         life = self.lives[name] = Life(process, host)
         process.loop.create_task(self._live(name, life))

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 #: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 4
+PROTOCOL = 5
 
 #: Longest name of an agent or host, in characters.
 MAX_NAME = 128
@@ -75,7 +75,7 @@ class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
     `sequence` is the highest transfer number of this start that was used or seen here. `where` is the host
     the copy went or wants to go to (FROZEN, PREPARED, IN DOUBT, MOVED), or the host it ended on (EXITED), and
-    `receiver_incarnation` the life of that host to which it was sent (PREPARED, IN DOUBT, MOVED).
+    `receiver_memory` the memory of that host to which it was sent (PREPARED, IN DOUBT, MOVED).
     `outcome` is set for EXITED, `detail` for EXITED and IN DOUBT.
     """
 
@@ -87,16 +87,17 @@ class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     where: MaybeName = ""
     outcome: Literal["", "done", "died", "lost", "superseded"] = ""
     detail: Text = ""
-    receiver_incarnation: Count = 0
+    receiver_memory: Count = 0
 
 
 class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The first message of both sides of a link.
 
     `incarnation` is a random 63-bit number drawn at process start: the same host after a restart has
-    another. `program`, `deployment` and `registry` are 32-byte hashes of what all hosts of a team must have
-    alike; an observer (`lfield ps`) may leave them empty, and a program that names no capability has no
-    registry. `devices` says what those of its team are, '' where it has none.
+    another. `memory` is the identity of its journal, which outlives restarts; 0 for a host that keeps none.
+    `program`, `deployment` and `registry` are 32-byte hashes of what all hosts of a team must have alike; an
+    observer (`lfield ps`) may leave them empty, and a program that names no capability has no registry.
+    `devices` says what those of its team are, '' where it has none.
     `max_block` is the largest block this host takes, in bytes.
     """
 
@@ -109,6 +110,12 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     coordinators: Annotated[list[Known], Meta(max_length=4096)] = []
     registry: Hash = b""
     devices: Literal["", "fakes", "hardware"] = ""
+    memory: Count = 0
+
+    @property
+    def remembers(self) -> int:
+        """The identity of what this host answers from: a question for another one has no answer here."""
+        return self.memory or self.incarnation
 
 
 class ForeignHello(Struct, frozen=True):
@@ -127,7 +134,7 @@ class Transfer(Struct, frozen=True, array_like=True, forbid_unknown_fields=True)
     """The header of a coordinator under way; `size` bytes of block follow it in the same frame.
 
     (agent, generation, sequence) is the transfer's id. `hops` counts this hop too. `program` is the hash
-    of the program the block belongs to, `receiver_incarnation` the life of the receiver it is meant for.
+    of the program the block belongs to, `receiver_memory` the memory of the receiver it is meant for.
     """
 
     agent: Name
@@ -135,7 +142,7 @@ class Transfer(Struct, frozen=True, array_like=True, forbid_unknown_fields=True)
     sequence: Count
     hops: Count
     program: Hash
-    receiver_incarnation: Count
+    receiver_memory: Count
     size: Count
 
 
@@ -166,7 +173,7 @@ class Inquire(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
     agent: Name
     generation: Count
     sequence: Count
-    receiver_incarnation: Count
+    receiver_memory: Count
 
 
 class Ended(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=4):

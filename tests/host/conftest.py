@@ -40,19 +40,6 @@ class Running:
         return agent in self.host.machine.agents
 
 
-class MemoryRecord:
-    """A host's record of its starts: of none, at first."""
-
-    def __init__(self) -> None:
-        self.starts: int | None = 0
-
-    def read(self) -> int | None:
-        return self.starts
-
-    async def write(self, generation: int) -> None:
-        self.starts = generation
-
-
 class Fleet:
     """The hosts of missions in a folder. `max_block` is what links let through."""
 
@@ -60,7 +47,6 @@ class Fleet:
         self.folder = folder
         self.network = MemoryNetwork(LoopClock(), max_block=max_block, on_pending=self._pending)
         self.running: list[Running] = []
-        self.records: dict[str, MemoryRecord] = {}
 
     def mission(
         self,
@@ -89,7 +75,7 @@ class Fleet:
         """A host, not yet started."""
         out, err = io.StringIO(), io.StringIO()
         listen = address or mission.team.addresses[mission.team.number(name)]
-        options.setdefault("record", self.records.setdefault(name, MemoryRecord()))
+        options.setdefault("first_start", True)
         made = Options(listen, clock=LoopClock(), **options)
         transport = self.network.transport(name)
         running = Running(Host(mission, name, transport, Logbook(out, err), made), out, err)

@@ -189,7 +189,7 @@ class World:
                         self.packets.append(self.packet(host.name, target, message))
                 case SendTransfer(target, header, _):
                     alive = self.hosts.get(target)
-                    if alive is None or alive.incarnation != header.receiver_incarnation:
+                    if alive is None or alive.incarnation != header.receiver_memory:
                         self.doubtful.add((header.agent, header.generation))
                     self.packets.append(self.packet(host.name, target, effect))
                 case Resume(agent, generation):

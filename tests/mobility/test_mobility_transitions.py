@@ -7,6 +7,7 @@ from lfield.mobility.core import Mobility
 from lfield.mobility.effects import (
     Departed,
     Finished,
+    Go,
     InDoubt,
     Note,
     Refusal,
@@ -66,7 +67,7 @@ def seal(sequence: int) -> bytes:
 
 def transfer(sequence: int, generation: int = 1, receiver: int = 1, **other) -> Transfer:
     fields = {"agent": TOUR, "hops": 1, "program": PROGRAM, "size": 7} | other
-    return Transfer(generation=generation, sequence=sequence, receiver_incarnation=receiver, **fields)
+    return Transfer(generation=generation, sequence=sequence, receiver_memory=receiver, **fields)
 
 
 @pytest.fixture
@@ -99,12 +100,12 @@ def test_a_hop_is_one_message_there_and_one_back(a, b):
     (sent,) = a.mobility.depart(TOUR, "b", seal, 0.0)
     assert sent == SendTransfer("b", transfer(1), b"block 1")
     assert a.known().state == "PREPARED"
-    (answer,) = b.mobility.arrive("a", sent.header, sent.block)
+    (_, answer) = b.mobility.arrive("a", sent.header, sent.block)
     assert answer == Send("a", Accepted(TOUR, 1, 1))
     assert b.injected == [(1, b"block 1")]
     assert b.known() == Known(TOUR, 1, 1, 1, "RUN")
     assert a.mobility.receive("b", answer.message, 0.1) == [Departed(TOUR, 1, 1, "b")]
-    assert a.known() == Known(TOUR, 1, 1, 0, "MOVED", "b", receiver_incarnation=1)
+    assert a.known() == Known(TOUR, 1, 1, 0, "MOVED", "b", receiver_memory=1)
     assert a.mobility.shadow(TOUR, 1) == b"block 1"
     assert a.mobility.next_deadline() is None
 
@@ -213,7 +214,7 @@ def test_only_proof_ends_the_doubt(away, state, sequence, moved):
 
 
 def test_coming_home_ends_the_doubt_and_replaces_the_shadow(away):
-    (answer,) = away.mobility.arrive("b", transfer(2, hops=2), b"block 2")
+    (_, answer) = away.mobility.arrive("b", transfer(2, hops=2), b"block 2")
     assert answer == Send("b", Accepted(TOUR, 1, 2))
     assert away.known() == Known(TOUR, 1, 2, 2, "RUN")
     assert away.mobility.shadow(TOUR, 1) is None
@@ -248,7 +249,9 @@ def test_misuse_is_an_error(a):
 
 
 def test_a_repeated_transfer_is_injected_once(b):
-    assert b.mobility.arrive("a", transfer(1), b"block 1") == b.mobility.arrive("a", transfer(1), b"block 1")
+    go, accepted = b.mobility.arrive("a", transfer(1), b"block 1")
+    assert go == Go(TOUR, 1)
+    assert b.mobility.arrive("a", transfer(1), b"block 1") == [accepted]
     assert b.injected == [(1, b"block 1")]
 
 
@@ -258,7 +261,7 @@ def test_a_refused_transfer_stays_refused(b):
     b.refusal = None
     (second,) = b.mobility.arrive("a", transfer(1), b"block 1")
     assert first == second == Send("a", Refused(TOUR, 1, 1, "LimitException", "full"))
-    (third,) = b.mobility.arrive("a", transfer(2), b"block 2")
+    (_, third) = b.mobility.arrive("a", transfer(2), b"block 2")
     assert third.message == Accepted(TOUR, 1, 2)
 
 
@@ -376,7 +379,7 @@ def test_lost_is_a_presumption(away):
 def test_a_coordinator_given_up_as_lost_may_still_come_back(away):
     away.mobility.tick(10.0)
     away.mobility.ended(TOUR, 1, "lost")
-    (answer,) = away.mobility.arrive("c", transfer(2), b"block 2")
+    (_, answer) = away.mobility.arrive("c", transfer(2), b"block 2")
     assert answer.message == Accepted(TOUR, 1, 2)
     assert away.known().state == "RUN"
 
@@ -433,7 +436,7 @@ def test_a_later_start_that_arrives_where_the_earlier_is_alive_is_ended(b):
 
 def test_an_earlier_start_that_arrives_ends_the_later(b):
     b.mobility.arrive("a", transfer(1, generation=2), b"later")
-    stop, answer = b.mobility.arrive("c", transfer(4, generation=1), b"earlier")
+    stop, _, answer = b.mobility.arrive("c", transfer(4, generation=1), b"earlier")
     assert isinstance(stop, Supersede)
     assert stop.generation == 2
     assert answer.message == Accepted(TOUR, 1, 4)
@@ -443,7 +446,7 @@ def test_an_earlier_start_that_arrives_ends_the_later(b):
 def test_a_copy_in_doubt_gives_way_to_a_later_start(away):
     """Otherwise it might resume beside the other, on one host."""
     away.mobility.tick(10.0)
-    stop, answer = away.mobility.arrive("b", transfer(1, generation=2), b"later")
+    stop, _, answer = away.mobility.arrive("b", transfer(1, generation=2), b"later")
     assert stop.generation == 1
     assert answer.message == Accepted(TOUR, 2, 1)
     # That is no proof of a loss: b may have it.

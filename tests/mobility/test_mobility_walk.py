@@ -128,7 +128,7 @@ class Trusting(Mobility):
     def linked(self, peer):
         for copy in self._copies:
             if copy.state == "PREPARED" and copy.target == peer.host:
-                copy.incarnation = peer.incarnation
+                copy.memory = peer.remembers
         return super().linked(peer)
 
 

@@ -19,11 +19,11 @@ from lfield.host.logbook import Logbook
 from lfield.host.process.leash import Leash
 from lfield.host.process.stop_words import StopWords, hear_signals
 from lfield.host.process.until_done import until_done
+from lfield.journal.journal import Journal
 from lfield.mission.mission import Mission
 from lfield.mobility.fates import Fate
 from lfield.net.local import is_loopback
 from lfield.net.tcp import TcpTransport
-from lfield.text.record import Record
 
 #: After so many seconds of a stop it is told what it waits for.
 PATIENCE = 1.0
@@ -43,12 +43,12 @@ async def run_host(
     lost_after: float | None = None,
     trust_network: bool = False,
     leash: bool = False,
-    record: Record | None = None,
+    journal: Journal | None = None,
     first_start: bool = False,
 ) -> int:
     """Run a host; returns the exit status (exits.py). `lost_after` None runs until it is stopped.
 
-    `record` has its earlier starts; without one it starts its coordinators when it has heard all hosts.
+    `journal` is closed when it ends; without one it starts its coordinators when it has heard all hosts.
     `door` is the address where commands of this computer find it.
 
     Raises AddressError and DevicesError when it cannot start.
@@ -57,7 +57,7 @@ async def run_host(
     if not (listen or trust_network):
         await stay_here(name, address)
     bound = unreachable_after or mission.bindings.unreachable_after
-    host_options = Options(address, dump, bound, door, record=record, first_start=first_start)
+    host_options = Options(address, dump, bound, door, journal=journal, first_start=first_start)
     logbook = Logbook()
     host = Host(mission, name, TcpTransport(mission.max_block), logbook, host_options)
     host.on_failure = _end_by_force_after(mission)

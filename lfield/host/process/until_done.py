@@ -10,9 +10,10 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 from lfield.host.host import Host
-from lfield.mobility.fates import Fate, Judge, known_fates
+from lfield.mobility.fates import Absent, Fate, Judge, known_fates
 from lfield.wire.messages import Known, StatusRequest
 
 #: How often the other hosts are asked while one is missing, how long they have to answer, and how long an
@@ -39,13 +40,18 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
         if homes.keys() - found.keys() and (hearsay.gone or not hearsay.whole or host.mobility.lost):
             records = await _census(host)
             now = host.clock.monotonic()
-            found = judge.judge(records, hearsay.absent(records, now, lost_after, unmet))
+            found = judge.judge(records, _absent(host, hearsay.absent(records, now, lost_after, unmet)))
             found |= known_fates(homes, host.mobility.knowledge(), host.mobility.proven(now - FRESH))
         if not homes.keys() - found.keys():
             await _pass_on(host, found.values())
             return [found[agent] for agent in sorted(homes)]
         await _news(host, ASK_EVERY)
         since = host.clock.monotonic() - FRESH
+
+
+def _absent(host: Host, absent: Absent) -> Absent:
+    """With what those that answered answer from, and whether hosts keep what they have."""
+    return replace(absent, lives=host.mobility.memories, kept=bool(host.scribe.memory))
 
 
 async def _pass_on(host: Host, found: Collection[Fate]) -> None:

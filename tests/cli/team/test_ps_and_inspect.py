@@ -113,7 +113,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
                     "where": "alpha",
                     "outcome": "died",
                     "detail": "Exception: no",
-                    "receiver_incarnation": 0,
+                    "receiver_memory": 0,
                 }
             ],
             "linked": ["bravo"],

@@ -1,0 +1,295 @@
+"""The coordinators of one host: what mobility decides about them is carried out in the machine.
+
+What has to be on disk first waits for it: `keeping` holds back what comes after. On a host without a journal
+nothing waits. Pure, as the core that it is a part of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from lfield.clock import Clock
+from lfield.errors import BlockError
+from lfield.host.effects import CHANGED, Effect, Keep, Say
+from lfield.host.keeping import Keeping
+from lfield.host.recovery import Recovery
+from lfield.journal.pages import Page, Run, Starts
+from lfield.mission.mission import Mission
+from lfield.mobility import effects as mobile
+from lfield.mobility.copies import Copy
+from lfield.mobility.core import Mobility
+from lfield.mobility.departures import LIMIT, PERHAPS, RESTARTED, UNREACHABLE
+from lfield.vm.agent import Agent, Member
+from lfield.vm.machine import Machine
+from lfield.vm.memory import layout
+from lfield.wire.framing import Buffer
+from lfield.wire.messages import Accepted, Hello, Outcome, Transfer
+
+
+class Coordinators:
+    """Those that are on a host, come or leave. `own` is its greeting, `pages` what its journal has kept.
+
+    What is to be done outside is added to `effects`; `unreachable_after` is in seconds.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        own: Hello,
+        machine: Machine,
+        clock: Clock,
+        effects: Callable[[Effect], None],
+        unreachable_after: float,
+        pages: Iterable[Page],
+    ) -> None:
+        self._mission, self._own, self._machine, self._clock = mission, own, machine, clock
+        self._out = effects
+        self._members = {member.id: member for member in mission.team.coordinators}
+        self.mobility = Mobility(
+            own,
+            peers=mission.team.hosts,
+            agents=list(self._members),
+            inject=self._inject,
+            unreachable_after=unreachable_after,
+        )
+        self.keeping = Keeping()
+        self.recovery = Recovery(pages, own.program)
+        self.mobility.restore(self.recovery.copies)
+        #: Why nothing can be kept now, '' while all is well.
+        self.trouble = ""
+        #: No coordinator is taken in any more.
+        self.halted = False
+        #: Answers to arrivals, until those that arrived have run.
+        self._answers: list[tuple[str, mobile.Send]] = []
+        #: Coordinators that came before the resources here were started; None once they are.
+        self._early: dict[str, tuple[str, Transfer, memoryview]] | None = {}
+        #: Where each coordinator was last sent, and the resource that it last wanted to get to.
+        self._sent_to: dict[str, str] = {}
+        self._wanted: dict[str, str] = {}
+        #: When mobility may have something to give up. A new deadline is later than those before, so one that
+        #: is set stays until it has come.
+        self._due: float | None = None
+
+    # --- time -----------------------------------------------------------------------------------------
+
+    @property
+    def due(self) -> float | None:
+        """When `tick` or `batch` has something to do next, None for never."""
+        if self._due is None or self.keeping.due is None:
+            return self._due if self.keeping.due is None else self.keeping.due
+        return min(self._due, self.keeping.due)
+
+    def tick(self, now: float) -> None:
+        """Time has passed."""
+        if self._due is not None and now >= self._due:
+            self.carry_out(self.mobility.tick(now))
+            self._due = self.mobility.next_deadline()
+
+    def batch(self) -> list[Keep]:
+        """What is to be kept now."""
+        found = self.keeping.take(self._clock.monotonic()) if self._own.memory else None
+        return [Keep(*found)] if found else []
+
+    def not_kept(self, why: str) -> None:
+        """The disk takes nothing now: coordinators stay where they are, and begin no call that acts."""
+        if not self.trouble:
+            self._say(f"coordinators wait, since nothing can be kept: {why}")
+        self.trouble = why
+
+    def kept(self, number: int) -> None:
+        """All pages up to those of that batch are on the disk."""
+        if self.trouble:
+            self._say("what happens can be kept again")
+        self.trouble = ""
+        for effect in self.keeping.kept(number):
+            self._effect(effect)
+
+    def answer(self) -> None:
+        """Those that arrived have run: whoever sent them may hear of it."""
+        answers, self._answers = self._answers, []
+        for agent, answer in answers:
+            # It is for the sender's books only, and a coordinator that is back there has brought it.
+            if self._sent_to.get(agent) != answer.host:
+                self._out(answer)
+
+    # --- coming and going -----------------------------------------------------------------------------
+
+    def open(self) -> None:
+        """The resources here are started: take in the coordinators that came meanwhile."""
+        early, self._early = self._early or {}, None
+        for host, header, block in early.values():
+            self.arrived(host, header, block)
+
+    def wake(self) -> None:
+        """Go on with the coordinators that the journal has."""
+        now = self._clock.monotonic()
+        self.carry_out(self.mobility.wake(self._put, now))
+        self._due = self.mobility.next_deadline()
+
+    def count(self, generation: int) -> int:
+        """Keep that a start has this number, in a run that goes on from here; the number of the batch."""
+        now = self._clock.monotonic()
+        self.keeping.page(Run(open=True), now)
+        return self.keeping.page(Starts(generation), now)
+
+    def park(self) -> None:
+        """The host stops in order. Unless a coordinator of its own may go on, the next start is a new run."""
+        self.halted = True
+        if not self._own.memory:
+            return
+        here = self._mission.team.number(self._own.host)
+        own = {member.id for member in self._members.values() if member.host == here}
+        going = any(row.agent in own and row.state != "EXITED" for row in self.mobility.knowledge())
+        self.keeping.page(Run(open=going), self._clock.monotonic())
+
+    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
+        """A coordinator came: it runs before its sender gets an answer."""
+        if self._early is not None:
+            if header.agent in self._members:
+                self._early[header.agent] = host, header, block
+            return
+        self._sent_to.pop(header.agent, None)
+        self.carry_out(self.mobility.arrive(host, header, block))
+
+    def depart(self, agent: Agent, resource: Member) -> None:
+        """A frozen coordinator wants to the host of a resource."""
+        self._wanted[agent.id] = resource.id
+        if self._stays(agent):
+            return
+        target = self._mission.team.hosts[resource.host]
+        seal = self._sealer(agent)
+        self.carry_out(self.mobility.depart(agent.id, target, seal, self._clock.monotonic()))
+        if self._due is None:
+            self._due = self.mobility.next_deadline()
+
+    def save(self, agent: Agent) -> bool:
+        """A coordinator calls a further portal here: whether it may go on at once, else when it is kept."""
+        if not self._own.memory:
+            return True
+        if self._stays(agent):
+            return False
+        self.carry_out(self.mobility.save(agent.id, self._machine.pack(agent)))
+        return False
+
+    def _stays(self, agent: Agent) -> bool:
+        """Whether a call must not begin, since where it stands cannot be kept; its caller is told."""
+        if self.trouble:
+            self._machine.resume(agent, LIMIT, f"{self._own.host} can keep nothing: {self.trouble}")
+        return bool(self.trouble)
+
+    def ended(self, agent: Agent) -> None:
+        """A coordinator is done, or died."""
+        outcome: Outcome = "done" if agent.ended == "done" else "died"
+        self.carry_out(self.mobility.ended(agent.id, agent.generation, outcome, agent.report))
+
+    def _sealer(self, agent: Agent) -> Callable[[int], Buffer]:
+        image = self._machine.pack(agent)
+
+        def seal(sequence: int) -> Buffer:
+            agent.block.w[layout.W_SEQUENCE] = sequence
+            return image
+
+        return seal
+
+    def _inject(self, header: Transfer, block: Buffer) -> mobile.Refusal | None:
+        if self.halted:
+            return mobile.Refusal(UNREACHABLE, f"{self._own.host} is stopping")
+        member = self._members.get(header.agent)
+        if member is None:
+            return mobile.Refusal(UNREACHABLE, f"{self._own.host} knows no coordinator {header.agent}")
+        try:
+            self._admit(member, block)
+        except BlockError as error:
+            self._say(f"refused {header.agent}: {error}")
+            return mobile.Refusal(UNREACHABLE, f"{self._own.host} refused the coordinator: {error}")
+        return None
+
+    def _admit(self, member: Member, block: Buffer) -> Agent:
+        limits = self._mission.bindings.limits(member.id)
+        return self._machine.admit(member, memoryview(block), limits)
+
+    def _put(self, copy: Copy, *, runs: bool) -> Callable[[int], Buffer] | None:
+        """Have a coordinator that was kept in the machine again."""
+        if copy.block is None:
+            # It never came to a portal call that acts: nothing that it did was seen from outside.
+            self._start(copy.agent, copy.generation)
+            self._say(f"{copy.agent} begins again: {self._own.host} stopped before its first call that acts")
+            return _nothing
+        member = self._members[copy.agent]
+        try:
+            limits = self._mission.bindings.limits(member.id)
+            agent = self._machine.restore(member, memoryview(copy.block), limits)
+        except BlockError as error:
+            self._say(f"{copy.agent} cannot go on: what was kept of it cannot be read: {error}")
+            return None
+        # It may have been kept as it came, before its arrival was counted.
+        agent.block.w[layout.W_HOPS] = copy.hops
+        seal = self._sealer(agent)
+        if runs:
+            self._say(f"{copy.agent} goes on where it was kept")
+            self._machine.resume(agent, RESTARTED, f"{self._own.host} was started again; {PERHAPS}")
+        return seal
+
+    def _start(self, agent: str, generation: int) -> None:
+        member = self._members[agent]
+        self._machine.start(member, self._mission.bindings.limits(agent), generation)
+
+    # --- what mobility decides ------------------------------------------------------------------------
+
+    def carry_out(self, effects: Iterable[mobile.Effect]) -> None:
+        """Do what need not wait, and keep the rest."""
+        for effect in self.keeping.put(effects, self._clock.monotonic()) if self._own.memory else effects:
+            self._effect(effect)
+
+    def _effect(self, effect: mobile.Effect) -> None:
+        match effect:
+            case mobile.SendTransfer():
+                self._sent_to[effect.header.agent] = effect.host
+                self._out(effect)
+            case mobile.Send(message=Accepted() as message):
+                self._answers.append((message.agent, effect))
+            case mobile.Send():
+                self._out(effect)
+            case mobile.Began():
+                self._start(effect.agent, effect.generation)
+            case mobile.Go():
+                if agent := self._held(effect.agent, effect.generation):
+                    self._machine.go(agent)
+            case mobile.Departed():
+                if agent := self._held(effect.agent, effect.generation):
+                    self._machine.release(agent)
+            case mobile.Resume():
+                if agent := self._held(effect.agent, effect.generation):
+                    agent.block.w[layout.W_SEQUENCE] = effect.sequence
+                    wanted = self._wanted.get(effect.agent, "")
+                    self._machine.resume(agent, effect.kind, effect.reason, wanted)
+            case mobile.InDoubt():
+                self._say(f"{effect.agent} is in doubt: {effect.reason}")
+                self._out(CHANGED)
+            case mobile.Supersede():
+                self._say(f"{effect.agent} stopped: {effect.reason}")
+                self._drop(effect.agent, effect.generation)
+            case mobile.Finished():
+                self._drop(effect.agent, effect.generation)
+            case mobile.Note():
+                self._say(effect.reason)
+
+    def _held(self, identity: str, generation: int) -> Agent | None:
+        """The frozen copy of a coordinator that is here, if it is of that start."""
+        agent = self._machine.agents.get(identity)
+        return agent if agent and agent.frozen and agent.generation == generation else None
+
+    def _drop(self, identity: str, generation: int) -> None:
+        agent = self._machine.agents.get(identity)
+        if agent and agent.generation == generation:
+            agent.ended = agent.ended or "dropped"
+            self._machine.release(agent)
+        self._out(CHANGED)
+
+    def _say(self, text: str) -> None:
+        self._out(Say(text))
+
+
+def _nothing(_: int) -> Buffer:
+    """The block of a coordinator that has not come to a portal call: it is never asked for."""
+    return b""
