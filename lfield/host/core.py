@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable
-from typing import Protocol
 
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
 from lfield.errors import BlockError, DeviceError
-from lfield.host.directory import Neighbours, TeamDirectory
+from lfield.host.directory import Nearby, TeamDirectory
 from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, KeepStart, Say, Write
 from lfield.host.offers import Offers
 from lfield.manifest import DeviceValue
@@ -32,16 +31,6 @@ from lfield.vm.offers import Found
 from lfield.vm.world import PENDING, Pending
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Control, Ended, EndedAck, Heard, Hello, Known, Outcome, Report, Transfer
-
-
-class Nearby(Neighbours, Protocol):
-    """What a host can tell at once, without asking anybody: its telemetry, and how its links are."""
-
-    def query(self, agent: str, call: DeviceCall) -> DeviceValue | Pending:
-        """The value of a query, PENDING for what the device itself must do. Raises DeviceError."""
-
-    def reading(self, agent: str, call: DeviceCall) -> Reading | None:
-        """The reading that the host keeps up to date of such a query; None for what is no plain quantity."""
 
 
 class HostCore:
@@ -63,7 +52,7 @@ class HostCore:
         self.mission, self.team, self.name, self.incarnation = mission, mission.team, name, incarnation
         self.here = self.team.number(name)
         self._clock, self._nearby = clock, nearby
-        self.machine = Machine(mission.program, self.team.members, self.here, self, clock, dice)
+        self.machine = Machine(mission.program, self.team.members, self.here, incarnation, self, clock, dice)
         self.mobility = Mobility(
             self._own_hello([]),
             peers=self.team.hosts,
@@ -315,7 +304,8 @@ class HostCore:
         if member is None:
             return mobile.Refusal(UNREACHABLE, f"{self.name} knows no coordinator {header.agent}")
         try:
-            self.machine.admit(member, memoryview(block), self.mission.bindings.limits(member.id))
+            limits = self.mission.bindings.limits(member.id)
+            self.machine.go(self.machine.admit(member, memoryview(block), limits))
         except BlockError as error:
             self._say(f"refused {header.agent}: {error}")
             return mobile.Refusal(UNREACHABLE, f"{self.name} refused the coordinator: {error}")
@@ -359,6 +349,17 @@ class HostCore:
         self._carry_out(self.mobility.depart(agent.id, target, seal, self._clock.monotonic()))
         if self._due is None:
             self._due = self.mobility.next_deadline()
+
+    def keep(self, agent: Agent) -> bool:
+        """Nothing has to be on disk before a portal begins."""
+        return True
+
+    def superseded(self, agent: str, generation: int) -> bool:
+        """Whether that start of a coordinator was stopped because an earlier one goes on."""
+        return any(
+            (known.agent, known.generation, known.outcome) == (agent, generation, "superseded")
+            for known in self.mobility.knowledge()
+        )
 
     def device(
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
