@@ -83,7 +83,7 @@ def _state(path: str) -> tuple[str, int, int]:
 
 
 def _is_importable(name: str) -> bool:
-    """Whether a module could have that name: tools leave hidden folders and what Python compiled beside them."""
+    """Whether it could be a module: tools leave hidden folders, and Python what it compiled."""
     return not name.startswith(".") and name != "__pycache__"
 
 
