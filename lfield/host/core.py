@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable
-from typing import Protocol
 
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.host.coordinators import Coordinators
-from lfield.host.directory import Neighbours, TeamDirectory
+from lfield.host.directory import Nearby, TeamDirectory
 from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Say, Write
 from lfield.host.offers import Offers
 from lfield.journal.pages import Page
@@ -31,16 +30,6 @@ from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
 from lfield.vm.world import PENDING, Pending
 from lfield.wire.messages import Control, Ended, EndedAck, Heard, Hello, Known, Report, Transfer
-
-
-class Nearby(Neighbours, Protocol):
-    """What a host can tell at once, without asking anybody: its telemetry, and how its links are."""
-
-    def query(self, agent: str, call: DeviceCall) -> DeviceValue | Pending:
-        """The value of a query, PENDING for what the device itself must do. Raises DeviceError."""
-
-    def reading(self, agent: str, call: DeviceCall) -> Reading | None:
-        """The reading that the host keeps up to date of such a query; None for what is no plain quantity."""
 
 
 class HostCore:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from lfield.mobility.effects import Effect, Refusal
     from lfield.mobility.fates import Fate
     from lfield.wire.framing import Buffer
+    from lfield.wire.messages import Outcome
 
 
 class Put(Protocol):

@@ -188,7 +188,9 @@ class _Census:
         if self.absent.elsewhere:
             return None
         if self.absent.kept:
-            return Fate(self.agent, "unheard", f"{how}; what that host has kept of it goes on when it is up again")
+            return Fate(
+                self.agent, "unheard", f"{how}; what that host has kept of it goes on when it is up again"
+            )
         if self.absent.unheard:
             return self._unheard(min(self.absent.unheard), f"{how}, but it may have gone on from there, and")
         return Fate(self.agent, "lost", how)

@@ -56,8 +56,8 @@ class Fleet:
     """The hosts of a mission, all up at the beginning. Everything that is left to chance comes from `seed`.
 
     `watch` is called after every event, and raises AssertionError for what must never be. With `lost_after`
-    hosts end when all coordinators have, as with --until-done. They keep journals, unless told not to. Times are
-    in seconds.
+    hosts end when all coordinators have, as with --until-done. They keep journals, unless told not to. Times
+    are in seconds.
     """
 
     def __init__(

@@ -72,6 +72,14 @@ class Desk:
         """Note who wants to leave; a test lets it."""
         self.departures.append((agent, resource))
 
+    def keep(self, agent: Agent) -> bool:
+        """There is no disk."""
+        return True
+
+    def superseded(self, agent: str, generation: int) -> bool:
+        """There is one start of each."""
+        return False
+
     def device(
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
     ) -> DeviceValue | Pending:
@@ -115,7 +123,7 @@ def run_text(
     team = team_for(program, _DEPLOY.findall(text))
     if registry is not None:
         desk.answers = still_answers(registry, program, team)
-    machine = Machine(program, team, 0, desk, clock, random.Random(1))
+    machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
     for member in team:
         machine.start(member, limits or Limits(), generation=1)
     settle(machine, clock)

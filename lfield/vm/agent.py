@@ -30,6 +30,10 @@ class Agent:
     yielded in a row; such threads poll. `seen` is the block as the last of them left it, empty when another
     thread has run since; `asked` are those that looked beyond the block; `pollers` are parked. `readings` are
     the telemetry that the host keeps for it, by device call; a coordinator names no device and has none.
+
+    `kept` is true while a coordinator stands at a portal call that its host has been asked about already.
+    `callers` has, by the id of each coordinator that a resource has served, the newest copy of it: its
+    generation and sequence.
     """
 
     member: Member
@@ -49,6 +53,8 @@ class Agent:
     polled: bool = False
     asked: set[int] = field(default_factory=set)
     pollers: set[int] = field(default_factory=set)
+    kept: bool = False
+    callers: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def id(self) -> str:
@@ -62,7 +68,7 @@ class Agent:
 
     @property
     def generation(self) -> int:
-        """When it was started, ns since 1970."""
+        """Which start of its home it is of, counted."""
         return self.block.w[layout.W_GENERATION]
 
     @property

@@ -38,8 +38,9 @@ ROUND = 20
 class Machine:
     """The agents of one host.
 
-    `team` is every agent of the deployment in its order, `here` this host's number in it. An exception that
-    is none of L's, a bug of ours, ends the agent in whose turn it happened, with a report.
+    `team` is every agent of the deployment in its order, `here` this host's number in it, `life` a number
+    that tells this life of the host from all others. An exception that is none of L's, a bug of ours, ends
+    the agent in whose turn it happened, with a report.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class Machine:
         program: Program,
         team: Sequence[Member],
         here: int,
+        life: int,
         world: World,
         clock: Clock,
         dice: random.Random,
@@ -54,7 +56,9 @@ class Machine:
         self.program = program
         self.team = team
         self._here, self._world = here, world
-        self._scheduler = scheduler = Scheduler(program, world, clock, self._portal_failed)
+        self._scheduler = scheduler = Scheduler(
+            program, 1 + life % (layout.START_LIMIT - 1), world, clock, self._portal_failed
+        )
         #: The agents that are here, by id.
         self.agents = scheduler.agents
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.turns
@@ -100,18 +104,28 @@ class Machine:
     def admit(self, member: Member, image: bytes | memoryview, limits: Limits) -> Agent:
         """Inject a coordinator that came from another host; raises BlockError when its bytes are not sound.
 
-        It goes on at its portal call, now here. Another start of it that is here goes on no more: of two
-        starts one host never runs both.
+        It is frozen at its portal call, which is here now, until `go` or `resume`. Another start of it that
+        is here goes on no more: of two starts one host never runs both.
         """
+        agent = self.restore(member, image, limits)
+        agent.block.w[layout.W_HOPS] += 1
+        agent.block.visit(self._here)
+        return agent
+
+    def restore(self, member: Member, image: bytes | memoryview, limits: Limits) -> Agent:
+        """As `admit`, of a block that was packed on this very host: it has made no hop since."""
         block = self._soundness.check(image, limits.heap // 8)
-        block.w[layout.W_HOPS] += 1
-        block.visit(self._here)
-        agent = Agent(member, block, limits, [], open=True)
+        agent = Agent(member, block, limits, [], open=True, frozen=True, kept=True)
         if (other := self.agents.get(member.id)) is not None:
             other.ended = "dropped"
         self.agents[member.id] = agent
-        self._turns.next(agent, _only_thread(agent))
         return agent
+
+    def go(self, agent: Agent) -> None:
+        """Let a frozen coordinator call its portal, about which the host is not asked (again)."""
+        if agent.frozen and not agent.ended:
+            agent.frozen = False
+            self._turns.next(agent, _only_thread(agent))
 
     def pack(self, agent: Agent) -> memoryview:
         """The bytes of a frozen coordinator, live data only."""

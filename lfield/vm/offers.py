@@ -137,7 +137,7 @@ class _Writer:
             of = self._shapes.of
             filled = {way: self.offer(of[shape.part(way)], part) for way, part in found.parts.items()}
         else:
-            filled = {found.way: self.put(layout.PROXY, shape.proxy(found.way), [found.member])}
+            filled = {found.way: self.put(layout.PROXY, shape.proxy(found.way), [found.member, 0])}
         own = [self._facts(found), *(filled.get(way, 0) for way in shape.fields)]
         return self.put(layout.OBJECT, shape.index, own)
 

@@ -12,7 +12,7 @@ from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Outside
 from lfield.vm.memory import layout
-from lfield.vm.memory.layout import PARKED, WAITING
+from lfield.vm.memory.layout import PARKED, PROXY_MEMBER, WAITING
 from lfield.vm.memory.threads import place_of, still_image
 from lfield.vm.memory.values import plain, real_of, real_text, word_for, word_of
 from lfield.vm.offers import Shapes, UnknownWay, write_offers
@@ -156,7 +156,7 @@ class Outsiders:
     # --- the team -------------------------------------------------------------------------------------
 
     def _pcall(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        member = self._team[agent.block.w[words[0] + 1]]
+        member = self._team[agent.block.w[words[0] + PROXY_MEMBER]]
         if member.host == self._here:
             portals.call(self._scheduler, member, agent, thread, operand, words)
             return
@@ -239,8 +239,8 @@ class Outsiders:
 
 
 def _proxy(agent: Agent, record: int, number: int) -> int:
-    place = agent.block.allocate(layout.PROXY, record, 2)
-    agent.block.w[place + 1] = number
+    place = agent.block.allocate(layout.PROXY, record, layout.PROXY_WORDS)
+    agent.block.w[place + layout.PROXY_MEMBER] = number
     return place
 
 

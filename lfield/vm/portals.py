@@ -7,15 +7,23 @@ from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
 from lfield.vm.memory.copier import deep_copy
-from lfield.vm.memory.layout import CALLING, THREAD_PC, W_SELF
+from lfield.vm.memory.layout import CALLING, PROXY_START, THREAD_PC, W_GENERATION, W_SELF, W_SEQUENCE
 from lfield.vm.memory.threads import count, place_of
 from lfield.vm.scheduler import Scheduler
+
+_RESTARTED = (
+    "{0} was started again since this proxy last called it: its fields are as new; this call has not begun"
+)
 
 
 def call(
     scheduler: Scheduler, member: Member, caller: Agent, thread: int, method: int, words: list[int]
 ) -> None:
-    """A `pcall` to a resource of this host, whose proxy is the first word: begin its portal."""
+    """A `pcall` to a resource of this host, whose proxy is the first word: begin its portal.
+
+    An older copy than the newest that the resource has served is refused. A proxy that was called in another
+    life of this host is told first, by an exception: the fields of its resource are lost.
+    """
     resource = scheduler.agents.get(member.id)
     if resource is None or resource.ended:
         why = f"it died of {resource.report.splitlines()[0]}" if resource else "its host does not run it"
@@ -23,16 +31,52 @@ def call(
             caller, thread, "UnreachableResourceException", f"{member.id} is gone: {why}", member.id
         )
         return
+    w, start = caller.block.w, words[0] + PROXY_START
+    copy = w[W_GENERATION], w[W_SEQUENCE]
+    if copy < resource.callers.get(caller.id, copy) and (why := _outdated(scheduler, resource, caller, copy)):
+        scheduler.refuse(caller, thread, "UnreachableResourceException", why, member.id)
+        return
+    if w[start] not in (0, scheduler.life):
+        w[start] = scheduler.life
+        scheduler.refuse(caller, thread, "RestartException", _RESTARTED.format(member.id), member.id)
+        return
     scheduler.set_state(caller, thread, CALLING)
     if not resource.open:
         resource.waiting.append((caller, thread))
+        return
+    if method in scheduler.acting and not caller.kept and not _keep(scheduler, caller, thread):
         return
     try:
         served = begin(scheduler, resource, caller, thread, method, words)
     except Trap as trap:
         scheduler.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
+    w[start] = scheduler.life
+    resource.callers[caller.id] = copy
+    caller.kept = False
     scheduler.turns.next(resource, served)
+
+
+def _outdated(scheduler: Scheduler, resource: Agent, caller: Agent, copy: tuple[int, int]) -> str:
+    """Why a copy older than the newest is not served; '' when the newest is of a start that was stopped."""
+    generation, _ = resource.callers[caller.id]
+    if generation == copy[0]:
+        what = "copy"
+    elif scheduler.world.superseded(caller.id, generation):
+        return ""
+    else:
+        what = "start"
+    return f"a later {what} of {caller.id} has called {resource.id}: this one is not served any more"
+
+
+def _keep(scheduler: Scheduler, caller: Agent, thread: int) -> bool:
+    """Whether the portal may begin at once; else its caller is frozen until its host lets it call again."""
+    caller.kept = True
+    scheduler.freeze(caller, thread)
+    if not scheduler.world.keep(caller):
+        return False
+    caller.frozen = False
+    return True
 
 
 def begin(

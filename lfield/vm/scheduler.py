@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TypeVar
 
+from lfield.bytecode.acting import acting_methods
 from lfield.bytecode.program import REFERENCES, Program
 from lfield.clock import Clock
 from lfield.vm.agent import Agent
@@ -29,23 +30,28 @@ T = TypeVar("T")
 class Scheduler:
     """Agents by id, their turns, and the portal calls under way.
 
-    `failed(served, thread, call, thrown)` is told when the portal that a thread serves ends by an exception
-    that nobody in it catches; `thrown` is the object's place in the block of `served`.
+    `life` is the number of this life of the host. `failed(served, thread, call, thrown)` is told when the
+    portal that a thread serves ends by an exception that nobody in it catches; `thrown` is the object's place
+    in the block of `served`.
     """
 
     def __init__(
         self,
         program: Program,
+        life: int,
         world: World,
         clock: Clock,
         failed: Callable[[Agent, int, int, int], None],
     ) -> None:
         self.program = program
+        self.life = life
         self.world = world
         self.clock = clock
         self.engine = Engine(program, clock.monotonic)
         self.layouts = self.engine.layouts
         self.agents: dict[str, Agent] = {}
+        #: The portals whose callers are kept first: they may change something.
+        self.acting = acting_methods(program)
         #: The portal calls under way: for each number, who waits for it.
         self.calls: dict[int, tuple[Agent, int]] = {}
         #: The number of the last portal call that began.
@@ -118,6 +124,7 @@ class Scheduler:
 
     def throw(self, agent: Agent, thread: int, thrown: int) -> None:
         """Throw the object at `thrown` where a thread stands."""
+        agent.kept = False
         if self.engine.throw(agent.block, place_of(agent.block, thread), thrown):
             if agent.blocked:
                 self.unblock(agent)

@@ -32,6 +32,17 @@ class World(Protocol):
         """The frozen coordinator must get to the host of the resource. Answer by `Machine.release` when it
         has left, or by `Machine.resume` with the reason why it could not."""
 
+    def keep(self, agent: Agent) -> bool:
+        """The frozen coordinator stands at a call of a portal of this host that may change something.
+
+        True: it goes on at once, with its block as it was. False: the call has not begun; it does after
+        `Machine.go`, unless `Machine.resume` says why it must not. Not asked about the call for which a
+        coordinator came, since its block was told then.
+        """
+
+    def superseded(self, agent: str, generation: int) -> bool:
+        """Whether that start of a coordinator was stopped because an earlier one goes on."""
+
     def device(
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
     ) -> DeviceValue | Pending:

@@ -22,6 +22,7 @@ from lfield.simulate.network import MemoryNetwork
 from lfield.simulate.time import LoopClock, run_jumping
 from lfield.vm.agent import Member
 from lfield.vm.inspect import dump
+from lfield.vm.inspect.decode import view
 from lfield.wire.codec import decode as decode_message
 from lfield.wire.framing import FrameDecoder
 from lfield.wire.messages import MAX_TEXT, PROTOCOL, ForeignHello, Hello
@@ -74,6 +75,9 @@ def test_a_dump_of_a_release_is_still_explained(path: Path) -> None:
     assert (record.host, record.members) == ("alpha", ("left", "boss"))
     assert program.units["Loader"] == "coordinator"
     assert block.trail() == [1, 0]
+    # Its proxies have no word for a start.
+    shown = view(block, program, record.members).threads[0].frames[0].locals
+    assert dict(shown)["arm"] == "proxy of left"
 
 
 def test_a_later_dump_is_refused_with_both_versions() -> None:

@@ -42,7 +42,6 @@ SMALL = {
     "lfield/vm/memory/copier.py": "the deep copy",
     "lfield/vm/reference/registers.py": "what a step works on",
     "lfield/vm/reference/unwind.py": "who catches",
-    "lfield/vm/world.py": "what the machine asks of its host",
 }
 
 

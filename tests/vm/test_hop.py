@@ -69,7 +69,7 @@ class TwoHosts:
         self.clock = ManualClock()
         self.desks = [Desk(), Desk()]
         self.machines = [
-            Machine(program(), team, i, self.desks[i], self.clock, random.Random(1)) for i in (0, 1)
+            Machine(program(), team, i, i + 1, self.desks[i], self.clock, random.Random(1)) for i in (0, 1)
         ]
         self.images: list[bytes] = []
         for member in team:
@@ -93,7 +93,8 @@ class TwoHosts:
     def carry(self, agent: Agent, source: int) -> None:
         image = bytes(self.machines[source].pack(agent))
         self.images.append(image)
-        self.machines[1 - source].admit(agent.member, image, agent.limits)
+        machine = self.machines[1 - source]
+        machine.go(machine.admit(agent.member, image, agent.limits))
         self.machines[source].release(agent)
 
     @property
@@ -155,7 +156,8 @@ def test_hostile_bytes_are_refused_or_harmless(data: st.DataObject) -> None:
     hosts.machines[0].agents.pop("walker")
     hosts.desks[0].departures.clear()
     try:
-        hosts.machines[1].admit(Member(2, "walker", "Walker", "coordinator", 0), bytes(image), Limits())
+        walker = Member(2, "walker", "Walker", "coordinator", 0)
+        hosts.machines[1].go(hosts.machines[1].admit(walker, bytes(image), Limits()))
     except BlockError:
         return
     hosts.run()

@@ -167,7 +167,7 @@ def test_equal_words_are_written_once() -> None:
     written(many, found)
     words = {block.top - layout.HEADER_WORDS for block in (few, many)}
     # The object, what it says, its numbers, its proxy, and its place in the array.
-    assert max(words) - min(words) == 99 * (7 + 9 + 3 + 2 + 1)
+    assert max(words) - min(words) == 99 * (7 + 9 + 3 + 3 + 1)
 
 
 @pytest.mark.parametrize("agent", ["a", "a very long name " * 50])
@@ -234,7 +234,7 @@ class Asked(Desk):
 def run(body: str, found: list[Found], heap: int = 1 << 20) -> Asked:
     """The coordinator alone on a host with all resources."""
     desk, clock = Asked(found), ManualClock()
-    machine = Machine(program(body), members(), 0, desk, clock, random.Random(1))
+    machine = Machine(program(body), members(), 0, 1, desk, clock, random.Random(1))
     for member in members():
         machine.start(member, Limits(heap=heap), generation=1)
     settle(machine, clock)
@@ -257,7 +257,7 @@ def test_more_offers_than_the_heap_can_hold_are_an_exception() -> None:
 def test_offers_by_an_unknown_way_are_an_exception_that_can_be_caught() -> None:
     body = "try { who = findLift(); } catch (ConstraintException e) { print(e.message()); }"
     desk, clock = Asked([]), ManualClock()
-    machine = Machine(program(body), members(), 0, desk, clock, random.Random(1))
+    machine = Machine(program(body), members(), 0, 1, desk, clock, random.Random(1))
     for member in members():
         machine.start(member, Limits(), generation=1)
     desk.offers = lambda *asked: [] if asked[2] else [direct("byWinch", 0)]  # type: ignore[method-assign]  # one answer
@@ -279,7 +279,7 @@ def test_offers_travel_with_the_coordinator_and_are_called_where_they_lead() -> 
     )
     team = members(1)
     desks, clock = [Asked([direct("byCrane", 0), equivalent, WHOLE]), Asked([])], ManualClock()
-    machines = [Machine(program(body), team, i, desks[i], clock, random.Random(1)) for i in (0, 1)]
+    machines = [Machine(program(body), team, i, i + 1, desks[i], clock, random.Random(1)) for i in (0, 1)]
     for member in team:
         machines[member.host].start(member, Limits(), generation=1)
     for machine in (*machines, *machines):
@@ -288,7 +288,7 @@ def test_offers_travel_with_the_coordinator_and_are_called_where_they_lead() -> 
             while desk.departures:
                 agent, to = desk.departures.pop()
                 image = bytes(machines[1 - to.host].pack(agent))
-                machines[to.host].admit(agent.member, image, Limits())
+                machines[to.host].go(machines[to.host].admit(agent.member, image, Limits()))
                 machines[1 - to.host].release(agent)
     assert desks[1].output == [
         "crane 1.0", "crane 0.5", "copter 2.0", "copter 0.5", "hand", "copter 3.0", "hand", "copter 0.5",

@@ -13,7 +13,7 @@ from lfield.vm.machine import Machine
 def started(text: str) -> tuple[Machine, Desk, ManualClock]:
     program = compile_text(text)
     desk, clock = Desk(), ManualClock()
-    machine = Machine(program, team_for(program, []), 0, desk, clock, random.Random(1))
+    machine = Machine(program, team_for(program, []), 0, 1, desk, clock, random.Random(1))
     for member in machine.team:
         machine.start(member, Limits(), 1)
     return machine, desk, clock

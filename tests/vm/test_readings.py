@@ -57,7 +57,7 @@ def start():
         clock = ManualClock()
         world = Telemetry(clock)
         world.set(1.5)
-        machine = Machine(program, team_for(program, []), 0, world, clock, random.Random(1))
+        machine = Machine(program, team_for(program, []), 0, 1, world, clock, random.Random(1))
         machine.start(machine.team[0], Limits(), 1)
         return machine, world, clock
 

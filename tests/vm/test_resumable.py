@@ -53,7 +53,7 @@ def run(slice_length: int, monkeypatch: pytest.MonkeyPatch, collecting: bool) ->
     program = compile_text(BUSY)
     desk, clock = Desk(), ManualClock()
     team = team_for(program, [("Store", "store", ""), ("Filler", "a", "")])
-    machine = Machine(program, team, 0, desk, clock, random.Random(1))
+    machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
     for member in team:
         machine.start(member, Limits(), 1)
     while (pause := machine.run()) is not None:

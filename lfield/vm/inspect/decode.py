@@ -134,9 +134,15 @@ class _Decoder:
             text = self.block.string(word)
             return f'"{text[:SHOWN_CHARACTERS]}…"' if len(text) > SHOWN_CHARACTERS else f'"{text}"'
         if record.kind == PROXY:
-            number = self.block.w[word + 1]
-            return f"proxy of {self.members[number] if number < len(self.members) else number}"
+            number = self.block.w[word + layout.PROXY_MEMBER]
+            name = self.members[number] if number < len(self.members) else number
+            return f"proxy of {name}{'' if self.called(word) else ', not called yet'}"
         return self.composite(record.kind, word, inner)
+
+    def called(self, proxy: int) -> bool:
+        """Whether a proxy was called; of one of the version before that is not known."""
+        w = self.block.w
+        return w[proxy] >> 32 <= layout.PROXY_START or w[proxy + layout.PROXY_START] != 0
 
     def composite(self, kind: int, word: int, inner: bool) -> str:
         w, core = self.block.w, self.program.core

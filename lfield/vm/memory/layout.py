@@ -8,7 +8,7 @@ collector works, a negative header is the negated new place of what moved.
     OBJECT   class index     fields
     ARRAY    type index      elements
     STRING   -               length in bytes, then UTF-8 padded with zeros
-    PROXY    class index     number of the agent in the deployment
+    PROXY    class index     see PROXY_* below
     FRAME    method index    caller, return pc, depth, slots
     THREAD   -               see THREAD_* below
 """
@@ -19,7 +19,9 @@ from lfield.bytecode.program import ARRAY as ARRAY_TYPE
 from lfield.bytecode.program import REFERENCES, Program, TypeRecord
 
 MAGIC = int.from_bytes(b"LBLK", "little")
-VERSION = 1
+VERSION = 2
+#: Blocks of lfield 0.3, inside its dumps: a proxy remembers no start.
+OLD_VERSION = 1
 
 # The block's header, by word.
 W_MAGIC = 0  # magic, version in the upper half
@@ -44,6 +46,12 @@ ROOTS = (W_SELF, W_ID, W_THREADS)
 
 # Kinds of things on the heap.
 OBJECT, ARRAY, STRING, PROXY, FRAME, THREAD = 1, 2, 3, 4, 5, 6
+
+# A proxy. MEMBER is the number of the resource in the deployment, START the life of its host in which it was
+# called last: 0 before the first call, else below START_LIMIT.
+PROXY_MEMBER, PROXY_START = 1, 2
+PROXY_WORDS = 3
+START_LIMIT = 1 << 62
 
 # A frame (activation record).
 FRAME_CALLER, FRAME_RETURN, FRAME_DEPTH, FRAME_SLOTS = 1, 2, 3, 4

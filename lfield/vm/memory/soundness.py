@@ -23,6 +23,9 @@ from lfield.vm.memory.layout import (
     FRAME_SLOTS,
     HEADER_WORDS,
     OBJECT,
+    PROXY_MEMBER,
+    PROXY_START,
+    PROXY_WORDS,
     THREAD,
     THREAD_CALL,
     THREAD_FRAME,
@@ -59,7 +62,7 @@ class Soundness:
         self._expects: dict[int, Expected] = {layout.STRING: (), THREAD: ()}
         for i, record in enumerate(core.classes):
             self._sizes[OBJECT | i << 8] = layouts.class_words[i]
-            self._sizes[layout.PROXY | i << 8] = 2
+            self._sizes[layout.PROXY | i << 8] = 0
             self._expects[layout.PROXY | i << 8] = ()
             self._expects[OBJECT | i << 8] = self._references([f.type for f in record.fields], 1)
         for i, method in enumerate(core.methods):
@@ -92,15 +95,18 @@ class Soundness:
 
     def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """A travelling coordinator's block from its bytes (`limit` in words); raises BlockError."""
-        block = self._adopt(image, limit)
+        block = self._adopt(image, limit, (layout.VERSION,))
         starts = self._walk(block)
         self._check_references(block, starts)
         self._check_coordinator(block, starts)
         return block
 
     def check_heap(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
-        """Any agent's block from its bytes, sound enough to be read; raises BlockError."""
-        block = self._adopt(image, limit)
+        """Any agent's block from its bytes, sound enough to be read; raises BlockError.
+
+        Blocks of the version before are read too: they only lack the second word of a proxy.
+        """
+        block = self._adopt(image, limit, (layout.VERSION, layout.OLD_VERSION))
         starts = self._walk(block)
         self._check_references(block, starts)
         self._check_threads(block, starts)
@@ -132,7 +138,7 @@ class Soundness:
             depth = w[frame + FRAME_DEPTH]
             frame = w[frame + FRAME_CALLER]
 
-    def _adopt(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
+    def _adopt(self, image: bytes | bytearray | memoryview, limit: int, versions: tuple[int, ...]) -> Block:
         size = len(image)
         if size % 8 or size < 8 * HEADER_WORDS:
             raise BlockError(f"{size} bytes are no whole block")
@@ -144,7 +150,7 @@ class Soundness:
         data[:size] = image
         block = Block(data, size // 8, limit)
         w = block.w
-        if w[layout.W_MAGIC] != layout.MAGIC | layout.VERSION << 32:
+        if w[layout.W_MAGIC] not in [layout.MAGIC | version << 32 for version in versions]:
             raise BlockError("wrong magic or version", word=0)
         if block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] != self.program.digest:
             raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
@@ -165,14 +171,20 @@ class Soundness:
                 raise BlockError("a thing on the heap has no sound header", word=place)
             if half == layout.STRING and not self._is_text(block, place, words):
                 raise BlockError("a string is no text", word=place)
-            if half & 0xFF == layout.PROXY and not self._is_member(w[place + 1], half >> 8):
+            if half & 0xFF == layout.PROXY and not self._is_proxy(w, place, half >> 8):
                 raise BlockError("a proxy leads to no resource of its type", word=place)
             starts[place] = half
             place += words
         return starts
 
-    def _is_member(self, number: int, record: int) -> bool:
-        return 0 <= number < len(self.members) and self.members[number] == record
+    def _is_proxy(self, w: memoryview[int], place: int, record: int) -> bool:
+        old = w[layout.W_MAGIC] >> 32 == layout.OLD_VERSION
+        if w[place] >> 32 != PROXY_WORDS - old:
+            return False
+        number = w[place + PROXY_MEMBER]
+        if not 0 <= number < len(self.members) or self.members[number] != record:
+            return False
+        return old or 0 <= w[place + PROXY_START] < layout.START_LIMIT
 
     def _is_text(self, block: Block, place: int, words: int) -> bool:
         if words < 2 or not 0 <= block.w[place + 1] <= 8 * (words - 2):
