@@ -108,7 +108,9 @@ class FileJournal:
                 if primary(error) not in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
                     raise
                 trouble = _FULL
-                self._make_room()
+                self._reserve.give_up()
+                # What is in the log already makes room for what comes.
+                self._restart_log()
                 self._write(changes)
         except (sqlite3.Error, OSError) as error:
             self._reopen = True
@@ -117,6 +119,9 @@ class FileJournal:
             raise failure from None
         self._count(changes)
         self.trouble = trouble or self._have_room()
+        if self.trouble:
+            # The log must not grow into the room that is left.
+            self._restart_log()
 
     def _write(self, changes: Sequence[Change]) -> None:
         now = self._clock.time()
@@ -156,9 +161,7 @@ class FileJournal:
             return _FULL
         return ""
 
-    def _make_room(self) -> None:
-        self._reserve.give_up()
-        # What is in the log already makes room for what comes.
+    def _restart_log(self) -> None:
         with suppress(sqlite3.Error):
             self._store.restart_log()
 

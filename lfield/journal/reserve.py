@@ -5,6 +5,7 @@ What must be written then has room: the verdicts, and that each copy which is he
 
 from __future__ import annotations
 
+import errno
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -29,6 +30,10 @@ class Reserve:
         size = LEAST + -(-2 * held // STEP) * STEP
         if self._size() >= size:
             return
+        # Nobody else should find the disk full because this was tried.
+        found = os.statvfs(self.path.parent)
+        if found.f_bavail * found.f_frsize < size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             os.posix_fallocate(descriptor, 0, size)
