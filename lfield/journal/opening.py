@@ -7,12 +7,13 @@ import secrets
 import sqlite3
 import time
 from collections.abc import Callable, Iterable
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from lfield.errors import ForeignJournal
 from lfield.journal.pages import Entry, Key, NewerPage, Page, PageError, page_of
+from lfield.journal.salvage import readable
 from lfield.journal.store import APPLICATION, FORMAT, Damaged, Head, Store
 
 
@@ -142,7 +143,10 @@ def _read(path: Path, owner: Owner, tell: Callable[[str], None], now: float) -> 
 
 def _salvage(path: Path, owner: Owner, tell: Callable[[str], None], now: float, why: str) -> None:
     """Move a whole file aside, after what can be read of it was written into another."""
-    found = sort(path, _readable(path).items())
+    head, entries = readable(path)
+    if head is not None:
+        _check_owner(path, head, owner)
+    found = sort(path, entries.items())
     aside = _put(path, _new_head(owner), found.sound, found.damaged, now)
     count = len(found.sound)
     tell(
@@ -165,16 +169,6 @@ def _tell_damage(path: Path, damaged: Iterable[Damaged], tell: Callable[[str], N
             f"{lost(one.entry)}, is damaged in the journal {path} ({one.why}); it was moved aside, the rest "
             f"counts; {_FORGOTTEN}"
         )
-
-
-def _readable(path: Path) -> dict[int, Entry]:
-    """From both ends up to where it is damaged."""
-    found: dict[int, Entry] = {}
-    for backwards in (False, True):
-        with suppress(sqlite3.Error), closing(Store.open(path)) as store:
-            for place, entry in store.entries(backwards=backwards):
-                found[place] = entry
-    return found
 
 
 # --- files --------------------------------------------------------------------------------------------

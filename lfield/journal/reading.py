@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
-import tempfile
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 from lfield.errors import DamagedFileError, InputFileError
 from lfield.journal.opening import BrokenFile, check_format, is_damage, primary, sort
 from lfield.journal.pages import Entry, Page
+from lfield.journal.salvage import copied, readable
 from lfield.journal.store import Damaged, Head, Store
 from lfield.text.files import look_at
 
@@ -37,15 +36,17 @@ def see(path: Path) -> Seen:
     """All that can be read. Raises InputFileError, DamagedFileError and ForeignJournal."""
     look_at(path)
     try:
-        with _store(path) as store:
-            return _seen(path, store)
-    except BrokenFile as error:
-        raise DamagedFileError(str(path), str(error)) from None
-    except sqlite3.Error as error:
-        kind = DamagedFileError if is_damage(error) else InputFileError
-        raise kind(str(path), str(error)) from None
+        try:
+            return _sound(path)
+        except sqlite3.DatabaseError as error:
+            if not is_damage(error):
+                raise InputFileError(str(path), str(error)) from None
+            found = _broken(path, str(error))
     except OSError as error:
         raise InputFileError(str(path), (error.strerror or str(error)).lower()) from None
+    if found.head is None and not found.pages:
+        raise DamagedFileError(str(path), f"it is no journal, or nothing of it is left: {found.fault}")
+    return found
 
 
 @contextmanager
@@ -56,13 +57,8 @@ def _store(path: Path) -> Iterator[Store]:
             yield store
         return
     # Where nobody may write, nobody changes it meanwhile.
-    with tempfile.TemporaryDirectory(prefix="lfield-") as folder:
-        copy = Path(folder) / path.name
-        for ending in ("", "-wal"):
-            with suppress(FileNotFoundError):
-                shutil.copyfile(path.with_name(path.name + ending), copy.with_name(copy.name + ending))
-        with closing(Store.look_at(copy)) as store:
-            yield store
+    with copied(path) as copy, closing(Store.look_at(copy)) as store:
+        yield store
 
 
 def _in_place(path: Path) -> Store | None:
@@ -78,17 +74,17 @@ def _in_place(path: Path) -> Store | None:
         raise
 
 
-def _seen(path: Path, store: Store) -> Seen:
-    check_format(path, store)
-    head = aside = None
-    try:
-        fault = store.fault()
-        head, aside = store.head(), store.damaged()
-    except sqlite3.DatabaseError as error:
-        fault = str(error)
-    found: dict[int, Entry] = {}
-    for backwards in (False, True):
-        with suppress(sqlite3.DatabaseError):
-            found.update(store.entries(backwards=backwards))
-    sorted_ = sort(path, found.items())
-    return Seen(head, list(sorted_.sound.values()), sorted_.damaged, aside or [], fault)
+def _sound(path: Path) -> Seen:
+    """Raises sqlite3.DatabaseError for a file that is damaged as a whole."""
+    with _store(path) as store:
+        check_format(path, store)
+        if fault := store.fault():
+            raise BrokenFile(fault)
+        found = sort(path, store.entries())
+        return Seen(store.head(), list(found.sound.values()), found.damaged, store.damaged(), "")
+
+
+def _broken(path: Path, fault: str) -> Seen:
+    head, entries = readable(path)
+    found = sort(path, entries.items())
+    return Seen(head, list(found.sound.values()), found.damaged, [], fault)
