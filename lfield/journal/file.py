@@ -113,7 +113,7 @@ class FileJournal:
                 self._restart_log()
                 self._write(changes)
         except (sqlite3.Error, OSError) as error:
-            self._reopen = True
+            self._reopen = not (isinstance(error, sqlite3.Error) and primary(error) == sqlite3.SQLITE_FULL)
             failure = _failure(self.path, error)
             self.trouble = failure.reason
             raise failure from None
