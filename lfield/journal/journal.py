@@ -26,12 +26,20 @@ class Journal(Protocol):
     predecessor was lost. Each call is kept as a whole or not at all.
     """
 
-    #: The random number of this memory. One from which something was lost gets another: it cannot say
-    #: of a transfer any more that it never arrived.
-    identity: int
-    #: Why nothing more should be taken in, '' when all is well. `keep` may still succeed, as long as the
-    #: space lasts that was kept in advance.
-    trouble: str
+    @property
+    def identity(self) -> int:
+        """The random number of this memory.
+
+        One from which something was lost gets another: of a transfer that it does not know it cannot say any
+        more that it never arrived.
+        """
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing more should be taken in, '' when all is well.
+
+        `keep` may succeed all the same, as long as the space lasts that was kept in advance.
+        """
 
     def pages(self) -> list[Page]:
         """All pages, as they were read when it was opened."""
@@ -50,7 +58,7 @@ class Journal(Protocol):
         """How many commits there were in the last 60 s; `now` is in seconds, of its monotonic clock."""
 
     def close(self) -> None:
-        """Leave it so that it is quickly opened. What is under way fails; none is called after it."""
+        """Leave it so that it is quickly opened. A commit under way is finished; nothing is kept after it."""
 
 
 #: Its name in the folder of a host.

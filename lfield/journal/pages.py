@@ -117,38 +117,44 @@ def key_of(page: Page) -> Key:
             return Key("run")
 
 
+class NewerPage(PageError):
+    """A sound page of a later version of lfield."""
+
+
 class Entry(NamedTuple):
-    """A page as it lies on the disk: `since` is Unix time in seconds, `check` covers all the rest."""
+    """A page as it lies on the disk: `kept` at Unix time in seconds; `check` covers all the rest."""
 
     key: Key
-    since: float
+    kept: float
     version: int
     body: bytes
     check: int
 
 
-def entry(page: Page, since: float) -> Entry:
+def entry(page: Page, kept: float) -> Entry:
     """A page, made ready for the disk."""
     key, body = key_of(page), _encode(page)
-    return Entry(key, since, VERSION, body, _check(key, since, VERSION, body))
+    return Entry(key, kept, VERSION, body, _check(key, kept, VERSION, body))
 
 
 def page_of(found: Entry) -> Page:
-    """The page of an entry that is not of a newer version. Raises PageError for a damaged one."""
+    """The page of an entry. Raises PageError."""
     try:
-        if found.check != _check(found.key, found.since, found.version, found.body):
+        if found.check != _check(*found[:-1]):
             raise PageError("its checksum does not fit")
+        if found.version > VERSION:
+            raise NewerPage(f"it is of version {found.version}")
         page = _decoder.decode(found.body)
-        if key_of(page) != found.key:
-            raise PageError("it lies under the key of another page")
-        return page
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise PageError(f"it cannot be read ({error})") from None
+        raise PageError(f"it cannot be read: {error}") from None
     except (TypeError, ValueError, AttributeError, struct.error):
-        raise PageError("its key is damaged") from None
+        raise PageError("it is not of the right kind") from None
+    if key_of(page) != found.key:
+        raise PageError("it lies in the place of another")
+    return page
 
 
-def _check(key: Key, since: float, version: int, body: bytes) -> int:
+def _check(key: Key, kept: float, version: int, body: bytes) -> int:
     """The CRC-32 of all that an entry says, its place included."""
     start = zlib.crc32(f"{key.kind}\0{key.name}\0".encode())
-    return zlib.crc32(body, zlib.crc32(_CHECKED.pack(key.number, since, version), start))
+    return zlib.crc32(body, zlib.crc32(_CHECKED.pack(key.number, kept, version), start))

@@ -1,0 +1,243 @@
+"""How a journal is opened: whose it is, what of it can be believed, and what is moved aside."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sqlite3
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from lfield.errors import ForeignJournal
+from lfield.journal.pages import Entry, Key, NewerPage, Page, PageError, page_of
+from lfield.journal.salvage import readable
+from lfield.journal.store import APPLICATION, FORMAT, Damaged, Head, Store
+
+
+class Owner(NamedTuple):
+    """Whose a journal should be: deployment and host by name, the computer by `machine_identity`."""
+
+    deployment: str
+    host: str
+    machine: str
+
+
+class Opened(NamedTuple):
+    """A journal that is ours, and all that can be read in it."""
+
+    store: Store
+    head: Head
+    pages: dict[Key, Page]
+
+
+class Sorted(NamedTuple):
+    """What was found in a journal: each page with its entry, and what cannot be believed."""
+
+    sound: dict[Key, tuple[Entry, Page]]
+    damaged: list[Damaged]
+
+
+class BrokenFile(sqlite3.DatabaseError):
+    """A database that is damaged as a whole. It never leaves this room."""
+
+
+def opened(path: Path, owner: Owner, tell: Callable[[str], None], now: float) -> Opened:
+    """The journal at a path; a new one if there is none. `tell` hears what is wrong with it.
+
+    `now` is Unix time in seconds. Raises ForeignJournal, and sqlite3.Error or OSError when it can neither be
+    read nor moved aside.
+    """
+    _finish(path)
+    if not path.exists():
+        _put(path, _new_head(owner), {}, [], now)
+    try:
+        return _read(path, owner, tell, now)
+    except sqlite3.DatabaseError as error:
+        if not is_damage(error):
+            raise
+        _salvage(path, owner, tell, now, str(error))
+    return _read(path, owner, tell, now)
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """Whether an error tells of what is in the file; else it tells of the disk or the folder."""
+    if isinstance(error, BrokenFile):
+        return True
+    # An SQLITE_ERROR means that a table or column is not there.
+    return primary(error) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
+
+
+def primary(error: sqlite3.Error) -> int:
+    """SQLite's result code without its extension, 0 for none."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF
+
+
+def check_format(path: Path, store: Store) -> None:
+    """See that it is a journal, and not of a newer version. Raises ForeignJournal and BrokenFile."""
+    if store.application() != APPLICATION:
+        raise BrokenFile("it is not the database of a journal")
+    if store.version() > FORMAT:
+        raise _newer(path, f"it has format {store.version()}, this lfield reads format {FORMAT}")
+
+
+def sort(path: Path, entries: Iterable[tuple[int, Entry]]) -> Sorted:
+    """Tell what can be believed from what cannot. Raises ForeignJournal for a page of a newer version."""
+    found = Sorted({}, [])
+    for place, entry in entries:
+        try:
+            page = page_of(entry)
+        except NewerPage as error:
+            raise _newer(path, f"{lost(entry)}: {error}") from None
+        except PageError as error:
+            found.damaged.append(Damaged(entry, str(error), place))
+            continue
+        other = found.sound.get(entry.key)
+        if other is None or other[0].kept <= entry.kept:
+            found.sound[entry.key] = entry, page
+    return found
+
+
+def lost(entry: Entry) -> str:
+    """What a page is about and since when, in words, as far as its key and time can be believed."""
+    kind, name, number = entry.key
+    words = {
+        "copy": f"the copy of {name}, start {number}",
+        "starts": "the count of starts",
+        "run": "whether the last run goes on",
+        "fence": f"the fence of {name}",
+        "program": f"the program {str(name)[:16]}",
+    }.get(kind, f"a page {kind!r}")
+    return f"{words}, as of {moment(entry.kept)}"
+
+
+def moment(kept: float) -> str:
+    """A time of the wall clock, in UTC."""
+    try:
+        return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(kept))
+    except (OverflowError, ValueError, TypeError, OSError):
+        return "an unknown time"
+
+
+def _read(path: Path, owner: Owner, tell: Callable[[str], None], now: float) -> Opened:
+    store = Store.open(path)
+    try:
+        check_format(path, store)
+        head = store.head()
+        if head is not None:
+            _check_owner(path, head, owner)
+        if fault := store.fault():
+            raise BrokenFile(fault)
+        found = sort(path, store.entries())
+        if head is None or found.damaged:
+            head = _new_head(owner)
+            store.move_aside(found.damaged, head, now)
+            _tell_damage(path, found.damaged, tell)
+    except BaseException:
+        store.close()
+        raise
+    return Opened(store, head, {key: page for key, (_, page) in found.sound.items()})
+
+
+def _salvage(path: Path, owner: Owner, tell: Callable[[str], None], now: float, why: str) -> None:
+    """Move a whole file aside, after what can be read of it was written into another."""
+    head, entries = readable(path)
+    if head is not None:
+        _check_owner(path, head, owner)
+    found = sort(path, entries.items())
+    aside = _put(path, _new_head(owner), found.sound, found.damaged, now)
+    count = len(found.sound)
+    tell(
+        f"the journal {path} is damaged ({why}) and is now {aside}: {count} page{'s' * (count != 1)} of it "
+        f"could be read and count; {_FORGOTTEN}"
+    )
+    _tell_damage(path, found.damaged, tell)
+
+
+#: What follows for the team when something is lost; its identity is another one from now on.
+_FORGOTTEN = (
+    "a coordinator of which nothing is left was lost with it, and transfers that were under way to this host "
+    "stay in doubt: 'lfield ps' shows them"
+)
+
+
+def _tell_damage(path: Path, damaged: Iterable[Damaged], tell: Callable[[str], None]) -> None:
+    for one in damaged:
+        tell(
+            f"{lost(one.entry)}, is damaged in the journal {path} ({one.why}); it was moved aside, the rest "
+            f"counts; {_FORGOTTEN}"
+        )
+
+
+# --- files --------------------------------------------------------------------------------------------
+
+
+def _put(
+    path: Path, head: Head, sound: dict[Key, tuple[Entry, Page]], damaged: list[Damaged], now: float
+) -> str:
+    """Write a whole journal in the place of whatever is there; the name that this has then, '' for none."""
+    making = path.with_name(f"{path.name}.making")
+    for left in (making, making.with_name(f"{making.name}-journal")):
+        left.unlink(missing_ok=True)
+    Store.create(making, head, [entry for entry, _ in sound.values()], damaged, now)
+    making.rename(_whole(path))
+    return _finish(path)
+
+
+def _finish(path: Path) -> str:
+    """Put a journal in its place that is written as a whole, also when a process ended while it did so."""
+    whole = _whole(path)
+    if not whole.exists():
+        return ""
+    aside = _aside(path)
+    # The log first: it must not be taken for that of the new file.
+    for ending in ("-wal", ""):
+        with suppress(FileNotFoundError):
+            path.with_name(path.name + ending).rename(aside.with_name(aside.name + ending))
+    path.with_name(f"{path.name}-shm").unlink(missing_ok=True)
+    whole.rename(path)
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+    return aside.name
+
+
+def _whole(path: Path) -> Path:
+    return path.with_name(f"{path.name}.whole")
+
+
+def _aside(path: Path) -> Path:
+    number = 1
+    while (aside := path.with_name(f"{path.name}.damaged-{number}")).exists():
+        number += 1
+    return aside
+
+
+# --- whose it is --------------------------------------------------------------------------------------
+
+
+def _new_head(owner: Owner) -> Head:
+    return Head(secrets.randbits(63), *owner)
+
+
+def _check_owner(path: Path, head: Head, owner: Owner) -> None:
+    if (head.deployment, head.host) != (owner.deployment, owner.host):
+        raise ForeignJournal(
+            str(path),
+            f"it is that of {head.host} in {head.deployment}, and this is {owner.host} in {owner.deployment}",
+            "put it back where it belongs, or name another --state",
+        )
+    if head.machine not in ("", owner.machine):
+        raise ForeignJournal(
+            str(path),
+            "it was begun on another computer, where what it tells of may still run",
+            "use it there; if that computer is gone for good, remove it here: then this host begins anew",
+        )
+
+
+def _newer(path: Path, reason: str) -> ForeignJournal:
+    return ForeignJournal(str(path), reason, "install the version of lfield that wrote it")

@@ -1,0 +1,90 @@
+"""A journal that is only looked at: also while a host has it, and also when it is damaged."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+from lfield.errors import DamagedFileError, InputFileError
+from lfield.journal.opening import BrokenFile, check_format, is_damage, primary, sort
+from lfield.journal.pages import Entry, Page
+from lfield.journal.salvage import copied, readable
+from lfield.journal.store import Damaged, Head, Store
+from lfield.text.files import look_at
+
+#: What SQLite says where it may not write: it keeps an index of the log beside it, also for readers.
+_NO_INDEX = (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM)
+
+
+class Seen(NamedTuple):
+    """What is in a journal. `head` is None when that is damaged; `fault` is what is wrong with the file.
+
+    `aside` was damaged and was moved aside when a host opened the journal, `damaged` lies among the pages.
+    """
+
+    head: Head | None
+    pages: list[tuple[Entry, Page]]
+    damaged: list[Damaged]
+    aside: list[Damaged]
+    fault: str
+
+
+def see(path: Path) -> Seen:
+    """All that can be read. Raises InputFileError, DamagedFileError and ForeignJournal."""
+    look_at(path)
+    try:
+        try:
+            return _sound(path)
+        except sqlite3.DatabaseError as error:
+            if not is_damage(error):
+                raise InputFileError(str(path), str(error)) from None
+            found = _broken(path, str(error))
+    except OSError as error:
+        raise InputFileError(str(path), (error.strerror or str(error)).lower()) from None
+    if found.head is None and not found.pages:
+        raise DamagedFileError(str(path), f"it is no journal, or nothing of it is left: {found.fault}")
+    return found
+
+
+@contextmanager
+def _store(path: Path) -> Iterator[Store]:
+    store = _in_place(path)
+    if store is not None:
+        with closing(store):
+            yield store
+        return
+    # Where nobody may write, nobody changes it meanwhile.
+    with copied(path) as copy, closing(Store.look_at(copy)) as store:
+        yield store
+
+
+def _in_place(path: Path) -> Store | None:
+    """None where SQLite needs to write and may not. Raises sqlite3.Error."""
+    store = Store.look_at(path)
+    try:
+        store.version()
+        return store
+    except sqlite3.Error as error:
+        store.close()
+        if primary(error) in _NO_INDEX:
+            return None
+        raise
+
+
+def _sound(path: Path) -> Seen:
+    """Raises sqlite3.DatabaseError for a file that is damaged as a whole."""
+    with _store(path) as store:
+        check_format(path, store)
+        if fault := store.fault():
+            raise BrokenFile(fault)
+        found = sort(path, store.entries())
+        return Seen(store.head(), list(found.sound.values()), found.damaged, store.damaged(), "")
+
+
+def _broken(path: Path, fault: str) -> Seen:
+    head, entries = readable(path)
+    found = sort(path, entries.items())
+    return Seen(head, list(found.sound.values()), found.damaged, [], fault)

@@ -1,0 +1,118 @@
+"""What journals are tried on: a real disk, and that of a simulation."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import shutil
+import sqlite3
+from collections.abc import Coroutine
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from lfield.clock import Clock, ManualClock
+from lfield.journal.file import FileJournal
+from lfield.journal.journal import Journal
+from lfield.journal.opening import Owner
+from lfield.journal.pages import Key
+from lfield.simulate.computers.loop import ProcessLoop
+from lfield.simulate.computers.machines import Machine
+from lfield.simulate.computers.timeline import Timeline
+from lfield.simulate.disk import JournalDisk
+
+T = TypeVar("T")
+OWNER = Owner("harvest", "barn", "this computer")
+
+
+class Bench(Protocol):
+    """A disk, and processes that have its journal one after the other."""
+
+    clock: Clock
+    told: list[str]
+
+    def open(self) -> Journal:
+        """A process begins; the one before was killed, unless it closed the journal."""
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        """Do something in the process."""
+
+    def fill(self, full: bool) -> None:
+        """The disk has no room for another large page, and none was kept in advance; or has room again."""
+
+    def damage(self, key: Key) -> None:
+        """Spoil a page, while no process has the journal."""
+
+
+class FileBench:
+    """A folder for each life: what a killed process leaves is what its files say at that moment."""
+
+    def __init__(self, folder: Path) -> None:
+        self.clock, self.told = ManualClock(), list[str]()
+        self._folder, self._life = folder, 0
+        self.journal: FileJournal | None = None
+
+    @property
+    def path(self) -> Path:
+        return self._folder / str(self._life) / "host.journal"
+
+    def open(self, owner: Owner = OWNER) -> FileJournal:
+        killed, before = self.journal, self.path.parent
+        if killed is not None:
+            self._life += 1
+            shutil.copytree(before, self.path.parent)
+            killed.close()
+        self.journal = FileJournal(self.path, owner, self.told.append, self.clock)
+        return self.journal
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        return asyncio.run(work)
+
+    def fill(self, full: bool) -> None:
+        assert self.journal is not None
+        connection = self.journal._store._connection
+        connection.execute(f"PRAGMA max_page_count = {1 if full else 1 << 20}")
+
+    def damage(self, key: Key) -> None:
+        self.sql("UPDATE pages SET sum = sum + 1 WHERE kind = ? AND name = ? AND number = ?", *key)
+
+    def sql(self, statement: str, *values: object) -> None:
+        with closing(sqlite3.connect(self.path)) as connection, connection:
+            connection.execute(statement, values)
+
+    def end(self) -> None:
+        if self.journal is not None:
+            self.journal.close()
+
+
+class SimulatedBench:
+    """A disk of the simulation. Each life has a loop of its own, and is killed as others are."""
+
+    def __init__(self) -> None:
+        self.timeline = Timeline()
+        self.machine = Machine("barn", self.timeline, random.Random(1))
+        self.clock, self.told = self.machine.clock, list[str]()
+        self.disk = JournalDisk(random.Random(2), sync=0.05)
+        self.disk.reserve = 0
+        self.loop = ProcessLoop(self.machine)
+
+    def open(self) -> Journal:
+        self.loop.die()
+        self.loop.close()
+        self.loop = ProcessLoop(self.machine)
+        return self.disk.open(self.clock, self.told.append)
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        tasks: list[asyncio.Task[T]] = []
+        self.loop.enter(lambda: tasks.append(self.loop.create_task(work)))
+        self.timeline.run(30.0)
+        return tasks[0].result()
+
+    def fill(self, full: bool) -> None:
+        self.disk.full, self.disk.reserve = full, 0
+
+    def damage(self, key: Key) -> None:
+        self.disk.damage(key)
+
+    def end(self) -> None:
+        self.loop.close()

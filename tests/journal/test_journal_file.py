@@ -1,0 +1,325 @@
+"""The journal of a real disk: whose it is, a slow disk, a full one, a damaged file, a killed process."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import sqlite3
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from journal_bench import OWNER, FileBench
+
+from lfield.clock import ManualClock
+from lfield.errors import ForeignJournal, JournalError, JournalInUse
+from lfield.journal.file import FileJournal
+from lfield.journal.journal import journal_file
+from lfield.journal.owner import machine_identity
+from lfield.journal.pages import CopyPage, Page, Run, Starts
+from lfield.journal.reading import see
+from lfield.journal.reserve import LEAST, STEP
+
+PAGES: list[Page] = [CopyPage(f"agent{n}", 1, "RUN", block=bytes([n]) * 3000) for n in range(20)]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[FileBench]:
+    made = FileBench(tmp_path)
+    yield made
+    made.end()
+
+
+def filled(bench: FileBench) -> bytes:
+    """The bytes of a journal with PAGES in it, of a process that ended in order."""
+    journal = bench.open()
+    bench.run(journal.keep(PAGES))
+    journal.close()
+    return bench.path.read_bytes()
+
+
+# --- whose it is --------------------------------------------------------------------------------------
+
+
+def test_its_place_is_named_after_deployment_and_host(tmp_path: Path) -> None:
+    assert journal_file(tmp_path, "a/b", "h@1") == tmp_path / "a%2Fb@h%401" / "host.journal"
+
+
+def test_a_second_process_is_refused_with_the_first_ones_number(bench: FileBench) -> None:
+    journal = bench.open()
+    with pytest.raises(JournalInUse, match=f"process {os.getpid()} keeps it; a host runs once") as found:
+        FileJournal(bench.path, OWNER, print, bench.clock)
+    assert (found.value.process, found.value.exit_status) == (os.getpid(), 69)
+    journal.close()
+    FileJournal(bench.path, OWNER, print, bench.clock).close()
+
+
+@pytest.mark.parametrize(
+    ("owner", "says"),
+    [
+        (OWNER._replace(deployment="sowing"), "it is that of barn in harvest, and this is barn in sowing"),
+        (OWNER._replace(host="field"), "it is that of barn in harvest, and this is field in harvest"),
+        (OWNER._replace(machine="another"), "it was begun on another computer"),
+    ],
+)
+def test_a_journal_of_others_is_refused_and_stays_as_it_is(
+    bench: FileBench, owner: object, says: str
+) -> None:
+    data = filled(bench)
+    with pytest.raises(ForeignJournal, match=says) as found:
+        FileJournal(bench.path, owner, print, bench.clock)  # type: ignore[arg-type]
+    assert found.value.exit_status == 65
+    assert bench.path.read_bytes() == data
+
+
+@pytest.mark.parametrize("statement", ["PRAGMA user_version = 2", None])
+def test_a_newer_version_is_refused_and_stays_as_it_is(
+    bench: FileBench, statement: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    filled(bench)
+    if statement is not None:
+        bench.sql(statement)
+    else:
+        journal = bench.open()
+        monkeypatch.setattr("lfield.journal.pages.VERSION", 2)
+        bench.run(journal.keep([Starts(1)]))
+        journal.close()
+        monkeypatch.undo()
+    data = bench.path.read_bytes()
+    with pytest.raises(ForeignJournal, match="install the version of lfield that wrote it"):
+        bench.open()
+    with pytest.raises(ForeignJournal):
+        see(bench.path)
+    assert bench.path.read_bytes() == data
+
+
+def test_a_board_is_told_from_its_copy_by_its_serial_number(tmp_path: Path) -> None:
+    assert machine_identity(tmp_path) == ""
+    (tmp_path / "etc").mkdir()
+    (tmp_path / "etc/machine-id").write_text("uninitialized\n")
+    assert machine_identity(tmp_path) == ""
+    (tmp_path / "etc/machine-id").write_text("3d1219c7c4c5404aaa1f6d2a48adfda4\n")
+    copied = machine_identity(tmp_path)
+    assert len(copied) == 32
+    assert "3d1219c7" not in copied
+    (tmp_path / "proc/device-tree").mkdir(parents=True)
+    (tmp_path / "proc/device-tree/serial-number").write_bytes(b"10000000a3b1c2d3\0")
+    assert machine_identity(tmp_path) not in ("", copied)
+
+
+# --- its disk -----------------------------------------------------------------------------------------
+
+
+def test_the_loop_goes_on_while_the_disk_is_slow_and_calls_become_one_commit(bench: FileBench) -> None:
+    journal = bench.open()
+    store, begun, done = journal._store, threading.Event(), threading.Event()
+    write = store.commit
+
+    def slow(groups: object) -> None:
+        begun.set()
+        # If anybody waited for this on the loop, it would never end.
+        assert done.wait(60.0)
+        write(groups)  # type: ignore[arg-type]
+
+    store.commit = slow  # type: ignore[method-assign]
+
+    async def calls() -> None:
+        first = asyncio.ensure_future(journal.keep([Starts(0)]))
+        while not begun.is_set():
+            await asyncio.sleep(0)
+        more = [asyncio.ensure_future(journal.keep([Starts(count)])) for count in range(1, 100)]
+        await asyncio.sleep(0)
+        assert not first.done()
+        done.set()
+        await asyncio.gather(first, *more)
+
+    bench.run(calls())
+    assert journal.commits_last_minute(bench.clock.monotonic()) == 2
+    assert bench.open().pages() == [Starts(99)]
+
+
+def failing(code: int, times: int, write: Callable[[object], None]) -> Callable[[object], None]:
+    """A commit that SQLite refuses a few times."""
+    left = [times]
+
+    def commit(groups: object) -> None:
+        if left[0]:
+            left[0] -= 1
+            error = sqlite3.OperationalError("refused")
+            error.sqlite_errorcode = code
+            raise error
+        write(groups)
+
+    return commit
+
+
+def test_space_that_was_kept_is_given_up_when_the_disk_is_full(
+    bench: FileBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = bench.open()
+    reserve = bench.path.with_name("host.reserve")
+    assert reserve.stat().st_size == LEAST
+    bench.run(journal.keep([CopyPage("scout", 1, "RUN", block=bytes(3 * STEP))]))
+    assert reserve.stat().st_size == LEAST + 6 * STEP
+    assert reserve.stat().st_blocks * 512 >= LEAST + 6 * STEP
+    store = journal._store
+    store.commit = failing(sqlite3.SQLITE_FULL, 1, store.commit)  # type: ignore
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "posix_fallocate", failing_fallocate)
+        bench.run(journal.keep([Starts(5)]))
+        assert not reserve.exists()
+        assert journal.trouble == "its disk is full: it writes into the space that was kept in advance"
+    bench.run(journal.keep([]))
+    assert reserve.exists()
+    assert journal.trouble == ""
+    assert Starts(5) in bench.open().pages()
+
+
+def failing_fallocate(descriptor: int, offset: int, size: int) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_a_disk_that_fails_is_told_and_tried_again(bench: FileBench) -> None:
+    journal = bench.open()
+    journal._store.commit = failing(sqlite3.SQLITE_IOERR, 2, journal._store.commit)  # type: ignore
+    with pytest.raises(JournalError, match=r"its disk fails; the system's log \(dmesg\) says why") as found:
+        bench.run(journal.keep([Starts(1)]))
+    assert (found.value.exit_status, journal.trouble) == (73, "its disk fails")
+    bench.run(journal.keep([Starts(2)]))
+    assert journal.trouble == ""
+    assert bench.open().pages() == [Starts(2)]
+
+
+def test_what_was_removed_while_it_is_in_use_takes_nothing(bench: FileBench) -> None:
+    journal = bench.open()
+    bench.run(journal.keep([Starts(1)]))
+    bench.path.rename(bench.path.with_name("elsewhere"))
+    with pytest.raises(JournalError, match="no such file"):
+        bench.run(journal.keep([Starts(2)]))
+    bench.path.write_bytes(b"")
+    with pytest.raises(JournalError, match="another file was put in its place"):
+        bench.run(journal.keep([Starts(2)]))
+
+
+def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(JournalError, match="it is not a folder") as found:
+        FileJournal(tmp_path / "file" / "host.journal", OWNER, print, ManualClock())
+    assert found.value.exit_status == 73
+
+
+# --- damage -------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_lost_in_silence_whatever_becomes_of_its_bytes(bench: FileBench) -> None:
+    data, dice = filled(bench), random.Random(0)
+    identity = bench.open().identity
+    bench.end()
+    for _ in range(40):
+        wrong = bytearray(data)
+        if dice.random() < 0.5:
+            at = 4096 * dice.randrange(len(data) // 4096)
+            wrong[at : at + 4096] = dice.randbytes(4096)
+        else:
+            wrong[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
+        bench.path.write_bytes(wrong)
+        bench.told.clear()
+        journal = FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
+        journal.close()
+        assert all(page in PAGES for page in journal.pages())
+        if len(journal.pages()) < len(PAGES):
+            assert bench.told
+            assert journal.identity != identity
+
+
+@pytest.mark.parametrize(
+    ("wrong", "left"),
+    [
+        (lambda data: b"", 0),
+        (lambda data: b"no database at all", 0),
+        (lambda data: data[: len(data) // 2], 5),
+        (lambda data: bytes(4096) + data[4096:], 20),
+        (lambda data: b"SQLite format 3\0" + bytes(data)[16:100] + bytes(3996) + data[4096:], 20),
+    ],
+    ids=["empty", "other", "truncated", "no first page", "no tables"],
+)
+def test_a_damaged_file_is_moved_aside_and_what_can_be_read_counts(
+    bench: FileBench, wrong: Callable[[bytes], bytes], left: int
+) -> None:
+    data = wrong(filled(bench))
+    bench.path.write_bytes(data)
+    if left:
+        assert len(see(bench.path).pages) >= left
+    journal = bench.open()
+    assert len(journal.pages()) >= left
+    assert "is damaged" in bench.told[0]
+    assert "is now host.journal.damaged-1" in bench.told[0]
+    assert bench.path.with_name("host.journal.damaged-1").read_bytes()[:50] == data[:50]
+    told = len(bench.told)
+    bench.open()
+    assert len(bench.told) == told
+
+
+def test_a_process_that_ended_while_it_replaced_the_file_is_followed_by_one_that_goes_on(
+    bench: FileBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = filled(bench)[:50_000]
+    rename, left = Path.rename, [0]
+
+    def killed(path: Path, target: Path) -> Path:
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    for renames in range(4):
+        left[0] = renames
+        for old in bench.path.parent.iterdir():
+            old.unlink()
+        bench.path.write_bytes(data)
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(Path, "rename", killed)
+            FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
+        journal = FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
+        journal.close()
+        assert len(journal.pages()) >= 5
+        assert bench.path.with_name("host.journal.damaged-1").read_bytes()[:50_000] == data
+
+
+def test_a_damaged_page_waits_to_be_looked_at(bench: FileBench) -> None:
+    filled(bench)
+    bench.sql("UPDATE pages SET body = x'00' WHERE name = 'agent3'")
+    assert [one.entry.key.name for one in see(bench.path).damaged] == ["agent3"]
+    bench.open()
+    seen = see(bench.path)
+    assert (len(seen.pages), seen.damaged) == (19, [])
+    assert [(one.entry.key.name, one.why) for one in seen.aside] == [("agent3", "its checksum does not fit")]
+
+
+# --- a killed process ---------------------------------------------------------------------------------
+
+
+@pytest.mark.process
+def test_a_killed_process_has_kept_all_that_it_said_and_no_half_of_anything(bench: FileBench) -> None:
+    writer = [sys.executable, str(Path(__file__).with_name("journal_writer.py")), str(bench.path.parent)]
+    for _ in range(2):
+        with subprocess.Popen(writer, stdout=subprocess.PIPE, text=True) as child:
+            assert child.stdout is not None
+            for _ in range(30):
+                said = int(child.stdout.readline())
+            child.kill()
+            said = int((child.stdout.read().split() or [said])[-1])
+    journal = FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
+    journal.close()
+    starts, copy = journal.pages()
+    assert isinstance(starts, Starts)
+    assert isinstance(copy, CopyPage)
+    assert starts.count in (said, said + 1)
+    assert copy.sequence == starts.count
+    assert copy.block == starts.count.to_bytes(8, "big") * 1000
+    assert bench.told == []
+    assert Run(True) not in journal.pages()

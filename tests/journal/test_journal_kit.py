@@ -1,0 +1,181 @@
+"""What every journal promises, tried on that of a real disk and on that of the simulation."""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from journal_bench import Bench, FileBench, SimulatedBench
+
+from lfield.errors import JournalError
+from lfield.journal.journal import Change, Journal
+from lfield.journal.pages import CopyPage, Fence, Key, Page, ProgramPage, Run, Starts, key_of
+
+KINDS = ("file", "simulated")
+#: One page of each kind.
+PAGES: tuple[Page, ...] = (
+    CopyPage("scout", 3, "RUN", sequence=7, hops=5, program=b"\1" * 32, block=bytes(5000)),
+    Starts(3),
+    Run(True),
+    Fence("scout", 2),
+    ProgramPage(b"\1" * 32, bytes(100), ("scout", "arm"), ("Scout", "Arm"), ("barn", "field")),
+)
+#: Larger than what is free in the files of a new journal.
+LARGE = CopyPage("scout", 4, "RUN", block=bytes(200_000))
+
+
+@contextmanager
+def bench_of(kind: str) -> Iterator[Bench]:
+    with tempfile.TemporaryDirectory() as folder:
+        bench = FileBench(Path(folder)) if kind == "file" else SimulatedBench()
+        try:
+            yield bench
+        finally:
+            bench.end()
+
+
+@pytest.fixture(params=KINDS)
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    with bench_of(request.param) as made:
+        yield made
+
+
+def by_key(pages: Sequence[Page]) -> dict[Key, Page]:
+    found = {key_of(page): page for page in pages}
+    assert len(found) == len(pages)
+    return found
+
+
+def test_what_is_kept_is_there_in_the_next_life(bench: Bench) -> None:
+    journal = bench.open()
+    assert journal.pages() == []
+    bench.run(journal.keep(PAGES))
+    again = bench.open()
+    assert by_key(again.pages()) == by_key(PAGES)
+    assert again.identity == journal.identity
+    assert bench.told == []
+
+
+def test_a_closed_journal_is_read_as_it_was_and_takes_nothing(bench: Bench) -> None:
+    journal = bench.open()
+    bench.run(journal.keep(PAGES))
+    journal.close()
+    with pytest.raises(JournalError, match="closed"):
+        bench.run(journal.keep([Starts(9)]))
+    assert by_key(bench.open().pages()) == by_key(PAGES)
+
+
+CHANGES = st.builds(
+    Change,
+    st.lists(
+        st.builds(CopyPage, st.sampled_from("ab"), st.integers(0, 2), st.sampled_from(["RUN", "MOVED"]))
+        | st.builds(Starts, st.integers(0, 2**63 - 1)),
+        max_size=3,
+    ),
+    st.lists(st.builds(Key, st.just("copy"), st.sampled_from("ab"), st.integers(0, 2)), max_size=2),
+)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=12)
+@given(changes=st.lists(CHANGES, max_size=6), waits=st.booleans())
+def test_after_any_changes_the_next_life_finds_what_they_lead_to(
+    kind: str, changes: list[Change], waits: bool
+) -> None:
+    """Those that are made one after the other, and those that are made at once, in the order of the calls."""
+    expected: dict[Key, Page] = {}
+    for pages, keys in changes:
+        expected |= {key_of(page): page for page in pages}
+        for key in keys:
+            expected.pop(key, None)
+
+    async def make(journal: Journal) -> None:
+        calls = [call for pages, keys in changes for call in (journal.keep(pages), journal.forget(keys))]
+        if not waits:
+            await asyncio.gather(*calls)
+            return
+        for call in calls:
+            await call
+
+    with bench_of(kind) as bench:
+        bench.run(make(bench.open()))
+        assert by_key(bench.open().pages()) == expected
+
+
+def test_calls_of_one_turn_are_one_commit(bench: Bench) -> None:
+    journal = bench.open()
+
+    async def many() -> None:
+        await asyncio.gather(*(journal.keep([Starts(count)]) for count in range(50)))
+
+    bench.run(many())
+    assert journal.commits_last_minute(bench.clock.monotonic()) == 1
+    assert bench.open().pages() == [Starts(49)]
+
+
+def test_a_full_disk_is_told_and_the_journal_recovers(bench: Bench) -> None:
+    journal = bench.open()
+    bench.run(journal.keep([Starts(1)]))
+    bench.fill(True)
+
+    async def fail() -> None:
+        with pytest.raises(JournalError, match="no space is left"):
+            await journal.keep([Starts(2), LARGE])
+
+    bench.run(fail())
+    assert "no space" in journal.trouble or "full" in journal.trouble
+    bench.fill(False)
+    bench.run(journal.keep([]))
+    assert journal.trouble == ""
+    # Of what failed nothing is there.
+    assert bench.open().pages() == [Starts(1)]
+
+
+def test_what_was_called_before_a_failure_is_told_fails_too(bench: Bench) -> None:
+    journal = bench.open()
+    bench.fill(True)
+
+    async def calls() -> list[BaseException | None]:
+        first = asyncio.ensure_future(journal.keep([LARGE]))
+        # The first commit begins; what comes now waits for it.
+        for _ in range(2):
+            await asyncio.sleep(0)
+        later = asyncio.ensure_future(journal.keep([Starts(1)]))
+        return await asyncio.gather(first, later, return_exceptions=True)
+
+    assert [type(found) for found in bench.run(calls())] == [JournalError, JournalError]
+    assert bench.open().pages() == []
+
+
+def test_a_damaged_page_is_told_and_makes_another_memory(bench: Bench) -> None:
+    journal = bench.open()
+    bench.run(journal.keep(PAGES))
+    journal.close()
+    bench.damage(Key("copy", "scout", 3))
+    again = bench.open()
+    (told,) = bench.told
+    assert told.startswith("the copy of scout, start 3, as of ")
+    assert "is damaged in the journal" in told
+    assert by_key(again.pages()) == by_key(PAGES[1:])
+    assert again.identity != journal.identity
+    last = bench.open()
+    assert (last.identity, len(bench.told)) == (again.identity, 1)
+
+
+def test_it_counts_the_commits_of_a_minute(bench: Bench) -> None:
+    journal = bench.open()
+
+    async def some() -> None:
+        for count in range(3):
+            await journal.keep([Starts(count)])
+
+    bench.run(some())
+    now = bench.clock.monotonic()
+    assert journal.commits_last_minute(now) == 3
+    assert journal.commits_last_minute(now + 60.0) == 0
