@@ -24,11 +24,12 @@ from lfield.host.process.run import live
 from lfield.host.process.stop_words import StopWords
 from lfield.mission.mission import Mission
 from lfield.net.tcp import TcpTransport
-from lfield.simulate.beside import REFERENCE, Disk, guard
+from lfield.simulate.beside import REFERENCE, guard
 from lfield.simulate.computers.computer import Computer, Process
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.network import Network
 from lfield.simulate.computers.timeline import Timeline
+from lfield.simulate.disk import JournalDisk
 from lfield.simulate.hardware import Hardware
 
 #: By how much clocks run fast or slow at most.
@@ -80,7 +81,9 @@ class Fleet:
         self.network = Network(self.timeline, self.machines, dice)
         programs = {"lfield.guard.process": guard}
         self.computers = {m.name: Computer(m, self.network, programs) for m in self.machines.values()}
-        self.disks = {name: Disk(random.Random(dice.random())) for name in names}
+        self.disks = {name: JournalDisk(random.Random(dice.random())) for name in names}
+        #: The hosts that were started before, as whoever set the team up knows.
+        self._known: set[str] = set()
         #: By the names of devices that share it.
         self.hardware: dict[str, Hardware] = {}
         self.mission = self._on_hardware(mission, dice).at(
@@ -169,10 +172,10 @@ class Fleet:
             clock=machine.clock,
             dice=random.Random(machine.dice.random()),
             unreachable_after=self._unreachable_after,
-            journal=disk.open() if self._keeps else None,
-            first_start=disk.new,
+            journal=disk.open(machine.clock, book.tell) if self._keeps else None,
+            first_start=name not in self._known,
         )
-        disk.new = False
+        self._known.add(name)
         host = Host(self.mission, name, TcpTransport(self.mission.max_block), Logbook(book, book), options)
         life = self.lives[name] = Life(process, host)
         process.loop.create_task(self._live(name, life))
@@ -227,6 +230,10 @@ class Book(io.StringIO):
         if not self._process.loop.dead:
             self._fleet.log.append((self._fleet.now, self._name, text))
         return len(text)
+
+    def tell(self, text: str) -> None:
+        """A line of the log."""
+        self.write(f"{text}\n")
 
 
 def copies(fleet: Fleet) -> Mapping[tuple[str, int], list[str]]:

@@ -17,8 +17,8 @@ from lfield.cli.mission_argument import add_mission, mission_path, setup_command
 from lfield.errors import DevicesError, OutputFileError, UsageError
 
 if TYPE_CHECKING:
+    from lfield.journal.journal import Journal
     from lfield.mission.mission import Mission
-    from lfield.text.record import Record
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --until-done: end when a host was not heard by anybody for so long (default 15)",
     )
     parser.add_argument(
-        "--state", metavar="DIR", type=Path, help="where a host keeps the number of its last start"
+        "--state", metavar="DIR", type=Path, help="where a host keeps its coordinators; also with --sim"
+    )
+    parser.add_argument(
+        "--volatile", action="store_true", help="keep nothing: what a host has is gone when it stops"
     )
     parser.add_argument(
         "--first-start",
@@ -126,11 +129,8 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
     if args.dump is not None and not args.leash:
         _look_at_dumps(args.dump)
     if args.all:
-        for option, given in (("--state", args.state is not None), ("--first-start", args.first_start)):
-            if given:
-                raise UsageError(
-                    f"{option} is for a host on its own: with --all every start is the first one"
-                )
+        if args.first_start:
+            raise UsageError("--first-start is for a host on its own: with --all every host is heard")
         from lfield.cli.run.up_all import run_all
 
         return run_all(mission, file, args)
@@ -163,7 +163,7 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
                 lost_after=args.lost_after if args.until_done else None,
                 trust_network=args.trust_network,
                 leash=args.leash,
-                record=_record(mission, name, args),
+                journal=_journal(mission, name, args),
                 first_start=args.first_start,
             )
         )
@@ -196,13 +196,18 @@ def tell(text: str) -> None:
     print(f"lfield: {text}", file=sys.stderr)
 
 
-def _record(mission: Mission, host: str, args: argparse.Namespace) -> Record | None:
-    """Where the host keeps its starts; None under --all, where every start is the first, and on fakes."""
-    from lfield.text.record import FileRecord, record_file
+def _journal(mission: Mission, host: str, args: argparse.Namespace) -> Journal | None:
+    """Where the host keeps its coordinators; None on fakes, unless a folder is named, and for --volatile."""
+    from lfield.clock import SystemClock
+    from lfield.journal.file import FileJournal
+    from lfield.journal.journal import journal_file
+    from lfield.journal.opening import Owner
+    from lfield.journal.owner import machine_identity
 
-    if args.leash or (args.state is None and (args.sim or mission.world == "fakes")):
+    if args.volatile or (args.state is None and (args.sim or mission.world == "fakes")):
         return None
-    return FileRecord(record_file(args.state, mission.name, host), tell)
+    owner = Owner(mission.name, host, machine_identity())
+    return FileJournal(journal_file(args.state, mission.name, host), owner, tell, SystemClock())
 
 
 def _with_own_drivers(mission: Mission, host: str) -> Mission:

@@ -160,11 +160,10 @@ class _Team:
         words.append(f"--setup={setup_command(mission_path(args), devices=args.devices)}")
         for name, address in self.addresses.items():
             words.append(f"--map={name}={address}")
-        for option in ("dump", "unreachable_after"):
+        for option in ("dump", "unreachable_after", "state"):
             if getattr(args, option) is not None:
                 words += [f"--{option.replace('_', '-')}", str(getattr(args, option))]
-        if args.sim:
-            words.append("--sim")
+        words += [f"--{option}" for option in ("sim", "volatile") if getattr(args, option)]
         if args.until_done:
             words += ["--until-done", "--lost-after", str(min(args.lost_after, LOST_AFTER))]
         return words
