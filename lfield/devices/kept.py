@@ -14,8 +14,7 @@ import msgspec
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import DamagedFileError, InputFileError, OutputFileError
 from lfield.text.files import reason
-from lfield.text.private import private_locked, read_private, write_private
-from lfield.text.record import state_folder
+from lfield.text.private import private_locked, read_private, state_folder, write_private
 
 #: A larger file is none of ours, in bytes.
 _MOST = 16 << 20

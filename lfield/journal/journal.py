@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 from urllib.parse import quote
 
 from lfield.journal.pages import Key, Page
-from lfield.text.record import state_folder
+from lfield.text.private import state_folder
 
 
 class Change(NamedTuple):

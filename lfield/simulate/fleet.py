@@ -172,7 +172,7 @@ class Fleet:
             clock=machine.clock,
             dice=random.Random(machine.dice.random()),
             unreachable_after=self._unreachable_after,
-            journal=disk.open(machine.clock, book.tell) if self._keeps else None,
+            journal=disk.open(machine.clock, book.note) if self._keeps else None,
             first_start=name not in self._known,
         )
         self._known.add(name)
@@ -231,7 +231,7 @@ class Book(io.StringIO):
             self._fleet.log.append((self._fleet.now, self._name, text))
         return len(text)
 
-    def tell(self, text: str) -> None:
+    def note(self, text: str) -> None:
         """A line of the log."""
         self.write(f"{text}\n")
 

@@ -178,3 +178,13 @@ def _replace(name: str, data: bytes, mode: int, folder: int, *, durable: bool) -
     except OSError:
         os.unlink(temporary, dir_fd=folder)
         raise
+
+
+def state_folder() -> Path:
+    """The folder of what outlives a run: the service's, else the user's own."""
+    # systemd names all state folders of a unit, with colons between.
+    service = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    if service:
+        return Path(service)
+    base = os.environ.get("XDG_STATE_HOME", "")
+    return (Path(base) if base else Path.home() / ".local" / "state") / "lfield"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import random
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
+from lfield.simulate.disk import JournalDisk
 from lfield.simulate.network import MemoryNetwork
 from lfield.simulate.time import LoopClock, run_jumping
 
@@ -47,6 +49,8 @@ class Fleet:
         self.folder = folder
         self.network = MemoryNetwork(LoopClock(), max_block=max_block, on_pending=self._pending)
         self.running: list[Running] = []
+        #: Of each host that keeps a journal; see `make`.
+        self.disks: dict[str, JournalDisk] = {}
 
     def mission(
         self,
@@ -72,10 +76,13 @@ class Fleet:
         return load_mission(self.folder / f"{name}.dL", simulate=simulate)
 
     def make(self, mission: Mission, name: str, *, address: str = "", **options: Any) -> Running:
-        """A host, not yet started."""
+        """A host, not yet started. With `keeps` it has a journal, on its disk."""
         out, err = io.StringIO(), io.StringIO()
         listen = address or mission.team.addresses[mission.team.number(name)]
         options.setdefault("first_start", True)
+        if options.pop("keeps", False):
+            disk = self.disks.setdefault(name, JournalDisk(random.Random(name)))
+            options["journal"] = disk.open(LoopClock(), err.write)
         made = Options(listen, clock=LoopClock(), **options)
         transport = self.network.transport(name)
         running = Running(Host(mission, name, transport, Logbook(out, err), made), out, err)

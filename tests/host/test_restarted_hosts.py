@@ -7,6 +7,7 @@ import asyncio
 import pytest
 
 from lfield.host.process.until_done import until_done
+from lfield.journal.pages import Key
 
 PROGRAM = """
 resource Post {
@@ -107,14 +108,15 @@ def test_a_start_that_arrives_where_a_later_one_runs_ends_it_first(fleet):
 
     async def story(team):
         mission = team.mission(TWICE, THREE_HOSTS)
-        home, _, carol = await team.up(mission)
+        home, _, carol = await team.up(mission, keeps=True)
         await team.until(lambda: carol.output)
         first = carol.output[0].split()[0]
-        # Nobody who can be reached knows where it is, so a second one is started.
+        # Nobody who can be reached knows where it is, and on the disk that is spoilt: a second one is started.
         team.network.partition("home", "carol")
         await home.host.stop()
         await asyncio.sleep(10.0)
-        again = team.make(mission, "home")
+        team.disks["home"].damage(Key("copy", "guest", 1))
+        again = team.make(mission, "home", keeps=True)
         await again.host.start()
         await team.until(lambda: again.output)
         second = again.output[0].split()[0]

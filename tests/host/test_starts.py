@@ -3,15 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import stat
-from pathlib import Path
-
-import pytest
-
-from lfield.errors import OutputFileError
-from lfield.simulate.time import LoopClock
-from lfield.text.record import FileRecord, record_file
 
 PROGRAM = """
 resource Post {
@@ -30,55 +21,34 @@ def start_of(running, agent: str = "guest") -> int:
     return max(known.generation for known in running.host.mobility.knowledge() if known.agent == agent)
 
 
-class SetBack(LoopClock):
-    """A wall clock that was 3 s further on before the computer was started."""
-
-    def time(self) -> float:
-        return super().time() - 3.0
-
-
-def test_a_clock_set_back_between_two_starts_changes_no_order(fleet):
+def test_a_start_that_is_away_is_not_made_again(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
-        home, away = await team.up(mission)
+        home, away = await team.up(mission, keeps=True)
         await team.until(lambda: away.output)
-        first = start_of(home)
-        # Nobody who can be reached knows of the first, so a second one is started, at once.
+        # Nobody who can be reached knows of it but the disk.
         team.network.partition("home", "away")
         await home.host.stop()
-        again = team.make(mission, "home")
-        again.host.clock = SetBack()
-        await again.host.start()
-        assert start_of(again) == first + 1
-        team.network.heal("home", "away")
-        await team.until(lambda: "guest stopped: an earlier start of guest is alive on away" in again.log)
-        assert away.holds("guest")
-        assert not again.holds("guest")
+        (again,) = await team.up(mission, "home", keeps=True)
+        assert "guest went to away: not started again" in again.log
+        assert start_of(again) == start_of(away) == 1
 
     fleet(story)
 
 
-def test_what_another_host_knows_counts_when_the_record_is_behind(fleet):
+def test_what_another_host_knows_counts_when_the_disk_was_replaced(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
-        team.make(mission, "home")
-        team.records["home"].starts = 41
-        home, away = await team.up(mission)
+        home, away = await team.up(mission, keeps=True)
         await team.until(lambda: away.output)
-        assert start_of(home) == 42
-        assert team.records["home"].starts == 42
         await home.host.stop()
-        team.records["home"].starts = 7
-        await away.host.stop()
-        (away,) = await team.up(mission, "away")
-        (home,) = await team.up(mission, "home")
-        assert start_of(home) == 8
-        await home.host.stop()
-        team.records["home"].starts = 3
-        (home,) = await team.up(mission, "home")
+        team.disks["home"].replace()
+        (home,) = await team.up(mission, "home", keeps=True)
         assert "guest is alive on another host: not started again" in home.log
-        # The number is taken all the same, and no other host knows one as high.
-        assert team.records["home"].starts == 9
+        assert await team.ended("guest") == "done"
+        await home.host.stop()
+        (home,) = await team.up(mission, "home", keeps=True)
+        assert start_of(home) == 3
 
     fleet(story)
 
@@ -86,9 +56,7 @@ def test_what_another_host_knows_counts_when_the_record_is_behind(fleet):
 def test_without_a_record_a_host_waits_until_it_has_heard_all(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, TWO_GUESTS)
-        home = team.make(mission, "home")
-        team.records["home"].starts = None
-        await home.host.start()
+        (home,) = await team.up(mission, "home", keeps=True, first_start=False)
         await asyncio.sleep(30.0)
         why = (
             "guest and other are not started before away was heard: this host has no record of earlier "
@@ -96,11 +64,9 @@ def test_without_a_record_a_host_waits_until_it_has_heard_all(fleet):
         )
         assert home.log.count(why) == 1
         assert not home.holds("guest")
-        assert team.records["home"].starts is None
-        await team.up(mission, "away")
+        await team.up(mission, "away", keeps=True)
         await team.until(lambda: home.host.mobility.knowledge())
         assert start_of(home) == start_of(home, "other") == 1
-        assert team.records["home"].starts == 1
 
     fleet(story)
 
@@ -108,11 +74,8 @@ def test_without_a_record_a_host_waits_until_it_has_heard_all(fleet):
 def test_somebody_may_say_that_there_was_no_earlier_start(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
-        home = team.make(mission, "home", first_start=True)
-        team.records["home"].starts = None
-        await home.host.start()
+        (home,) = await team.up(mission, "home", keeps=True, first_start=True)
         assert start_of(home) == 1
-        assert team.records["home"].starts == 1
 
     fleet(story)
 
@@ -122,7 +85,7 @@ def test_where_no_record_is_kept_all_hosts_are_heard_first(fleet):
 
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
-        (home,) = await team.up(mission, "home", record=None)
+        (home,) = await team.up(mission, "home", first_start=False)
         await asyncio.sleep(5.0)
         assert not home.holds("guest")
         await team.up(mission, "away")
@@ -135,7 +98,7 @@ def test_where_no_record_is_kept_all_hosts_are_heard_first(fleet):
 def test_a_host_that_was_reaped_is_not_waited_for(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
-        (home,) = await team.up(mission, "home", record=None)
+        (home,) = await team.up(mission, "home", first_start=False)
         await asyncio.sleep(5.0)
         home.host.reaped("nobody we know")
         home.host.reaped("away")
@@ -144,90 +107,20 @@ def test_a_host_that_was_reaped_is_not_waited_for(fleet):
     fleet(story)
 
 
-class Full:
-    """A disk that takes nothing."""
-
-    def read(self) -> int | None:
-        return 4
-
-    async def write(self, generation: int) -> None:
-        raise OutputFileError("/state/starts.json", "No space left on device")
-
-
-def test_a_start_that_cannot_be_put_on_record_is_not_made(fleet):
+def test_a_start_that_cannot_be_kept_is_not_made(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT + "//Post:here@home\n")
-        (home,) = await team.up(mission, "home", record=Full())
+        home = team.make(mission, "home", keeps=True)
+        team.disks["home"].broken = True
+        starting = asyncio.ensure_future(home.host.start())
         await asyncio.sleep(5.0)
-        assert "not started: guest; its start cannot be put on record: " in home.log
-        assert "No space left on device" in home.log
+        assert "coordinators wait, since nothing can be kept: " in home.log
+        assert home.log.count("its disk fails") == 1
         assert not home.holds("guest")
         # The resources are served all the same.
         assert home.holds("here")
-        assert home.host.failure is None
+        team.disks["home"].broken = False
+        await starting
+        assert home.holds("guest")
 
     fleet(story)
-
-
-# The file
-
-
-def read(path: Path) -> tuple[int | None, list[str]]:
-    told: list[str] = []
-    return FileRecord(path, told.append).read(), told
-
-
-def write(path: Path, generation: int) -> None:
-    asyncio.run(FileRecord(path, lambda text: None).write(generation))
-
-
-def test_the_file_keeps_the_number_and_is_of_its_user_alone(tmp_path):
-    path = record_file(tmp_path / "state", "mission", "10.0.0.1")
-    assert read(path) == (None, [])
-    for number in (1, 2**61):
-        write(path, number)
-        assert read(path) == (number, [])
-    assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
-    assert os.listdir(path.parent) == ["starts.json"]
-
-
-def test_it_is_on_the_disk_before_it_counts(tmp_path, monkeypatch):
-    synced = []
-    monkeypatch.setattr(
-        os, "fsync", lambda descriptor: synced.append(stat.S_IFMT(os.fstat(descriptor).st_mode))
-    )
-    write(tmp_path / "starts.json", 5)
-    assert synced == [stat.S_IFREG, stat.S_IFDIR]
-
-
-DAMAGED = [b"", b"{}", b"\xff", b"[" * 4000, b'{"starts":-1,"check":0}', b"x" * 9999]
-
-
-@pytest.mark.parametrize("data", [*DAMAGED, "a digit"], ids=range(len(DAMAGED) + 1))
-def test_a_damaged_file_is_moved_aside_and_counts_as_none(tmp_path, data):
-    path = tmp_path / "starts.json"
-    write(path, 1234)
-    path.write_bytes(path.read_bytes().replace(b"1234", b"1235") if data == "a digit" else data)
-    damaged = path.read_bytes()
-    found, (told,) = read(path)
-    assert found is None
-    assert told.startswith(f"the record of earlier starts in {path} cannot be believed (")
-    assert told.endswith("it is now starts.json.damaged")
-    assert path.with_name("starts.json.damaged").read_bytes() == damaged
-    assert read(path) == (None, [])
-
-
-def test_every_deployment_and_host_has_a_place_of_its_own(tmp_path, monkeypatch):
-    names = [("a", "b@c"), ("a@b", "c"), ("..", ".."), ("a/b", "c"), ("a", "b/c")]
-    paths = {record_file(tmp_path, *name) for name in names}
-    assert len(paths) == len(names)
-    assert {path.parent.parent for path in paths} == {tmp_path}
-    monkeypatch.setenv("XDG_STATE_HOME", "/home/me/state")
-    assert record_file(None, "m", "h") == Path("/home/me/state/lfield/m@h/starts.json")
-    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/lfield:/var/lib/other")
-    assert record_file(None, "m", "h") == Path("/var/lib/lfield/m@h/starts.json")
-    monkeypatch.delenv("STATE_DIRECTORY")
-    monkeypatch.delenv("XDG_STATE_HOME")
-    monkeypatch.setenv("HOME", "/home/me")
-    assert record_file(None, "m", "h") == Path("/home/me/.local/state/lfield/m@h/starts.json")
