@@ -1,4 +1,4 @@
-"""`lfield inspect FILE`: a dumped agent with its L stack and heap; a host's journal; the parts of a mission."""
+"""`lfield inspect FILE`: a dumped agent with its L stack and heap; a journal; or the parts of a mission."""
 
 from __future__ import annotations
 
