@@ -107,8 +107,15 @@ def test_a_board_is_told_from_its_copy_by_its_serial_number(tmp_path: Path) -> N
     assert len(copied) == 32
     assert "3d1219c7" not in copied
     (tmp_path / "proc/device-tree").mkdir(parents=True)
+    (tmp_path / "proc/device-tree/serial-number").write_bytes(b"0000000000000000\0")
+    assert machine_identity(tmp_path) == copied
     (tmp_path / "proc/device-tree/serial-number").write_bytes(b"10000000a3b1c2d3\0")
     assert machine_identity(tmp_path) not in ("", copied)
+
+
+def test_nobody_else_may_read_it(bench: FileBench) -> None:
+    bench.run(bench.open().keep([Starts(1)]))
+    assert {path.stat().st_mode & 0o077 for path in bench.path.parent.iterdir()} == {0}
 
 
 # --- its disk -----------------------------------------------------------------------------------------
