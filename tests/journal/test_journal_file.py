@@ -46,7 +46,11 @@ def filled(bench: FileBench) -> bytes:
 
 
 def test_its_place_is_named_after_deployment_and_host(tmp_path: Path) -> None:
-    assert journal_file(tmp_path, "a/b", "h@1") == tmp_path / "a%2Fb@h%401" / "host.journal"
+    path = journal_file(tmp_path, "a/b?c#", "h@1")
+    assert path == tmp_path / "a%2Fb%3Fc%23@h%401" / "host.journal"
+    # SQLite opens it by an address in which all of these mean something.
+    FileJournal(path, OWNER, print, ManualClock()).close()
+    assert path.exists()
 
 
 def test_a_second_process_is_refused_with_the_first_ones_number(bench: FileBench) -> None:
