@@ -11,7 +11,7 @@
     ├── BlockError                bytes that are not a sound block of this program            65
     ├── InputFileError            a file cannot be read                                       66
     ├── OutputFileError           a file cannot be written (full disk, no permission)         73
-    ├── JournalError              a journal that cannot be kept (full or broken disk)         73
+    ├── JournalError              a journal that cannot be written (full or broken disk)      73
     │   ├── JournalInUse          a journal that another process keeps                        69
     │   └── ForeignJournal        one of a newer version, another mission or computer         65
     ├── WireError                 bytes from a peer that break the protocol                   76
@@ -185,7 +185,7 @@ class JournalError(LfieldError):
 
     def __init__(self, path: str, reason: str, advice: str = "") -> None:
         self.path, self.reason, self.advice = path, reason, advice
-        super().__init__(f"cannot keep the journal {path}: {reason}" + (f"; {advice}" if advice else ""))
+        super().__init__(f"cannot use the journal {path}: {reason}" + (f"; {advice}" if advice else ""))
 
 
 class JournalInUse(JournalError):

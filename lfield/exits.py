@@ -19,11 +19,11 @@ UNSAFE = 3
 UNHEARD = 4
 #: The command line makes no sense.
 USAGE = 64
-#: What a file says is wrong: a program, deployment, bundle, devices file, registry or dump.
+#: What a file says is wrong: a program, deployment, bundle, devices file, registry, dump or journal.
 DATA = 65
 #: A file cannot be read.
 NO_INPUT = 66
-#: A port, address, driver, device, host or mission that is needed is not there.
+#: A port, address, driver, device, host or mission that is needed is not there, or is in use.
 UNAVAILABLE = 69
 #: A bug in lfield.
 SOFTWARE = 70
@@ -44,9 +44,9 @@ MEANINGS: Mapping[int, str] = {
     UNSAFE: "a device was not seen in its safe state and at rest: look at it",
     UNHEARD: "a host was not heard of for too long: what became of the mission there is not known",
     USAGE: "the command line makes no sense",
-    DATA: "a program, deployment, bundle, devices file, registry or dump is wrong",
+    DATA: "a program, deployment, bundle, devices file, registry, dump or journal is wrong",
     NO_INPUT: "a file cannot be read",
-    UNAVAILABLE: "unavailable: a port, address, driver, device, host or mission",
+    UNAVAILABLE: "unavailable: a port, address, driver, device, host, mission or journal",
     SOFTWARE: "a bug in lfield (`LFIELD_TRACEBACK=1` shows it)",
     NO_OUTPUT: "a file cannot be written",
     INPUT_OUTPUT: "what is printed finds no reader, or no room",

@@ -179,8 +179,10 @@ def _put(
 ) -> str:
     """Write a whole journal in the place of whatever is there; the name that this has then, '' for none."""
     making = path.with_name(f"{path.name}.making")
-    for left in (making, making.with_name(f"{making.name}-journal")):
-        left.unlink(missing_ok=True)
+    for ending in ("", "-journal", "-wal", "-shm"):
+        making.with_name(making.name + ending).unlink(missing_ok=True)
+    # SQLite's other files are read by those who may read this one: by nobody else.
+    os.close(os.open(making, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
     Store.create(making, head, [entry for entry, _ in sound.values()], damaged, now)
     making.rename(_whole(path))
     return _finish(path)

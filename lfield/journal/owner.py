@@ -25,7 +25,8 @@ def machine_identity(root: Path = Path("/")) -> str:
     for source in _SOURCES:
         with suppress(OSError):
             told = (root / source).read_bytes().strip(b"\0 \n")
-            if told and told != b"uninitialized":
+            # Boards without a number of their own say 0, and an image that was never started says this.
+            if told.strip(b"0") and told != b"uninitialized":
                 return hashlib.sha256(_PURPOSE + told).hexdigest()[:32]
     return ""
 

@@ -1,6 +1,8 @@
 """Space that a journal keeps in advance: a file beside it that is removed when its disk is full.
 
-What must be written then has room: the verdicts, and that each copy which is here leaves.
+What must be written then has room: the verdicts, and that each copy which is here leaves. On a file system
+that writes nothing in place (btrfs, ZFS) what is removed may be free only later, or never while a snapshot
+has it: there the space is worth less.
 """
 
 from __future__ import annotations

@@ -46,7 +46,11 @@ def filled(bench: FileBench) -> bytes:
 
 
 def test_its_place_is_named_after_deployment_and_host(tmp_path: Path) -> None:
-    assert journal_file(tmp_path, "a/b", "h@1") == tmp_path / "a%2Fb@h%401" / "host.journal"
+    path = journal_file(tmp_path, "a/b?c#", "h@1")
+    assert path == tmp_path / "a%2Fb%3Fc%23@h%401" / "host.journal"
+    # SQLite opens it by an address in which all of these mean something.
+    FileJournal(path, OWNER, print, ManualClock()).close()
+    assert path.exists()
 
 
 def test_a_second_process_is_refused_with_the_first_ones_number(bench: FileBench) -> None:
@@ -107,8 +111,15 @@ def test_a_board_is_told_from_its_copy_by_its_serial_number(tmp_path: Path) -> N
     assert len(copied) == 32
     assert "3d1219c7" not in copied
     (tmp_path / "proc/device-tree").mkdir(parents=True)
+    (tmp_path / "proc/device-tree/serial-number").write_bytes(b"0000000000000000\0")
+    assert machine_identity(tmp_path) == copied
     (tmp_path / "proc/device-tree/serial-number").write_bytes(b"10000000a3b1c2d3\0")
     assert machine_identity(tmp_path) not in ("", copied)
+
+
+def test_nobody_else_may_read_it(bench: FileBench) -> None:
+    bench.run(bench.open().keep([Starts(1)]))
+    assert {path.stat().st_mode & 0o077 for path in bench.path.parent.iterdir()} == {0}
 
 
 # --- its disk -----------------------------------------------------------------------------------------
@@ -281,9 +292,10 @@ def test_a_process_that_ended_while_it_replaced_the_file_is_followed_by_one_that
         for old in bench.path.parent.iterdir():
             old.unlink()
         bench.path.write_bytes(data)
-        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        with monkeypatch.context() as patch:
             patch.setattr(Path, "rename", killed)
-            FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
+            with pytest.raises(KeyboardInterrupt):
+                FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
         journal = FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
         journal.close()
         assert len(journal.pages()) >= 5

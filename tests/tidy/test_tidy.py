@@ -30,6 +30,7 @@ SMALL = {
     "lfield/host/process/stop_words.py": "what ends a host",
     "lfield/host/logbook.py": "the two streams of a host",
     "lfield/host/surroundings.py": "what the core may look at",
+    "lfield/journal/reserve.py": "the file that makes room on a full disk",
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/net/guests.py": "who may wait at the door before the greeting",
     "lfield/simulate/computers/timeline.py": "the one queue of a simulation",

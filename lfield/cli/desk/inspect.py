@@ -1,4 +1,4 @@
-"""`lfield inspect FILE`: a dumped agent, its threads, L stack, locals and heap; or the parts of a mission."""
+"""`lfield inspect FILE`: a dumped agent with its L stack and heap; a journal; or the parts of a mission."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lfield.vm.inspect.decode import BlockView, ThreadView
+    from lfield.vm.inspect.decode import BlockView
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,20 +16,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file",
         metavar="FILE",
         type=Path,
-        help="a dump of 'lfield up --dump DIR', a bundle or a deployment",
+        help="a dump of 'lfield up --dump DIR', a host's journal or its folder, a bundle or a deployment",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Print what the file says."""
+    from lfield.journal.journal import FILE_NAME
     from lfield.mission import bundle
 
+    inside = args.file / FILE_NAME
+    # What was moved aside is called after it.
+    if inside.exists() or FILE_NAME in args.file.name:
+        return _show_journal(inside if inside.exists() else args.file)
     if args.file.suffix in (bundle.SUFFIX, ".dL"):
         return _show_mission(args.file)
     return _show_dump(args.file)
 
 
 def _show_dump(file: Path) -> int:
+    from lfield.cli.views.journal_view import thread_lines
     from lfield.errors import BlockError
     from lfield.text.files import read_bytes
     from lfield.vm.inspect import dump
@@ -47,19 +53,9 @@ def _show_dump(file: Path) -> int:
     if record.reason:
         print("why       " + record.reason.replace("\n", "\n          "))
     for thread in shown.threads:
-        _print_thread(thread)
+        print("\n" + "\n".join(thread_lines(thread)))
     _print_state(shown, record.limit)
     return 0
-
-
-def _print_thread(thread: ThreadView) -> None:
-    serves = f", serves portal call {thread.call}" if thread.call else ""
-    print(f"\nthread {thread.id}: {thread.state}{serves}")
-    for frame in thread.frames:
-        where = f"{frame.file}:{frame.line}" if frame.line else "?"
-        print(f"  at {frame.method} ({where})    {frame.text}")
-        for name, value in frame.locals:
-            print(f"       {name} = {value}")
 
 
 def _print_state(shown: BlockView, limit: int) -> None:
@@ -69,6 +65,23 @@ def _print_state(shown: BlockView, limit: int) -> None:
     print(f"\nheap: {shown.used} of {limit} bytes")
     for name, count, size in shown.heap:
         print(f"  {size:>9} bytes  {count:>6} × {name}")
+
+
+def _show_journal(file: Path) -> int:
+    """All that can be read; only then what cannot."""
+    from lfield.cli.views.journal_view import journal_lines
+    from lfield.errors import DamagedFileError
+    from lfield.journal.reading import see
+
+    seen = see(file)
+    for line in journal_lines(seen):
+        print(line)
+    if seen.fault:
+        raise DamagedFileError(str(file), f"it is damaged, this is what is left of it: {seen.fault}")
+    if seen.damaged:
+        count = len(seen.damaged)
+        raise DamagedFileError(str(file), f"{count} page{'s' * (count > 1)} of it cannot be believed")
+    return 0
 
 
 def _show_mission(file: Path) -> int:

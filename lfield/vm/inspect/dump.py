@@ -73,9 +73,17 @@ def decode(data: bytes) -> tuple[Dump, Program, Block]:
         dump = _decoder.decode(record if version == 1 else _checked(record))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BlockError(f"its record is malformed ({error})") from None
-    program = decode_program(dump.program)
-    checker = Soundness(program, Layouts(program), dump.types)
-    return dump, program, checker.check_heap(dump.block, len(dump.block) // 8 + 1)
+    return dump, *explained(dump.program, dump.types, dump.block)
+
+
+def explained(code: bytes, types: Sequence[str], block: bytes) -> tuple[Program, Block]:
+    """A program file and a block of it, both checked; `types` are those of the team's agents.
+
+    Raises BlockError and ProgramFileError.
+    """
+    program = decode_program(code)
+    checker = Soundness(program, Layouts(program), types)
+    return program, checker.check_heap(block, len(block) // 8 + 1)
 
 
 def _checked(data: memoryview) -> memoryview:

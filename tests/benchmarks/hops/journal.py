@@ -1,0 +1,75 @@
+"""What it costs to have a page on the disk: of a hop's two commits each is one of these.
+
+A page of the given size is written over again and again, as a coordinator's is; the loop waits for each
+commit here, which a host's never does. Of pages that are kept at once, one commit has all. For scale, the
+least that a disk can do: as many bytes are written over in a file, and synced.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from pathlib import Path
+
+from harness.checkout import Checkout
+from harness.figure import Figure, Opener
+from harness.processes import Processes
+from harness.samples import Contender, timed
+
+from lfield.clock import SystemClock
+from lfield.journal.file import FileJournal
+from lfield.journal.opening import Owner
+from lfield.journal.pages import CopyPage
+
+SIZES = (64, 4 << 10, 64 << 10)
+COMMITS, AT_ONCE = 40, 16
+
+
+def keeping(at_once: int) -> Opener:
+    """Seconds for each page when so many are kept at once."""
+
+    def opener(checkout: Checkout, processes: Processes) -> Contender:
+        return lambda: asyncio.run(_keep(processes.folder(), at_once))
+
+    return opener
+
+
+async def _keep(folder: Path, at_once: int) -> dict[str, list[float]]:
+    clock = SystemClock()
+    journal = FileJournal(folder / "host.journal", Owner("bench", "here", ""), print, clock)
+    taken: dict[str, list[float]] = {}
+    for size in SIZES:
+        block = bytes(size)
+        for count in range(COMMITS):
+            pages = [CopyPage(f"agent{n}", 1, "RUN", count, block=block) for n in range(at_once)]
+            start = clock.monotonic()
+            await asyncio.gather(*(journal.keep([page]) for page in pages))
+            taken.setdefault(_case(size), []).append((clock.monotonic() - start) / at_once)
+    journal.close()
+    return taken
+
+
+def syncing(checkout: Checkout, processes: Processes) -> Contender:
+    """A write and an fdatasync of so many bytes."""
+    descriptor = os.open(processes.folder() / "bytes", os.O_RDWR | os.O_CREAT)
+    os.pwrite(descriptor, bytes(max(SIZES)), 0)
+    os.fsync(descriptor)
+
+    def write(size: int) -> None:
+        os.pwrite(descriptor, os.urandom(size), 0)
+        os.fdatasync(descriptor)
+
+    return lambda: {_case(size): [timed(lambda s=size: write(s)) for _ in range(COMMITS)] for size in SIZES}
+
+
+def _case(size: int) -> str:
+    return f"{size} B"
+
+
+FIGURE = Figure(
+    "A page in the journal, by the size of its block; ratio to a write and a sync",
+    {"lfield: one": keeping(1), f"lfield: each of {AT_ONCE}": keeping(AT_ONCE), "write, fdatasync": syncing},
+    base=("write, fdatasync",),
+    rounds=8,
+    notes=(f"rounds of {COMMITS} commits, on the disk of the temporary folder",),
+)
