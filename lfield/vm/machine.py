@@ -20,7 +20,16 @@ from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Rea
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import collect, compact
-from lfield.vm.memory.layout import BLOCKED, OBJECT, THREAD_CALL, THREAD_ID
+from lfield.vm.memory.layout import (
+    BLOCKED,
+    FRAME_SLOTS,
+    OBJECT,
+    PROXY_MEMBER,
+    THREAD_CALL,
+    THREAD_FRAME,
+    THREAD_ID,
+    THREAD_PC,
+)
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
@@ -123,7 +132,7 @@ class Machine:
 
     def go(self, agent: Agent) -> None:
         """Let a frozen coordinator call its portal, about which the host is not asked (again)."""
-        if agent.frozen and not agent.ended:
+        if agent.frozen:
             agent.frozen = False
             self._turns.next(agent, _only_thread(agent))
 
@@ -132,6 +141,18 @@ class Machine:
         self._liveness.clear_dead(agent.block)
         compact(agent.block, self.layouts)
         return agent.block.image()
+
+    def calling(self, agent: Agent) -> tuple[Member, str] | None:
+        """The resource and the portal that a frozen coordinator stands at; None when its proxy is null."""
+        w = agent.block.w
+        thread = place_of(agent.block, _only_thread(agent))
+        pc = w[thread + THREAD_PC]
+        slot = self.program.quads[pc].a
+        proxy = w[w[thread + THREAD_FRAME] + FRAME_SLOTS + slot] if slot >= 0 else 0
+        if not proxy:
+            return None
+        portal = self.program.core.methods[self.engine.group(pc).head.a]
+        return self.team[w[proxy + PROXY_MEMBER]], portal.name
 
     def release(self, agent: Agent) -> None:
         """Forget a coordinator that has left."""

@@ -66,6 +66,11 @@ ACTS = """
   portal caughtActs() { try { print(log[9]); } catch (IndexException e) { count = 0; } }
   portal returned() { here().x = 5; }
   portal passed() { nudge(at); }
+  portal thrown() { try { throw at; } catch (Point p) { p.x = 1; } }
+  portal chained(int n) {
+    Point a = null; Point b = null; Point c = null;
+    for (int i = 0; i < n; i = i + 1) { if (a != null) a.x = 1; a = b; b = c; c = at; }
+  }
 """
 REST = """
   private int helper(int n) { if (n == 0) { return count; } return helper(n - 1) + at.far(); }

@@ -28,7 +28,7 @@ STORES = """
 resource Store {
   int kept;
   init(string[] arg) { }
-  portal add(int n) emit int { kept = kept + n; return kept; }
+  portal add(int n) emit int { yield(); kept = kept + n; return kept; }
   portal total() emit int { return kept; }
 }
 coordinator Clerk {
@@ -230,7 +230,6 @@ def test_a_call_waits_until_its_block_is_kept_and_begins_once() -> None:
         assert disk.asked == asked
         assert len(disk.output) == asked - 1
         machine.go(agent)
-        machine.go(agent)
     hosts.settle()
     assert disk.output == ["5", "10"]
     assert disk.asked == 2
@@ -267,9 +266,23 @@ def test_who_arrives_is_frozen_until_it_may_go_and_is_not_asked_about() -> None:
     assert agent.frozen
     assert not hosts.disks[1].output
     hosts.machines[1].go(agent)
+    hosts.machines[1].go(agent)
     hosts.settle()
     assert hosts.disks[1].output == ["1"]
     assert hosts.disks[1].asked == 0
+
+
+def test_a_block_says_which_call_it_stands_at() -> None:
+    hosts = Hosts("far.total();")
+    hosts.settle()
+    agent = hosts.hop(0)
+    assert hosts.machines[1].calling(agent) == (TEAM[1], "total")
+    # A block whose proxy is null is sound: its call throws a NullException.
+    w = agent.block.w
+    frame = w[w[layout.W_THREADS] + layout.THREAD_FRAME]
+    for slot in range(1, (w[frame] >> 32) - layout.FRAME_SLOTS):
+        w[frame + layout.FRAME_SLOTS + slot] = 0
+    assert hosts.machines[1].calling(agent) is None
 
 
 # --- after a crash -------------------------------------------------------------------------------------
@@ -294,6 +307,7 @@ def test_a_block_that_was_kept_at_a_local_call_goes_on_in_another_life_with_an_e
     machine = hosts.restart(0)
     agent = machine.restore(CLERK, image, LIMITS)
     assert agent.block.trail() == [0, 1, 0]
+    assert machine.calling(agent) == (TEAM[0], "add")
     machine.resume(agent, "RestartException", "the call may have begun", "near")
     settle(machine, hosts.clock)
     (disk,) = hosts.disks[:1]
