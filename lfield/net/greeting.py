@@ -66,6 +66,7 @@ class Greeting:
             self._check_name(message)
         self._check_hashes(message)
         self._check_devices(message)
+        self._check_memory(message)
         self.peer = message
         return message
 
@@ -129,6 +130,16 @@ class Greeting:
                 f"the devices of {self.own.host} are {self.own.devices} and those of {hello.host} are "
                 f"{hello.devices}; start both with --sim, or none"
             )
+
+    def _check_memory(self, hello: Hello) -> None:
+        """Who keeps what it has must not hand it to somebody who forgets."""
+        if "observer" in (self.own.role, hello.role) or bool(self.own.memory) == bool(hello.memory):
+            return
+        keeps, other = (self.own.host, hello.host) if self.own.memory else (hello.host, self.own.host)
+        self._refuse(
+            f"{keeps} keeps its coordinators in a journal and {other} does not; start both with --volatile, or "
+            "none; under --sim both with --state, or none"
+        )
 
     def _refuse(self, reason: str) -> NoReturn:
         self.refusal = Refuse(reason)

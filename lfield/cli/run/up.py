@@ -130,7 +130,7 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
         _look_at_dumps(args.dump)
     if args.all:
         if args.first_start:
-            raise UsageError("--first-start is for a host on its own: with --all every host is heard")
+            raise UsageError("--first-start is for a host on its own: with --all every host is heard first")
         from lfield.cli.run.up_all import run_all
 
         return run_all(mission, file, args)
@@ -151,7 +151,11 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
     from lfield.net.local import own_host
 
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
-    with _door(mission, name, args) as door, _setup_named(args, name):
+    with (
+        _door(mission, name, args) as door,
+        _setup_named(args, name),
+        _journal(mission, name, args) as journal,
+    ):
         return loop.run(
             run_host(
                 _with_own_drivers(mission, name),
@@ -163,7 +167,7 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
                 lost_after=args.lost_after if args.until_done else None,
                 trust_network=args.trust_network,
                 leash=args.leash,
-                journal=_journal(mission, name, args),
+                journal=journal,
                 first_start=args.first_start,
             )
         )
@@ -196,18 +200,27 @@ def tell(text: str) -> None:
     print(f"lfield: {text}", file=sys.stderr)
 
 
-def _journal(mission: Mission, host: str, args: argparse.Namespace) -> Journal | None:
-    """Where the host keeps its coordinators; None on fakes, unless a folder is named, and for --volatile."""
+@contextmanager
+def _journal(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[Journal | None]:
+    """Where the host keeps its coordinators; None for --volatile, and where no folder is named for a trial: on
+    fakes, or with --all where nothing is driven.
+    """
     from lfield.clock import SystemClock
     from lfield.journal.file import FileJournal
     from lfield.journal.journal import journal_file
     from lfield.journal.opening import Owner
     from lfield.journal.owner import machine_identity
 
-    if args.volatile or (args.state is None and (args.sim or mission.world == "fakes")):
-        return None
+    trial = args.sim or mission.world == "fakes" or (args.leash and mission.world != "hardware")
+    if args.volatile or (trial and args.state is None):
+        yield None
+        return
     owner = Owner(mission.name, host, machine_identity())
-    return FileJournal(journal_file(args.state, mission.name, host), owner, tell, SystemClock())
+    journal = FileJournal(journal_file(args.state, mission.name, host), owner, tell, SystemClock())
+    try:
+        yield journal
+    finally:
+        journal.close()
 
 
 def _with_own_drivers(mission: Mission, host: str) -> Mission:

@@ -160,11 +160,11 @@ def test_a_first_start_waits_for_all_and_the_next_one_does_not(lfield):
     assert alpha.out == []
     bravo = lfield.start(*words, "--host", "bravo")
     assert (alpha.wait(), bravo.wait()) == (0, 0)
-    record = lfield.folder / "disk" / "mission@alpha" / "starts.json"
-    assert b'"starts":1,' in record.read_bytes()
+    journal = lfield.folder / "disk" / "mission@alpha" / "host.journal"
+    assert "walker, start 1: EXITED" in "\n".join(lfield("inspect", journal).out)
     again = lfield(*words, "--host", "alpha")
     assert again.out == ["a receives", "a lets go"]
-    assert b'"starts":2,' in record.read_bytes()
+    assert "walker, start 2: EXITED" in "\n".join(lfield("inspect", journal).out)
 
 
 def test_somebody_may_say_that_it_is_the_first_start(lfield):
@@ -175,11 +175,13 @@ def test_somebody_may_say_that_it_is_the_first_start(lfield):
     assert first.out == ["a receives", "a lets go"]
 
 
-@pytest.mark.parametrize("words", [("--state", "here"), ("--first-start",)])
-def test_all_keeps_no_record_and_says_so(lfield, words):
+def test_all_keeps_nothing_where_nothing_is_driven_unless_a_folder_is_named(lfield):
     deployment = lfield.mission(PROGRAM, ONE_AWAY)
-    refused = lfield("up", "--deploy", deployment, "--all", *words)
+    refused = lfield("up", "--deploy", deployment, "--all", "--first-start")
     assert lfield.status(refused) == 64
-    assert f"{words[0]} is for a host on its own: with --all every start is the first one" in refused.err[-1]
-    assert lfield.status(lfield("up", "--deploy", deployment, "--all", "--until-done")) == 0
-    assert not list(lfield.folder.rglob("starts.json"))
+    assert refused.err[-1].endswith("is for a host on its own: with --all every host is heard first")
+    words = ("up", "--deploy", deployment, "--all", "--until-done")
+    assert lfield.status(lfield(*words)) == 0
+    assert not list(lfield.folder.rglob("host.journal"))
+    assert lfield.status(lfield(*words, "--state", "here")) == 0
+    assert len(list(lfield.folder.rglob("host.journal"))) == 2
