@@ -125,6 +125,13 @@ def test_nobody_else_may_read_it(bench: FileBench) -> None:
 # --- its disk -----------------------------------------------------------------------------------------
 
 
+def test_sqlite_is_told_to_force_each_commit_to_the_disk(bench: FileBench) -> None:
+    """What the power takes along no test can find out."""
+    connection = bench.open()._store._connection
+    assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
+    assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
 def test_the_loop_goes_on_while_the_disk_is_slow_and_calls_become_one_commit(bench: FileBench) -> None:
     journal = bench.open()
     store, begun, done = journal._store, threading.Event(), threading.Event()
@@ -253,10 +260,11 @@ def test_nothing_is_lost_in_silence_whatever_becomes_of_its_bytes(bench: FileBen
         (lambda data: b"", 0),
         (lambda data: b"no database at all", 0),
         (lambda data: data[: len(data) // 2], 5),
+        (lambda data: data[: 12 * 4096] + bytes(4096) + data[13 * 4096 :], 15),
         (lambda data: bytes(4096) + data[4096:], 20),
         (lambda data: b"SQLite format 3\0" + bytes(data)[16:100] + bytes(3996) + data[4096:], 20),
     ],
-    ids=["empty", "other", "truncated", "no first page", "no tables"],
+    ids=["empty", "other", "truncated", "a hole", "no first page", "no tables"],
 )
 def test_a_damaged_file_is_moved_aside_and_what_can_be_read_counts(
     bench: FileBench, wrong: Callable[[bytes], bytes], left: int
