@@ -35,8 +35,8 @@ _TABLES = (
 )
 _COLUMNS = "kind, name, number, kept, version, body, sum"
 _WRITE = (
-    f"INSERT INTO pages ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?) "
-    "ON CONFLICT (kind, name, number) DO UPDATE SET kept = excluded.kept, version = excluded.version, body = excluded.body, sum = excluded.sum"
+    f"INSERT INTO pages ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (kind, name, number) "
+    "DO UPDATE SET kept = excluded.kept, version = excluded.version, body = excluded.body, sum = excluded.sum"
 )
 _FORGET = "DELETE FROM pages WHERE kind = ? AND name = ? AND number = ?"
 _NOTE_DAMAGE = f"INSERT INTO damaged ({_COLUMNS}, why, found) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
