@@ -265,10 +265,11 @@ def test_nothing_is_lost_in_silence_whatever_becomes_of_its_bytes(bench: FileBen
         (lambda data: b"no database at all", 0),
         (lambda data: data[: len(data) // 2], 5),
         (lambda data: data[: 12 * 4096] + bytes(4096) + data[13 * 4096 :], 15),
+        (lambda data: data.replace(b"CREATE TABLE damaged", b"CREATE \x87ABLE damaged"), 20),
         (lambda data: bytes(4096) + data[4096:], 20),
         (lambda data: b"SQLite format 3\0" + bytes(data)[16:100] + bytes(3996) + data[4096:], 20),
     ],
-    ids=["empty", "other", "truncated", "a hole", "no first page", "no tables"],
+    ids=["empty", "other", "truncated", "a hole", "no words", "no first page", "no tables"],
 )
 def test_a_damaged_file_is_moved_aside_and_what_can_be_read_counts(
     bench: FileBench, wrong: Callable[[bytes], bytes], left: int
