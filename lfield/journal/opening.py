@@ -14,7 +14,7 @@ from typing import NamedTuple
 from lfield.errors import ForeignJournal
 from lfield.journal.pages import Entry, Key, NewerPage, Page, PageError, page_of
 from lfield.journal.salvage import readable
-from lfield.journal.store import APPLICATION, FORMAT, Damaged, Head, Store
+from lfield.journal.store import APPLICATION, FORMAT, BrokenFile, Damaged, Head, Store
 
 
 class Owner(NamedTuple):
@@ -38,10 +38,6 @@ class Sorted(NamedTuple):
 
     sound: dict[Key, tuple[Entry, Page]]
     damaged: list[Damaged]
-
-
-class BrokenFile(sqlite3.DatabaseError):
-    """A database that is damaged as a whole. It never leaves this room."""
 
 
 def opened(path: Path, owner: Owner, tell: Callable[[str], None], now: float) -> Opened:

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from lfield.errors import DamagedFileError, InputFileError
-from lfield.journal.opening import BrokenFile, check_format, is_damage, primary, sort
+from lfield.journal.opening import check_format, is_damage, primary, sort
 from lfield.journal.pages import Entry, Page
 from lfield.journal.salvage import copied, readable
-from lfield.journal.store import Damaged, Head, Store
+from lfield.journal.store import BrokenFile, Damaged, Head, Store
 from lfield.text.files import look_at
 
 #: What SQLite says where it may not write: it keeps an index of the log beside it, also for readers.

@@ -35,8 +35,8 @@ _TABLES = (
 )
 _COLUMNS = "kind, name, number, kept, version, body, sum"
 _WRITE = (
-    f"INSERT INTO pages ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (kind, name, number) DO UPDATE SET "
-    "kept = excluded.kept, version = excluded.version, body = excluded.body, sum = excluded.sum"
+    f"INSERT INTO pages ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (kind, name, number) "
+    "DO UPDATE SET kept = excluded.kept, version = excluded.version, body = excluded.body, sum = excluded.sum"
 )
 _FORGET = "DELETE FROM pages WHERE kind = ? AND name = ? AND number = ?"
 _NOTE_DAMAGE = f"INSERT INTO damaged ({_COLUMNS}, why, found) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
@@ -57,6 +57,10 @@ class Damaged(NamedTuple):
     entry: Entry
     why: str
     place: int = 0
+
+
+class BrokenFile(sqlite3.DatabaseError):
+    """A database that is damaged in a way that SQLite has no name for. It never leaves this room."""
 
 
 class Store:
@@ -129,12 +133,14 @@ class Store:
     def entries(self, *, backwards: bool = False) -> Iterator[tuple[int, Entry]]:
         """All pages with their places, in the order of these or the other way round."""
         order = "DESC" if backwards else "ASC"
-        for row in self._run(f"SELECT rowid, {_COLUMNS} FROM pages ORDER BY rowid {order}"):
-            yield row[0], Entry(Key(*row[1:4]), *row[4:])
+        with _told():
+            for row in self._run(f"SELECT rowid, {_COLUMNS} FROM pages ORDER BY rowid {order}"):
+                yield row[0], Entry(Key(*row[1:4]), *row[4:])
 
     def damaged(self) -> list[Damaged]:
         """What was moved aside."""
-        rows = self._run(f"SELECT {_COLUMNS}, why FROM damaged ORDER BY rowid")
+        with _told():
+            rows = self._run(f"SELECT {_COLUMNS}, why FROM damaged ORDER BY rowid").fetchall()
         return [Damaged(Entry(Key(*row[:3]), *row[3:7]), row[7]) for row in rows]
 
     # --- writing --------------------------------------------------------------------------------------
@@ -182,7 +188,8 @@ class Store:
         self._connection.execute("INSERT INTO head VALUES (?, ?)", (body, zlib.crc32(body)))
 
     def _run(self, statement: str) -> sqlite3.Cursor:
-        return self._connection.execute(statement)
+        with _told():
+            return self._connection.execute(statement)
 
     def _number(self, statement: str) -> int:
         return int(self._run(statement).fetchone()[0])
@@ -191,7 +198,8 @@ class Store:
     def _transaction(self) -> Iterator[None]:
         self._run("BEGIN IMMEDIATE")
         try:
-            yield
+            with _told():
+                yield
             self._run("COMMIT")
         except BaseException:
             with suppress(sqlite3.Error):
@@ -205,6 +213,15 @@ class Store:
         except BaseException:
             self._connection.close()
             raise
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """SQLite quotes what is damaged, and Python cannot read that."""
+    try:
+        yield
+    except UnicodeDecodeError:
+        raise BrokenFile("its tables have names that cannot be read") from None
 
 
 def _connect(name: str) -> sqlite3.Connection:

@@ -125,6 +125,13 @@ def test_nobody_else_may_read_it(bench: FileBench) -> None:
 # --- its disk -----------------------------------------------------------------------------------------
 
 
+def test_sqlite_is_told_to_force_each_commit_to_the_disk(bench: FileBench) -> None:
+    """What the power takes along no test can find out."""
+    connection = bench.open()._store._connection
+    assert connection.execute("PRAGMA synchronous").fetchone() == (2,)
+    assert connection.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+
+
 def test_the_loop_goes_on_while_the_disk_is_slow_and_calls_become_one_commit(bench: FileBench) -> None:
     journal = bench.open()
     store, begun, done = journal._store, threading.Event(), threading.Event()
@@ -184,6 +191,10 @@ def test_space_that_was_kept_is_given_up_when_the_disk_is_full(
         bench.run(journal.keep([Starts(5)]))
         assert not reserve.exists()
         assert journal.trouble == "its disk is full: it writes into the space that was kept in advance"
+        # The log is written over, or it would take the room that is left.
+        for count in range(20):
+            bench.run(journal.keep([CopyPage("scout", 1, "RUN", count, block=bytes(3 * STEP))]))
+        assert bench.path.with_name("host.journal-wal").stat().st_size < 9 * STEP
     bench.run(journal.keep([]))
     assert reserve.exists()
     assert journal.trouble == ""
@@ -253,10 +264,12 @@ def test_nothing_is_lost_in_silence_whatever_becomes_of_its_bytes(bench: FileBen
         (lambda data: b"", 0),
         (lambda data: b"no database at all", 0),
         (lambda data: data[: len(data) // 2], 5),
+        (lambda data: data[: 12 * 4096] + bytes(4096) + data[13 * 4096 :], 15),
+        (lambda data: data.replace(b"CREATE TABLE damaged", b"CREATE \x87ABLE damaged"), 20),
         (lambda data: bytes(4096) + data[4096:], 20),
         (lambda data: b"SQLite format 3\0" + bytes(data)[16:100] + bytes(3996) + data[4096:], 20),
     ],
-    ids=["empty", "other", "truncated", "no first page", "no tables"],
+    ids=["empty", "other", "truncated", "a hole", "no words", "no first page", "no tables"],
 )
 def test_a_damaged_file_is_moved_aside_and_what_can_be_read_counts(
     bench: FileBench, wrong: Callable[[bytes], bytes], left: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -12,6 +13,10 @@ from hypothesis import strategies as st
 
 from lfield import exits
 from lfield.cli.main import main
+from lfield.clock import ManualClock
+from lfield.journal.file import FileJournal
+from lfield.journal.opening import Owner
+from lfield.journal.pages import CopyPage, Starts
 
 FORMATS = Path(__file__).parents[2] / "formats"
 
@@ -63,6 +68,7 @@ COMMANDS = {
     "disasm mission.L": "mission.L",
     "disasm hello.lb": "hello.lb",
     "inspect hello.block": "hello.block",
+    "inspect host.journal": "host.journal",
     "inspect mission.lfm": "mission.lfm",
     "inspect mission.dL": "mission.dL",
     "up --deploy mission.lfm --host nobody": "mission.lfm",
@@ -128,7 +134,16 @@ def mission(tmp_path_factory: pytest.TempPathFactory):
         for name, data in GOOD.items():
             (folder / name).write_bytes(data)
         assert said("build mission.dL -o mission.lfm")[0] == exits.DONE
+        keep_pages(folder)
         yield folder
+
+
+def keep_pages(folder: Path) -> None:
+    """A journal with a few pages."""
+    owner = Owner("mission", "alpha", "this computer")
+    journal = FileJournal(folder / "host.journal", owner, print, ManualClock())
+    asyncio.run(journal.keep([Starts(1), CopyPage("boss", 1, "RUN", program=bytes(32), block=bytes(5000))]))
+    journal.close()
 
 
 def said(line: str) -> tuple[int, str]:
