@@ -31,12 +31,12 @@ def call(
             caller, thread, "UnreachableResourceException", f"{member.id} is gone: {why}", member.id
         )
         return
-    w, start = caller.block.w, words[0] + PROXY_START
+    w, start, who = caller.block.w, words[0] + PROXY_START, caller.member.id
     copy = w[W_GENERATION], w[W_SEQUENCE]
-    if copy < resource.callers.get(caller.id, copy) and (why := _outdated(scheduler, resource, caller, copy)):
+    if copy < resource.callers.get(who, copy) and (why := _outdated(scheduler, resource, caller, copy)):
         scheduler.refuse(caller, thread, "UnreachableResourceException", why, member.id)
         return
-    if w[start] not in (0, scheduler.life):
+    if w[start] and w[start] != scheduler.life:
         w[start] = scheduler.life
         scheduler.refuse(caller, thread, "RestartException", _RESTARTED.format(member.id), member.id)
         return
@@ -44,7 +44,7 @@ def call(
     if not resource.open:
         resource.waiting.append((caller, thread))
         return
-    if method in scheduler.acting and not caller.kept and not _keep(scheduler, caller, thread):
+    if method in scheduler.acting and not caller.kept and not _keep(scheduler, caller):
         return
     try:
         served = begin(scheduler, resource, caller, thread, method, words)
@@ -52,7 +52,7 @@ def call(
         scheduler.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
     w[start] = scheduler.life
-    resource.callers[caller.id] = copy
+    resource.callers[who] = copy
     caller.kept = False
     scheduler.turns.next(resource, served)
 
@@ -69,10 +69,9 @@ def _outdated(scheduler: Scheduler, resource: Agent, caller: Agent, copy: tuple[
     return f"a later {what} of {caller.id} has called {resource.id}: this one is not served any more"
 
 
-def _keep(scheduler: Scheduler, caller: Agent, thread: int) -> bool:
+def _keep(scheduler: Scheduler, caller: Agent) -> bool:
     """Whether the portal may begin at once; else its caller is frozen until its host lets it call again."""
-    caller.kept = True
-    scheduler.freeze(caller, thread)
+    caller.kept = caller.frozen = True
     if not scheduler.world.keep(caller):
         return False
     caller.frozen = False

@@ -44,6 +44,8 @@ Expected = tuple[tuple[int, int], ...]
 STATES = len(layout.STATE_NAMES)
 #: More migrations than any coordinator makes; so that counting them never leaves a word.
 MOST_HOPS = 1 << 48
+_MAGIC, _OLD_MAGIC = (layout.MAGIC | version << 32 for version in (layout.VERSION, layout.OLD_VERSION))
+_WRONG = "wrong magic or version"
 _PCALL, _PUSH, _CALL = BY_NAME["pcall"].code, BY_NAME["push"].code, BY_NAME["call"].code
 
 
@@ -62,7 +64,7 @@ class Soundness:
         self._expects: dict[int, Expected] = {layout.STRING: (), THREAD: ()}
         for i, record in enumerate(core.classes):
             self._sizes[OBJECT | i << 8] = layouts.class_words[i]
-            self._sizes[layout.PROXY | i << 8] = 0
+            self._sizes[layout.PROXY | i << 8] = PROXY_WORDS
             self._expects[layout.PROXY | i << 8] = ()
             self._expects[OBJECT | i << 8] = self._references([f.type for f in record.fields], 1)
         for i, method in enumerate(core.methods):
@@ -95,8 +97,10 @@ class Soundness:
 
     def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """A travelling coordinator's block from its bytes (`limit` in words); raises BlockError."""
-        block = self._adopt(image, limit, (layout.VERSION,))
-        starts = self._walk(block)
+        block = self._adopt(image, limit)
+        if block.w[layout.W_MAGIC] != _MAGIC:
+            raise BlockError(_WRONG, word=layout.W_MAGIC)
+        starts = self._walk(block, self._sizes)
         self._check_references(block, starts)
         self._check_coordinator(block, starts)
         return block
@@ -106,8 +110,15 @@ class Soundness:
 
         Blocks of the version before are read too: they only lack the second word of a proxy.
         """
-        block = self._adopt(image, limit, (layout.VERSION, layout.OLD_VERSION))
-        starts = self._walk(block)
+        block = self._adopt(image, limit)
+        sizes = self._sizes
+        if block.w[layout.W_MAGIC] == _OLD_MAGIC:
+            sizes = {
+                half: PROXY_START if half & 0xFF == layout.PROXY else size for half, size in sizes.items()
+            }
+        elif block.w[layout.W_MAGIC] != _MAGIC:
+            raise BlockError(_WRONG, word=layout.W_MAGIC)
+        starts = self._walk(block, sizes)
         self._check_references(block, starts)
         self._check_threads(block, starts)
         return block
@@ -138,7 +149,7 @@ class Soundness:
             depth = w[frame + FRAME_DEPTH]
             frame = w[frame + FRAME_CALLER]
 
-    def _adopt(self, image: bytes | bytearray | memoryview, limit: int, versions: tuple[int, ...]) -> Block:
+    def _adopt(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         size = len(image)
         if size % 8 or size < 8 * HEADER_WORDS:
             raise BlockError(f"{size} bytes are no whole block")
@@ -150,17 +161,15 @@ class Soundness:
         data[:size] = image
         block = Block(data, size // 8, limit)
         w = block.w
-        if w[layout.W_MAGIC] not in [layout.MAGIC | version << 32 for version in versions]:
-            raise BlockError("wrong magic or version", word=0)
         if block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] != self.program.digest:
             raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
         if w[layout.W_TOP] != size // 8:
             raise BlockError("its size is not what it says", word=layout.W_TOP)
         return block
 
-    def _walk(self, block: Block) -> dict[int, int]:
+    def _walk(self, block: Block, sizes: dict[int, int]) -> dict[int, int]:
         """The places of all things, each with the low half of its header."""
-        w, top, sizes = block.w, block.top, self._sizes
+        w, top = block.w, block.top
         starts: dict[int, int] = {}
         place = HEADER_WORDS
         while place < top:
@@ -171,20 +180,23 @@ class Soundness:
                 raise BlockError("a thing on the heap has no sound header", word=place)
             if half == layout.STRING and not self._is_text(block, place, words):
                 raise BlockError("a string is no text", word=place)
-            if half & 0xFF == layout.PROXY and not self._is_proxy(w, place, half >> 8):
+            if half & 0xFF == layout.PROXY and not self._is_proxy(
+                # Of a proxy of the version before, the last word is the number again.
+                w[place + PROXY_MEMBER],
+                w[place + words - 1],
+                half >> 8,
+            ):
                 raise BlockError("a proxy leads to no resource of its type", word=place)
             starts[place] = half
             place += words
         return starts
 
-    def _is_proxy(self, w: memoryview[int], place: int, record: int) -> bool:
-        old = w[layout.W_MAGIC] >> 32 == layout.OLD_VERSION
-        if w[place] >> 32 != PROXY_WORDS - old:
-            return False
-        number = w[place + PROXY_MEMBER]
-        if not 0 <= number < len(self.members) or self.members[number] != record:
-            return False
-        return old or 0 <= w[place + PROXY_START] < layout.START_LIMIT
+    def _is_proxy(self, number: int, start: int, record: int) -> bool:
+        return (
+            0 <= number < len(self.members)
+            and self.members[number] == record
+            and 0 <= start < layout.START_LIMIT
+        )
 
     def _is_text(self, block: Block, place: int, words: int) -> bool:
         if words < 2 or not 0 <= block.w[place + 1] <= 8 * (words - 2):
