@@ -10,8 +10,9 @@ from typing import Any
 from lfield import loop
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
+from lfield.devices.calls import Answered
 from lfield.devices.fakes import Fake, on_running_fakes
-from lfield.devices.keeper import Answered, Guard
+from lfield.devices.keeper import Guard
 from lfield.devices.lateness import Lateness, Limit
 from lfield.driver.binding import DeviceBinding, by_bus
 from lfield.driver.known import Drivers

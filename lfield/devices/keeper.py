@@ -9,17 +9,16 @@ from typing import Any, cast
 
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
+from lfield.devices.calls import Answered, Calls
 from lfield.devices.lateness import BEAT, Lateness, Pulse
 from lfield.devices.snapshots import Snapshots
 from lfield.driver.binding import DeviceBinding, longest_rest
 from lfield.driver.device import NOT_SET_UP
 from lfield.driver.known import KnownDriver
-from lfield.driver.values import conform
 from lfield.errors import DeviceError, DevicesError, WireError
 from lfield.guard.messages import (
     Allow,
     Beat,
-    Call,
     Done,
     Failed,
     Latched,
@@ -39,7 +38,7 @@ from lfield.guard.messages import (
 )
 from lfield.guard.rest import UNFINISHED, UNSEEN
 from lfield.loop import kill, spawn, start_process, unexpected
-from lfield.manifest import DeviceValue, Instruction
+from lfield.manifest import Instruction
 
 #: So many beats without a word from the guard, and it hangs. Beats are counted, not seconds: a host that
 #: was stopped itself must not blame its guards.
@@ -55,9 +54,6 @@ AGAIN_FIRST, AGAIN_LAST = 0.2, 5.0
 
 #: Why devices are made safe when the host ends in order.
 STOPPING = "the host is stopping"
-
-#: What a caller gets, once: the value, or why it did not happen.
-Answered = Callable[[DeviceValue | DeviceError], None]
 
 
 class Guard(asyncio.SubprocessProtocol):
@@ -93,8 +89,8 @@ class Guard(asyncio.SubprocessProtocol):
         # Set when the devices are open or never will be, and when this guard has ended for good.
         self._settled, self._over = asyncio.Event(), asyncio.Event()
         self._ready = self._stopping = self._hurried = self._spoken = False
-        self._tokens = self._unanswered = 0
-        self._calls: dict[int, tuple[DeviceBinding, Instruction, Answered]] = {}
+        self._unanswered = 0
+        self._calls = Calls()
         self._unsafe: dict[str, str] | None = None
         self._barred = ""
         self._told_way: dict[str, float] = {}
@@ -246,10 +242,8 @@ class Guard(asyncio.SubprocessProtocol):
         binding = self._devices[device]
         if not self._ready:
             raise DeviceError(binding.field, "its guard has died and is being started again")
-        self._tokens += 1
-        self._calls[self._tokens] = (binding, instruction, answered)
-        sent = self._clock.monotonic()
-        self._send(Call(self._tokens, device, instruction.name, list(arguments), sent))
+        now = self._clock.monotonic()
+        self._send(self._calls.begin(binding, instruction, arguments, answered, now))
 
     @property
     def pid(self) -> int:
@@ -310,10 +304,7 @@ class Guard(asyncio.SubprocessProtocol):
         self._exited.set()
         if not self._opening.done():
             self._opening.set_exception(DevicesError([f"the driver's process ended with status {status}"]))
-        calls, self._calls = self._calls, {}
-        for binding, instruction, answered in calls.values():
-            reason = f"{instruction.name}() is lost: the guard ended with status {status}"
-            answered(DeviceError(binding.field, reason))
+        self._calls.lost(status)
         if self._unsafe is not None or self._hurried or not self.identities:
             self._settled.set()
             self._over.set()
@@ -333,10 +324,9 @@ class Guard(asyncio.SubprocessProtocol):
             case Snapshot():
                 self.snapshots.take(message)
             case Done(token, value):
-                self._on_done(token, value)
+                self._calls.done(token, value)
             case Refused(token, kind, reason):
-                binding, _, answered = self._calls.pop(token)
-                answered(DeviceError(binding.field, reason, kind=kind))
+                self._calls.refused(token, kind, reason)
             case Latched(device, told, confirmed):
                 fault = self._pulse.explained(told, self._clock.monotonic())
                 reason = self.latched.get(device, told) if confirmed else fault
@@ -385,11 +375,3 @@ class Guard(asyncio.SubprocessProtocol):
             return
         unset = [told for told, kind in kinds.items() if kind == NOT_SET_UP]
         self._opening.set_exception(DevicesError(list(kinds), unset))
-
-    def _on_done(self, token: int, value: Any) -> None:
-        binding, instruction, answered = self._calls.pop(token)
-        try:
-            answered(conform(value, instruction.result))
-        except ValueError as error:
-            reason = f"{instruction.name}() gave no {instruction.result}: {error}"
-            answered(DeviceError(binding.field, reason))

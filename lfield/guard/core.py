@@ -29,15 +29,14 @@ is due and the next question, and what falls in between must not be taken for do
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal
 
 from lfield.clock import Clock
 from lfield.driver.contract import RELEASE
+from lfield.guard.device import KnownDevice, Way, way
 from lfield.guard.effects import Cancel, Effect, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
 from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped, host_silent
 from lfield.guard.rest import Rest
-from lfield.manifest import DeviceManifest, DeviceValue, Instruction
+from lfield.manifest import DeviceManifest, DeviceValue
 
 #: How long the host may be silent, in seconds (a beat comes every 50 ms).
 SILENCE = 0.2
@@ -47,47 +46,6 @@ RETRY = 1.0
 AGAIN = 2.0
 #: How long a silent host's devices have to confirm their safe states before their bus is made quiet.
 QUIET_BY = 2.0
-
-Way = Literal["ask", "act", "setpoint"]
-
-
-def way(instruction: Instruction) -> Way:
-    """How the guard treats an instruction: asking moves nothing; a setpoint acts on after it returned."""
-    if instruction.only_asks or instruction.name == RELEASE.name:
-        return "ask"
-    return "setpoint" if instruction.effect == "actuate" and not instruction.blocking else "act"
-
-
-@dataclass(slots=True)
-class _Device:
-    """What the guard knows of one device. `latched` is the reason, or '' when it is free.
-
-    `barred` is why the program may not release it: somebody pressed the emergency stop.
-    `told` is the last reason to be safe that a sensor has been given: it has nothing to do for it.
-    `making` says that its safe state is being commanded, `made_at` when that ended last.
-    `acting` is what runs on each channel, `setpoints` are the times when the ones in effect are over.
-    """
-
-    name: str
-    manifest: DeviceManifest
-    ttl: float
-    latched: str = ""
-    barred: str = ""
-    told: str = ""
-    confirmed: bool = False
-    moved: bool = False
-    making: bool = False
-    made_at: float = 0.0
-    retry_at: float | None = None
-    setpoints: dict[str, float] = field(default_factory=dict)
-    acting: dict[str, Call] = field(default_factory=dict)
-    asking: dict[int, Call] = field(default_factory=dict)
-
-    def declared(self, call: Call) -> Instruction:
-        """The instruction of a call that was let in."""
-        instruction = self.manifest.instruction(call.instruction)
-        assert instruction is not None, "an unknown instruction is refused before it gets here"
-        return instruction
 
 
 class GuardCore:
@@ -100,7 +58,7 @@ class GuardCore:
         *,
         silence: float = SILENCE,
     ) -> None:
-        self._devices = {name: _Device(name, manifest, ttl) for name, manifest, ttl, _ in devices}
+        self._devices = {name: KnownDevice(name, manifest, ttl) for name, manifest, ttl, _ in devices}
         self._rest = Rest({name: within for name, made, _, within in devices if made.safe_states})
         self._clock = clock
         self._silence = silence
@@ -248,7 +206,7 @@ class GuardCore:
         for device in self._devices.values():
             if silent and device.moved:
                 effects += self._latch(device, host_silent(self._silence))
-            until = self._expiry(device)
+            until = device.expiry()
             if until is not None and now >= until:
                 effects += self._latch(device, f"the setpoint's time-to-live of {device.ttl:g} s is over")
             if device.retry_at is not None and now >= device.retry_at:
@@ -264,14 +222,14 @@ class GuardCore:
         """When the next tick is needed, on the injected clock; None when nothing can become due."""
         if self._ended:
             return None
-        times = [self._expiry(device) for device in self._devices.values()]
+        times = [device.expiry() for device in self._devices.values()]
         times += [device.retry_at for device in self._devices.values()]
         times += [self._rest.due(), self._silence_due()]
         return min((time for time in times if time is not None), default=None)
 
     # -- decisions ------------------------------------------------------------------------------------
 
-    def _why_not(self, device: _Device, call: Call, how: Way) -> str:
+    def _why_not(self, device: KnownDevice, call: Call, how: Way) -> str:
         if device.latched:
             return f"held in its safe state because {device.latched}; call release() first"
         if how == "setpoint" and self._clock.monotonic() - call.sent >= device.ttl:
@@ -305,7 +263,7 @@ class GuardCore:
         self._rest.quiet(on)
         return Quiet(on)
 
-    def _ask(self, device: _Device, call: Call) -> list[Effect]:
+    def _ask(self, device: KnownDevice, call: Call) -> list[Effect]:
         """Let a call in that moves nothing; release() unlatches first, and tells the driver so."""
         effects: list[Effect] = []
         if call.instruction == RELEASE.name:
@@ -328,7 +286,7 @@ class GuardCore:
     def _latch_all(self, reason: str) -> list[Effect]:
         return [effect for device in self._devices.values() for effect in self._latch(device, reason)]
 
-    def _latch(self, device: _Device, reason: str) -> list[Effect]:
+    def _latch(self, device: KnownDevice, reason: str) -> list[Effect]:
         """Latch a free device that has a safe state; the first reason is the one that is kept."""
         if device.latched:
             return []
@@ -351,7 +309,7 @@ class GuardCore:
             Tell(Latched(device.name, reason, False)),
         ]
 
-    def _abandon(self, device: _Device, channel: str, reason: str) -> list[Effect]:
+    def _abandon(self, device: KnownDevice, channel: str, reason: str) -> list[Effect]:
         call = device.acting.pop(channel, None)
         if call is None:
             return []
@@ -367,18 +325,6 @@ class GuardCore:
                 return device.asking.pop(token)
         return None
 
-    def _expiry(self, device: _Device) -> float | None:
-        """When the first setpoint in effect is over. An actuation that runs replaces it, unless it fails."""
-        if device.latched:
-            return None
-        times = [until for channel, until in device.setpoints.items() if channel not in device.acting]
-        times += [
-            call.sent + device.ttl
-            for call in device.acting.values()
-            if way(device.declared(call)) == "setpoint"
-        ]
-        return min(times, default=None)
-
     def _end_if_over(self, now: float) -> list[Effect]:
         if not self._rest.is_over(now):
             return []
@@ -387,7 +333,7 @@ class GuardCore:
         return [Tell(Stopped(unsafe)), Exit(1 if unsafe else 0)]
 
 
-def _make_safe(device: _Device) -> MakeSafe:
+def _make_safe(device: KnownDevice) -> MakeSafe:
     device.making = True
     return MakeSafe(device.name)
 

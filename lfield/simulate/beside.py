@@ -6,7 +6,7 @@ import asyncio
 
 from lfield.driver.plugin import load_plugin
 from lfield.errors import OutputFileError
-from lfield.guard.process import Shell
+from lfield.guard.shell import Shell
 from lfield.simulate.computers.computer import Input, Process
 
 #: Where the driver of simulated hardware is.
