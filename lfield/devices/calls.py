@@ -40,11 +40,16 @@ class Calls:
         arguments: Sequence[Any],
         answered: Answered,
         sent: float,
+        until: float,
     ) -> Call:
-        """The message for the guard; `answered` is called once."""
+        """The message for the guard; `answered` is called once.
+
+        It begins before `until`, in seconds on the clock of `sent`, and within the device's time-to-live.
+        """
         self._tokens += 1
         self._asked[self._tokens] = _Asked(binding, instruction, answered)
-        return Call(self._tokens, binding.name, instruction.name, list(arguments), sent)
+        until = min(until, sent + binding.ttl)
+        return Call(self._tokens, binding.name, instruction.name, list(arguments), sent, until)
 
     def done(self, token: int, value: Any) -> None:
         """It has been carried out."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -98,14 +99,21 @@ class Guards:
         return PENDING
 
     def call(
-        self, agent: str, field: str, instruction: str, arguments: Sequence[Any], answered: Answered
+        self,
+        agent: str,
+        field: str,
+        instruction: str,
+        arguments: Sequence[Any],
+        answered: Answered,
+        until: float = math.inf,
     ) -> None:
         """Have an instruction carried out that is no query; `answered` is told once, from the loop.
 
-        Raises DeviceError when it cannot even be tried.
+        What acts begins before `until`, in seconds of the host's clock, and within the device's `ttl`; or not
+        at all. Raises DeviceError when it cannot even be tried.
         """
         guard, declared = self._declared(agent, field, instruction)
-        guard.call(f"{agent}.{field}", declared, arguments, answered)
+        guard.call(f"{agent}.{field}", declared, arguments, answered, until)
 
     def _declared(self, agent: str, field: str, instruction: str) -> tuple[Guard, Instruction]:
         found = self._by_device.get(f"{agent}.{field}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, cast
@@ -236,14 +237,22 @@ class Guard(asyncio.SubprocessProtocol):
     # -- calls and queries ----------------------------------------------------------------------------
 
     def call(
-        self, device: str, instruction: Instruction, arguments: Sequence[Any], answered: Answered
+        self,
+        device: str,
+        instruction: Instruction,
+        arguments: Sequence[Any],
+        answered: Answered,
+        until: float = math.inf,
     ) -> None:
-        """Have an instruction carried out; `answered` is called once, from the loop."""
+        """Have an instruction carried out; `answered` is called once, from the loop.
+
+        What acts begins before `until`, in seconds of the host's clock, and within the device's `ttl`.
+        """
         binding = self._devices[device]
         if not self._ready:
             raise DeviceError(binding.field, "its guard has died and is being started again")
         now = self._clock.monotonic()
-        self._send(self._calls.begin(binding, instruction, arguments, answered, now))
+        self._send(self._calls.begin(binding, instruction, arguments, answered, now, until))
 
     @property
     def pid(self) -> int:

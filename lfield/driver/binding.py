@@ -17,7 +17,7 @@ OptionValue = bool | int | float | str | list[int | str]
 class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     """A device with its driver, place and limits; travels to the guard as it is.
 
-    `ttl` is the time-to-live of a setpoint in seconds; within `rest_within` seconds of a stop the device is
+    `ttl` is the time-to-live of a setpoint in seconds, and how long a command may take to begin; within `rest_within` seconds of a stop the device is
     at rest, or its guard gives up and says so. `limits` are in the SI units that the manifest
     names, `options` are the driver's own (`system`, `kind`). An absent limit does not limit. `waivers` name
     the protections that whoever wrote the binding has knowingly given up. `sim` are faults and conditions of

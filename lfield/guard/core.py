@@ -32,7 +32,7 @@ from collections.abc import Sequence
 
 from lfield.clock import Clock
 from lfield.driver.contract import RELEASE
-from lfield.guard.device import KnownDevice, Way, way
+from lfield.guard.device import KnownDevice, way
 from lfield.guard.effects import Cancel, Effect, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
 from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped, host_silent
 from lfield.guard.rest import Rest
@@ -91,15 +91,28 @@ class GuardCore:
         if len(call.arguments) != len(instruction.parameters):
             takes = f"{call.instruction}() takes {len(instruction.parameters)} arguments"
             return [*effects, _refuse(call, takes)]
-        how = way(instruction)
-        if how == "ask":
-            return effects + self._ask(device, call)
-        refusal = self._why_not(device, call, how)
-        if refusal:
+        asks = way(instruction) == "ask"
+        if device.latched and not asks:
+            held = f"held in its safe state because {device.latched}; call release() first"
+            return [*effects, _refuse(call, held)]
+        if refusal := self.too_late(call):
             return [*effects, _refuse(call, refusal)]
+        if asks:
+            return effects + self._ask(device, call)
         effects += self._abandon(device, instruction.channel, f"replaced by {call.instruction}()")
         device.acting[instruction.channel], device.moved = call, True
         return [*effects, Execute(call)]
+
+    def too_late(self, call: Call) -> str:
+        """Why a call may not begin any more; '' while it may.
+
+        Asked again right before its driver gets it: this process may have stood still in between.
+        """
+        now = self._clock.monotonic()
+        if now < call.until or self._devices[call.device].declared(call).only_asks:
+            return ""
+        within = f"{call.instruction}() was to begin within {max(0.0, call.until - call.sent):.3g} s"
+        return f"{within}, and its guard got to it after {now - call.sent:.3g} s: nothing was done"
 
     def finished(self, token: int, value: DeviceValue) -> list[Effect]:
         """The driver has carried a call out."""
@@ -228,13 +241,6 @@ class GuardCore:
         return min((time for time in times if time is not None), default=None)
 
     # -- decisions ------------------------------------------------------------------------------------
-
-    def _why_not(self, device: KnownDevice, call: Call, how: Way) -> str:
-        if device.latched:
-            return f"held in its safe state because {device.latched}; call release() first"
-        if how == "setpoint" and self._clock.monotonic() - call.sent >= device.ttl:
-            return f"the setpoint came after its time-to-live of {device.ttl:g} s"
-        return ""
 
     @property
     def _silent_at(self) -> float:

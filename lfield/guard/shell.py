@@ -296,7 +296,10 @@ class Shell(asyncio.Protocol):
         core, driver = self._core, self._driver
         assert core is not None
         try:
-            value = await driver.devices[call.device].execute(call.instruction, call.arguments)
+            device = driver.devices[call.device]
+            if refusal := core.too_late(call):
+                raise device.error(refusal)
+            value = await device.execute(call.instruction, call.arguments)
             # Whoever asks when the call is done must see what it has done.
             self._telemetry.flush()
             self._run(core.finished(call.token, value))

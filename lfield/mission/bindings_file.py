@@ -10,7 +10,7 @@ agents:
         endpoint: "udp:127.0.0.1:14550"
         system: 1                          # an option of this driver
         limits: {speed: 5.0}               # SI units; the driver's manifest lists them
-        ttl: 0.5                           # seconds that a setpoint lasts
+        ttl: 0.5                           # seconds that a setpoint lasts, and a command may take to begin
         safe_state: land
         rest_within: 120                   # seconds for it to come to rest when its host stops
         waivers: [device_watchdog]         # protections that are knowingly given up
