@@ -139,6 +139,14 @@ class Guards:
         found = self._by_device.get(device)
         return found[0].trouble(device) if found else Trouble(f"{device}: not open on this host")
 
+    def make_safe(self, device: str, reason: str, state: str) -> None:
+        """Bring a device into a safe state of its manifest, from which the program may release it.
+
+        Nothing happens when the devices are closed already.
+        """
+        if found := self._by_device.get(device):
+            found[0].make_safe(device, reason, state)
+
     def guard_of(self, device: str) -> Guard:
         """The guard of a device by its name."""
         return self._by_device[device][0]
@@ -148,11 +156,11 @@ class Guards:
         changed = asyncio.Event()
         self._stopping.append(changed)
         for guard in self._guards:
-            guard.on_latch = self._latched
+            guard.held.on_change = self._latched
             guard.bar(reason)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(STOPS_WITHIN):
-                while any(not guard.confirmed.issuperset(guard.movable) for guard in self._guards):
+                while any(not guard.held.confirmed.issuperset(guard.movable) for guard in self._guards):
                     changed.clear()
                     await changed.wait()
         self._stopping.remove(changed)
@@ -171,12 +179,12 @@ class Guards:
     @property
     def latched(self) -> Mapping[str, str]:
         """Why devices are held in their safe states, by device name."""
-        return {name: reason for guard in self._guards for name, reason in guard.latched.items()}
+        return {name: reason for guard in self._guards for name, reason in guard.held.latched.items()}
 
     @property
     def moving(self) -> Mapping[str, str]:
         """What latched devices still do in their safe states, by device name; '' once one is at rest."""
-        return {name: words for guard in self._guards for name, words in guard.moving.items()}
+        return {name: words for guard in self._guards for name, words in guard.held.moving.items()}
 
     @property
     def heard(self) -> Mapping[str, float]:
@@ -204,7 +212,7 @@ class Guards:
 
     async def _close(self, guard: Guard) -> dict[str, str]:
         unsafe = await guard.close()
-        guard.moving.update({name: "" for name in guard.movable if name not in unsafe})
+        guard.held.moving.update({name: "" for name in guard.movable if name not in unsafe})
         return {name: f"{why}; {guard.snapshots.in_words(name)}" for name, why in unsafe.items()}
 
     def hurry(self) -> None:
@@ -215,7 +223,7 @@ class Guards:
 
 def _unconfirmed(guard: Guard, name: str) -> str:
     """Why an emergency stop does not know a device safe; '' when it does."""
-    if name not in guard.confirmed:
+    if name not in guard.held.confirmed:
         return f"its safe state was not confirmed in {STOPS_WITHIN:g} s"
     if guard.snapshots.lost_since(name) is not None:
         return f"it was in its safe state before, and is not heard any more; {guard.snapshots.in_words(name)}"

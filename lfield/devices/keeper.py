@@ -11,6 +11,7 @@ from typing import Any, cast
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
 from lfield.devices.calls import Answered, Calls
+from lfield.devices.held import Held
 from lfield.devices.lateness import BEAT, Lateness, Pulse
 from lfield.devices.snapshots import Snapshots
 from lfield.driver.binding import DeviceBinding, longest_rest
@@ -48,8 +49,6 @@ UNANSWERED = 60
 OPEN_BOUND, STOP_BOUND = 60.0, 5.0
 #: Seconds for a guard to end that shall not wait for its devices any longer.
 AT_ONCE = 1.0
-#: Seconds between two words in the log about a device on its way to rest.
-ON_THE_WAY = 2.0
 #: Seconds before a guard that died is started again: the first time, and at most.
 AGAIN_FIRST, AGAIN_LAST = 0.2, 5.0
 
@@ -93,18 +92,10 @@ class Guard(asyncio.SubprocessProtocol):
         self._unanswered = 0
         self._calls = Calls()
         self._unsafe: dict[str, str] | None = None
-        self._barred = ""
-        self._told_way: dict[str, float] = {}
+        #: Which of its devices are held in a safe state, and why.
+        self.held = Held(self._devices, clock, note, self._pulse)
         #: Who the devices are, in their driver's words, once they are open.
         self.identities: dict[str, str] = {}
-        #: Why a device is held in its safe state, by name; absent while it answers to calls.
-        self.latched: dict[str, str] = {}
-        #: The latched devices that have been seen in their safe states.
-        self.confirmed: set[str] = set()
-        #: What a latched device still does in its safe state, in words, by name; '' once it is at rest.
-        self.moving: dict[str, str] = {}
-        #: Called after every change of the three.
-        self.on_latch: Callable[[], None] = lambda: None
 
     # -- life -----------------------------------------------------------------------------------------
 
@@ -129,8 +120,8 @@ class Guard(asyncio.SubprocessProtocol):
             if isinstance(error, DevicesError):
                 raise
             raise DevicesError([f"the driver did not open its devices within {OPEN_BOUND:g} s"]) from None
-        if self._barred:
-            self._send(Safe("", self._barred, barred=True))
+        for asked in self.held.asked_again():
+            self._send(asked)
         for name, identity in self.identities.items():
             self._note(f"{name}: {identity} at {self._devices[name].endpoint}")
 
@@ -140,7 +131,7 @@ class Guard(asyncio.SubprocessProtocol):
         Returns those that have not been seen there, each with what is known of it. A guard that dies
         meanwhile is started again for it. Bounded by `rest_within` of its devices; `hurry` makes it short.
         """
-        self._stopping = True
+        self._stopping = self.held.stopping = True
         if self._transport is None and self._restarting is None:
             return {}
         self._send(Stop(STOPPING))
@@ -174,7 +165,7 @@ class Guard(asyncio.SubprocessProtocol):
             return self._unsafe
         if not self.identities:
             return dict.fromkeys(self.movable, UNFINISHED) if self._spoken else {}
-        words = {name: self.moving.get(name, UNSEEN) for name in self.movable}
+        words = {name: self.held.moving.get(name, UNSEEN) for name in self.movable}
         return {name: f"{said}, and its guard has ended" for name, said in words.items() if said}
 
     def kill(self) -> None:
@@ -209,9 +200,12 @@ class Guard(asyncio.SubprocessProtocol):
                 pause = min(2 * pause, AGAIN_LAST)
                 self._note(f"the guard cannot be started again yet: {error}")
 
-    def make_safe(self, device: str, reason: str) -> None:
-        """Bring a device into its safe state, from which the program may release it."""
-        self._send(Safe(device, reason))
+    def make_safe(self, device: str, reason: str, state: str = "") -> None:
+        """Bring a device into its safe state, or into another one, from which the program may release it.
+
+        A guard that is being started again is told when it is there.
+        """
+        self._send(self.held.ask(device, reason, state))
 
     async def fall_silent(self, seconds: float) -> None:
         """Send no beat for so long, as a host that hangs."""
@@ -226,12 +220,12 @@ class Guard(asyncio.SubprocessProtocol):
 
         A guard that is being started again is told when it is there.
         """
-        self._barred = reason
+        self.held.barred = reason
         self._send(Safe("", reason, barred=True))
 
     def allow(self) -> None:
         """The program may release the devices again."""
-        self._barred = ""
+        self.held.barred = ""
         self._send(Allow())
 
     # -- calls and queries ----------------------------------------------------------------------------
@@ -269,8 +263,8 @@ class Guard(asyncio.SubprocessProtocol):
         binding = self._devices[device]
         if not self._ready:
             return Trouble(f"{binding.field}: its guard has died and is being started again")
-        if device in self.latched:
-            return Trouble(f"{binding.field}: in its safe state {binding.safe_state}: {self.latched[device]}")
+        if why := self.held.latched.get(device):
+            return Trouble(f"{binding.field}: in its safe state {self.held.state(device)}: {why}")
         lost = self.snapshots.lost_since(device)
         return None if lost is None else Trouble(f"{binding.field}: not heard", lost)
 
@@ -318,8 +312,7 @@ class Guard(asyncio.SubprocessProtocol):
             self._settled.set()
             self._over.set()
             return
-        self.confirmed.clear()
-        self.moving = dict.fromkeys(self.latched, UNSEEN)
+        self.held.guard_died()
         if was_ready:
             self._note(f"the guard of {self._who} died with status {status}; starting it again")
             self._restarting = spawn(self._restart())
@@ -336,26 +329,8 @@ class Guard(asyncio.SubprocessProtocol):
                 self._calls.done(token, value)
             case Refused(token, kind, reason):
                 self._calls.refused(token, kind, reason)
-            case Latched(device, told, confirmed):
-                fault = self._pulse.explained(told, self._clock.monotonic())
-                reason = self.latched.get(device, told) if confirmed else fault
-                self.latched[device] = reason
-                (self.confirmed.add if confirmed else self.confirmed.discard)(device)
-                self.moving[device] = UNSEEN
-                self.on_latch()
-                state = f"its safe state '{self._devices[device].safe_state}': {reason}"
-                # An ordinary stop is told once, when it is done; anything else at once.
-                if confirmed or not self._stopping:
-                    self._note(f"{device}: {'is in' if confirmed else 'goes into'} {state}")
-            case Moving(device, moving):
-                self.moving[device] = moving
-                self.on_latch()
-                self._tell_way(device, moving)
-            case Released(device):
-                self.latched.pop(device, None)
-                self.moving.pop(device, None)
-                self.confirmed.discard(device)
-                self._note(f"{device}: released")
+            case Latched() | Moving() | Released():
+                self.held.take(message)
             case Note(device, text):
                 self._note(f"{device}: {text}")
             case Ready(identities) if self._stopping or not self._opening.done():
@@ -367,15 +342,6 @@ class Guard(asyncio.SubprocessProtocol):
                 self._on_failed(problems)
             case Stopped(unsafe):
                 self._unsafe = unsafe
-
-    def _tell_way(self, device: str, moving: str) -> None:
-        """Whoever waits for a stop wants to know what for."""
-        now = self._clock.monotonic()
-        if not moving and self._told_way.pop(device, None) is not None:
-            self._note(f"{device}: is at rest")
-        elif moving and self._stopping and now >= self._told_way.get(device, 0.0) + ON_THE_WAY:
-            self._told_way[device] = now
-            self._note(f"{device}: {moving}")
 
     def _on_failed(self, problems: list[tuple[str, str, str]]) -> None:
         kinds = {f"{device or self._who}: {reason}": kind for device, kind, reason in problems}

@@ -8,6 +8,7 @@ A device is free or latched. It is latched, and its safe state commanded until i
     it, and a call under way that would replace it has as long;
   - its driver raised anything but a DeviceError or reports a breach, or the guard was restarted.
 
+Somebody may ask for another of its safe states than its binding's: that counts also when it is held already.
 Only `release()` frees it, and only once its safe state is confirmed. On each channel of a device one
 actuation runs at a time: a newer one replaces an older one, so that `land()` need not wait for a `goTo()` of
 another thread. A query that asks the device runs beside the others, also while the device is latched.
@@ -143,13 +144,13 @@ class GuardCore:
         effects.append(_refuse(call, reason))
         return effects + self._latch(self._devices[call.device], reason)
 
-    def safe(self, device: str, reason: str, *, barred: bool = False) -> list[Effect]:
-        """Somebody asks for the safe state of a device, or of all ('')."""
+    def safe(self, device: str, reason: str, *, barred: bool = False, state: str = "") -> list[Effect]:
+        """Somebody asks for the safe state of a device, or of all (''); or for another `state` than usual."""
         effects = self.tick()
         for name, known in self._devices.items():
             if device in ("", name):
                 known.barred = known.barred or (reason if barred else "")
-                effects += self._latch(known, reason)
+                effects += self._latch(known, reason, state)
         return effects
 
     def allow(self) -> list[Effect]:
@@ -167,7 +168,7 @@ class GuardCore:
             return effects
         device.confirmed = True
         self._rest.confirmed(name, now)
-        return [*effects, Tell(Latched(name, device.latched, True)), *self.tick()]
+        return [*effects, Tell(Latched(name, device.latched, True, device.state)), *self.tick()]
 
     def looked(self, name: str, moving: str) -> list[Effect]:
         """What the device still does in its safe state, in the driver's words; '' when it is at rest."""
@@ -284,7 +285,7 @@ class GuardCore:
             if device.latched:
                 effects += [*([LeaveOff(device.name)] if device.making else []), Tell(Released(device.name))]
                 device.making = False
-                device.latched, device.confirmed, device.moved = "", False, False
+                device.latched, device.state, device.confirmed, device.moved = "", "", False, False
                 self._rest.held(device.name)
         device.asking[call.token] = call
         return [*effects, Execute(call)]
@@ -292,14 +293,14 @@ class GuardCore:
     def _latch_all(self, reason: str) -> list[Effect]:
         return [effect for device in self._devices.values() for effect in self._latch(device, reason)]
 
-    def _latch(self, device: KnownDevice, reason: str) -> list[Effect]:
-        """Latch a free device that has a safe state; the first reason is the one that is kept."""
-        if device.latched:
+    def _latch(self, device: KnownDevice, reason: str, state: str = "") -> list[Effect]:
+        """Latch a device that has a safe state; the first reason for a state is the one that is kept."""
+        if device.latched and state in ("", device.state):
             return []
         if not device.manifest.safe_states:
             said, device.told = device.told, reason
             return [Tell(Note(device.name, reason))] if reason != said and not self._stopping else []
-        device.latched, device.confirmed = reason, False
+        device.latched, device.state, device.confirmed, device.retry_at = reason, state, False, None
         self._rest.held(device.name)
         device.setpoints.clear()
         # The safe state goes out first: it is the effect that cannot wait.
@@ -310,9 +311,10 @@ class GuardCore:
         ]
         return [
             *_only(Cancel, stopped),
+            *([LeaveOff(device.name)] if device.making else []),
             _make_safe(device),
             *_only(Tell, stopped),
-            Tell(Latched(device.name, reason, False)),
+            Tell(Latched(device.name, reason, False, state)),
         ]
 
     def _abandon(self, device: KnownDevice, channel: str, reason: str) -> list[Effect]:
@@ -341,7 +343,7 @@ class GuardCore:
 
 def _make_safe(device: KnownDevice) -> MakeSafe:
     device.making = True
-    return MakeSafe(device.name)
+    return MakeSafe(device.name, device.state)
 
 
 def _refuse(call: Call, reason: str) -> Tell:

@@ -25,6 +25,7 @@ class KnownDevice:
 
     `barred` is why the program may not release it: somebody pressed the emergency stop.
     `told` is the last reason to be safe that a sensor has been given: it has nothing to do for it.
+    `state` is the safe state that it is held in; '' for that of its binding.
     `making` says that its safe state is being commanded, `made_at` when that ended last.
     `acting` is what runs on each channel, `setpoints` are the times when the ones in effect are over.
     """
@@ -33,6 +34,7 @@ class KnownDevice:
     manifest: DeviceManifest
     ttl: float
     latched: str = ""
+    state: str = ""
     barred: str = ""
     told: str = ""
     confirmed: bool = False

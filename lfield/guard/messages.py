@@ -61,12 +61,14 @@ class Beat(Message, frozen=True):
 class Safe(Message, frozen=True):
     """Host: bring the device ('' for all) into its safe state, now.
 
-    When it is `barred`, the program cannot release it until an Allow has come.
+    `state` is another one of its manifest than that of its binding. When it is `barred`, the program cannot
+    release it until an Allow has come.
     """
 
     device: str
     reason: str
     barred: bool = False
+    state: str = ""
 
 
 class Stop(Message, frozen=True):
@@ -116,11 +118,15 @@ class Snapshot(Message, frozen=True):
 
 
 class Latched(Message, frozen=True):
-    """Guard: the device is held in its safe state because of `reason`; `confirmed` once seen to be there."""
+    """Guard: the device is held in its safe state because of `reason`; `confirmed` once seen to be there.
+
+    `state` is '' for that of its binding.
+    """
 
     device: str
     reason: str
     confirmed: bool
+    state: str = ""
 
 
 class Released(Message, frozen=True):

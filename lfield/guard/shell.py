@@ -114,7 +114,9 @@ class Shell(asyncio.Protocol):
         elif isinstance(message, Call):
             self._run(self._core.call(message))
         elif isinstance(message, Safe):
-            self._run(self._core.safe(message.device, message.reason, barred=message.barred))
+            self._run(
+                self._core.safe(message.device, message.reason, barred=message.barred, state=message.state)
+            )
         elif isinstance(message, Allow):
             self._run(self._core.allow())
 
@@ -261,8 +263,8 @@ class Shell(asyncio.Protocol):
                 case Cancel(token):
                     if token in self._calls:
                         self._calls[token].cancel()
-                case MakeSafe(device):
-                    self._making[device] = self._spawn(self._make_safe(device))
+                case MakeSafe(device, state):
+                    self._making[device] = self._spawn(self._make_safe(device, state))
                 case LeaveOff(device):
                     self._making[device].cancel()
                 case Look(device):
@@ -313,11 +315,11 @@ class Shell(asyncio.Protocol):
         finally:
             self._calls.pop(call.token, None)
 
-    async def _make_safe(self, name: str) -> None:
+    async def _make_safe(self, name: str, state: str) -> None:
         core, driver = self._core, self._driver
         assert core is not None
         try:
-            await driver.devices[name].make_safe()
+            await driver.devices[name].make_safe(state)
         except DeviceError as error:
             self._run(core.not_safe(name, error.reason))
         except Exception as error:  # foreign code again; the core tries again

@@ -24,7 +24,7 @@ from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
 from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
-from lfield.host.effects import Call, Complain, Died, Effect, KeepStart, Say, Write
+from lfield.host.effects import Call, Complain, Died, Effect, KeepStart, MakeSafe, Say, Write
 from lfield.host.logbook import Logbook
 from lfield.host.status import status_of
 from lfield.host.surroundings import Surroundings
@@ -275,6 +275,8 @@ class Host:
                 self.peers.complain(effect.text)
             case Call():
                 self._call(effect)
+            case MakeSafe():
+                self.guards.make_safe(effect.device, effect.reason, effect.state)
             case KeepStart():
                 self._writing = spawn(self._keep(effect.generation))
             case Died():

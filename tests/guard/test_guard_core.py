@@ -658,3 +658,23 @@ def test_a_stop_waits_for_what_moves_beside_a_sensor():
     assert made_safe(core.stop("the host is stopping")) == ["arm"]
     assert told(core.made_safe("arm"), Stopped) == []
     assert told(core.looked("arm", ""), Stopped) == [Stopped({})]
+
+
+def test_another_safe_state_is_commanded_also_of_a_device_that_is_held_already():
+    rig = Rig()
+    rig.core.safe("a", "the host was silent")
+    effects = rig.core.safe("a", "nobody flies it", state="lie down")
+    assert [e for e in effects if isinstance(e, LeaveOff | MakeSafe)] == [
+        LeaveOff("a"),
+        MakeSafe("a", "lie down"),
+    ]
+    assert told(effects, Latched) == [Latched("a", "nobody flies it", False, "lie down")]
+    rig.core.not_safe("a", "no answer")
+    assert [e for e in rig.wait(1.1) if isinstance(e, MakeSafe)] == [MakeSafe("a", "lie down")]
+    (confirmed,) = told(rig.core.made_safe("a"), Latched)
+    assert confirmed == Latched("a", "nobody flies it", True, "lie down")
+    assert rig.core.safe("a", "once more", state="lie down") == []
+    assert rig.core.safe("a", "the usual one", state="") == []
+    rig.call("release")
+    effects = rig.core.safe("a", "the host was silent")
+    assert [e for e in effects if isinstance(e, MakeSafe)] == [MakeSafe("a")]
