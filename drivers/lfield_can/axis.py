@@ -182,9 +182,9 @@ class CanAxis(Device):
             return f"not heard for {silence:.1f} s{last}" if self._heard_at is not None else "not heard yet"
         if not self._still:
             return known
-        if not self.protocol.is_safe(self.binding.safe_state, True):
+        if not self.protocol.is_safe(self.safe_state, True):
             # Somebody else on the bus has led it out again, and may turn it at any time.
-            return f"not in {self.binding.safe_state} any more ({self._told()})"
+            return f"not in {self.safe_state} any more ({self._told()})"
         return ""
 
     # -- what is known ----------------------------------------------------------------------------------

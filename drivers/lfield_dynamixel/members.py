@@ -265,7 +265,7 @@ class Members(Device):
         if abs(seen.velocity) > STILL:
             return turns
         known = self.conditions.get(number)
-        if self.binding.safe_state == "torque_off" and known is not None and known.torque:
+        if self.safe_state == "torque_off" and known is not None and known.torque:
             # It was limp: somebody else on the bus has made it stiff again.
             return "stiff again"
         return ""

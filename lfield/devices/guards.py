@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from lfield import loop
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
+from lfield.devices.calls import Answered
 from lfield.devices.fakes import Fake, on_running_fakes
-from lfield.devices.keeper import Answered, Guard
+from lfield.devices.keeper import Guard
 from lfield.devices.lateness import Lateness, Limit
 from lfield.driver.binding import DeviceBinding, by_bus
 from lfield.driver.known import Drivers
@@ -97,14 +99,21 @@ class Guards:
         return PENDING
 
     def call(
-        self, agent: str, field: str, instruction: str, arguments: Sequence[Any], answered: Answered
+        self,
+        agent: str,
+        field: str,
+        instruction: str,
+        arguments: Sequence[Any],
+        answered: Answered,
+        until: float = math.inf,
     ) -> None:
         """Have an instruction carried out that is no query; `answered` is told once, from the loop.
 
-        Raises DeviceError when it cannot even be tried.
+        What acts begins before `until`, in seconds of the host's clock, and within the device's `ttl`; or not
+        at all. Raises DeviceError when it cannot even be tried.
         """
         guard, declared = self._declared(agent, field, instruction)
-        guard.call(f"{agent}.{field}", declared, arguments, answered)
+        guard.call(f"{agent}.{field}", declared, arguments, answered, until)
 
     def _declared(self, agent: str, field: str, instruction: str) -> tuple[Guard, Instruction]:
         found = self._by_device.get(f"{agent}.{field}")
@@ -130,6 +139,14 @@ class Guards:
         found = self._by_device.get(device)
         return found[0].trouble(device) if found else Trouble(f"{device}: not open on this host")
 
+    def make_safe(self, device: str, reason: str, state: str) -> None:
+        """Bring a device into a safe state of its manifest, from which the program may release it.
+
+        Nothing happens when the devices are closed already.
+        """
+        if found := self._by_device.get(device):
+            found[0].make_safe(device, reason, state)
+
     def guard_of(self, device: str) -> Guard:
         """The guard of a device by its name."""
         return self._by_device[device][0]
@@ -139,11 +156,11 @@ class Guards:
         changed = asyncio.Event()
         self._stopping.append(changed)
         for guard in self._guards:
-            guard.on_latch = self._latched
+            guard.held.on_change = self._latched
             guard.bar(reason)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(STOPS_WITHIN):
-                while any(not guard.confirmed.issuperset(guard.movable) for guard in self._guards):
+                while any(not guard.held.confirmed.issuperset(guard.movable) for guard in self._guards):
                     changed.clear()
                     await changed.wait()
         self._stopping.remove(changed)
@@ -162,12 +179,12 @@ class Guards:
     @property
     def latched(self) -> Mapping[str, str]:
         """Why devices are held in their safe states, by device name."""
-        return {name: reason for guard in self._guards for name, reason in guard.latched.items()}
+        return {name: reason for guard in self._guards for name, reason in guard.held.latched.items()}
 
     @property
     def moving(self) -> Mapping[str, str]:
         """What latched devices still do in their safe states, by device name; '' once one is at rest."""
-        return {name: words for guard in self._guards for name, words in guard.moving.items()}
+        return {name: words for guard in self._guards for name, words in guard.held.moving.items()}
 
     @property
     def heard(self) -> Mapping[str, float]:
@@ -195,7 +212,7 @@ class Guards:
 
     async def _close(self, guard: Guard) -> dict[str, str]:
         unsafe = await guard.close()
-        guard.moving.update({name: "" for name in guard.movable if name not in unsafe})
+        guard.held.moving.update({name: "" for name in guard.movable if name not in unsafe})
         return {name: f"{why}; {guard.snapshots.in_words(name)}" for name, why in unsafe.items()}
 
     def hurry(self) -> None:
@@ -206,7 +223,7 @@ class Guards:
 
 def _unconfirmed(guard: Guard, name: str) -> str:
     """Why an emergency stop does not know a device safe; '' when it does."""
-    if name not in guard.confirmed:
+    if name not in guard.held.confirmed:
         return f"its safe state was not confirmed in {STOPS_WITHIN:g} s"
     if guard.snapshots.lost_since(name) is not None:
         return f"it was in its safe state before, and is not heard any more; {guard.snapshots.in_words(name)}"

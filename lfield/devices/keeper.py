@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 from lfield.capability.directory.news import Trouble
 from lfield.clock import Clock
+from lfield.devices.calls import Answered, Calls
+from lfield.devices.held import Held
 from lfield.devices.lateness import BEAT, Lateness, Pulse
 from lfield.devices.snapshots import Snapshots
 from lfield.driver.binding import DeviceBinding, longest_rest
 from lfield.driver.device import NOT_SET_UP
 from lfield.driver.known import KnownDriver
-from lfield.driver.values import conform
 from lfield.errors import DeviceError, DevicesError, WireError
 from lfield.guard.messages import (
     Allow,
     Beat,
-    Call,
     Done,
     Failed,
     Latched,
@@ -39,7 +40,7 @@ from lfield.guard.messages import (
 )
 from lfield.guard.rest import UNFINISHED, UNSEEN
 from lfield.loop import kill, spawn, start_process, unexpected
-from lfield.manifest import DeviceValue, Instruction
+from lfield.manifest import Instruction
 
 #: So many beats without a word from the guard, and it hangs. Beats are counted, not seconds: a host that
 #: was stopped itself must not blame its guards.
@@ -48,16 +49,11 @@ UNANSWERED = 60
 OPEN_BOUND, STOP_BOUND = 60.0, 5.0
 #: Seconds for a guard to end that shall not wait for its devices any longer.
 AT_ONCE = 1.0
-#: Seconds between two words in the log about a device on its way to rest.
-ON_THE_WAY = 2.0
 #: Seconds before a guard that died is started again: the first time, and at most.
 AGAIN_FIRST, AGAIN_LAST = 0.2, 5.0
 
 #: Why devices are made safe when the host ends in order.
 STOPPING = "the host is stopping"
-
-#: What a caller gets, once: the value, or why it did not happen.
-Answered = Callable[[DeviceValue | DeviceError], None]
 
 
 class Guard(asyncio.SubprocessProtocol):
@@ -93,21 +89,13 @@ class Guard(asyncio.SubprocessProtocol):
         # Set when the devices are open or never will be, and when this guard has ended for good.
         self._settled, self._over = asyncio.Event(), asyncio.Event()
         self._ready = self._stopping = self._hurried = self._spoken = False
-        self._tokens = self._unanswered = 0
-        self._calls: dict[int, tuple[DeviceBinding, Instruction, Answered]] = {}
+        self._unanswered = 0
+        self._calls = Calls()
         self._unsafe: dict[str, str] | None = None
-        self._barred = ""
-        self._told_way: dict[str, float] = {}
+        #: Which of its devices are held in a safe state, and why.
+        self.held = Held(self._devices, clock, note, self._pulse)
         #: Who the devices are, in their driver's words, once they are open.
         self.identities: dict[str, str] = {}
-        #: Why a device is held in its safe state, by name; absent while it answers to calls.
-        self.latched: dict[str, str] = {}
-        #: The latched devices that have been seen in their safe states.
-        self.confirmed: set[str] = set()
-        #: What a latched device still does in its safe state, in words, by name; '' once it is at rest.
-        self.moving: dict[str, str] = {}
-        #: Called after every change of the three.
-        self.on_latch: Callable[[], None] = lambda: None
 
     # -- life -----------------------------------------------------------------------------------------
 
@@ -132,8 +120,8 @@ class Guard(asyncio.SubprocessProtocol):
             if isinstance(error, DevicesError):
                 raise
             raise DevicesError([f"the driver did not open its devices within {OPEN_BOUND:g} s"]) from None
-        if self._barred:
-            self._send(Safe("", self._barred, barred=True))
+        for asked in self.held.asked_again():
+            self._send(asked)
         for name, identity in self.identities.items():
             self._note(f"{name}: {identity} at {self._devices[name].endpoint}")
 
@@ -143,7 +131,7 @@ class Guard(asyncio.SubprocessProtocol):
         Returns those that have not been seen there, each with what is known of it. A guard that dies
         meanwhile is started again for it. Bounded by `rest_within` of its devices; `hurry` makes it short.
         """
-        self._stopping = True
+        self._stopping = self.held.stopping = True
         if self._transport is None and self._restarting is None:
             return {}
         self._send(Stop(STOPPING))
@@ -177,7 +165,7 @@ class Guard(asyncio.SubprocessProtocol):
             return self._unsafe
         if not self.identities:
             return dict.fromkeys(self.movable, UNFINISHED) if self._spoken else {}
-        words = {name: self.moving.get(name, UNSEEN) for name in self.movable}
+        words = {name: self.held.moving.get(name, UNSEEN) for name in self.movable}
         return {name: f"{said}, and its guard has ended" for name, said in words.items() if said}
 
     def kill(self) -> None:
@@ -212,9 +200,12 @@ class Guard(asyncio.SubprocessProtocol):
                 pause = min(2 * pause, AGAIN_LAST)
                 self._note(f"the guard cannot be started again yet: {error}")
 
-    def make_safe(self, device: str, reason: str) -> None:
-        """Bring a device into its safe state, from which the program may release it."""
-        self._send(Safe(device, reason))
+    def make_safe(self, device: str, reason: str, state: str = "") -> None:
+        """Bring a device into its safe state, or into another one, from which the program may release it.
+
+        A guard that is being started again is told when it is there.
+        """
+        self._send(self.held.ask(device, reason, state))
 
     async def fall_silent(self, seconds: float) -> None:
         """Send no beat for so long, as a host that hangs."""
@@ -229,27 +220,33 @@ class Guard(asyncio.SubprocessProtocol):
 
         A guard that is being started again is told when it is there.
         """
-        self._barred = reason
+        self.held.barred = reason
         self._send(Safe("", reason, barred=True))
 
     def allow(self) -> None:
         """The program may release the devices again."""
-        self._barred = ""
+        self.held.barred = ""
         self._send(Allow())
 
     # -- calls and queries ----------------------------------------------------------------------------
 
     def call(
-        self, device: str, instruction: Instruction, arguments: Sequence[Any], answered: Answered
+        self,
+        device: str,
+        instruction: Instruction,
+        arguments: Sequence[Any],
+        answered: Answered,
+        until: float = math.inf,
     ) -> None:
-        """Have an instruction carried out; `answered` is called once, from the loop."""
+        """Have an instruction carried out; `answered` is called once, from the loop.
+
+        What acts begins before `until`, in seconds of the host's clock, and within the device's `ttl`.
+        """
         binding = self._devices[device]
         if not self._ready:
             raise DeviceError(binding.field, "its guard has died and is being started again")
-        self._tokens += 1
-        self._calls[self._tokens] = (binding, instruction, answered)
-        sent = self._clock.monotonic()
-        self._send(Call(self._tokens, device, instruction.name, list(arguments), sent))
+        now = self._clock.monotonic()
+        self._send(self._calls.begin(binding, instruction, arguments, answered, now, until))
 
     @property
     def pid(self) -> int:
@@ -266,8 +263,8 @@ class Guard(asyncio.SubprocessProtocol):
         binding = self._devices[device]
         if not self._ready:
             return Trouble(f"{binding.field}: its guard has died and is being started again")
-        if device in self.latched:
-            return Trouble(f"{binding.field}: in its safe state {binding.safe_state}: {self.latched[device]}")
+        if why := self.held.latched.get(device):
+            return Trouble(f"{binding.field}: in its safe state {self.held.state(device)}: {why}")
         lost = self.snapshots.lost_since(device)
         return None if lost is None else Trouble(f"{binding.field}: not heard", lost)
 
@@ -310,16 +307,12 @@ class Guard(asyncio.SubprocessProtocol):
         self._exited.set()
         if not self._opening.done():
             self._opening.set_exception(DevicesError([f"the driver's process ended with status {status}"]))
-        calls, self._calls = self._calls, {}
-        for binding, instruction, answered in calls.values():
-            reason = f"{instruction.name}() is lost: the guard ended with status {status}"
-            answered(DeviceError(binding.field, reason))
+        self._calls.lost(status)
         if self._unsafe is not None or self._hurried or not self.identities:
             self._settled.set()
             self._over.set()
             return
-        self.confirmed.clear()
-        self.moving = dict.fromkeys(self.latched, UNSEEN)
+        self.held.guard_died()
         if was_ready:
             self._note(f"the guard of {self._who} died with status {status}; starting it again")
             self._restarting = spawn(self._restart())
@@ -333,30 +326,11 @@ class Guard(asyncio.SubprocessProtocol):
             case Snapshot():
                 self.snapshots.take(message)
             case Done(token, value):
-                self._on_done(token, value)
+                self._calls.done(token, value)
             case Refused(token, kind, reason):
-                binding, _, answered = self._calls.pop(token)
-                answered(DeviceError(binding.field, reason, kind=kind))
-            case Latched(device, told, confirmed):
-                fault = self._pulse.explained(told, self._clock.monotonic())
-                reason = self.latched.get(device, told) if confirmed else fault
-                self.latched[device] = reason
-                (self.confirmed.add if confirmed else self.confirmed.discard)(device)
-                self.moving[device] = UNSEEN
-                self.on_latch()
-                state = f"its safe state '{self._devices[device].safe_state}': {reason}"
-                # An ordinary stop is told once, when it is done; anything else at once.
-                if confirmed or not self._stopping:
-                    self._note(f"{device}: {'is in' if confirmed else 'goes into'} {state}")
-            case Moving(device, moving):
-                self.moving[device] = moving
-                self.on_latch()
-                self._tell_way(device, moving)
-            case Released(device):
-                self.latched.pop(device, None)
-                self.moving.pop(device, None)
-                self.confirmed.discard(device)
-                self._note(f"{device}: released")
+                self._calls.refused(token, kind, reason)
+            case Latched() | Moving() | Released():
+                self.held.take(message)
             case Note(device, text):
                 self._note(f"{device}: {text}")
             case Ready(identities) if self._stopping or not self._opening.done():
@@ -369,15 +343,6 @@ class Guard(asyncio.SubprocessProtocol):
             case Stopped(unsafe):
                 self._unsafe = unsafe
 
-    def _tell_way(self, device: str, moving: str) -> None:
-        """Whoever waits for a stop wants to know what for."""
-        now = self._clock.monotonic()
-        if not moving and self._told_way.pop(device, None) is not None:
-            self._note(f"{device}: is at rest")
-        elif moving and self._stopping and now >= self._told_way.get(device, 0.0) + ON_THE_WAY:
-            self._told_way[device] = now
-            self._note(f"{device}: {moving}")
-
     def _on_failed(self, problems: list[tuple[str, str, str]]) -> None:
         kinds = {f"{device or self._who}: {reason}": kind for device, kind, reason in problems}
         if self._opening.done():  # Nobody waits for it any more.
@@ -385,11 +350,3 @@ class Guard(asyncio.SubprocessProtocol):
             return
         unset = [told for told, kind in kinds.items() if kind == NOT_SET_UP]
         self._opening.set_exception(DevicesError(list(kinds), unset))
-
-    def _on_done(self, token: int, value: Any) -> None:
-        binding, instruction, answered = self._calls.pop(token)
-        try:
-            answered(conform(value, instruction.result))
-        except ValueError as error:
-            reason = f"{instruction.name}() gave no {instruction.result}: {error}"
-            answered(DeviceError(binding.field, reason))

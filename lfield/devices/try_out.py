@@ -60,17 +60,17 @@ class LiveBench:
     @property
     def latched(self) -> str:
         """Why the device is held in its safe state, '' when it is free."""
-        return self._guard.latched.get(self.binding.name, "")
+        return self._guard.held.latched.get(self.binding.name, "")
 
     @property
     def confirmed(self) -> bool:
         """Whether it has been seen there."""
-        return self.binding.name in self._guard.confirmed
+        return self.binding.name in self._guard.held.confirmed
 
     @property
     def moving(self) -> str | None:
         """What it still does there; '' when it is at rest, None when nobody has said."""
-        told = self._guard.moving.get(self.binding.name)
+        told = self._guard.held.moving.get(self.binding.name)
         return told if told != UNSEEN else None
 
     async def call(self, instruction: str, *arguments: object) -> Any:

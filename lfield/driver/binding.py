@@ -10,19 +10,30 @@ import msgspec
 #: The endpoint of a device whose fake has not been started yet begins so; what follows names the bus.
 SIMULATED = "sim:"
 
+#: A shorter time without a sign of a coordinator says nothing, in seconds: a sign may be as long on its way.
+LEAST_AFTER = 5.0
+
 #: A value of an option in a devices file.
 OptionValue = bool | int | float | str | list[int | str]
+
+
+class WithoutPolicy(msgspec.Struct, frozen=True):
+    """After so many seconds without a sign of a coordinator that used a device: a safe state of its type."""
+
+    after: float
+    do: str
 
 
 class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     """A device with its driver, place and limits; travels to the guard as it is.
 
-    `ttl` is the time-to-live of a setpoint in seconds; within `rest_within` seconds of a stop the device is
-    at rest, or its guard gives up and says so. `limits` are in the SI units that the manifest
-    names, `options` are the driver's own (`system`, `kind`). An absent limit does not limit. `waivers` name
-    the protections that whoever wrote the binding has knowingly given up. `sim` are faults and conditions of
-    its fake, `NAME=VALUE`, for simulated missions. `type` is the device type in L. A pure sensor has no
-    `safe_state`, and nothing of its `ttl` and `rest_within` applies.
+    `ttl` is the time-to-live of a setpoint in seconds, and how long a command may take to begin; within
+    `rest_within` seconds of a stop the device is at rest, or its guard gives up and says so. `without_policy`
+    says what becomes of it when no coordinator that used it is heard of any more, None for nothing. `limits`
+    are in the SI units that the manifest names, `options` are the driver's own (`system`, `kind`). An absent
+    limit does not limit. `waivers` name the protections that whoever wrote the binding has knowingly given
+    up. `sim` are faults and conditions of its fake, `NAME=VALUE`, for simulated missions. `type` is the
+    device type in L. A pure sensor has no `safe_state`, and nothing of its `ttl` and `rest_within` applies.
     """
 
     agent: str
@@ -36,6 +47,7 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     limits: dict[str, float] = {}
     options: dict[str, OptionValue] = {}
     waivers: list[str] = []
+    without_policy: WithoutPolicy | None = None
     sim: list[str] = []
 
     @property

@@ -78,6 +78,8 @@ class Device:
 
     def __init__(self, binding: DeviceBinding, manifest: Manifest, clock: Clock, reports: Reports) -> None:
         self.binding, self.manifest, self.clock = binding, manifest, clock
+        #: The safe state that it was brought into last; until then that of its binding.
+        self.safe_state = binding.safe_state
         self._reports = reports
         self._types = {quantity.name: quantity.type for quantity in manifest.device.telemetry}
         self._calls: dict[str, _Call] = {}
@@ -127,9 +129,10 @@ class Device:
         self._calls[instruction] = call
         return call
 
-    async def make_safe(self) -> None:
-        """Bring the device into its safe state and see that it is there. Raises DeviceError."""
-        await self._make_safe(self.binding.safe_state)
+    async def make_safe(self, state: str = "") -> None:
+        """Bring it into a safe state ('': its binding's) and see that it is there. Raises DeviceError."""
+        self.safe_state = state or self.binding.safe_state
+        await self._make_safe(self.safe_state)
 
     def moving(self) -> str:
         """What it still does although it is in its safe state, in a few words; '' when it is at rest.

@@ -8,6 +8,7 @@ A device is free or latched. It is latched, and its safe state commanded until i
     it, and a call under way that would replace it has as long;
   - its driver raised anything but a DeviceError or reports a breach, or the guard was restarted.
 
+Somebody may ask for another of its safe states than its binding's: that counts also when it is held already.
 Only `release()` frees it, and only once its safe state is confirmed. On each channel of a device one
 actuation runs at a time: a newer one replaces an older one, so that `land()` need not wait for a `goTo()` of
 another thread. A query that asks the device runs beside the others, also while the device is latched.
@@ -29,15 +30,14 @@ is due and the next question, and what falls in between must not be taken for do
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal
 
 from lfield.clock import Clock
 from lfield.driver.contract import RELEASE
+from lfield.guard.device import KnownDevice, way
 from lfield.guard.effects import Cancel, Effect, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
 from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped, host_silent
 from lfield.guard.rest import Rest
-from lfield.manifest import DeviceManifest, DeviceValue, Instruction
+from lfield.manifest import DeviceManifest, DeviceValue
 
 #: How long the host may be silent, in seconds (a beat comes every 50 ms).
 SILENCE = 0.2
@@ -47,47 +47,6 @@ RETRY = 1.0
 AGAIN = 2.0
 #: How long a silent host's devices have to confirm their safe states before their bus is made quiet.
 QUIET_BY = 2.0
-
-Way = Literal["ask", "act", "setpoint"]
-
-
-def way(instruction: Instruction) -> Way:
-    """How the guard treats an instruction: asking moves nothing; a setpoint acts on after it returned."""
-    if instruction.only_asks or instruction.name == RELEASE.name:
-        return "ask"
-    return "setpoint" if instruction.effect == "actuate" and not instruction.blocking else "act"
-
-
-@dataclass(slots=True)
-class _Device:
-    """What the guard knows of one device. `latched` is the reason, or '' when it is free.
-
-    `barred` is why the program may not release it: somebody pressed the emergency stop.
-    `told` is the last reason to be safe that a sensor has been given: it has nothing to do for it.
-    `making` says that its safe state is being commanded, `made_at` when that ended last.
-    `acting` is what runs on each channel, `setpoints` are the times when the ones in effect are over.
-    """
-
-    name: str
-    manifest: DeviceManifest
-    ttl: float
-    latched: str = ""
-    barred: str = ""
-    told: str = ""
-    confirmed: bool = False
-    moved: bool = False
-    making: bool = False
-    made_at: float = 0.0
-    retry_at: float | None = None
-    setpoints: dict[str, float] = field(default_factory=dict)
-    acting: dict[str, Call] = field(default_factory=dict)
-    asking: dict[int, Call] = field(default_factory=dict)
-
-    def declared(self, call: Call) -> Instruction:
-        """The instruction of a call that was let in."""
-        instruction = self.manifest.instruction(call.instruction)
-        assert instruction is not None, "an unknown instruction is refused before it gets here"
-        return instruction
 
 
 class GuardCore:
@@ -100,7 +59,7 @@ class GuardCore:
         *,
         silence: float = SILENCE,
     ) -> None:
-        self._devices = {name: _Device(name, manifest, ttl) for name, manifest, ttl, _ in devices}
+        self._devices = {name: KnownDevice(name, manifest, ttl) for name, manifest, ttl, _ in devices}
         self._rest = Rest({name: within for name, made, _, within in devices if made.safe_states})
         self._clock = clock
         self._silence = silence
@@ -133,15 +92,28 @@ class GuardCore:
         if len(call.arguments) != len(instruction.parameters):
             takes = f"{call.instruction}() takes {len(instruction.parameters)} arguments"
             return [*effects, _refuse(call, takes)]
-        how = way(instruction)
-        if how == "ask":
-            return effects + self._ask(device, call)
-        refusal = self._why_not(device, call, how)
-        if refusal:
+        asks = way(instruction) == "ask"
+        if device.latched and not asks:
+            held = f"held in its safe state because {device.latched}; call release() first"
+            return [*effects, _refuse(call, held)]
+        if refusal := self.too_late(call):
             return [*effects, _refuse(call, refusal)]
+        if asks:
+            return effects + self._ask(device, call)
         effects += self._abandon(device, instruction.channel, f"replaced by {call.instruction}()")
         device.acting[instruction.channel], device.moved = call, True
         return [*effects, Execute(call)]
+
+    def too_late(self, call: Call) -> str:
+        """Why a call may not begin any more; '' while it may.
+
+        Asked again right before its driver gets it: this process may have stood still in between.
+        """
+        now = self._clock.monotonic()
+        if now < call.until or self._devices[call.device].declared(call).only_asks:
+            return ""
+        within = f"{call.instruction}() was to begin within {max(0.0, call.until - call.sent):.3g} s"
+        return f"{within}, and its guard got to it after {now - call.sent:.3g} s: nothing was done"
 
     def finished(self, token: int, value: DeviceValue) -> list[Effect]:
         """The driver has carried a call out."""
@@ -172,13 +144,13 @@ class GuardCore:
         effects.append(_refuse(call, reason))
         return effects + self._latch(self._devices[call.device], reason)
 
-    def safe(self, device: str, reason: str, *, barred: bool = False) -> list[Effect]:
-        """Somebody asks for the safe state of a device, or of all ('')."""
+    def safe(self, device: str, reason: str, *, barred: bool = False, state: str = "") -> list[Effect]:
+        """Somebody asks for the safe state of a device, or of all (''); or for another `state` than usual."""
         effects = self.tick()
         for name, known in self._devices.items():
             if device in ("", name):
                 known.barred = known.barred or (reason if barred else "")
-                effects += self._latch(known, reason)
+                effects += self._latch(known, reason, state)
         return effects
 
     def allow(self) -> list[Effect]:
@@ -196,7 +168,7 @@ class GuardCore:
             return effects
         device.confirmed = True
         self._rest.confirmed(name, now)
-        return [*effects, Tell(Latched(name, device.latched, True)), *self.tick()]
+        return [*effects, Tell(Latched(name, device.latched, True, device.state)), *self.tick()]
 
     def looked(self, name: str, moving: str) -> list[Effect]:
         """What the device still does in its safe state, in the driver's words; '' when it is at rest."""
@@ -248,7 +220,7 @@ class GuardCore:
         for device in self._devices.values():
             if silent and device.moved:
                 effects += self._latch(device, host_silent(self._silence))
-            until = self._expiry(device)
+            until = device.expiry()
             if until is not None and now >= until:
                 effects += self._latch(device, f"the setpoint's time-to-live of {device.ttl:g} s is over")
             if device.retry_at is not None and now >= device.retry_at:
@@ -264,19 +236,12 @@ class GuardCore:
         """When the next tick is needed, on the injected clock; None when nothing can become due."""
         if self._ended:
             return None
-        times = [self._expiry(device) for device in self._devices.values()]
+        times = [device.expiry() for device in self._devices.values()]
         times += [device.retry_at for device in self._devices.values()]
         times += [self._rest.due(), self._silence_due()]
         return min((time for time in times if time is not None), default=None)
 
     # -- decisions ------------------------------------------------------------------------------------
-
-    def _why_not(self, device: _Device, call: Call, how: Way) -> str:
-        if device.latched:
-            return f"held in its safe state because {device.latched}; call release() first"
-        if how == "setpoint" and self._clock.monotonic() - call.sent >= device.ttl:
-            return f"the setpoint came after its time-to-live of {device.ttl:g} s"
-        return ""
 
     @property
     def _silent_at(self) -> float:
@@ -305,7 +270,7 @@ class GuardCore:
         self._rest.quiet(on)
         return Quiet(on)
 
-    def _ask(self, device: _Device, call: Call) -> list[Effect]:
+    def _ask(self, device: KnownDevice, call: Call) -> list[Effect]:
         """Let a call in that moves nothing; release() unlatches first, and tells the driver so."""
         effects: list[Effect] = []
         if call.instruction == RELEASE.name:
@@ -320,7 +285,7 @@ class GuardCore:
             if device.latched:
                 effects += [*([LeaveOff(device.name)] if device.making else []), Tell(Released(device.name))]
                 device.making = False
-                device.latched, device.confirmed, device.moved = "", False, False
+                device.latched, device.state, device.confirmed, device.moved = "", "", False, False
                 self._rest.held(device.name)
         device.asking[call.token] = call
         return [*effects, Execute(call)]
@@ -328,14 +293,14 @@ class GuardCore:
     def _latch_all(self, reason: str) -> list[Effect]:
         return [effect for device in self._devices.values() for effect in self._latch(device, reason)]
 
-    def _latch(self, device: _Device, reason: str) -> list[Effect]:
-        """Latch a free device that has a safe state; the first reason is the one that is kept."""
-        if device.latched:
+    def _latch(self, device: KnownDevice, reason: str, state: str = "") -> list[Effect]:
+        """Latch a device that has a safe state; the first reason for a state is the one that is kept."""
+        if device.latched and state in ("", device.state):
             return []
         if not device.manifest.safe_states:
             said, device.told = device.told, reason
             return [Tell(Note(device.name, reason))] if reason != said and not self._stopping else []
-        device.latched, device.confirmed = reason, False
+        device.latched, device.state, device.confirmed, device.retry_at = reason, state, False, None
         self._rest.held(device.name)
         device.setpoints.clear()
         # The safe state goes out first: it is the effect that cannot wait.
@@ -346,12 +311,13 @@ class GuardCore:
         ]
         return [
             *_only(Cancel, stopped),
+            *([LeaveOff(device.name)] if device.making else []),
             _make_safe(device),
             *_only(Tell, stopped),
-            Tell(Latched(device.name, reason, False)),
+            Tell(Latched(device.name, reason, False, state)),
         ]
 
-    def _abandon(self, device: _Device, channel: str, reason: str) -> list[Effect]:
+    def _abandon(self, device: KnownDevice, channel: str, reason: str) -> list[Effect]:
         call = device.acting.pop(channel, None)
         if call is None:
             return []
@@ -367,18 +333,6 @@ class GuardCore:
                 return device.asking.pop(token)
         return None
 
-    def _expiry(self, device: _Device) -> float | None:
-        """When the first setpoint in effect is over. An actuation that runs replaces it, unless it fails."""
-        if device.latched:
-            return None
-        times = [until for channel, until in device.setpoints.items() if channel not in device.acting]
-        times += [
-            call.sent + device.ttl
-            for call in device.acting.values()
-            if way(device.declared(call)) == "setpoint"
-        ]
-        return min(times, default=None)
-
     def _end_if_over(self, now: float) -> list[Effect]:
         if not self._rest.is_over(now):
             return []
@@ -387,9 +341,9 @@ class GuardCore:
         return [Tell(Stopped(unsafe)), Exit(1 if unsafe else 0)]
 
 
-def _make_safe(device: _Device) -> MakeSafe:
+def _make_safe(device: KnownDevice) -> MakeSafe:
     device.making = True
-    return MakeSafe(device.name)
+    return MakeSafe(device.name, device.state)
 
 
 def _refuse(call: Call, reason: str) -> Tell:

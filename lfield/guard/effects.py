@@ -23,9 +23,10 @@ class Cancel:
 
 @dataclass(frozen=True, slots=True)
 class MakeSafe:
-    """Effect: have the driver bring the device into its safe state, before anything else."""
+    """Effect: have the driver bring a device into a safe state ('': its binding's), before anything else."""
 
     device: str
+    state: str = ""
 
 
 @dataclass(frozen=True, slots=True)

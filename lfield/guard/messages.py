@@ -1,9 +1,9 @@
 """What host and guard say to each other over the guard's stdin and stdout.
 
 A frame per message (lfield.wire.framing); the kind is the message, the payload its fields as MessagePack.
-Both ends are on one machine and share its monotonic clock, so `sent` can be compared with the time of
-arrival: an old message that was stuck in the pipe is known as old, and so is telemetry. A value has its L
-type only after `lfield.driver.values.conform`.
+Both ends are on one machine and share its monotonic clock, so `sent` and `until` can be compared with the
+time of arrival: an old message that was stuck in the pipe is known as old, and so is telemetry. A value has
+its L type only after `lfield.driver.values.conform`.
 """
 
 from __future__ import annotations
@@ -39,13 +39,17 @@ class Open(Message, frozen=True):
 
 
 class Call(Message, frozen=True):
-    """Host: carry out one instruction; the answer is Done or Refused with the same token."""
+    """Host: carry out one instruction; the answer is Done or Refused with the same token.
+
+    What acts begins before `until`, or not at all.
+    """
 
     token: int
     device: str
     instruction: str
     arguments: list[DeviceValue]
     sent: float
+    until: float
 
 
 class Beat(Message, frozen=True):
@@ -57,12 +61,14 @@ class Beat(Message, frozen=True):
 class Safe(Message, frozen=True):
     """Host: bring the device ('' for all) into its safe state, now.
 
-    When it is `barred`, the program cannot release it until an Allow has come.
+    `state` is another one of its manifest than that of its binding. When it is `barred`, the program cannot
+    release it until an Allow has come.
     """
 
     device: str
     reason: str
     barred: bool = False
+    state: str = ""
 
 
 class Stop(Message, frozen=True):
@@ -112,11 +118,15 @@ class Snapshot(Message, frozen=True):
 
 
 class Latched(Message, frozen=True):
-    """Guard: the device is held in its safe state because of `reason`; `confirmed` once seen to be there."""
+    """Guard: the device is held in its safe state because of `reason`; `confirmed` once seen to be there.
+
+    `state` is '' for that of its binding.
+    """
 
     device: str
     reason: str
     confirmed: bool
+    state: str = ""
 
 
 class Released(Message, frozen=True):

@@ -16,6 +16,7 @@ from lfield.host.coordinators import Coordinators
 from lfield.host.directory import Nearby, TeamDirectory
 from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Say, Write
 from lfield.host.offers import Offers
+from lfield.host.policy import Policies
 from lfield.journal.pages import Page
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
@@ -62,10 +63,10 @@ class HostCore:
         self.mobility = self._team.mobility
         self.directory = TeamDirectory(mission, name, incarnation, self.machine.agents, nearby, clock)
         self._offers = Offers(self.directory, mission)
+        self._policies = Policies(mission.devices_of(name))
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic())
         self._own = [member for member in self.team.on(self.here) if member.kind == "coordinator"]
-        others = [host for host in self.team.hosts if host != name]
-        self._starts = Starts([member.id for member in self._own], others)
+        self._starts = Starts([m.id for m in self._own], [h for h in self.team.hosts if h != name])
         #: The batch that has the number of a start, and that number, until it is on the disk.
         self._counting: tuple[int, int] | None = None
 
@@ -102,8 +103,7 @@ class HostCore:
     def run(self) -> float | None:
         """Do what is due and let the machine run; to be called after every event, and when its time is up.
 
-        Returns the seconds until it is to be called again (0: at once), None when only an event can change
-        anything.
+        Returns the seconds until it is to be called again (0: at once), None for only after an event.
         """
         now = self._clock.monotonic()
         self._team.tick(now)
@@ -112,13 +112,13 @@ class HostCore:
         if self.hearsay.due is not None and now >= self.hearsay.due:
             told = self.hearsay.tell(now)
             self._effects += [mobile.Send(host, told) for host in self.hearsay.links]
+        if self._policies.due is not None and now >= self._policies.due:
+            self._effects += self._policies.look(self.name, self.mobility.knowledge(), self.hearsay, now)
         pause = None if self._team.halted else self.machine.run()
         self._team.answer()
-        for due in (self._team.due, self.directory.due, self.hearsay.due):
-            if due is not None:
-                left = max(0.0, due - now)
-                pause = left if pause is None else min(pause, left)
-        return pause
+        dues = (self._team.due, self.directory.due, self.hearsay.due, self._policies.due)
+        left = [max(0.0, due - now) for due in dues if due is not None]
+        return min([*left, *([] if pause is None else [pause])], default=None)
 
     # --- life -----------------------------------------------------------------------------------------
 
@@ -197,6 +197,7 @@ class HostCore:
 
     def told(self, host: str, records: list[Known]) -> None:
         """A host that was asked says what it knows of coordinators."""
+        self._policies.told(host, records, self._clock.monotonic())
         self._team.carry_out(self.mobility.told(host, records))
 
     def pass_on(self, found: Iterable[Fate]) -> None:
@@ -284,6 +285,8 @@ class HostCore:
         """A device instruction: telemetry is known here, anything else is the guard's."""
         value = self._nearby.query(agent.id, call)
         if isinstance(value, Pending):
+            if call.effect != "query" and (caller := self.machine.caller(agent, thread)):
+                self._policies.used(f"{agent.id}.{call.field}", caller, self._clock.monotonic())
             self._effects.append(Call(agent, thread, call, values))
             return PENDING
         return value

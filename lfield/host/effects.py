@@ -41,6 +41,14 @@ class Call(Struct, frozen=True):
     values: list[DeviceValue]
 
 
+class MakeSafe(Struct, frozen=True):
+    """Bring a device of this host into a safe state of its manifest, and hold it there."""
+
+    device: str
+    state: str
+    reason: str
+
+
 class Died(Struct, frozen=True):
     """An agent died of an uncaught exception; its block stands as it was then."""
 
@@ -58,6 +66,6 @@ class Changed(Struct, frozen=True):
     """What is known of coordinators has changed: whoever waits for an end looks again."""
 
 
-Effect = Send | SendTransfer | Write | Say | Complain | Call | Died | Keep | Changed
+Effect = Send | SendTransfer | Write | Say | Complain | Call | MakeSafe | Died | Keep | Changed
 
 CHANGED = Changed()

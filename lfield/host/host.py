@@ -24,7 +24,7 @@ from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
 from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
-from lfield.host.effects import Call, Complain, Died, Effect, Keep, Say, Write
+from lfield.host.effects import Call, Complain, Died, Effect, Keep, MakeSafe, Say, Write
 from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
 from lfield.host.status import status_of
@@ -283,6 +283,8 @@ class Host:
                 self._call(effect)
             case Keep():
                 self.scribe.keep(effect)
+            case MakeSafe():
+                self.guards.make_safe(effect.device, effect.reason, effect.state)
             case Died():
                 if self.options.dump:
                     self._dump(effect.agent, self.options.dump)

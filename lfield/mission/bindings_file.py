@@ -10,9 +10,10 @@ agents:
         endpoint: "udp:127.0.0.1:14550"
         system: 1                          # an option of this driver
         limits: {speed: 5.0}               # SI units; the driver's manifest lists them
-        ttl: 0.5                           # seconds that a setpoint lasts
+        ttl: 0.5                           # seconds that a setpoint lasts, and a command may take to begin
         safe_state: land
         rest_within: 120                   # seconds for it to come to rest when its host stops
+        without_policy: {after: 30, do: land}    # 30 s without a sign of any coordinator that used it
         waivers: [device_watchdog]         # protections that are knowingly given up
         sim: ["battery=0.5"]               # of its fake, with --sim: see `lfield sim fault`
 defaults: {heap: 1 MiB, call_depth: 500}   # limits of every agent
@@ -21,8 +22,8 @@ silence: 0.2                               # seconds without the host before its
 ```
 
 The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `rest_within`,
-`limits`, `waivers`, `sim` and, for those who read it, `type`; the rest are the driver's own options. What
-fits no agent, device, driver or type is an error, all of them at once, each drawn at its place.
+`without_policy`, `limits`, `waivers`, `sim` and, for those who read it, `type`; the rest are the driver's own
+options. What fits no agent, device, driver or type is an error, all of them at once, each drawn at its place.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from lfield.driver.binding import DeviceBinding, OptionValue
+from lfield.driver.binding import LEAST_AFTER, DeviceBinding, OptionValue, WithoutPolicy
 from lfield.driver.contract import Manifest, Option
 from lfield.driver.known import Drivers
 from lfield.errors import BindingError
@@ -184,6 +185,7 @@ class BindingsReader:
             ttl=fields.number("ttl", 0.5, minimum=0.02, maximum=60.0),
             rest_within=fields.number("rest_within", 120.0, minimum=1.0, maximum=3600.0),
             safe_state=_safe_state(fields, manifest),
+            without_policy=_without_policy(fields, manifest),
             limits=self._device_limits(fields, manifest),
             options=self._options(fields, manifest),
             waivers=self._waivers(fields, manifest),
@@ -247,6 +249,23 @@ class BindingsReader:
             return fields.number(option.name, minimum=option.minimum, maximum=option.maximum)
         lowest, highest = max(option.minimum, -(2.0**63)), min(option.maximum, 2.0**62)
         return fields.integer(option.name, minimum=int(lowest), maximum=int(highest))
+
+
+def _without_policy(fields: Fields, manifest: Manifest) -> WithoutPolicy | None:
+    """None where the key is absent; both of its keys must be given."""
+    if "without_policy" not in fields:
+        return None
+    states = manifest.device.safe_states
+    if not states:
+        message = f"a {manifest.device.type} only senses: nobody has to bring it into a safe state"
+        fields.report("Y113", message, fields.value_span("without_policy"), "leave the key out")
+        fields.node("without_policy")
+        return None
+    section = fields.section("without_policy")
+    after = section.number("after", 30.0, required=True, minimum=LEAST_AFTER, maximum=86400.0)
+    do = section.text("do", required=True, choices=states)
+    section.done()
+    return WithoutPolicy(after, do)
 
 
 def _safe_state(fields: Fields, manifest: Manifest) -> str:

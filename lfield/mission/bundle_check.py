@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from lfield.driver.binding import DeviceBinding
+from lfield.driver.binding import LEAST_AFTER, DeviceBinding
 from lfield.driver.known import KnownDrivers
 from lfield.errors import BundleError
 from lfield.mission.bindings import MAX_HEAP, MIN_HEAP, Bindings, Needed, each_needed
@@ -62,6 +62,9 @@ def _device(device: DeviceBinding, drivers: KnownDrivers) -> Iterator[str]:
         return
     if device.safe_state not in (manifest.device.safe_states or ("",)):
         yield f"{device.name} has no safe state '{device.safe_state}'"
+    policy = device.without_policy
+    if policy and not (policy.do in manifest.device.safe_states and LEAST_AFTER <= policy.after <= 86400.0):
+        yield f"what {device.name} does without a policy makes no sense"
     times = 0.0 < device.ttl <= 60.0 and 1.0 <= device.rest_within <= 3600.0
     if not (times and _finite(device.limits.values())):
         yield f"the ttl, the rest_within or a limit of {device.name} makes no sense"

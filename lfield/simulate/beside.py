@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from lfield.driver.plugin import load_plugin
-from lfield.guard.process import Shell
+from lfield.guard.shell import Shell
 from lfield.simulate.computers.computer import Input, Process
 
 #: Where the driver of simulated hardware is.

@@ -138,12 +138,13 @@ class AnyDevice(Device):
 
     async def carry_out(self, instruction: Instruction, arguments: Sequence[object]) -> DeviceValue:
         """Any instruction."""
-        await self._takes(ANSWER)
+        answer = self._hardware.dice.uniform(*ANSWER)
         if not instruction.only_asks:
+            # A command is written at once: only its answer takes time.
             seconds = self._hardware.dice.uniform(*ACT) if instruction.blocking else float("inf")
             self._hardware.tell(self._driver.owner, instruction.name, tuple(arguments), seconds)
-            if instruction.blocking:
-                await asyncio.sleep(seconds)
+            answer += seconds if instruction.blocking else 0.0
+        await asyncio.sleep(answer)
         return VALUES.get(instruction.result)
 
     async def _takes(self, seconds: tuple[float, float]) -> None:

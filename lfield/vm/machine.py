@@ -163,6 +163,12 @@ class Machine:
         agent.frozen = False
         self.refuse(agent, _only_thread(agent), kind, message, source)
 
+    def caller(self, resource: Agent, thread: int) -> str:
+        """The coordinator whose portal call a thread serves; '' for a thread of the resource's own."""
+        number = resource.block.w[place_of(resource.block, thread) + THREAD_CALL]
+        found = self._scheduler.calls.get(number)
+        return found[0].id if found is not None else ""
+
     # --- answers from the world -----------------------------------------------------------------------
 
     def answer(self, agent: Agent, thread: int, value: DeviceValue, kind: int, device: str) -> None:

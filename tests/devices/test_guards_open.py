@@ -94,8 +94,7 @@ class LateGuard:
         self.snapshots = SimpleNamespace(
             lost_since=lambda name: lost, in_words=lambda name: "last heard 9.0 s ago"
         )
-        self.confirmed: set[str] = set()
-        self.on_latch = lambda: None
+        self.held = SimpleNamespace(confirmed=set(), on_change=lambda: None)
         self._seconds = seconds
 
     def bar(self, reason: str) -> None:
@@ -103,8 +102,8 @@ class LateGuard:
             asyncio.get_running_loop().call_later(self._seconds, self._confirm)
 
     def _confirm(self) -> None:
-        self.confirmed.update(self.movable)
-        self.on_latch()
+        self.held.confirmed.update(self.movable)
+        self.held.on_change()
 
 
 def test_a_second_stop_does_not_take_the_answer_of_the_first(plugins):

@@ -51,7 +51,7 @@ class Rig:
     def call(self, instruction: str, *arguments: float, device: str = "a", age: float = 0.0):
         self.token += 1
         sent = self.clock.monotonic() - age
-        return self.core.call(Call(self.token, device, instruction, list(arguments), sent))
+        return self.core.call(Call(self.token, device, instruction, list(arguments), sent, sent + TTL))
 
 
 def told(effects, kind):
@@ -130,11 +130,26 @@ def test_a_blocking_call_that_is_refused_does_not_renew_the_setpoint():
     assert made_safe(rig.beat()) == ["a"]
 
 
-def test_a_setpoint_that_lay_in_the_pipe_too_long_is_not_sent():
+@pytest.mark.parametrize("call", [("steer", 1.0), ("go", 1.0), ("release",)])
+def test_what_lay_in_the_pipe_too_long_is_not_begun(call):
     rig = Rig()
-    effects = rig.call("steer", 1.0, age=TTL)
+    effects = rig.call(*call, age=TTL)
     assert [e for e in effects if isinstance(e, Execute)] == []
-    assert "came after its time-to-live" in told(effects, Refused)[0].reason
+    reason = f"{call[0]}() was to begin within 0.5 s, and its guard got to it after 0.5 s: nothing was done"
+    assert told(effects, Refused) == [Refused(1, "DeviceException", reason)]
+
+
+def test_what_only_asks_may_be_asked_late():
+    assert [e for e in Rig().call("ask", age=60.0) if isinstance(e, Execute)]
+
+
+def test_a_call_that_was_let_in_is_too_late_when_its_guard_stands_still_before_its_driver_gets_it():
+    rig = Rig()
+    (execute,) = [e for e in rig.call("go", 1.0) if isinstance(e, Execute)]
+    rig.clock.advance(TTL - 0.01)
+    assert rig.core.too_late(execute.call) == ""
+    rig.clock.advance(0.02)
+    assert "its guard got to it after 0.51 s" in rig.core.too_late(execute.call)
 
 
 def test_silence_latches_what_was_moved_and_only_release_frees_it():
@@ -435,14 +450,14 @@ def test_a_silence_that_begins_between_two_looks_at_the_clock_is_not_missed(even
     core = GuardCore([("a", MANIFEST, TTL, WITHIN)], clock, silence=SILENCE)
     start = clock.monotonic()
     core.opened("")
-    core.call(Call(1, "a", "go", [1.0], start))
+    core.call(Call(1, "a", "go", [1.0], start, start + TTL))
     core.finished(1, None)
     last = clock.now
     core.beat(last)
     clock.now = last + SILENCE - early * clock.STEP
     effects = {
         "tick": core.tick,
-        "ask": lambda: core.call(Call(2, "a", "ask", [], last)),
+        "ask": lambda: core.call(Call(2, "a", "ask", [], last, last)),
         "beat": lambda: core.beat(last),
     }[event]()
     while made_safe(effects) == [] and core.due() is not None:
@@ -456,7 +471,7 @@ def test_a_silence_that_begins_between_two_looks_at_the_clock_is_not_missed(even
 def test_a_call_that_lay_in_the_pipe_of_a_silent_host_is_stopped():
     rig = Rig()
     assert quiets(rig.wait(1.0, beating=False)) == [True]
-    rig.call("go", 1.0, age=0.5)
+    rig.call("go", 1.0, age=0.4)
     assert rig.core.due() <= rig.clock.monotonic()
     assert made_safe(rig.core.tick()) == ["a"]
 
@@ -631,7 +646,7 @@ def test_a_sensor_is_never_latched_nor_waited_for():
     clock.advance(3 * SILENCE)
     assert told(core.tick(), Latched) == []
     core.beat(clock.monotonic())
-    assert [e for e in core.call(Call(1, "eye", "ask", [], clock.monotonic())) if isinstance(e, Execute)]
+    assert [e for e in core.call(Call(1, "eye", "ask", [], clock.monotonic(), 0.0)) if isinstance(e, Execute)]
     over = core.stop("the host is stopping")
     assert told(over, Stopped) == [Stopped({})]
     assert [e.status for e in over if isinstance(e, Exit)] == [0]
@@ -643,3 +658,23 @@ def test_a_stop_waits_for_what_moves_beside_a_sensor():
     assert made_safe(core.stop("the host is stopping")) == ["arm"]
     assert told(core.made_safe("arm"), Stopped) == []
     assert told(core.looked("arm", ""), Stopped) == [Stopped({})]
+
+
+def test_another_safe_state_is_commanded_also_of_a_device_that_is_held_already():
+    rig = Rig()
+    rig.core.safe("a", "the host was silent")
+    effects = rig.core.safe("a", "nobody flies it", state="lie down")
+    assert [e for e in effects if isinstance(e, LeaveOff | MakeSafe)] == [
+        LeaveOff("a"),
+        MakeSafe("a", "lie down"),
+    ]
+    assert told(effects, Latched) == [Latched("a", "nobody flies it", False, "lie down")]
+    rig.core.not_safe("a", "no answer")
+    assert [e for e in rig.wait(1.1) if isinstance(e, MakeSafe)] == [MakeSafe("a", "lie down")]
+    (confirmed,) = told(rig.core.made_safe("a"), Latched)
+    assert confirmed == Latched("a", "nobody flies it", True, "lie down")
+    assert rig.core.safe("a", "once more", state="lie down") == []
+    assert rig.core.safe("a", "the usual one", state="") == []
+    rig.call("release")
+    effects = rig.core.safe("a", "the host was silent")
+    assert [e for e in effects if isinstance(e, MakeSafe)] == [MakeSafe("a")]

@@ -31,7 +31,7 @@ MANIFEST = Manifest(
 DRIVER = KnownDriver("d", "lfield_d:PLUGIN", {"T": MANIFEST}, {"T": ManifestFile("t.yaml", bytes(32))}, "d 1")
 SAMPLES = [
     Open([BINDING], "again", 0.2, DRIVER, ["a.f"]),
-    Call(7, "a.f", "go", [1.5, True, "text", [1, 2], [0.5], None, -3], 12.25),
+    Call(7, "a.f", "go", [1.5, True, "text", [1, 2], [0.5], None, -3], 12.25, 12.75),
     Done(7, [1.0, 2.0]),
     Snapshot("a.f", {"mode": Observation("GUIDED", 7.9), "armed": Observation(True, 7.8)}, 7.95, True),
 ]

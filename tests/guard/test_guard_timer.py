@@ -56,7 +56,7 @@ def test_what_comes_when_the_timer_is_almost_due_breaks_nothing():
         shell.data_received(encode(Open([binding], "", SILENCE, known_thing(GO))))
         await asyncio.sleep(0.01)
         start = clock.monotonic()
-        shell.data_received(encode(Call(1, "alpha.thing", "go", [], start)))
+        shell.data_received(encode(Call(1, "alpha.thing", "go", [], start, start + 9.0)))
         await asyncio.sleep(SILENCE - 0.002)
         while clock.monotonic() < start + SILENCE - 0.0003:
             await asyncio.sleep(0)

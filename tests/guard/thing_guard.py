@@ -8,7 +8,7 @@ from lfield.driver.contract import Manifest
 from lfield.driver.device import Driver
 from lfield.driver.known import KnownDriver, ManifestFile
 from lfield.guard.messages import MessageReader
-from lfield.guard.process import Shell
+from lfield.guard.shell import Shell
 from lfield.manifest import DeviceManifest
 from lfield.simulate.time import LoopClock
 

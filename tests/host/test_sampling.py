@@ -172,7 +172,7 @@ def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
         assert guard.trouble("sky.fc") == Trouble(
             "fc: in its safe state land: the host was silent for over 200 ms"
         )
-        guard.latched.clear()
+        guard.held.latched.clear()
         guard.snapshots.take(Snapshot("sky.fc", {}, clock.now))
         clock.advance(1000.0)
         trouble = guard.trouble("sky.fc")

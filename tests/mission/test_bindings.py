@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from lfield.driver.binding import SIMULATED, longest_rest
+from lfield.driver.binding import SIMULATED, WithoutPolicy, longest_rest
 from lfield.driver.known import KnownDriver, KnownDrivers
 from lfield.driver.manifest_file import load_manifest
 from lfield.driver.plugins import Plugins
@@ -187,3 +187,39 @@ def sensor():
     """A driver whose one device only senses."""
     eye = load_manifest("eye/m.yaml", b"driver: eye\ntype: Eye\ntelemetry: {light: {type: real}}\n")
     return KnownDrivers({"eye": KnownDriver("eye", "eye:PLUGIN", {"Eye": eye}, {}, "eye")})
+
+
+WITHOUT_POLICY = """\
+agents:
+  alpha:
+    devices:
+      fc: {{driver: mavlink, endpoint: "udp:127.0.0.1:14550", without_policy: {}}}
+"""
+
+
+def test_what_a_device_does_without_a_policy_is_read(written, plugins):
+    path = written(WITHOUT_POLICY.format("{after: 30, do: hold}"))
+    (device,) = read_bindings(path, {"alpha": {"fc": "Mavlink"}}, plugins).all
+    assert device.without_policy == WithoutPolicy(30.0, "hold")
+    path = written(WITHOUT_POLICY.replace(", without_policy: {}", "").replace("}}", "}").replace("{{", "{"))
+    (device,) = read_bindings(path, {"alpha": {"fc": "Mavlink"}}, plugins).all
+    assert device.without_policy is None
+
+
+@pytest.mark.parametrize(
+    ("written_as", "words"),
+    [
+        ("{after: 30, do: lnd}", "'do' is one of land, hold, return"),
+        ("{after: 30}", "'without_policy' needs 'do'"),
+        ("{do: land}", "'without_policy' needs 'after'"),
+        ("{after: 1, do: land}", "'after' must be from 5 to 86400, not 1"),
+        ("{after: .nan, do: land}", "'.nan' is"),
+        ("{after: 30, do: land, then: 2}", "'without_policy' takes no 'then'"),
+        ("land", "'without_policy' must be a mapping, not"),
+    ],
+)
+def test_what_makes_no_sense_without_a_policy_is_drawn_at_its_place(written, plugins, written_as, words):
+    told = problems(written(WITHOUT_POLICY.format(written_as)), plugins, {"alpha": {"fc": "Mavlink"}})
+    assert words in told
+    assert "m.devices.yaml:4:" in told
+    assert "^" in told

@@ -184,6 +184,9 @@ class Cia402Node(AxisProtocol):
         node.on_written = self.agreed.data.written
         await setting.read_ratings(node, self.units)
         await setting.set_limits(node, self.binding, self.units, note)
+        policy = self.binding.without_policy
+        if policy and policy.do == "torque_hold" != self.binding.safe_state:
+            raise error("its quick stop ends in one way: 'do: torque_hold' needs 'safe_state: torque_hold'")
         await setting.set_quick_stop(node, self.binding.safe_state, error, note)
         self.modes = await setting.optional(node, 0x6502) or 0
         if self._longest:

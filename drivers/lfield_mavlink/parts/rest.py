@@ -93,7 +93,7 @@ class Rest:
 
     def _holds(self, mode: str) -> bool:
         """Whether it is to stay where it is, and is in the mode for that."""
-        return self._vehicle.binding.safe_state == "hold" and mode == self._vehicle.profile.hold
+        return self._vehicle.safe_state == "hold" and mode == self._vehicle.profile.hold
 
     def _slower_than(self, bound: float) -> bool:
         speeds = self._speeds
@@ -121,7 +121,7 @@ class Rest:
             return [f"{'flown' if profile.flies else 'steered'} by a pilot in {state.mode}", *words]
         # PX4 leaves its landing when it switches its motors off, and tells that first.
         over = self._standing and state.mode in profile.own
-        if state.mode != profile.safe(self._vehicle.binding.safe_state) and not over:
+        if state.mode != profile.safe(self._vehicle.safe_state) and not over:
             words.append(f"in {state.mode}")
         return words
 

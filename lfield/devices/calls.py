@@ -1,0 +1,73 @@
+"""The calls of one guard that have no answer yet, and how long each of them may still begin.
+
+An answer comes once: what the device said, or why it did not happen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.values import conform
+from lfield.errors import DeviceError
+from lfield.guard.messages import Call
+from lfield.manifest import DeviceValue, Instruction
+
+#: What a caller gets, once: the value, or why it did not happen.
+Answered = Callable[[DeviceValue | DeviceError], None]
+
+
+class _Asked(NamedTuple):
+    """A call, and who waits for it."""
+
+    binding: DeviceBinding
+    instruction: Instruction
+    answered: Answered
+
+
+class Calls:
+    """The calls under way, by their tokens."""
+
+    def __init__(self) -> None:
+        self._tokens = 0
+        self._asked: dict[int, _Asked] = {}
+
+    def begin(
+        self,
+        binding: DeviceBinding,
+        instruction: Instruction,
+        arguments: Sequence[Any],
+        answered: Answered,
+        sent: float,
+        until: float,
+    ) -> Call:
+        """The message for the guard; `answered` is called once.
+
+        It begins before `until`, in seconds on the clock of `sent`, and within the device's time-to-live.
+        """
+        self._tokens += 1
+        self._asked[self._tokens] = _Asked(binding, instruction, answered)
+        until = min(until, sent + binding.ttl)
+        return Call(self._tokens, binding.name, instruction.name, list(arguments), sent, until)
+
+    def done(self, token: int, value: Any) -> None:
+        """It has been carried out."""
+        asked = self._asked.pop(token)
+        try:
+            asked.answered(conform(value, asked.instruction.result))
+        except ValueError as error:
+            reason = f"{asked.instruction.name}() gave no {asked.instruction.result}: {error}"
+            asked.answered(DeviceError(asked.binding.field, reason))
+
+    def refused(self, token: int, kind: str, reason: str) -> None:
+        """It has not; `kind` is the L exception that this becomes."""
+        asked = self._asked.pop(token)
+        asked.answered(DeviceError(asked.binding.field, reason, kind=kind))
+
+    def lost(self, status: int | None) -> None:
+        """The guard has ended: nobody will know what became of them."""
+        lost, self._asked = self._asked, {}
+        for binding, instruction, answered in lost.values():
+            reason = f"{instruction.name}() is lost: the guard ended with status {status}"
+            answered(DeviceError(binding.field, reason))

@@ -1,0 +1,178 @@
+"""Devices whose coordinators are not heard of any more: the core alone, on time that is given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from lfield.driver.binding import DeviceBinding, WithoutPolicy
+from lfield.host.effects import MakeSafe
+from lfield.host.policy import ASKED_AT_ONCE, Policies
+from lfield.mobility.effects import Send
+from lfield.mobility.fates import Absent
+from lfield.wire.messages import Known, StatusRequest
+
+AFTER = 20.0
+
+
+def binding(name: str, without: WithoutPolicy | None) -> DeviceBinding:
+    return DeviceBinding(
+        agent="a", field=name, type="T", driver="d", endpoint="e", safe_state="stop", without_policy=without
+    )
+
+
+def at(host: str, sequence: int, state: str = "MOVED", agent: str = "pilot", outcome: str = "") -> Known:
+    return Known(agent, 1, sequence, sequence, state, "" if state == "RUN" else host, outcome)
+
+
+@dataclass
+class Rig:
+    """A host `here` with a copter and a winch that depend on their users, and a lamp that does not.
+
+    `links` are the hosts that it can ask, `hearsay` those that only others hear, `own` its own records.
+    `has` are the hosts that answer, each with its records.
+    """
+
+    links: list[str] = field(default_factory=list)
+    hearsay: list[str] = field(default_factory=list)
+    own: list[Known] = field(default_factory=list)
+    has: dict[str, list[Known]] = field(default_factory=dict)
+    now: float = 100.0
+
+    def __post_init__(self) -> None:
+        land, brake = WithoutPolicy(AFTER, "land"), WithoutPolicy(2 * AFTER, "brake")
+        self.core = Policies([binding("fc", land), binding("winch", brake), binding("lamp", None)])
+        self.asked: list[tuple[float, str]] = []
+        self.gone: list[tuple[float, MakeSafe]] = []
+
+    def absent(self, answered: object, now: float, lost_after: float, unmet: float) -> Absent:
+        return Absent(elsewhere=[*self.links, *self.hearsay])
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass; who is asked and is well answers at once."""
+        end = self.now + seconds
+        while self.core.due is not None and self.core.due <= end:
+            self.now = max(self.now, self.core.due)
+            for effect in self.core.look("here", self.own, self, self.now):
+                if isinstance(effect, Send):
+                    assert isinstance(effect.message, StatusRequest)
+                    self.asked.append((self.now, effect.host))
+                    if effect.host in self.has:
+                        self.core.told(effect.host, self.has[effect.host], self.now)
+                else:
+                    self.gone.append((self.now, effect))
+        self.now = end
+
+    def use(self, device: str = "a.fc", coordinator: str = "pilot") -> None:
+        self.core.used(device, coordinator, self.now)
+
+
+def test_a_device_that_nobody_has_used_or_whose_binding_says_nothing_depends_on_nobody():
+    rig = Rig()
+    rig.use("a.lamp")
+    assert rig.core.due is None
+
+
+def test_a_coordinator_that_is_here_is_alive_however_long_it_does_not_use_the_device():
+    rig = Rig(own=[at("", 0, "RUN")])
+    rig.use()
+    rig.wait(1000.0)
+    assert (rig.asked, rig.gone) == ([], [])
+
+
+def test_one_that_ended_here_leaves_its_devices_the_time_of_each():
+    rig = Rig(own=[at("", 0, "RUN")])
+    rig.use("a.fc")
+    rig.use("a.winch")
+    rig.wait(50.0)
+    rig.own = [at("here", 0, "EXITED", outcome="done")]
+    rig.wait(100.0)
+    (first, fc), (second, winch) = rig.gone
+    reason = "no coordinator that used it (pilot, done) has been heard of for 20 s"
+    assert fc == MakeSafe("a.fc", "land", reason)
+    assert (winch.device, winch.state) == ("a.winch", "brake")
+    assert (first, second) == (pytest.approx(170.0, abs=1.01), pytest.approx(190.0, abs=1.01))
+    assert rig.core.due is None
+
+
+def test_the_host_that_it_went_to_is_asked_and_the_next_one_after_that():
+    rig = Rig(["b", "c", "d"], own=[at("b", 1)], has={"b": [at("", 1, "RUN")], "c": []})
+    rig.use()
+    rig.wait(60.0)
+    assert {host for _, host in rig.asked} == {"b"}
+    assert len(rig.asked) <= 60.0 / (AFTER / 4.0) + 1
+    rig.has = {"b": [at("c", 2)], "c": [at("", 2, "RUN")]}
+    rig.asked.clear()
+    rig.wait(60.0)
+    assert rig.gone == []
+    assert [host for _, host in rig.asked[-3:]] == ["c"] * 3
+
+
+def test_when_the_host_that_has_it_is_restarted_without_it_the_device_does_not_wait_for_ever():
+    rig = Rig(["b"], own=[at("b", 1)], has={"b": [at("", 1, "RUN")]})
+    rig.use()
+    rig.wait(60.0)
+    rig.has = {"b": []}
+    rig.wait(AFTER + AFTER / 4.0 + 1.0)
+    ((_, gone),) = rig.gone
+    assert "(pilot, last known at b) has been heard of for 20 s" in gone.reason
+
+
+def test_a_cut_link_changes_nothing_while_others_hear_the_host_behind_it():
+    rig = Rig(["c"], hearsay=["b"], own=[at("b", 1)], has={"c": []})
+    rig.use()
+    rig.wait(500.0)
+    assert rig.gone == []
+    rig.hearsay = []
+    rig.wait(AFTER + 1.0)
+    assert len(rig.gone) == 1
+
+
+def test_who_went_on_behind_a_cut_link_is_found_by_asking_others():
+    rig = Rig(["c", "d"], own=[at("b", 1)], has={"d": [at("", 2, "RUN")], "c": []})
+    rig.use()
+    rig.wait(500.0)
+    assert rig.gone == []
+    assert {host for _, host in rig.asked[-20:]} == {"d"}
+
+
+def test_an_end_behind_a_cut_link_is_heard_of_from_others():
+    rig = Rig(["c"], hearsay=["b"], own=[at("b", 5)], has={"c": []})
+    rig.use()
+    rig.wait(500.0)
+    assert rig.gone == []
+    rig.has = {"c": [at("b", 0, "EXITED", outcome="died")]}
+    rig.wait(AFTER + 2.0)
+    assert "(pilot, died)" in rig.gone[0][1].reason
+
+
+def test_of_many_hosts_some_are_asked_at_a_time_and_all_in_turn():
+    hosts = [f"h{n:02d}" for n in range(50)]
+    rig = Rig(hosts, own=[at("lost", 1)])
+    rig.use()
+    rig.wait(AFTER)
+    moments = [when for when, _ in rig.asked]
+    assert max(map(moments.count, moments)) <= ASKED_AT_ONCE
+    assert {host for _, host in rig.asked} == set(hosts)
+
+
+def test_one_user_that_is_alive_is_enough_and_only_users_count():
+    rig = Rig(own=[at("", 0, "RUN", "second"), at("", 0, "RUN", "stranger")])
+    rig.use(coordinator="pilot")
+    rig.use(coordinator="second")
+    rig.wait(100.0)
+    assert rig.gone == []
+    rig.own = rig.own[1:]
+    rig.wait(100.0)
+    assert len(rig.gone) == 1
+
+
+def test_it_is_told_once_until_the_device_is_used_again():
+    rig = Rig()
+    rig.use()
+    rig.wait(500.0)
+    assert len(rig.gone) == 1
+    rig.use()
+    rig.wait(500.0)
+    assert len(rig.gone) == 2

@@ -1,0 +1,103 @@
+"""What a program commands begins in time or not at all, whatever stood still meanwhile. In virtual time."""
+
+from __future__ import annotations
+
+import random
+import re
+
+import pytest
+
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.simulate.fleet import Fleet
+from lfield.simulate.weather import Weather
+
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    int count;
+    init(string[] arg) { }
+    portal free() {
+        fc.release();
+        print("free");
+    }
+    portal climb() {
+        count = count + 1;
+        print("climb " + i2s(count));
+        fc.takeoff(1.0 * count);
+    }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post post = findPost()[0];
+        while (true) {
+            try {
+                post.free();
+                sleep(0.2);
+                post.climb();
+            } catch (Exception refused) { print("refused: " + refused.message()); }
+            sleep(0.2);
+        }
+    }
+}
+"""
+#: The default time-to-live of a device, and how long a call of it may take to begin.
+TTL = 0.5
+
+
+@pytest.fixture(scope="module")
+def mission(tmp_path_factory: pytest.TempPathFactory) -> Mission:
+    folder = tmp_path_factory.mktemp("mission")
+    (folder / "mission.L").write_text(PROGRAM)
+    (folder / "mission.dL").write_text("//Post:p@alpha\n//Walker:walker@alpha\n")
+    return load_mission(folder / "mission.dL", simulate=True)
+
+
+def called_at(fleet: Fleet) -> dict[float, float]:
+    """When the program called each climb, by how high it was to go, in true time."""
+    climbs = ((at, re.search(r"climb (\d+)", text)) for at, _, text in fleet.log)
+    return {float(found[1]): at for at, found in climbs if found}
+
+
+def begun_at(fleet: Fleet) -> dict[float, float]:
+    """When the vehicle was told of each."""
+    record = fleet.hardware["p.fc"].record
+    return {float(str(told.arguments[0])): told.at for told in record if told.what == "takeoff"}
+
+
+def frees(mission: Mission, seed: int) -> Fleet:
+    """The vehicle has been released, and is to climb in 0.2 s: no silence of the host holds it yet."""
+    fleet = Fleet(mission, seed)
+    while not any("free" in text for _, _, text in fleet.log):
+        fleet.run(0.01)
+    return fleet
+
+
+def refusals(fleet: Fleet) -> str:
+    return "".join(text for _, _, text in fleet.log if "refused" in text)
+
+
+def test_a_call_that_lay_in_the_pipe_of_a_guard_that_stood_still_is_not_carried_out(
+    mission: Mission,
+) -> None:
+    fleet = frees(mission, 1)
+    (guard,) = fleet.lives["alpha"].process.children
+    guard.loop.freeze()
+    fleet.run(0.2 + TTL + 0.3)
+    guard.loop.thaw()
+    fleet.run(0.1)
+    assert 1.0 in called_at(fleet)
+    assert 1.0 not in begun_at(fleet)
+    assert "takeoff() was to begin within 0.5 s, and its guard got to it after 0.8" in refusals(fleet)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_whatever_stands_still_no_call_begins_after_its_time(mission: Mission, seed: int) -> None:
+    fleet = Fleet(mission, seed)
+    storm = Weather(guard_stop=1.5, stop=4.0).over(fleet, random.Random(seed))
+    fleet.run(120.0)
+    called, begun = called_at(fleet), begun_at(fleet)
+    late = {n: at - called[n] for n, at in begun.items() if at - called[n] > TTL * 1.001}
+    assert late == {}
+    assert len(storm.faults) > 40
+    assert len(begun) > 10
