@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable
-from typing import Protocol
 
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
 from lfield.errors import BlockError, DeviceError
-from lfield.host.directory import Neighbours, TeamDirectory
-from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, KeepStart, Say, Write
+from lfield.host.directory import TeamDirectory
+from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, KeepStart, Nearby, Reach, Say, Write
 from lfield.host.offers import Offers
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
@@ -23,6 +22,7 @@ from lfield.mobility.core import Mobility, MobilityMessage
 from lfield.mobility.departures import UNREACHABLE
 from lfield.mobility.fates import Fate
 from lfield.mobility.hearsay import Hearsay
+from lfield.mobility.neighbours import Neighbourhood
 from lfield.mobility.starts import Starts
 from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Reading
@@ -32,16 +32,6 @@ from lfield.vm.offers import Found
 from lfield.vm.world import PENDING, Pending
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Control, Ended, EndedAck, Heard, Hello, Known, Outcome, Report, Transfer
-
-
-class Nearby(Neighbours, Protocol):
-    """What a host can tell at once, without asking anybody: its telemetry, and how its links are."""
-
-    def query(self, agent: str, call: DeviceCall) -> DeviceValue | Pending:
-        """The value of a query, PENDING for what the device itself must do. Raises DeviceError."""
-
-    def reading(self, agent: str, call: DeviceCall) -> Reading | None:
-        """The reading that the host keeps up to date of such a query; None for what is no plain quantity."""
 
 
 class HostCore:
@@ -59,6 +49,7 @@ class HostCore:
         nearby: Nearby,
         dice: random.Random,
         unreachable_after: float,
+        neighbours: Neighbourhood,
     ) -> None:
         self.mission, self.team, self.name, self.incarnation = mission, mission.team, name, incarnation
         self.here = self.team.number(name)
@@ -85,7 +76,7 @@ class HostCore:
         #: When mobility may have something to give up. A new deadline is later than those before, so one that
         #: is set stays until it has come.
         self._due: float | None = None
-        self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic())
+        self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
         self._own = [member for member in self.team.on(self.here) if member.kind == "coordinator"]
         others = [host for host in self.team.hosts if host != name]
         self._starts = Starts([member.id for member in self._own], others)
@@ -130,8 +121,7 @@ class HostCore:
         if self.directory.due is not None and now >= self.directory.due:
             self._effects += self.directory.tick(now)
         if self.hearsay.due is not None and now >= self.hearsay.due:
-            told = self.hearsay.tell(now)
-            self._effects += [mobile.Send(host, told) for host in self.hearsay.links]
+            self._effects += [mobile.Send(host, news) for host, news in self.hearsay.tell(now)]
         pause = None if self._halted else self.machine.run()
         if self._answers:
             self._answer()
@@ -203,6 +193,11 @@ class HostCore:
             self._start_when_heard()
             self._effects.append(CHANGED)
 
+    def wanted(self) -> set[str]:
+        """The hosts to have links with now: the neighbours, and whoever is waited for."""
+        near = self.hearsay.wanted(self._clock.monotonic())
+        return {*near, *self._starts.wanted, *self.mobility.wanted()} - {self.name}
+
     def told(self, host: str, records: list[Known]) -> None:
         """A host that was asked says what it knows of coordinators."""
         self._carry_out(self.mobility.told(host, records))
@@ -216,16 +211,18 @@ class HostCore:
     def linked(self, hello: Hello) -> None:
         """A host can be talked to."""
         restarted = self.hearsay.linked(hello.host, hello.incarnation)
-        self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
+        if restarted or hello.host in self.hearsay.near:
+            self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
         self._starts.heard(hello.host, hello.coordinators)
         self._effects += self.directory.linked(hello)
         self._carry_out(self.mobility.linked(hello))
         self._start_when_heard()
         self._effects.append(CHANGED)
 
-    def unlinked(self, host: str) -> None:
-        """A host cannot be talked to any more."""
-        self._say(f"lost the link with {host}")
+    def unlinked(self, host: str, *, quietly: bool = False) -> None:
+        """A host cannot be talked to any more; `quietly`: this one had no use for the link."""
+        if not quietly:
+            self._say(f"lost the link with {host}")
         self.mobility.unlinked(host)
         self.directory.unlinked(host)
         self.hearsay.unlinked(host, self._clock.monotonic())
@@ -262,7 +259,7 @@ class HostCore:
             if complaint := self.directory.received(host, message):
                 self._effects.append(Complain(complaint))
         elif isinstance(message, Heard):
-            self.hearsay.told(message, self._clock.monotonic())
+            self.hearsay.told(host, message, self._clock.monotonic())
         elif isinstance(message, MobilityMessage):
             self._carry_out(self.mobility.receive(host, message, self._clock.monotonic()))
             if isinstance(message, Ended | EndedAck):
@@ -356,6 +353,8 @@ class HostCore:
             return image
 
         target = self.team.hosts[resource.host]
+        if not self.hearsay.is_linked(target):
+            self._effects.append(Reach(target))
         self._carry_out(self.mobility.depart(agent.id, target, seal, self._clock.monotonic()))
         if self._due is None:
             self._due = self.mobility.next_deadline()
