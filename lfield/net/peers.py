@@ -262,7 +262,7 @@ class Peers:
             now = self._clock.monotonic()
             self._want(now)
             for host, session in list(self._links.items()):
-                self._look_at(host, session, now - session.heard, token)
+                self._look_at(host, session, now, token)
 
     def _want(self, now: float) -> None:
         """Call whom this host wants now and has no link with; no others any more."""
@@ -279,12 +279,15 @@ class Peers:
             self._callers.pop(host).cancel()
             self._tried.discard(host)
 
-    def _look_at(self, host: str, session: Session, silent: float, token: int) -> None:
+    def _look_at(self, host: str, session: Session, now: float, token: int) -> None:
+        silent = now - session.heard
         if not self.wants(host):
+            # From here on nobody need ask for signs of life.
+            session.idle = now
             if silent > QUIET_FOR:
                 session.link.close()
                 self.gone(session)
-        elif silent > SILENT_FOR:
+        elif now - max(session.heard, session.idle) > SILENT_FOR:
             self._owner.note(f"{host} has been silent for {SILENT_FOR:g} s: giving the link up")
             session.link.close()
             self.gone(session)

@@ -63,7 +63,8 @@ class Session:
         self.connected = self.linked = False
         self._greeting = peers.new_greeting(dialled, observers_only=observers_only)
         self.hello: Hello | None = None
-        self.heard = 0.0
+        #: When something last came, and when this host last had no use for the link.
+        self.heard = self.idle = 0.0
         self.reason = ""
         self.over = asyncio.Event()
         self._patience: asyncio.TimerHandle | None = None
