@@ -261,7 +261,12 @@ class Hearsay:
     # --- who is missing -------------------------------------------------------------------------------
 
     def whole(self, now: float) -> bool:
-        """Whether nobody is missing, and nobody was restarted: then everybody tells of endings."""
+        """Whether nobody is missing, and nobody was restarted: then everybody tells of endings.
+
+        In a team too large for links between all, a host that has just started takes nobody for missing yet.
+        """
+        if now - self._began < LEAST and len(self.near) < len(self._others):
+            return True
         return (
             not self.restarted
             and self.near <= self._linked
