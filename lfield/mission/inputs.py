@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -18,7 +19,8 @@ _NOWHERE = ("/proc/", "/sys/", "/dev/")
 class Inputs(msgspec.Struct, frozen=True, array_like=True):
     """`files` by path with the SHA-256 of their bytes, b"" where there was none.
 
-    `code` are modules and folders of modules: path, time of the last change in nanoseconds, and size.
+    `code` are modules, by path with the time of the last change in nanoseconds and the size, and folders of
+    modules, by path with a checksum of the names in them and how many those are.
     """
 
     files: dict[str, bytes]
@@ -71,10 +73,18 @@ def _code() -> set[str]:
 
 def _state(path: str) -> tuple[str, int, int]:
     try:
+        if os.path.isdir(path):
+            names = sorted(filter(_is_importable, os.listdir(path)))
+            return path, zlib.crc32("\0".join(names).encode("utf-8", "replace")), len(names)
         found = os.stat(path)
     except OSError:
         return path, -1, -1
     return path, found.st_mtime_ns, found.st_size
+
+
+def _is_importable(name: str) -> bool:
+    """Whether it could be a module: tools leave hidden folders, and Python what it compiled."""
+    return not name.startswith(".") and name != "__pycache__"
 
 
 def _digest(path: str) -> bytes:

@@ -78,6 +78,24 @@ def test_a_file_that_was_not_there_counts_when_it_comes(tmp_path: Path, built: l
     assert len(built) == 2
 
 
+def test_of_a_folder_of_modules_only_those_count(
+    tmp_path: Path, built: list[Order], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modules = tmp_path / "modules"
+    modules.mkdir()
+    monkeypatch.setenv("PYTHONPATH", str(modules))
+    order = Order(write_plain(tmp_path / "here"))
+    bytes_of(order)
+    # As tools leave their caches where they are called.
+    (modules / ".cache").mkdir()
+    (modules / "__pycache__").mkdir()
+    bytes_of(order)
+    assert len(built) == 1
+    (modules / "new.py").write_text("")
+    bytes_of(order)
+    assert len(built) == 2
+
+
 def test_an_included_file_counts(tmp_path: Path, built: list[Order]) -> None:
     deploy = write_plain(tmp_path / "here")
     deploy.with_suffix(".L").write_text('include "more.L";\n' + PLAIN)
