@@ -13,8 +13,8 @@ from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.host.coordinators import Coordinators
-from lfield.host.directory import Nearby, TeamDirectory
-from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Say, Write
+from lfield.host.directory import TeamDirectory
+from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Nearby, Reach, Say, Write
 from lfield.host.offers import Offers
 from lfield.host.policy import Policies
 from lfield.journal.pages import Page
@@ -24,6 +24,7 @@ from lfield.mobility import effects as mobile
 from lfield.mobility.core import MobilityMessage
 from lfield.mobility.fates import Fate
 from lfield.mobility.hearsay import Hearsay
+from lfield.mobility.neighbours import Neighbourhood
 from lfield.mobility.starts import Starts
 from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Reading
@@ -49,6 +50,7 @@ class HostCore:
         nearby: Nearby,
         dice: random.Random,
         unreachable_after: float,
+        neighbours: Neighbourhood,
         memory: int = 0,
         pages: Iterable[Page] = (),
     ) -> None:
@@ -64,7 +66,7 @@ class HostCore:
         self.directory = TeamDirectory(mission, name, incarnation, self.machine.agents, nearby, clock)
         self._offers = Offers(self.directory, mission)
         self._policies = Policies(mission.devices_of(name))
-        self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic())
+        self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
         self._own = [member for member in self.team.on(self.here) if member.kind == "coordinator"]
         self._starts = Starts([m.id for m in self._own], [h for h in self.team.hosts if h != name])
         #: The batch that has the number of a start, and that number, until it is on the disk.
@@ -83,6 +85,11 @@ class HostCore:
     def hello(self) -> Hello:
         """What this host says of itself now."""
         return self._hello(self.mobility.knowledge())
+
+    def _reach(self, host: str) -> None:
+        """A link to this host is needed, if there is none."""
+        if not self.hearsay.is_linked(host):
+            self._effects.append(Reach(host))
 
     def _hello(self, coordinators: list[Known]) -> Hello:
         return Hello(
@@ -110,8 +117,7 @@ class HostCore:
         if self.directory.due is not None and now >= self.directory.due:
             self._effects += self.directory.tick(now)
         if self.hearsay.due is not None and now >= self.hearsay.due:
-            told = self.hearsay.tell(now)
-            self._effects += [mobile.Send(host, told) for host in self.hearsay.links]
+            self._effects += [mobile.Send(host, news) for host, news in self.hearsay.tell(now)]
         if self._policies.due is not None and now >= self._policies.due:
             self._effects += self._policies.look(self.name, self.mobility.knowledge(), self.hearsay, now)
         pause = None if self._team.halted else self.machine.run()
@@ -138,6 +144,9 @@ class HostCore:
         all others first.
         """
         self._team.wake()
+        for known in self.mobility.knowledge():
+            if known.state in ("PREPARED", "IN DOUBT"):
+                self._reach(known.where)
         self._starts.begin(self._team.recovery.starts, first=first)
         self._start_when_heard()
 
@@ -195,6 +204,11 @@ class HostCore:
             self._start_when_heard()
             self._effects.append(CHANGED)
 
+    def wanted(self) -> set[str]:
+        """The hosts to have links with now: the neighbours, and whoever is waited for."""
+        near = self.hearsay.wanted(self._clock.monotonic())
+        return {*near, *self._starts.wanted, *self.mobility.wanted()} - {self.name}
+
     def told(self, host: str, records: list[Known]) -> None:
         """A host that was asked says what it knows of coordinators."""
         self._policies.told(host, records, self._clock.monotonic())
@@ -209,16 +223,18 @@ class HostCore:
     def linked(self, hello: Hello) -> None:
         """A host can be talked to."""
         restarted = self.hearsay.linked(hello.host, hello.incarnation)
-        self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
+        if restarted or hello.host in self.hearsay.near:
+            self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
         self._starts.heard(hello.host, hello.coordinators)
         self._effects += self.directory.linked(hello)
         self._team.carry_out(self.mobility.linked(hello))
         self._start_when_heard()
         self._effects.append(CHANGED)
 
-    def unlinked(self, host: str) -> None:
-        """A host cannot be talked to any more."""
-        self._say(f"lost the link with {host}")
+    def unlinked(self, host: str, *, quietly: bool = False) -> None:
+        """A host cannot be talked to any more; `quietly`: this one had no use for the link."""
+        if not quietly:
+            self._say(f"lost the link with {host}")
         self.mobility.unlinked(host)
         self.directory.unlinked(host)
         self.hearsay.unlinked(host, self._clock.monotonic())
@@ -239,7 +255,7 @@ class HostCore:
             if complaint := self.directory.received(host, message):
                 self._effects.append(Complain(complaint))
         elif isinstance(message, Heard):
-            self.hearsay.told(message, self._clock.monotonic())
+            self.hearsay.told(host, message, self._clock.monotonic())
         elif isinstance(message, MobilityMessage):
             self._team.carry_out(self.mobility.receive(host, message, self._clock.monotonic()))
             if isinstance(message, Ended | EndedAck):
@@ -277,6 +293,7 @@ class HostCore:
 
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
+        self._reach(self.team.hosts[resource.host])
         self._team.depart(agent, resource)
 
     def device(

@@ -1,17 +1,33 @@
-"""What the core of a host asks of its shell: the effects that `HostCore.take` gives, in their order.
+"""What the core of a host asks of its shell: the effects that `HostCore.take` gives, in their order, and what
+is answered at once, `Nearby`.
 
 Of mobility's effects two leave the core, `Send` and `SendTransfer`; the others are carried out inside.
 """
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from msgspec import Struct
 
 from lfield.bytecode.program import DeviceCall
+from lfield.host.directory import Neighbours
 from lfield.journal.pages import Page
 from lfield.manifest import DeviceValue
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.vm.agent import Agent
+from lfield.vm.contract import Reading
+from lfield.vm.world import Pending
+
+
+class Nearby(Neighbours, Protocol):
+    """What a host can tell at once, without asking anybody: its telemetry, and how its links are."""
+
+    def query(self, agent: str, call: DeviceCall) -> DeviceValue | Pending:
+        """The value of a query, PENDING for what the device itself must do. Raises DeviceError."""
+
+    def reading(self, agent: str, call: DeviceCall) -> Reading | None:
+        """The reading that the host keeps up to date of such a query; None for what is no plain quantity."""
 
 
 class Write(Struct, frozen=True):
@@ -62,10 +78,16 @@ class Keep(Struct, frozen=True):
     pages: list[Page]
 
 
+class Reach(Struct, frozen=True):
+    """Have a link made with a host, which is needed for a while."""
+
+    host: str
+
+
 class Changed(Struct, frozen=True):
     """What is known of coordinators has changed: whoever waits for an end looks again."""
 
 
-Effect = Send | SendTransfer | Write | Say | Complain | Call | MakeSafe | Died | Keep | Changed
+Effect = Send | SendTransfer | Write | Say | Complain | Call | MakeSafe | Died | Keep | Reach | Changed
 
 CHANGED = Changed()

@@ -12,10 +12,11 @@ import os
 import random
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
+from mmap import mmap
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
 from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
-from lfield.host.effects import Call, Complain, Died, Effect, Keep, MakeSafe, Say, Write
+from lfield.host.effects import Call, Complain, Died, Effect, Keep, MakeSafe, Reach, Say, Write
 from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
 from lfield.host.status import status_of
@@ -36,6 +37,7 @@ from lfield.mission.mission import Mission
 from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.mobility.fates import Fate
+from lfield.mobility.neighbours import Neighbourhood
 from lfield.net.peers import Peers
 from lfield.net.transport import Link, Transport
 from lfield.text.private import write_private
@@ -94,9 +96,9 @@ class Host:
         self.clock = options.clock
         self.started = self.clock.monotonic()
         here = self.team.number(name)
-        self.peers = Peers(
-            self, transport, self.clock, options.dice, self.team.hosts, self.team.addresses, here
-        )
+        team, clock, dice = self.team, self.clock, options.dice
+        neighbours = Neighbourhood(team.hosts, here, everybody=mission.registry is not None)
+        self.peers = Peers(self, transport, clock, dice, team.hosts, team.addresses, here, neighbours.near)
         self.guards = Guards(
             mission.drivers, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
         )
@@ -113,6 +115,7 @@ class Host:
             Surroundings(self.peers, self.guards),
             options.dice,
             options.unreachable_after,
+            neighbours,
             self.scribe.memory,
             self.scribe.pages,
         )
@@ -130,7 +133,7 @@ class Host:
         self._due = 0.0
         self._events: deque[Callable[[], None]] = deque()
         # Of a host that has no memory left; until then it is address space only.
-        self._reserve = bytearray(RESERVE)
+        self._reserve = mmap(-1, RESERVE)
         self._entered = self._stopped = self._pressed = False
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
@@ -248,7 +251,7 @@ class Host:
         """A bug in the host itself: nothing more is done, no guard is fed, and whoever runs it ends it."""
         if self.failure is not None:
             return
-        self._reserve.clear()
+        self._reserve.close()
         self.on_failure()
         self.failure = HostFailure(self.name, error)
         self.failed.set()
@@ -285,6 +288,8 @@ class Host:
                 self.scribe.keep(effect)
             case MakeSafe():
                 self.guards.make_safe(effect.device, effect.reason, effect.state)
+            case Reach():
+                self.peers.reach(effect.host)
             case Died():
                 if self.options.dump:
                     self._dump(effect.agent, self.options.dump)
@@ -328,9 +333,13 @@ class Host:
         """A host can be talked to."""
         self._enter(partial(self.core.linked, hello))
 
-    def unlinked(self, host: str) -> None:
+    def unlinked(self, host: str, *, quietly: bool) -> None:
         """A host cannot be talked to any more."""
-        self._enter(partial(self.core.unlinked, host))
+        self._enter(partial(self.core.unlinked, host, quietly=quietly))
+
+    def wanted(self) -> Collection[str]:
+        """The hosts to have links with now."""
+        return self.core.wanted()
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came."""

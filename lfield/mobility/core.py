@@ -222,6 +222,11 @@ class Mobility:
         """Whether one of these hosts has yet to confirm an ending that it was told of."""
         return self._endings.unconfirmed(hosts)
 
+    def wanted(self) -> set[str]:
+        """The hosts that a copy here wants to go to or waits for, and those that must confirm an ending."""
+        waiting = (copy for copy in self._copies if copy.state in ("FROZEN", "PREPARED") or copy.gave_way)
+        return {copy.target for copy in waiting} | self._endings.untold
+
     def shadow(self, agent: str, generation: int) -> Buffer | None:
         """The block of a copy that moved on, as it left."""
         copy = self._copies.find(agent, generation)

@@ -77,6 +77,11 @@ class Endings:
         """Whether one of these hosts has yet to confirm an ending."""
         return any(not waiting.isdisjoint(hosts) for _, waiting in self._untold.values())
 
+    @property
+    def untold(self) -> set[str]:
+        """The hosts that have yet to confirm an ending."""
+        return {host for _, hosts in self._untold.values() for host in hosts}
+
     def linked(self, host: str) -> list[Effect]:
         """Tell a host again what it has not confirmed."""
         return [Send(host, message) for message, hosts in self._untold.values() if host in hosts]

@@ -21,12 +21,12 @@ class Starts:
 
     def __init__(self, agents: Collection[str], others: Collection[str]) -> None:
         self.agents = agents
-        self._unheard = set(others)
+        self._others, self._unheard = others, set(others)
         #: What the hosts that are linked said when they greeted.
         self._said: dict[str, list[Known]] = {}
         self._record: int | None = None
         self._newest = 0
-        self._waiting = False
+        self._waiting = self._begun = False
         self._told = ""
 
     def heard(self, host: str, known: Iterable[Known] = ()) -> None:
@@ -56,7 +56,18 @@ class Starts:
         """Whether the coordinators are to be started now; once."""
         now = self._waiting and not self.missing
         self._waiting = self._waiting and not now
+        self._begun = self._begun or now
         return now
+
+    @property
+    def wanted(self) -> Collection[str]:
+        """Who must be asked: all, until the coordinators are started; then those that were never heard.
+
+        One of these may have an earlier start.
+        """
+        if not self.agents:
+            return ()
+        return self._unheard if self._begun else self._others
 
     @property
     def missing(self) -> list[str]:

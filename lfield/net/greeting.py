@@ -137,8 +137,8 @@ class Greeting:
             return
         keeps, other = (self.own.host, hello.host) if self.own.memory else (hello.host, self.own.host)
         self._refuse(
-            f"{keeps} keeps its coordinators in a journal and {other} does not; start both with --volatile, or "
-            "none; under --sim both with --state, or none"
+            f"{keeps} keeps its coordinators in a journal and {other} does not; start both with "
+            "--volatile, or none; under --sim both with --state, or none"
         )
 
     def _refuse(self, reason: str) -> NoReturn:

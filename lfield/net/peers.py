@@ -1,33 +1,39 @@
 """The links of one host: whom it calls, who calls it, and when a silent link is given up.
 
-Of two hosts the one that stands first in the deployment calls the other, again and again until it answers;
-so there is one link between two hosts, and they may come up in any order. A link counts when both have
-taken the other's greeting: each then sends a Ping, and whoever is not taken gets a Refuse instead.
+A host has links with those that it wants, and calls them again and again until they answer. Of two
+neighbours the one that stands first in the deployment calls; any other link is made by whoever wants it, and
+goes when neither has had a use for it for a while. Of two calls that cross, the one of the host that stands
+first counts; so there is one link between two hosts, and they may come up in any order. A link counts when
+both have taken the other's greeting: each then sends a Ping, and whoever is not taken gets a Refuse instead.
 """
 
 from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from typing import Protocol
 
 from lfield.clock import Clock
-from lfield.errors import AddressError, GreetingError, LfieldError
+from lfield.errors import AddressError
 from lfield.loop import spare_descriptors, spawn
 from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
+from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Control, Hello, Message, Ping, Pong, Refuse, Transfer
+from lfield.wire.messages import Control, Hello, Ping, Pong, Transfer
 
 #: Seconds between two attempts to reach a host: the first wait, and the longest.
 FIRST_RETRY, LAST_RETRY = 0.05, 1.0
-#: A link is asked for a sign of life every so many seconds, and given up after so many without one.
+#: A link that is wanted is looked at every so many seconds and, unless something just came in, asked for a
+#: sign of life, by the host that stands first, or else by the other. After so many without, it is given up.
 PING_EVERY, SILENT_FOR = 1.0, 3.0
-#: Whoever has not greeted after so many seconds is no host.
-GREETED_WITHIN = 10.0
+#: So many seconds a link is wanted that was needed for once, and one that nobody wants is kept.
+QUIET_FOR = 10.0
+#: So long at most a call is new, in seconds.
+NEW_FOR = 1.0
 #: So many links at most that have not greeted, and of observers.
 MOST_UNGREETED, MOST_OBSERVERS = 64, 64
 #: So many descriptors are kept for the next callers, one of which may be an emergency stop.
@@ -45,8 +51,11 @@ class Owner(Protocol):
     def linked(self, hello: Hello) -> None:
         """A host can be talked to."""
 
-    def unlinked(self, host: str) -> None:
-        """A host cannot be talked to any more."""
+    def unlinked(self, host: str, *, quietly: bool) -> None:
+        """A host cannot be talked to any more; `quietly`, since this host did not want to."""
+
+    def wanted(self) -> Collection[str]:
+        """The hosts to have links with now."""
 
     def received(self, host: str, message: Control, link: Link) -> None:
         """A message came; `host` is '' when an observer sent it."""
@@ -62,7 +71,10 @@ class Owner(Protocol):
 
 
 class Peers:
-    """All links of one host. `hosts` and `addresses` are the deployment's, `here` this host's number."""
+    """All links of one host. `hosts` and `addresses` are the deployment's, `here` this host's number.
+
+    `near` are the hosts that want a link with this one as it does with them.
+    """
 
     def __init__(
         self,
@@ -73,9 +85,19 @@ class Peers:
         hosts: Sequence[str],
         addresses: Sequence[str],
         here: int,
+        near: Collection[str],
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
-        self._hosts, self._addresses, self._here = hosts, addresses, here
+        self._hosts, self._addresses, self._here, self._near = hosts, addresses, here, near
+        self._numbers = {host: number for number, host in enumerate(hosts)}
+        #: Whom this host wants to talk to: always, and until when.
+        self._wanted: frozenset[str] = frozenset()
+        self._needed: dict[str, float] = {}
+        #: The tasks that call, and the calls that have not been taken yet.
+        self._callers: dict[str, asyncio.Task[None]] = {}
+        self._dialling: dict[str, Session] = {}
+        #: Those that were called without success since they were last linked.
+        self._tried: set[str] = set()
         self._links: dict[str, Session] = {}
         self._tasks: list[asyncio.Task[None]] = []
         self._listeners: list[Listener] = []
@@ -85,10 +107,9 @@ class Peers:
         #: The hosts that have neither greeted yet nor failed to answer a call, and those that have greeted.
         self._unheard = {host for i, host in enumerate(hosts) if i != here}
         self._all_heard = asyncio.Event()
-        self._met: set[str] = set()
         #: When each host that has no link any more was last heard.
         self._last_heard: dict[str, float] = {}
-        #: Since when each host without a link has had none, on the monotonic clock.
+        #: Since when each host that is wanted and has no link has had none, on the monotonic clock.
         self.away: dict[str, float] = {}
 
     @property
@@ -101,23 +122,11 @@ class Peers:
         session = self._links.get(host)
         return session.heard if session else self._last_heard.get(host)
 
-    def gone_for(self, seconds: float, unmet: float) -> set[str]:
-        """The hosts that have not been linked for so long; one that was never met has `unmet` seconds."""
-        now = self._clock.monotonic()
-        return {
-            host
-            for host, since in self.away.items()
-            if now - since >= (seconds if host in self._met else unmet)
-        }
-
     async def open(self, address: str) -> str:
         """Listen, begin to call the others; returns the address with its real port. Raises AddressError."""
         listener = await self._transport.listen(address, self._called)
         self._listeners.append(listener)
-        now = self._clock.monotonic()
-        self.away = {host: now for i, host in enumerate(self._hosts) if i != self._here}
-        for number in range(self._here + 1, len(self._hosts)):
-            self._tasks.append(spawn(self._keep_calling(number)))
+        self._want(self._clock.monotonic())
         if not self._unheard:
             self._all_heard.set()
         self._tasks.append(spawn(self._keep_alive()))
@@ -136,13 +145,16 @@ class Peers:
 
         A host that calls this one cannot be told from one that is down: it is waited for.
         """
+        for host in sorted(self._unheard):
+            self.reach(host)
         with suppress(TimeoutError):
             async with asyncio.timeout(bound):
                 await self._all_heard.wait()
 
     def close(self) -> None:
         """Close the port and every link."""
-        for task in self._tasks:
+        self._wanted, self._needed = frozenset(), {}
+        for task in (*self._tasks, *self._callers.values()):
             task.cancel()
         for listener in self._listeners:
             listener.close()
@@ -175,26 +187,67 @@ class Peers:
             pushed.turn_away(FULL if last else f"over {MOST_UNGREETED} links to this host have not greeted")
         return session
 
-    async def _keep_calling(self, number: int) -> None:
-        name, address = self._hosts[number], self._addresses[number]
+    def reach(self, host: str) -> None:
+        """A host is needed for a while: call it if there is no link."""
+        now = self._clock.monotonic()
+        self._needed[host] = now + QUIET_FOR
+        if host not in self._links:
+            self.away.setdefault(host, now)
+        self._call(host)
+
+    def is_new(self, host: str) -> bool:
+        """Whether a host has no link yet, and this one has just begun to call it."""
+        since = self.away.get(host, -NEW_FOR)
+        called = host in self._callers and host not in self._tried
+        return called and self._clock.monotonic() - since < NEW_FOR
+
+    def wants(self, host: str) -> bool:
+        """Whether this host wants to talk to another one now."""
+        return host in self._wanted or self._needed.get(host, 0.0) > self._clock.monotonic()
+
+    def _call(self, host: str) -> None:
+        number = self._numbers[host]
+        if host in self._links or (host in self._near and number < self._here):
+            return
+        caller = self._callers.get(host)
+        if caller is None or caller.done():
+            self._callers[host] = spawn(self._keep_calling(host, self._addresses[number]))
+
+    async def _keep_calling(self, name: str, address: str) -> None:
         wait, told = FIRST_RETRY, ""
-        while True:
-            session = Session(self, dialled=name)
-            try:
-                session.greet(await self._transport.connect(address, session))
-                await session.over.wait()
-                reason = session.reason
+        while self.wants(name):
+            if there := self._links.get(name):
+                await there.over.wait()
+                wait = FIRST_RETRY
+            else:
+                session = self._dialling[name] = Session(self, dialled=name)
+                reason = await self._dial(session, name, address)
                 wait = FIRST_RETRY if session.linked else wait
-            except AddressError as error:
-                reason = str(error)
-            self._heard_of(name)
-            if reason and reason != told:
-                # A host that is not up yet is no news; one that is there and refuses is.
-                if session.connected and not session.linked:
-                    self._owner.note(f"cannot talk to {name}: {reason}")
-                told = reason
+                if reason and reason != told:
+                    # A host that is not up yet is no news; one that is there and refuses is.
+                    if session.connected and not session.linked:
+                        self._owner.note(f"cannot talk to {name}: {reason}")
+                    told = reason
             await asyncio.sleep(wait)
             wait = min(LAST_RETRY, wait * 1.5)
+
+    async def _dial(self, session: Session, name: str, address: str) -> str:
+        """Call, and stay until the link is over; why it is, or was never there."""
+        try:
+            link = await self._transport.connect(address, session)
+            if self._links.get(name) not in (None, session):
+                # It has called meanwhile.
+                link.close()
+            else:
+                session.greet(link)
+            await session.over.wait()
+            return session.reason
+        except AddressError as error:
+            return str(error)
+        finally:
+            self._dialling.pop(name, None)
+            self._tried.add(name)
+            self._heard_of(name)
 
     def _heard_of(self, host: str) -> None:
         self._unheard.discard(host)
@@ -207,13 +260,39 @@ class Peers:
             await asyncio.sleep(PING_EVERY)
             token += 1
             now = self._clock.monotonic()
+            self._want(now)
             for host, session in list(self._links.items()):
-                if now - session.heard > SILENT_FOR:
-                    self._owner.note(f"{host} has been silent for {SILENT_FOR:g} s: giving the link up")
-                    session.link.close()
-                    self.gone(session)
-                else:
-                    self.send(host, Ping(token))
+                self._look_at(host, session, now, token)
+
+    def _want(self, now: float) -> None:
+        """Call whom this host wants now and has no link with; no others any more."""
+        self._wanted = frozenset(self._owner.wanted())
+        self._needed = {host: until for host, until in self._needed.items() if until > now}
+        wanted = self._wanted | self._needed.keys()
+        self.away = {
+            host: self.away.get(host, now)
+            for host in sorted(wanted - self._links.keys(), key=self._numbers.__getitem__)
+        }
+        for host in self.away:
+            self._call(host)
+        for host in sorted(self._callers.keys() - wanted - self._links.keys()):
+            self._callers.pop(host).cancel()
+            self._tried.discard(host)
+
+    def _look_at(self, host: str, session: Session, now: float, token: int) -> None:
+        silent = now - session.heard
+        if not self.wants(host):
+            # From here on nobody need ask for signs of life.
+            session.idle = now
+            if silent > QUIET_FOR:
+                session.link.close()
+                self.gone(session)
+        elif now - max(session.heard, session.idle) > SILENT_FOR:
+            self._owner.note(f"{host} has been silent for {SILENT_FOR:g} s: giving the link up")
+            session.link.close()
+            self.gone(session)
+        elif silent >= (0.5 if self._here < self._numbers[host] else 1.5) * PING_EVERY:
+            self.send(host, Ping(token))
 
     # --- what sessions report -------------------------------------------------------------------------
 
@@ -222,10 +301,29 @@ class Peers:
         return Greeting(
             self._owner.hello(),
             hosts=self._hosts,
-            linked=self.incarnations,
+            linked=self._lively(),
             dialled=dialled,
             observers_only=observers_only,
         )
+
+    def _lively(self) -> dict[str, int]:
+        """The lives of the linked hosts; the end of a link that is not wanted may go unnoticed."""
+        now = self._clock.monotonic()
+        return {
+            host: session.hello.incarnation
+            for host, session in self._links.items()
+            if session.hello and (self.wants(host) or now - session.heard <= SILENT_FOR)
+        }
+
+    def crossed(self, host: str) -> bool:
+        """Whether a host that calls is being called, and this host's call is the one that counts."""
+        own = self._dialling.get(host)
+        if own is None or own.linked or not own.connected:
+            return False
+        if self._here < self._numbers.get(host, -1):
+            return True
+        own.link.close()
+        return False
 
     def known(self, session: Session, hello: Hello) -> None:
         """A link has greeted, and its other side has taken ours."""
@@ -243,7 +341,7 @@ class Peers:
         if old and old is not session:
             old.link.close()
         self.away.pop(hello.host, None)
-        self._met.add(hello.host)
+        self._tried.discard(hello.host)
         self._owner.linked(hello)
         self._heard_of(hello.host)
 
@@ -254,9 +352,13 @@ class Peers:
         host = session.hello.host if session.hello else ""
         if self._links.get(host) is session:
             del self._links[host]
-            self.away[host] = self._clock.monotonic()
             self._last_heard[host] = session.heard
-            self._owner.unlinked(host)
+            wanted = self.wants(host)
+            if wanted:
+                self.away[host] = self._clock.monotonic()
+            self._owner.unlinked(host, quietly=not wanted)
+            if wanted:
+                self._call(host)
 
     def heard(self, session: Session, message: Control) -> None:
         """A message came in on a greeted link."""
@@ -289,112 +391,3 @@ class Peers:
             self._complaints.clear()
         self._complaints.add(text)
         self._owner.note(text)
-
-
-class Session:
-    """One link from its greeting to its end."""
-
-    link: Link
-
-    def __init__(self, peers: Peers, dialled: str | None, *, observers_only: bool = False) -> None:
-        self._peers = peers
-        self.dialled = dialled
-        self.connected = self.linked = False
-        self._greeting = peers.new_greeting(dialled, observers_only=observers_only)
-        self.hello: Hello | None = None
-        self.heard = 0.0
-        self.reason = ""
-        self.over = asyncio.Event()
-        self._patience: asyncio.TimerHandle | None = None
-
-    def greet(self, link: Link) -> None:
-        """Say who we are, and wait for the other's greeting, though not for ever. Again: nothing happens."""
-        if self.connected:
-            return
-        self.link, self.connected = link, True
-        self._patience = asyncio.get_running_loop().call_later(GREETED_WITHIN, self._give_up)
-        with suppress(AddressError):
-            link.send(self._greeting.own)
-
-    def on_message(self, link: Link, message: Message) -> None:
-        """The greeting first, then whatever its sender may send."""
-        if self.hello is None:
-            self._greeted(link, message)
-            return
-        if isinstance(message, Refuse):
-            raise GreetingError(f"{self.hello.host} refused this host: {message.reason}")
-        self._greeting.admit(message)
-        self._taken(self.hello)
-        self._peers.heard(self, message)  # type: ignore[arg-type]  # admit lets only Control pass
-
-    def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
-        """A coordinator: only from a greeted host."""
-        self._peers.on_arrival(self._sender(), header, block)
-
-    def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
-        """A coordinator over the limit."""
-        self._peers.on_oversize(self._sender(), header, size)
-
-    def _greeted(self, link: Link, message: Message) -> None:
-        """The other's greeting: tell it that it is taken, or why it is not."""
-        # On a link just made, the other's greeting may be read before whoever called gets its turn.
-        self.greet(link)
-        try:
-            hello = self._greeting.receive(message)
-        except GreetingError:
-            if self._greeting.refusal:
-                link.send(self._greeting.refusal)
-            raise
-        self.hello = hello
-        link.greeted(hello.role)
-        if hello.role == "host":
-            link.send(Ping(0))
-        else:
-            self._taken(hello)
-
-    def _taken(self, hello: Hello) -> None:
-        """Something came after the greeting: the other has taken ours."""
-        self.heard = self._peers.now()
-        if self.linked:
-            return
-        self._relax()
-        self.linked = True
-        self._peers.known(self, hello)
-
-    def _sender(self) -> str:
-        """Who sends a coordinator. Raises GreetingError for anybody who is not a host."""
-        if self.hello is None or self.hello.role != "host":
-            raise GreetingError("a coordinator came from nobody that has greeted as a host")
-        self._taken(self.hello)
-        return self.hello.host
-
-    def on_closed(self, link: Link, error: LfieldError | None) -> None:
-        """The end of the link."""
-        self._relax()
-        self.reason = self.reason or str(error or "")
-        if error and not self.dialled:
-            self._complain(str(error))
-        self._peers.gone(self)
-        self.over.set()
-
-    def _relax(self) -> None:
-        if self._patience:
-            self._patience.cancel()
-
-    def _give_up(self) -> None:
-        self.turn_away(f"it has not greeted within {GREETED_WITHIN:g} s")
-
-    def turn_away(self, reason: str) -> None:
-        """Close the link at once."""
-        self.reason = reason
-        if not self.dialled:
-            self._complain(reason)
-        self.link.abort()
-
-    @property
-    def caller(self) -> str:
-        """The other's address without the port, which is another for every attempt."""
-        return self.link.peer.rpartition(":")[0] or self.link.peer
-
-    def _complain(self, reason: str) -> None:
-        self._peers.complain(f"closed a link from {self.caller}: {reason}")

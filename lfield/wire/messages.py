@@ -351,9 +351,10 @@ class SignOfLife(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
 
 class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=13):
-    """The last signs of life of the sender and of all hosts that it has heard of, from anybody."""
+    """News of hosts that somebody misses: their last signs of life, and those that are `asked` for."""
 
     signs: Annotated[list[SignOfLife], Meta(max_length=4096)]
+    asked: Annotated[list[SignOfLife], Meta(max_length=4096)]
 
 
 #: Messages that share the control frame.

@@ -28,6 +28,7 @@ FIGURES = {
     "find": "capability.find",
     "compositions": "capability.compositions",
     "directory": "capability.directory",
+    "traffic": "team.traffic",
 }
 
 if __name__ == "__main__":

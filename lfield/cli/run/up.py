@@ -202,8 +202,9 @@ def tell(text: str) -> None:
 
 @contextmanager
 def _journal(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[Journal | None]:
-    """Where the host keeps its coordinators; None for --volatile, and where no folder is named for a trial: on
-    fakes, or with --all where nothing is driven.
+    """Where the host keeps its coordinators; None for --volatile, and where no folder is named for a trial.
+
+    A trial is on fakes, or with --all where nothing is driven.
     """
     from lfield.clock import SystemClock
     from lfield.journal.file import FileJournal

@@ -1,8 +1,9 @@
 """Waits until every coordinator of a deployment has ended anywhere, is lost for certain, or is not heard of.
 
-While nobody is missing, endings are told to every host. While a host has no link, was restarted or has ended,
-all that can be reached are asked what they know: a census. It goes on as long as somebody hears whoever is
-missing here. Who has proof of a loss tells the others before it goes: for the moment they are as certain.
+While nobody is missing, endings are told to every host. While a host is missed, was restarted or has ended,
+all that can be reached are asked what they know: a census, of so many hosts at a time. It goes on as long as
+somebody hears whoever is missing here. Who has proof of a loss tells the others before it goes: for the
+moment they are as certain.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from lfield.wire.messages import Known, StatusRequest
 #: How often the other hosts are asked while one is missing, how long they have to answer, and how long an
 #: ending is passed on before this host goes (all in seconds).
 ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
+#: So many are asked at a time.
+ASKED_AT_ONCE = 8
 #: So long a loss that was told is believed without asking, in seconds: its coordinator may be started again.
 FRESH = 1.5
 
@@ -37,7 +40,10 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
     while True:
         host.changed.clear()
         found = known_fates(homes, host.mobility.knowledge(), host.mobility.proven(since))
-        if homes.keys() - found.keys() and (hearsay.gone or not hearsay.whole or host.mobility.lost):
+        whole = hearsay.whole(host.clock.monotonic())
+        if whole:
+            hearsay.missed.clear()
+        if homes.keys() - found.keys() and (hearsay.gone or not whole or host.mobility.lost):
             records = await _census(host)
             now = host.clock.monotonic()
             found = judge.judge(records, _absent(host, hearsay.absent(records, now, lost_after, unmet)))
@@ -58,25 +64,50 @@ async def _pass_on(host: Host, found: Collection[Fate]) -> None:
     """Tell of the endings, and stay until every host that can be reached has confirmed them."""
     host.pass_on(found)
     end = host.clock.monotonic() + LINGER
-    while host.mobility.unconfirmed(host.peers.incarnations) and host.clock.monotonic() < end:
+    while host.mobility.unconfirmed(_in_reach(host)) and host.clock.monotonic() < end:
         host.changed.clear()
         await _news(host, ASK_EVERY)
+
+
+def _in_reach(host: Host) -> set[str]:
+    """The hosts that are linked, or about to be."""
+    return {
+        other for other in host.team.hosts if other in host.peers.incarnations or host.peers.is_new(other)
+    }
 
 
 async def _census(host: Host) -> Mapping[str, Sequence[Known]]:
     """The coordinators that this host and every host it can reach know of, by host, asked now."""
     host.statuses.clear()
-    asked = set(host.peers.incarnations)
-    for other in asked:
-        host.peers.send(other, StatusRequest())
-    end = host.clock.monotonic() + ANSWER_WITHIN
-    while asked & host.peers.incarnations.keys() - host.statuses.keys() and host.clock.monotonic() < end:
-        host.changed.clear()
-        await _news(host, ANSWER_WITHIN)
+    others = [
+        other for other in host.team.hosts if other != host.name and other not in host.core.hearsay.gone
+    ]
+    for first in range(0, len(others), ASKED_AT_ONCE):
+        if first:
+            await asyncio.sleep(ASK_EVERY)
+        await _ask(host, others[first : first + ASKED_AT_ONCE])
     # Their answers are no news to wait for: what changes from here on is.
     host.changed.clear()
     answers = {other: status.coordinators for other, status in host.statuses.items() if other}
     return answers | {host.name: host.mobility.knowledge()}
+
+
+async def _ask(host: Host, others: Collection[str]) -> None:
+    """Ask some, and wait for the answers of those that are linked, or are being called now."""
+    asked: set[str] = set()
+    for other in others:
+        host.peers.reach(other)
+    end = host.clock.monotonic() + ANSWER_WITHIN
+    while True:
+        host.changed.clear()
+        linked = {other for other in others if other in host.peers.incarnations}
+        for other in sorted(linked - asked):
+            host.peers.send(other, StatusRequest())
+        asked |= linked
+        waited_for = {other for other in others if other in linked or host.peers.is_new(other)}
+        if waited_for <= host.statuses.keys() or host.clock.monotonic() >= end:
+            return
+        await _news(host, max(0.0, end - host.clock.monotonic()))
 
 
 async def _news(host: Host, bound: float) -> None:

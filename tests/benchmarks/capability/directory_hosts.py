@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import random
 import sys
 import time
 from pathlib import Path
@@ -81,7 +82,10 @@ class Other:
         self._phase = LOOK_EVERY * number / len(team.hosts)
         addresses = [team.addresses[0], team.addresses[number]]
         transport = TcpTransport(mission.max_block)
-        self.peers = Peers(self, transport, self._clock, [self._first, self._name], addresses, 1)
+        hosts = [self._first, self._name]
+        self.peers = Peers(
+            self, transport, self._clock, random.Random(number), hosts, addresses, 1, hosts[:1]
+        )
         assert mission.registry is not None
         agents = mission.team.deployed
         self._directory = Directory(mission.registry, agents, self._name, self.peers, self._clock)
@@ -115,8 +119,12 @@ class Other:
         if news is not None:
             self.peers.send(hello.host, self._reports.write(news, self._clock.monotonic()))
 
-    def unlinked(self, host: str) -> None:
+    def unlinked(self, host: str, *, quietly: bool) -> None:
         """Nothing is to be done."""
+
+    def wanted(self) -> list[str]:
+        """It has a link with the measured host only."""
+        return [self._first]
 
     def received(self, host: str, message: Control, link: Link) -> None:
         """What the measured host reports is not looked at."""

@@ -1,0 +1,165 @@
+"""One link of a host, from its greeting to its end."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from typing import TYPE_CHECKING, Protocol
+
+from lfield.errors import AddressError, GreetingError, LfieldError
+from lfield.wire.messages import Control, Hello, Message, Ping, Refuse, Transfer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lfield.net.greeting import Greeting
+    from lfield.net.transport import Link
+
+#: Whoever has not greeted after so many seconds is no host.
+GREETED_WITHIN = 10.0
+
+
+class Sessions(Protocol):
+    """Who keeps the links of a host."""
+
+    def new_greeting(self, dialled: str | None, *, observers_only: bool) -> Greeting:
+        """The greeting for a new link."""
+
+    def crossed(self, host: str) -> bool:
+        """Whether a host that calls is being called, and this host's call is the one that counts."""
+
+    def known(self, session: Session, hello: Hello) -> None:
+        """A link has greeted, and its other side has taken ours."""
+
+    def gone(self, session: Session) -> None:
+        """A link is closed."""
+
+    def heard(self, session: Session, message: Control) -> None:
+        """A message came in on a greeted link."""
+
+    @property
+    def on_arrival(self) -> Callable[[str, Transfer, memoryview], None]:
+        """Where coordinators go."""
+
+    @property
+    def on_oversize(self) -> Callable[[str, Transfer, int], None]:
+        """Where the headers of coordinators go that are too large."""
+
+    def now(self) -> float:
+        """The clock's monotonic time."""
+
+    def complain(self, text: str) -> None:
+        """A line for the log, once."""
+
+
+class Session:
+    """One link from its greeting to its end."""
+
+    link: Link
+
+    def __init__(self, peers: Sessions, dialled: str | None, *, observers_only: bool = False) -> None:
+        self._peers = peers
+        self.dialled = dialled
+        self.connected = self.linked = False
+        self._greeting = peers.new_greeting(dialled, observers_only=observers_only)
+        self.hello: Hello | None = None
+        #: When something last came, and when this host last had no use for the link.
+        self.heard = self.idle = 0.0
+        self.reason = ""
+        self.over = asyncio.Event()
+        self._patience: asyncio.TimerHandle | None = None
+
+    def greet(self, link: Link) -> None:
+        """Say who we are, and wait for the other's greeting, though not for ever. Again: nothing happens."""
+        if self.connected:
+            return
+        self.link, self.connected = link, True
+        self._patience = asyncio.get_running_loop().call_later(GREETED_WITHIN, self._give_up)
+        with suppress(AddressError):
+            link.send(self._greeting.own)
+
+    def on_message(self, link: Link, message: Message) -> None:
+        """The greeting first, then whatever its sender may send."""
+        if self.hello is None:
+            self._greeted(link, message)
+            return
+        if isinstance(message, Refuse):
+            raise GreetingError(f"{self.hello.host} refused this host: {message.reason}")
+        self._greeting.admit(message)
+        self._taken(self.hello)
+        self._peers.heard(self, message)  # type: ignore[arg-type]  # admit lets only Control pass
+
+    def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
+        """A coordinator: only from a greeted host."""
+        self._peers.on_arrival(self._sender(), header, block)
+
+    def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
+        """A coordinator over the limit."""
+        self._peers.on_oversize(self._sender(), header, size)
+
+    def _greeted(self, link: Link, message: Message) -> None:
+        """The other's greeting: tell it that it is taken, or why it is not."""
+        # On a link just made, the other's greeting may be read before whoever called gets its turn.
+        self.greet(link)
+        try:
+            hello = self._greeting.receive(message)
+        except GreetingError:
+            if self._greeting.refusal:
+                link.send(self._greeting.refusal)
+            raise
+        if self.dialled is None and hello.role == "host" and self._peers.crossed(hello.host):
+            link.close()
+            return
+        self.hello = hello
+        link.greeted(hello.role)
+        if hello.role == "host":
+            link.send(Ping(0))
+        else:
+            self._taken(hello)
+
+    def _taken(self, hello: Hello) -> None:
+        """Something came after the greeting: the other has taken ours."""
+        self.heard = self._peers.now()
+        if self.linked:
+            return
+        self._relax()
+        self.linked = True
+        self._peers.known(self, hello)
+
+    def _sender(self) -> str:
+        """Who sends a coordinator. Raises GreetingError for anybody who is not a host."""
+        if self.hello is None or self.hello.role != "host":
+            raise GreetingError("a coordinator came from nobody that has greeted as a host")
+        self._taken(self.hello)
+        return self.hello.host
+
+    def on_closed(self, link: Link, error: LfieldError | None) -> None:
+        """The end of the link."""
+        self._relax()
+        self.reason = self.reason or str(error or "")
+        if error and not self.dialled:
+            self._complain(str(error))
+        self._peers.gone(self)
+        self.over.set()
+
+    def _relax(self) -> None:
+        if self._patience:
+            self._patience.cancel()
+
+    def _give_up(self) -> None:
+        self.turn_away(f"it has not greeted within {GREETED_WITHIN:g} s")
+
+    def turn_away(self, reason: str) -> None:
+        """Close the link at once."""
+        self.reason = reason
+        if not self.dialled:
+            self._complain(reason)
+        self.link.abort()
+
+    @property
+    def caller(self) -> str:
+        """The other's address without the port, which is another for every attempt."""
+        return self.link.peer.rpartition(":")[0] or self.link.peer
+
+    def _complain(self, reason: str) -> None:
+        self._peers.complain(f"closed a link from {self.caller}: {reason}")

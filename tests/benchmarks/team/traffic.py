@@ -1,0 +1,48 @@
+"""What a host tells the others while nothing happens, and what a simulation of the whole team costs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from harness.checkout import Checkout
+from harness.figure import Figure, Opener
+from harness.paced import Round
+from harness.processes import Processes
+from harness.samples import Contender
+from harness.words import COUNT, RATE, SECONDS
+
+#: How many hosts, and for how many seconds of virtual time they are measured.
+TEAMS = {3: 60.0, 10: 30.0, 30: 30.0, 50: 30.0, 300: 10.0, 1000: 10.0}
+#: Seconds in which the largest is measured on a slow computer.
+PATIENCE = 600.0
+MESSAGES, BYTES = "messages of a host each second", "bytes of a host each second"
+START, SECOND = "start, 10 s: processor", "a second: processor"
+
+_TEAM = str(Path(__file__).with_name("idle_team.py"))
+
+
+def team(hosts: int) -> Opener:
+    """A team of so many hosts."""
+
+    def opener(checkout: Checkout, _: Processes) -> Contender:
+        def measure() -> Round:
+            with Processes() as processes:
+                child = checkout.run(processes, _TEAM, str(hosts), str(TEAMS[hosts]))
+                messages, sent, start, second = map(float, child.line(PATIENCE).split())
+                rates = {MESSAGES: [round(messages, 1)], BYTES: [sent / 1000]}
+                return {**rates, START: [start], SECOND: [second]}
+
+        return measure
+
+    return opener
+
+
+FIGURE = Figure(
+    "Traffic of a team in which nothing happens",
+    {f"{hosts} hosts": team(hosts) for hosts in TEAMS},
+    rounds=1,
+    units={MESSAGES: COUNT, BYTES: RATE, START: SECONDS, SECOND: SECONDS},
+    targets={MESSAGES: "8", SECOND: "1 s"},
+    notes=("whole hosts on simulated computers, without devices; both sides of a link count what they send",),
+    between=("3 hosts", "30 hosts"),
+)

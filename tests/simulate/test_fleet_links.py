@@ -1,0 +1,194 @@
+"""Teams beyond nine hosts: links are made where they are needed, and go when nobody needs them."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from lfield import exits
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.net import framed
+from lfield.simulate.fleet import Fleet, copies
+from lfield.simulate.weather import Weather
+
+POST = """
+resource Post {
+    init(string[] arg) { }
+    portal stay(string who, int number, real seconds) {
+        write(who + " " + i2s(number) + "\\n");
+        sleep(seconds);
+    }
+}
+"""
+WALKER = """
+coordinator Walker {
+    init(string[] arg) {
+        Post[] all = findPost();
+        int number = 0;
+        while (true) {
+            number = number + 1;
+            try {
+                all[random(all.length())].stay(arg[0], number, 0.05);
+            } catch (UnreachableResourceException gone) { }
+            sleep(0.3);
+        }
+    }
+}
+"""
+GUEST = """
+coordinator Walker {
+    init(string[] arg) {
+        for (int i = 1; i < arg.length(); i = i + 1) findPost(arg[i]).stay("guest", i, 4.0);
+    }
+}
+"""
+
+
+def team(folder: Path, hosts: int, coordinators: str = "", program: str = "") -> Mission:
+    """Coordinators as `name@host?argument`, host by number."""
+    lines = [f"//Post:p{n}@host{n}" for n in range(hosts)]
+    lines += [f"//Walker:{words}" for words in coordinators.split()]
+    (folder / "mission.L").write_text(POST + program)
+    (folder / "mission.dL").write_text("\n".join(lines) + "\n")
+    return load_mission(folder / "mission.dL")
+
+
+def one_copy(fleet: Fleet) -> None:
+    for start, hosts in copies(fleet).items():
+        assert len(hosts) == 1, f"{start} runs on {hosts} at {fleet.now:.3f} s"
+
+
+def links(fleet: Fleet, host: str) -> set[str]:
+    return set(fleet.lives[host].host.peers.incarnations)
+
+
+def stamps(fleet: Fleet) -> Counter[str]:
+    return Counter(text.strip() for _, _, text in fleet.log if text.startswith(("w", "guest")))
+
+
+def said(fleet: Fleet, words: str) -> list[str]:
+    return [host for _, host, text in fleet.log if words in text]
+
+
+@pytest.mark.parametrize("hosts", [3, 9, 12, 40])
+def test_an_idle_host_sends_at_most_eight_messages_a_second(tmp_path, monkeypatch, hosts):
+    sent: list[str] = []
+
+    def encode(message, encoded=framed.encode):
+        sent.append(type(message).__name__)
+        return encoded(message)
+
+    monkeypatch.setattr(framed, "encode", encode)
+    fleet = Fleet(team(tmp_path, hosts))
+    fleet.run(10.0)
+    sent.clear()
+    fleet.run(20.0)
+    assert set(sent) == {"Ping", "Pong"}
+    assert len(sent) / hosts / 20.0 == pytest.approx(min(8, hosts - 1), rel=0.1)
+
+
+def test_walkers_go_everywhere_each_call_is_made_once_and_links_that_nobody_needs_go(tmp_path):
+    fleet = Fleet(team(tmp_path, 24, "w0@host0?w0 w9@host9?w9 w20@host20?w20", WALKER), 1, one_copy)
+    fleet.run(60.0)
+    made = stamps(fleet)
+    assert set(made.values()) == {1}
+    for walker in ("w0", "w9", "w20"):
+        numbers = [int(stamp.split()[1]) for stamp in made if stamp.startswith(walker)]
+        assert sorted(numbers) == list(range(1, len(numbers) + 1))
+        assert len(numbers) > 100
+    assert not said(fleet, "lost the link")
+    for host, life in fleet.lives.items():
+        # A walker stays for half a second, and links for ten.
+        assert life.core.hearsay.near <= links(fleet, host)
+        assert len(links(fleet, host)) < 23
+    held = Counter(frozenset((host, other)) for host in fleet.lives for other in links(fleet, host))
+    assert set(held.values()) == {2}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_two_that_call_one_another_at_the_same_moment_have_one_link(tmp_path, seed):
+    fleet = Fleet(team(tmp_path, 24), seed)
+    fleet.run(5.0)
+    assert "host12" not in links(fleet, "host0")
+    for one, other in (("host0", "host12"), ("host12", "host0")):
+        life = fleet.lives[one]
+        life.process.loop.soon(lambda life=life, other=other: life.host.peers.reach(other), seed * 0.002)
+    fleet.run(1.0)
+    assert "host12" in links(fleet, "host0")
+    assert "host0" in links(fleet, "host12")
+    connections = [
+        connection
+        for connection in fleet.network._connections
+        if not connection.over and {end.machine.name for end in connection.ends} == {"host0", "host12"}
+    ]
+    assert len(connections) == 1
+    fleet.run(25.0)
+    assert "host12" not in links(fleet, "host0")
+    assert not said(fleet, "lost the link")
+
+
+@pytest.mark.parametrize("victim", ["host1", "host9"], ids=["a neighbour", "far off"])
+def test_a_host_dies_that_has_nothing_and_all_others_hear_how_it_ends(tmp_path, victim):
+    fleet = Fleet(team(tmp_path, 16, "w@host0?p12&p5&p7&p3", GUEST), 2, one_copy, lost_after=5.0)
+    fleet.run(6.0)
+    fleet.crash(victim)
+    fleet.run(30.0)
+    assert fleet.left == dict.fromkeys(fleet.lives.keys() | fleet.left.keys(), exits.DONE)
+    assert len(fleet.left) == 15
+
+
+def test_a_host_dies_with_the_coordinator_and_all_say_that_it_is_not_heard_of(tmp_path):
+    fleet = Fleet(team(tmp_path, 16, "w@host0?p9&p9&p9&p9", GUEST), 3, one_copy, lost_after=5.0)
+    fleet.run(6.0)
+    fleet.crash("host9")
+    fleet.run(40.0)
+    assert set(fleet.left.values()) == {exits.UNHEARD}
+    assert len(fleet.left) == 15
+
+
+def test_a_host_comes_back_without_the_coordinator_and_all_say_that_it_is_lost(tmp_path):
+    fleet = Fleet(team(tmp_path, 16, "w@host0?p9&p9&p9&p9", GUEST), 4, one_copy, lost_after=20.0)
+    fleet.run(6.0)
+    fleet.crash("host9")
+    fleet.run(1.0)
+    fleet.boot("host9")
+    fleet.run(40.0)
+    assert fleet.left == dict.fromkeys((f"host{n}" for n in range(16)), exits.FAILED)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_links_are_cut_and_nobody_takes_anybody_for_silent(tmp_path, seed):
+    """Host 9 has no neighbour left that it can talk to; others still hear it."""
+    fleet = Fleet(team(tmp_path, 16, "w@host0?p9&p9&p9", GUEST), seed, one_copy, lost_after=6.0)
+    fleet.run(6.0)
+    for other in sorted(fleet.lives["host9"].core.hearsay.near):
+        fleet.cut("host9", other)
+    fleet.run(60.0)
+    assert fleet.left == dict.fromkeys((f"host{n}" for n in range(16)), exits.DONE)
+
+
+ROUGH = Weather(cut=1.0, one_way=2.0, reset=2.0, slow=4.0, kill=10.0, stop=10.0, power=30.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_in_any_weather_no_start_has_two_copies(tmp_path, seed):
+    fleet = Fleet(
+        team(tmp_path, 20, "w0@host0?w0 w5@host5?w5", WALKER), seed, one_copy, unreachable_after=3.0
+    )
+    storm = ROUGH.over(fleet, random.Random(seed))
+    fleet.run(60.0)
+    assert len(storm.faults) > 60
+    assert sum(stamps(fleet).values()) > 30
+
+
+def test_cut_and_broken_links_alone_make_no_call_twice(tmp_path):
+    fleet = Fleet(team(tmp_path, 20, "w0@host0?w0 w5@host5?w5", WALKER), 5, one_copy)
+    Weather(cut=1.0, reset=1.0, one_way=2.0, slow=2.0).over(fleet, random.Random(5))
+    fleet.run(60.0)
+    made = stamps(fleet)
+    assert set(made.values()) == {1}
+    assert sum(made.values()) > 50
