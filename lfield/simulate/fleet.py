@@ -37,6 +37,7 @@ CLOCKS = 0.0005
 PORT = 8181
 
 Watch = Callable[["Fleet"], None]
+Born = Callable[[str, "Life"], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,8 @@ class Life:
 
     process: Process
     host: Host
+    #: What it is told when it is to end.
+    words: StopWords
 
     @property
     def core(self) -> HostCore:
@@ -55,7 +58,8 @@ class Life:
 class Fleet:
     """The hosts of a mission, all up at the beginning. Everything that is left to chance comes from `seed`.
 
-    `watch` is called after every event, and raises AssertionError for what must never be. With `lost_after`
+    `watch` is called after every event, and raises AssertionError for what must never be; `born` with every
+    life of a host before anything happens in it. With `lost_after`
     hosts end when all coordinators have, as with --until-done. Times are in seconds.
     """
 
@@ -66,8 +70,10 @@ class Fleet:
         watch: Watch = lambda fleet: None,
         unreachable_after: float = 10.0,
         lost_after: float | None = None,
+        born: Born = lambda name, life: None,
     ) -> None:
-        self._watch, self._unreachable_after, self._lost_after = watch, unreachable_after, lost_after
+        self._watch, self._born = watch, born
+        self._unreachable_after, self._lost_after = unreachable_after, lost_after
         dice = random.Random(seed)
         self.timeline = Timeline()
         #: Every line of program output and of the logs: seconds, host, text.
@@ -150,6 +156,10 @@ class Fleet:
         """Kill a host's process, as by SIGKILL."""
         self.lives[name].process.die(-9)
 
+    def stop(self, name: str) -> None:
+        """Tell a host to end, as by SIGTERM."""
+        self.lives[name].process.loop.enter(self.lives[name].words.say)
+
     def power_off(self, name: str) -> None:
         """Its computer is gone with all that runs there, and tells nobody."""
         self.computers[name].power_off()
@@ -170,18 +180,20 @@ class Fleet:
             first_start=disk.new,
         )
         host = Host(self.mission, name, TcpTransport(self.mission.max_block), Logbook(book, book), options)
-        life = self.lives[name] = Life(process, host)
+        life = self.lives[name] = Life(process, host, StopWords(host.clock))
+        self._born(name, life)
         process.loop.create_task(self._live(name, life))
 
     async def _live(self, name: str, life: Life) -> None:
         try:
-            status = await live(life.host, StopWords(life.host.clock), self._lost_after)
+            status = await live(life.host, life.words, self._lost_after)
         except LfieldError as error:
             status = error.exit_status
             life.host.note(str(error))
         # What is killed is closed, and whoever waits in it for a device's rest hears of that here.
         if not life.process.loop.dead:
-            self.left[name] = status
+            if not life.words.first.is_set():
+                self.left[name] = status
             life.process.exit(status)
 
     def _ended(self, name: str, process: Process, _: int) -> None:
