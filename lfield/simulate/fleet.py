@@ -92,6 +92,9 @@ class Fleet:
         #: The hosts that run now; the exit statuses of those that have ended by themselves.
         self.lives: dict[str, Life] = {}
         self.left: dict[str, int] = {}
+        #: The hosts that ended because of a bug of ours, and those whose disk was replaced.
+        self.failed: set[str] = set()
+        self.replaced: set[str] = set()
         for name in names:
             self.boot(name)
 
@@ -165,9 +168,15 @@ class Fleet:
         self.computers[name].power_off()
         self.lives.pop(name, None)
 
+    def close(self) -> None:
+        """End all that runs, at once: nothing is left of it."""
+        for name in self.computers:
+            self.power_off(name)
+
     def lose_disk(self, name: str) -> None:
         """Its disk is replaced by an empty one."""
         self.disks[name].replace()
+        self.replaced.add(name)
 
     def _begin(self, name: str, process: Process) -> None:
         machine, disk, book = self.machines[name], self.disks[name], Book(self, name, process)
@@ -192,6 +201,8 @@ class Fleet:
             life.host.note(str(error))
         # What is killed is closed, and whoever waits in it for a device's rest hears of that here.
         if not life.process.loop.dead:
+            if life.host.failure is not None:
+                self.failed.add(name)
             if not life.words.first.is_set():
                 self.left[name] = status
             life.process.exit(status)
