@@ -54,7 +54,7 @@ from lfield.wire.messages import (
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
 CENSUS = 1.5
-#: Bytes for the end of a host for which there is no more memory.
+#: See Options.reserve.
 RESERVE = 4 << 20
 #: What a computer is out of when it refuses a socket.
 SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
@@ -67,7 +67,8 @@ class Options:
     """How a host is run. `listen` is the address to listen on, `door` the one for observers of this computer.
 
     `record` has the host's earlier starts, None where none are kept: all hosts are then heard first.
-    `first_start`: somebody says that there were none. Times are in seconds.
+    `first_start`: somebody says that there were none. `reserve`: bytes for the end of a host for which there
+    is no more memory. Times are in seconds.
     """
 
     listen: str
@@ -78,6 +79,7 @@ class Options:
     dice: random.Random = field(default_factory=random.Random)
     record: Record | None = None
     first_start: bool = False
+    reserve: int = RESERVE
 
 
 class Host:
@@ -120,8 +122,7 @@ class Host:
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
         self._due = 0.0
         self._events: deque[Callable[[], None]] = deque()
-        # Of a host that has no memory left; until then it is address space only.
-        self._reserve = bytearray(RESERVE)
+        self._reserve = bytearray(options.reserve)
         self._entered = self._stopped = self._pressed = False
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING

@@ -187,6 +187,7 @@ class Fleet:
             unreachable_after=self._unreachable_after,
             record=disk,
             first_start=disk.new,
+            reserve=0,
         )
         host = Host(self.mission, name, TcpTransport(self.mission.max_block), Logbook(book, book), options)
         life = self.lives[name] = Life(process, host, StopWords(host.clock))
@@ -197,8 +198,10 @@ class Fleet:
         try:
             status = await live(life.host, life.words, self._lost_after)
         except LfieldError as error:
-            status = error.exit_status
+            # It could not even start, as when a guard died meanwhile: whoever keeps it up tries again.
             life.host.note(str(error))
+            life.process.exit(error.exit_status)
+            return
         # What is killed is closed, and whoever waits in it for a device's rest hears of that here.
         if not life.process.loop.dead:
             if life.host.failure is not None:
@@ -230,8 +233,9 @@ class Fleet:
         for computer in self.computers.values():
             for process in list(computer.processes):
                 process.loop.thaw()
-        for name in self.computers.keys() - self.lives.keys() - self.left.keys():
-            self.boot(name)
+        for name in self.computers:
+            if name not in self.lives and name not in self.left:
+                self.boot(name)
 
 
 class Book(io.StringIO):

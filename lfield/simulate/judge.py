@@ -1,4 +1,4 @@
-"""Whether a run kept the promises, judged from what was seen of it; `lfield/docs/decisions/0038` has the reasons.
+"""Whether a run kept the promises, judged from what was seen of it (lfield/docs/decisions/0038).
 
 I1  of one coordinator at most one copy can run, at any real time
 I2  no transfer is injected twice
@@ -16,6 +16,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 from lfield.simulate.fleet import Fleet, Life
+from lfield.simulate.saved import Disks, nowhere
 from lfield.simulate.witness import tap
 from lfield.vm.agent import Agent
 
@@ -24,7 +25,7 @@ Start = tuple[str, int]
 
 #: A start that is younger than so many seconds may not be known yet to whoever says lost.
 YOUNG = 3.0
-#: So many seconds a device may move after its last command: the longest act, or a silence and the way to rest.
+#: So many seconds a device may move after its last command: an act, or a silence and the way to rest.
 MOVES = 6.0
 #: So many calls must come to an end after the weather.
 ENOUGH = 3
@@ -63,15 +64,21 @@ class _Seen:
 
 
 class Judge:
-    """Watches one team. `breaches` has what was found, each kind once."""
+    """Watches one team. `breaches` has what was found, each kind once.
 
-    def __init__(self) -> None:
+    With `disks` hosts have journals: then no coordinator may be lost, whoever dies.
+    """
+
+    def __init__(self, disks: Disks | None = None) -> None:
+        self._disks = disks
         self.breaches: list[Breach] = []
         self.fleet: Fleet
         #: How many injections, calls and starts were seen: a judge who sees nothing finds nothing.
         self.seen = dict.fromkeys(("injections", "calls", "starts"), 0)
         self._starts: dict[Start, _Seen] = {}
         self._newest: dict[str, int] = {}
+        #: The starts whose number was given twice, by a host that had lost its disk.
+        self._void: set[Start] = set()
         self._injected: set[tuple[str, int, int]] = set()
         self._agents: defaultdict[Life, list[Agent]] = defaultdict(list)
         self._lives: dict[int, Life] = {}
@@ -106,20 +113,18 @@ class Judge:
         self._held(life, agent)
 
     def _again(self, life: Life, agent: Agent, newest: int) -> None:
-        """A number that is not new: allowed when nobody is left who could know the earlier one."""
+        """A number that is not new: it tells nothing any more where a disk was not kept."""
         if life.core.name not in self.fleet.replaced:
             found = f"{agent.id} was started as {agent.generation}, which is not above {newest}"
             self._breach("start", (life.core.name,), found)
-        self._starts.pop((agent.id, agent.generation), None)
-        earlier = {t for t in self._injected if t[:2] == (agent.id, agent.generation)}
-        self._injected -= earlier
+        self._void.add((agent.id, agent.generation))
 
     def admitted(self, life: Life, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into a machine."""
         transfer = agent.id, agent.generation, agent.sequence
         if came:
             self.seen["injections"] += 1
-            if transfer in self._injected:
+            if transfer in self._injected and transfer[:2] not in self._void:
                 self._breach("I2", (life.core.name,), f"transfer {transfer} was injected twice")
             self._injected.add(transfer)
         self._held(life, agent)
@@ -158,21 +163,17 @@ class Judge:
             names = ", ".join(f"{agent.id} {agent.generation}" for agent in run)
             self._breach("I1", (life.core.name,), f"one host can run several starts: {names}")
         for agent in self._agents[life]:
-            if seen := self._starts.get((agent.id, agent.generation)):
-                seen.running.discard(life)
+            self._starts[agent.id, agent.generation].running.discard(life)
         for agent in run:
             self._runs(life, (agent.id, agent.generation))
         self._agents[life] = here
 
     def _runs(self, life: Life, start: Start) -> None:
-        seen = self._starts.get(start)
-        if seen is None:
-            return
-        running = seen.running
+        running = self._starts[start].running
         running.add(life)
         if len(running) > 1:
             running -= {other for other in running if other.process.loop.dead}
-        if len(running) > 1:
+        if len(running) > 1 and start not in self._void:
             hosts = tuple(sorted(other.core.name for other in running))
             self._breach("I1", hosts, f"{start[0]} of start {start[1]} can run on {len(hosts)} hosts")
 
@@ -225,6 +226,10 @@ class Judge:
         for at, host, text in self.fleet.log[self._told :]:
             self._line(at, host, text)
         self._told = len(self.fleet.log)
+        if self._disks is not None:
+            going = {agent: newest for agent, newest in self._newest.items() if agent not in self._over}
+            for agent in nowhere(self._disks, self.fleet.mission.team.hosts, going):
+                self._breach("I5", (), f"no disk holds {agent} of start {going[agent]}, and it has not ended")
 
     def _device(self, name: str) -> None:
         hardware, now = self.fleet.hardware[name], self.fleet.now
@@ -276,7 +281,7 @@ class Judge:
         for start in starts:
             seen = self._starts[start]
             if seen.copy is None or seen.copy.ended != "dropped":
-                return not any(life.process.loop.dead for life in seen.holders)
+                return self._disks is not None or not any(life.process.loop.dead for life in seen.holders)
         home = self.fleet.lives.get(self._homes[agent])
         return home is not None and home not in self._unkept
 

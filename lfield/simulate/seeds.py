@@ -1,6 +1,6 @@
 """Thousands of stories, over several processes: `make simulate SEEDS=10000`.
 
-A story in which a promise is broken is told with the command that repeats it, then made smaller, and told again.
+A story in which a promise is broken is told with the command that repeats it, and again made smaller.
 """
 
 from __future__ import annotations
@@ -104,7 +104,8 @@ def in_words(tally: Tally, took: float) -> str:
     kinds = Counter(verdict.breaches[0].name for verdict in tally.broken)
     of = f" ({', '.join(f'{name} {count}' for name, count in sorted(kinds.items()))})" if kinds else ""
     return (
-        f"{tally.told:,} seeds, {len(tally.broken):,} breaches{of}; {tally.faults:,} faults, {tally.calls:,} calls\n"
+        f"{tally.told:,} seeds, {len(tally.broken):,} breaches{of}; "
+        f"{tally.faults:,} faults, {tally.calls:,} calls\n"
         f"{tally.seconds:,.0f} virtual seconds in {took:,.1f} s: {tally.seconds / took:,.0f} per second; "
         f"digest {tally.digest[:16]}"
     )

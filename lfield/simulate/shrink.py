@@ -1,4 +1,4 @@
-"""Makes a story in which a promise was broken smaller: fewer faults, hosts, walkers and devices, and shorter."""
+"""Makes a story in which a promise was broken smaller: fewer faults, hosts, walkers, devices, and shorter."""
 
 from __future__ import annotations
 

@@ -22,10 +22,10 @@ PROGRAM = """
 resource Post {
     int begun;
     init(string[] arg) { begun = 0; }
-    portal stamp(string life, int drawn, int number) {
+    portal stamp(string life, int number, real seconds) {
         write("begin " + life + " " + i2s(number) + "\\n");
         begun = begun + 1;
-        sleep(0.04);
+        sleep(seconds);
         write("end " + life + " " + i2s(number) + "\\n");
     }
     portal look() emit int { return begun; }
@@ -57,7 +57,7 @@ coordinator Walker {
             number = number + 1;
             try {
                 if (at < posts.length()) {
-                    posts[at].stamp(life, drawn, number);
+                    posts[at].stamp(life, number, s2f(arg[2]));
                 } else {
                     arms[at - posts.length()].drive(life, drawn, number);
                 }
@@ -86,8 +86,9 @@ BETWEEN, LIKELY = (0.7, 6.0), 0.35
 class Story:
     """All that a run depends on. Times are in seconds; `lost_after` None for walkers that walk for ever.
 
-    The forecast is drawn for a team of `cast` hosts and `weather` seconds. `keep` has the numbers of its faults
-    that strike, None for all. So a story can be made smaller: `hosts` and `seconds` are what is left.
+    Walkers make so many `calls`, FOR_EVER for no end, each of which lets them `stay` so long. The forecast is
+    drawn for a team of `cast` hosts and `weather` seconds; `keep` has the numbers of its faults that strike,
+    None for all. `hosts` and `seconds` are what is left when a story is made smaller.
     """
 
     seed: int
@@ -97,6 +98,7 @@ class Story:
     walkers: int
     arms: int
     calls: int
+    stay: float
     seconds: float
     unreachable_after: float
     lost_after: float | None
@@ -106,7 +108,7 @@ class Story:
     @property
     def mission(self) -> Mission:
         """Its mission; stories of one shape share it."""
-        return _mission(self.hosts, self.walkers, self.arms, self.calls)
+        return _mission(self.hosts, self.walkers, self.arms, self.calls, self.stay)
 
     @property
     def forecast(self) -> list[Fault]:
@@ -143,7 +145,8 @@ def drawn(seed: int) -> Story:
         hosts,
         dice.randint(1, 3),
         arms,
-        dice.randint(4, 16) if ends else FOR_EVER,
+        dice.choice((6, 12)) if ends else FOR_EVER,
+        dice.choice((0.04, 1.0)),
         seconds,
         dice.choice((0.5, 1.5, 3.0, 5.0)),
         dice.uniform(2.0, 5.0) if ends else None,
@@ -151,11 +154,11 @@ def drawn(seed: int) -> Story:
     )
 
 
-@lru_cache(maxsize=512)
-def _mission(hosts: int, walkers: int, arms: int, calls: int) -> Mission:
+@lru_cache(maxsize=256)
+def _mission(hosts: int, walkers: int, arms: int, calls: int, stay: float) -> Mission:
     lines = [f"//Post:p{n}@h{n}" for n in range(hosts)]
     lines += [f"//Arm:a{n}@h{hosts - 1 - n}" for n in range(arms)]
-    lines += [f"//Walker:w{n}@h{n % hosts}?{calls}" for n in range(walkers)]
+    lines += [f"//Walker:w{n}@h{n % hosts}?{calls}&{stay}" for n in range(walkers)]
     with tempfile.TemporaryDirectory(prefix="lfield-story-") as folder:
         deployment = Path(folder) / "story.dL"
         deployment.with_suffix(".L").write_text(PROGRAM, encoding="utf-8")

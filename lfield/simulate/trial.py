@@ -15,8 +15,8 @@ from lfield.simulate.weather import Storm
 
 #: Seconds between two looks at devices and logs.
 LOOK = 0.25
-#: Seconds after the weather in which whoever may go on must have done so: a greeting that nobody answered is given
-#: up after 10 s, and calls wait as long as the story says.
+#: Seconds after the weather in which whoever may go on must have done so, beside those that a call waits: a
+#: greeting that nobody answered is given up after 10 s.
 PATIENCE = 25.0
 
 
@@ -35,24 +35,29 @@ class Verdict:
 
 def tell(story: Story, *, keep_log: bool = False) -> Verdict:
     """Let a story happen; it ends with the first breach, or when all that may go on have done so."""
-    judge = Judge()
-    # What a loop leaves behind is in circles, and is collected when the story is over.
+    # A story leaves much behind that is in circles: young while it is told, it is found at once afterwards.
     gc.disable()
     try:
-        fleet = judge.fleet = Fleet(
-            story.mission,
-            story.seed,
-            unreachable_after=story.unreachable_after,
-            lost_after=story.lost_after,
-            born=judge.born,
-        )
-        storm = Storm(fleet, story.forecast)
-        # A guard whose host is gone tells the terminal.
-        with contextlib.redirect_stderr(io.StringIO()):
-            _happen(fleet, storm, judge, story)
-            fleet.close()
+        return _told(story, keep_log=keep_log)
     finally:
+        gc.collect(0)
         gc.enable()
+
+
+def _told(story: Story, *, keep_log: bool) -> Verdict:
+    judge = Judge()
+    fleet = judge.fleet = Fleet(
+        story.mission,
+        story.seed,
+        unreachable_after=story.unreachable_after,
+        lost_after=story.lost_after,
+        born=judge.born,
+    )
+    storm = Storm(fleet, story.forecast)
+    # A guard whose host is gone tells the terminal.
+    with contextlib.redirect_stderr(io.StringIO()):
+        _happen(fleet, storm, judge, story)
+        fleet.close()
     said = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
     log = tuple(fleet.log) if keep_log else ()
     calls = judge.seen["calls"]

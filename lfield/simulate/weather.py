@@ -29,7 +29,7 @@ LONG = 300.0
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault: when in true time, its kind, the two hosts it is about, for how long, and a number in 0..1."""
+    """One fault: when in true time, its kind, the hosts it is about, for how long, and a number in 0..1."""
 
     at: float
     kind: str

@@ -1,4 +1,4 @@
-"""What is seen of a host without asking the code that decides: who comes into its machine, and what is said there.
+"""What is seen of a host without asking the code that decides: who comes into its machine, what is said.
 
 The wires of one life are tapped, each where a shell or the machine calls it: nothing is changed by that.
 """
