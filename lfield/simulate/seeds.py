@@ -17,12 +17,12 @@ from dataclasses import dataclass, field
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from lfield.simulate.shrink import command, smallest
-from lfield.simulate.stories import drawn
-from lfield.simulate.trial import Verdict, tell
+from lfield.simulate.stories.shrink import command, smallest
+from lfield.simulate.stories.story import drawn
+from lfield.simulate.stories.trial import Verdict, tell
 
 #: Seeds that a process is given at a time, and after how many it makes room for a new one.
-CHUNK, MOST = 8, 250
+CHUNK, MOST = 8, 160
 #: So many stories are made smaller at most; of the others the command is told.
 SMALLER = 3
 

@@ -1,4 +1,4 @@
-"""Every bug that is planted is found: by a seed that is known to do so, and by `make simulate` from the first on."""
+"""Every planted bug is found: by a seed that is known to do so, and by `make simulate` from the first on."""
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from lfield.simulate.stories import Story, drawn
-from lfield.simulate.trial import Verdict, tell
+from lfield.simulate.stories.story import Story, drawn
+from lfield.simulate.stories.trial import Verdict, tell
 
 #: So many smaller stories are tried at most.
 MOST = 200

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.judge import Breach, Judge
-from lfield.simulate.stories import Story
+from lfield.simulate.stories.story import Story
 from lfield.simulate.weather import Storm
 
 #: Seconds between two looks at devices and logs.

@@ -9,10 +9,11 @@ from __future__ import annotations
 import random
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+from lfield.bytecode.program import Program
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 from lfield.simulate.weather import Fault, Weather
@@ -76,6 +77,7 @@ coordinator Walker {
     }
 }
 """
+_PROGRAMS: dict[bytes, Program] = {}
 #: What a walker does that never ends.
 FOR_EVER = -1
 #: Seconds between two faults of a kind at least and at most, and how likely each kind is in a story.
@@ -163,4 +165,6 @@ def _mission(hosts: int, walkers: int, arms: int, calls: int, stay: float) -> Mi
         deployment = Path(folder) / "story.dL"
         deployment.with_suffix(".L").write_text(PROGRAM, encoding="utf-8")
         deployment.write_text("\n".join([*lines, ""]), encoding="utf-8")
-        return load_mission(deployment, simulate=True)
+        mission = load_mission(deployment, simulate=True)
+    # What hosts prepare of a program is as large as they are: one program is enough.
+    return replace(mission, program=_PROGRAMS.setdefault(mission.program.digest, mission.program))
