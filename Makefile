@@ -6,7 +6,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-sitl bench lint locks clean
+.PHONY: demo test test-sitl simulate bench lint locks clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
@@ -32,6 +32,14 @@ else
 	ARDUCOPTER="$(ARDUCOPTER)" ARDUROVER="$(ARDUROVER)" PX4="$(PX4)" LFIELD_SITL=yes ONLY="$(ONLY)" \
 		$(BIN)/pytest -n 0 --timeout 3600 -p no:cacheprovider -v tests/sitl/test_sitl.py
 endif
+
+# Whole teams on simulated computers: stories drawn from seeds, judged from outside; then every planted bug must be
+# found, with the seeds that it took. make simulate FIRST=10000 has others.
+SEEDS ?= 10000
+FIRST ?= 0
+simulate: $(VENV)/.tested
+	$(BIN)/python -m lfield.simulate --seeds $(SEEDS) --first $(FIRST)
+	LFIELD_PLANTED=yes $(BIN)/pytest -n 0 -s --timeout 3600 -p no:cacheprovider tests/simulate/planted/test_planted.py
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .

@@ -57,7 +57,7 @@ from lfield.wire.messages import (
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
 CENSUS = 1.5
-#: Bytes for the end of a host for which there is no more memory.
+#: Bytes for the end of a host for which there is no more memory; until then it is address space only.
 RESERVE = 4 << 20
 #: What a computer is out of when it refuses a socket.
 SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)

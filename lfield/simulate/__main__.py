@@ -1,4 +1,6 @@
-"""`python -m lfield.simulate MISSION.dL --seed 7 --faults cut=5 kill=20`: a team on virtual time.
+"""`python -m lfield.simulate --seeds 1000`: stories that are drawn from seeds, judged. Or one mission:
+
+`python -m lfield.simulate MISSION.dL --seed 7 --faults cut=5 kill=20`: a team on virtual time.
 
 Hosts and guards are the real ones. Whatever devices the mission has do what their manifests say, and nothing
 else: what they tell are constants.
@@ -9,12 +11,16 @@ from __future__ import annotations
 import argparse
 import random
 import sys
-from dataclasses import fields
+from collections.abc import Iterable
+from dataclasses import fields, replace
 from pathlib import Path
 
 from lfield.errors import LfieldError, ProgramError
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet
+from lfield.simulate.seeds import run
+from lfield.simulate.stories.story import Story, drawn
+from lfield.simulate.stories.trial import tell
 from lfield.simulate.weather import Weather
 
 #: What can go wrong.
@@ -23,20 +29,50 @@ KINDS = [field.name for field in fields(Weather)]
 
 def main() -> int:
     """Run it and print what was said; returns the exit status."""
-    parser = argparse.ArgumentParser(prog="python -m lfield.simulate", description=__doc__)
-    parser.add_argument("mission", metavar="MISSION.dL", type=Path, help="the deployment")
-    parser.add_argument("--seed", type=int, default=0, help="of everything that is left to chance")
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long it runs, in virtual time")
-    parser.add_argument(
-        "--faults",
-        metavar="KIND=SECONDS",
-        type=_fault,
-        nargs="*",
-        default=[],
-        help=f"mean seconds between two faults of a kind: {', '.join(KINDS)}",
-    )
-    parser.add_argument("--quiet", action="store_true", help="print the last line only")
+    parser = _parser()
     args = parser.parse_args()
+    if args.seeds is not None:
+        return 1 if run(range(args.first, args.first + args.seeds), args.processes).broken else 0
+    if args.story is not None:
+        return _story(args)
+    if args.mission is None:
+        parser.error("give --seeds N, --story SEED or a MISSION.dL")
+    return _mission(args)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m lfield.simulate", description=__doc__)
+    parser.add_argument("--quiet", action="store_true", help="print the last line only")
+    many = parser.add_argument_group("stories")
+    many.add_argument("--seeds", type=_count, metavar="N", help="tell and judge the stories of N seeds")
+    many.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of them")
+    many.add_argument("--processes", type=_count, default=0, metavar="N", help="one for each core")
+    many.add_argument("--story", type=int, metavar="SEED", help="tell one again, as it is or smaller:")
+    for name in ("hosts", "walkers", "arms"):
+        many.add_argument(f"--{name}", type=int, metavar="N")
+    many.add_argument("--keep", type=_numbers, metavar="N,N", help="the faults of it that strike")
+    one = parser.add_argument_group("a mission")
+    one.add_argument("mission", metavar="MISSION.dL", type=Path, nargs="?", help="the deployment")
+    one.add_argument("--seed", type=int, default=0, help="of everything that is left to chance")
+    one.add_argument("--seconds", type=float, help="how long it runs, in virtual time")
+    kinds = f"mean seconds between two faults of a kind: {', '.join(KINDS)}"
+    one.add_argument("--faults", metavar="KIND=SECONDS", type=_fault, nargs="*", default=[], help=kinds)
+    return parser
+
+
+def _story(args: argparse.Namespace) -> int:
+    given = {name: getattr(args, name) for name in ("hosts", "walkers", "arms", "seconds", "keep")}
+    story: Story = replace(drawn(args.story), **{name: v for name, v in given.items() if v is not None})
+    verdict = tell(story, keep_log=True)
+    if not args.quiet:
+        _print(verdict.log, verdict.faults)
+    for breach in verdict.breaches:
+        print(breach)
+    print(f"{len(verdict.faults)} faults in {verdict.seconds:g} s; digest {verdict.digest}")
+    return 1 if verdict.breaches else 0
+
+
+def _mission(args: argparse.Namespace) -> int:
     try:
         fleet = Fleet(load_mission(args.mission, simulate=True), args.seed)
     except ProgramError as error:
@@ -45,15 +81,32 @@ def main() -> int:
     except LfieldError as error:
         print(f"lfield.simulate: {error}", file=sys.stderr)
         return error.exit_status
-    storm = Weather(**dict(args.faults)).over(fleet, random.Random(args.seed))
-    fleet.run(args.seconds)
+    seconds = args.seconds or 60.0
+    storm = Weather(**dict(args.faults)).over(fleet, random.Random(args.seed), seconds)
+    fleet.run(seconds)
     if not args.quiet:
-        faults = [(at, "weather", what) for at, what in storm.faults]
-        for at, who, text in sorted([*fleet.log, *faults], key=lambda line: line[0]):
-            print(f"{at:12.6f} {who} | {text.rstrip()}")
+        _print(fleet.log, storm.faults)
     events, struck = fleet.timeline.events, len(storm.faults)
-    print(f"{events} events, {struck} faults in {args.seconds:g} s; digest {fleet.digest}")
+    print(f"{events} events, {struck} faults in {seconds:g} s; digest {fleet.digest}")
     return 0
+
+
+def _print(log: Iterable[tuple[float, str, str]], faults: Iterable[tuple[float, str]]) -> None:
+    weather = [(at, "weather", what) for at, what in faults]
+    for at, who, text in sorted([*log, *weather], key=lambda line: line[0]):
+        print(f"{at:12.6f} {who} | {text.rstrip()}")
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"'{text}' is no number above 0")
+    return int(text)
+
+
+def _numbers(text: str) -> frozenset[int]:
+    if any(not part.isdecimal() for part in text.split(",") if part):
+        raise argparse.ArgumentTypeError(f"'{text}' is no list of numbers, as in 3,7,12")
+    return frozenset(int(part) for part in text.split(",") if part)
 
 
 def _fault(text: str) -> tuple[str, float]:

@@ -38,6 +38,7 @@ CLOCKS = 0.0005
 PORT = 8181
 
 Watch = Callable[["Fleet"], None]
+Born = Callable[[str, "Life"], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,8 @@ class Life:
 
     process: Process
     host: Host
+    #: What it is told when it is to end.
+    words: StopWords
 
     @property
     def core(self) -> HostCore:
@@ -56,9 +59,9 @@ class Life:
 class Fleet:
     """The hosts of a mission, all up at the beginning. Everything that is left to chance comes from `seed`.
 
-    `watch` is called after every event, and raises AssertionError for what must never be. With `lost_after`
-    hosts end when all coordinators have, as with --until-done. They keep journals, unless told not to. Times
-    are in seconds.
+    `watch` is called after every event, and raises AssertionError for what must never be; `born` with every
+    life of a host before anything happens in it. With `lost_after` hosts end when all coordinators have, as
+    with --until-done. They keep journals, unless told not to. Times are in seconds.
     """
 
     def __init__(
@@ -69,9 +72,10 @@ class Fleet:
         unreachable_after: float = 10.0,
         lost_after: float | None = None,
         keeps: bool = True,
+        born: Born = lambda name, life: None,
     ) -> None:
-        self._keeps = keeps
-        self._watch, self._unreachable_after, self._lost_after = watch, unreachable_after, lost_after
+        self._watch, self._born, self._keeps = watch, born, keeps
+        self._unreachable_after, self._lost_after = unreachable_after, lost_after
         dice = random.Random(seed)
         self.timeline = Timeline()
         #: Every line of program output and of the logs: seconds, host, text.
@@ -92,6 +96,9 @@ class Fleet:
         #: The hosts that run now; the exit statuses of those that have ended by themselves.
         self.lives: dict[str, Life] = {}
         self.left: dict[str, int] = {}
+        #: The hosts that ended because of a bug of ours, and those whose disk was replaced.
+        self.failed: set[str] = set()
+        self.replaced: set[str] = set()
         for name in names:
             self.boot(name)
 
@@ -156,14 +163,24 @@ class Fleet:
         """Kill a host's process, as by SIGKILL."""
         self.lives[name].process.die(-9)
 
+    def stop(self, name: str) -> None:
+        """Tell a host to end, as by SIGTERM."""
+        self.lives[name].process.loop.enter(self.lives[name].words.say)
+
     def power_off(self, name: str) -> None:
         """Its computer is gone with all that runs there, and tells nobody."""
         self.computers[name].power_off()
         self.lives.pop(name, None)
 
+    def close(self) -> None:
+        """End all that runs, at once: nothing is left of it."""
+        for name in self.computers:
+            self.power_off(name)
+
     def lose_disk(self, name: str) -> None:
         """Its disk is replaced by an empty one."""
         self.disks[name].replace()
+        self.replaced.add(name)
 
     def _begin(self, name: str, process: Process) -> None:
         machine, disk, book = self.machines[name], self.disks[name], Book(self, name, process)
@@ -177,18 +194,24 @@ class Fleet:
         )
         self._known.add(name)
         host = Host(self.mission, name, TcpTransport(self.mission.max_block), Logbook(book, book), options)
-        life = self.lives[name] = Life(process, host)
+        life = self.lives[name] = Life(process, host, StopWords(host.clock))
+        self._born(name, life)
         process.loop.create_task(self._live(name, life))
 
     async def _live(self, name: str, life: Life) -> None:
         try:
-            status = await live(life.host, StopWords(life.host.clock), self._lost_after)
+            status = await live(life.host, life.words, self._lost_after)
         except LfieldError as error:
-            status = error.exit_status
+            # It could not even start, as when a guard died meanwhile: whoever keeps it up tries again.
             life.host.note(str(error))
+            life.process.exit(error.exit_status)
+            return
         # What is killed is closed, and whoever waits in it for a device's rest hears of that here.
         if not life.process.loop.dead:
-            self.left[name] = status
+            if life.host.failure is not None:
+                self.failed.add(name)
+            if not life.words.first.is_set():
+                self.left[name] = status
             life.process.exit(status)
 
     def _ended(self, name: str, process: Process, _: int) -> None:
@@ -214,8 +237,9 @@ class Fleet:
         for computer in self.computers.values():
             for process in list(computer.processes):
                 process.loop.thaw()
-        for name in self.computers.keys() - self.lives.keys() - self.left.keys():
-            self.boot(name)
+        for name in self.computers:
+            if name not in self.lives and name not in self.left:
+                self.boot(name)
 
 
 class Book(io.StringIO):

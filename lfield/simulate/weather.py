@@ -1,16 +1,15 @@
-"""What goes wrong in a simulation, drawn from the dice of a seed: on the ways, on computers, in processes.
+"""What goes wrong in a simulation, drawn from dice before it begins: a forecast, which is data.
 
-Each fault strikes at random and passes after a while; when the weather ends everything is healed, so that
-what may go on can be seen to do so.
+So a run can be repeated without some of its faults, which changes nothing about the others. Each fault passes
+after a while; when the weather ends everything is healed, so that what may go on can be seen to do so.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
-from itertools import permutations
 
 from lfield.simulate.computers.computer import Process
 from lfield.simulate.computers.machines import Way
@@ -18,10 +17,26 @@ from lfield.simulate.fleet import Fleet
 
 #: How long a fault lasts at least and at most, in seconds, where nothing else is said.
 LASTS = (0.05, 8.0)
-#: Seconds that something takes on a slow way.
+#: Seconds that something takes on a slow way: what is sent on two connections comes in any order.
 SLOW = (0.3, 2.0)
-#: Seconds that a process is stopped for.
+#: Seconds that a process or a computer stands still for.
 STOPPED = (0.05, 6.0)
+#: How fast a clock runs that drifts, and by how many seconds a time of day jumps at most.
+DRIFT, JUMP = (0.9, 1.1), 1e7
+#: A forecast of no length reaches so far, in seconds.
+LONG = 300.0
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault: when in true time, its kind, the hosts it is about, for how long, and a number in 0..1."""
+
+    at: float
+    kind: str
+    one: str
+    other: str
+    lasts: float
+    size: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,132 +46,202 @@ class Weather:
     cut: float = 0.0
     one_way: float = 0.0
     reset: float = 0.0
+    half_open: float = 0.0
     slow: float = 0.0
     kill: float = 0.0
+    restart: float = 0.0
     stop: float = 0.0
     power: float = 0.0
+    suspend: float = 0.0
+    drift: float = 0.0
+    clock: float = 0.0
+    disk_full: float = 0.0
+    disk_new: float = 0.0
     guard_kill: float = 0.0
     guard_stop: float = 0.0
 
-    def over(self, fleet: Fleet, dice: random.Random) -> Storm:
+    def forecast(self, hosts: Sequence[str], dice: random.Random, seconds: float) -> list[Fault]:
+        """The faults of so many seconds from now, in their order."""
+        faults: list[Fault] = []
+        for kind, mean in asdict(self).items():
+            own = random.Random(dice.random())
+            at = own.expovariate(1.0 / mean) if mean else seconds
+            while at < seconds:
+                one, other = own.sample(hosts, 2) if len(hosts) > 1 else (hosts[0], hosts[0])
+                lasts = own.uniform(*(STOPPED if kind in ("stop", "suspend", "guard_stop") else LASTS))
+                faults.append(Fault(at, kind, one, other, lasts, own.random()))
+                at += own.expovariate(1.0 / mean)
+        return sorted(faults, key=lambda fault: fault.at)
+
+    def over(self, fleet: Fleet, dice: random.Random, seconds: float = LONG) -> Storm:
         """Let it break over a team from now on."""
-        storm = Storm(fleet, dice)
-        for name, strike in storm.kinds.items():
-            if mean := getattr(self, name):
-                storm.begin(mean, strike)
-        return storm
+        return Storm(fleet, self.forecast(fleet.mission.team.hosts, dice, seconds))
 
 
 class Storm:
-    """The weather over one team, until `end`."""
+    """A forecast that comes true over one team, until `end`. A fault of a host that is down does nothing."""
 
-    def __init__(self, fleet: Fleet, dice: random.Random) -> None:
-        self.fleet, self._dice = fleet, dice
+    def __init__(self, fleet: Fleet, forecast: Iterable[Fault]) -> None:
+        self.fleet = fleet
         #: Every fault that struck: when, and what.
         self.faults: list[tuple[float, str]] = []
         self._over = False
-        hosts = list(fleet.mission.team.hosts)
-        self._hosts, self._ways = hosts, list(permutations(hosts, 2))
-        self.kinds: dict[str, Callable[[], None]] = {
-            "cut": self._cut, "one_way": self._one_way, "reset": self._reset, "slow": self._slow,
-            "kill": self._kill, "stop": self._stop, "power": self._power,
+        kinds: Mapping[str, Callable[[Fault], None]] = {
+            "cut": self._cut, "one_way": self._one_way, "reset": self._reset, "half_open": self._half_open,
+            "slow": self._slow, "kill": self._kill, "restart": self._restart, "stop": self._stop,
+            "power": self._power, "suspend": self._suspend, "drift": self._drift, "clock": self._clock,
+            "disk_full": self._disk_full, "disk_new": self._disk_new,
             "guard_kill": self._guard_kill, "guard_stop": self._guard_stop,
         }  # fmt: skip
-
-    def begin(self, mean: float, strike: Callable[[], None]) -> None:
-        """Let one kind of fault strike again and again."""
-        self._after(self._dice.expovariate(1.0 / mean), partial(self._strike, mean, strike))
+        for fault in forecast:
+            self._after(fault.at, partial(self._strike, kinds[fault.kind], fault))
 
     def end(self) -> None:
         """The sun comes out: all ways speak, all computers are on, all hosts run."""
         self._over = True
+        for disk in self.fleet.disks.values():
+            disk.full = False
         self.fleet.heal_all()
 
-    def _strike(self, mean: float, strike: Callable[[], None]) -> None:
+    def _strike(self, strike: Callable[[Fault], None], fault: Fault) -> None:
         if not self._over:
-            strike()
-            self.begin(mean, strike)
+            strike(fault)
 
     def _after(self, seconds: float, event: Callable[[], None]) -> None:
         self.fleet.timeline.after(seconds, event)
-
-    def _passes(self, event: Callable[[], None], lasts: tuple[float, float] = LASTS) -> None:
-        self._after(self._dice.uniform(*lasts), event)
 
     def _note(self, what: str) -> None:
         self.faults.append((self.fleet.timeline.now, what))
 
     # --- ways -----------------------------------------------------------------------------------------
 
-    def _cut(self) -> None:
-        one, other = self._dice.choice(self._ways)
-        self._note(f"cut {one} - {other}")
-        for way in ((one, other), (other, one)):
-            self.fleet.network.silence(*way)
-            self._passes(partial(self.fleet.network.heal, *way))
+    def _cut(self, fault: Fault) -> None:
+        self._note(f"cut {fault.one} - {fault.other}")
+        self._silence(fault.one, fault.other, fault.lasts)
+        self._silence(fault.other, fault.one, fault.lasts * fault.size)
 
-    def _one_way(self) -> None:
-        way = self._dice.choice(self._ways)
-        self._note(f"silence {way[0]} > {way[1]}")
-        self.fleet.network.silence(*way)
-        self._passes(partial(self.fleet.network.heal, *way))
+    def _one_way(self, fault: Fault) -> None:
+        self._note(f"silence {fault.one} > {fault.other}")
+        self._silence(fault.one, fault.other, fault.lasts)
 
-    def _reset(self) -> None:
-        way = self._dice.choice(self._ways)
-        self._note(f"reset {way[0]} - {way[1]}")
-        self.fleet.network.reset(*way)
+    def _silence(self, near: str, far: str, lasts: float) -> None:
+        self.fleet.network.silence(near, far)
+        self._after(lasts, partial(self.fleet.network.heal, near, far))
 
-    def _slow(self) -> None:
-        way = self._dice.choice(self._ways)
-        self._note(f"slow {way[0]} > {way[1]}")
-        self.fleet.network.ways.slow[way] = SLOW
-        self._passes(partial(self._quick, way))
+    def _reset(self, fault: Fault) -> None:
+        self._note(f"reset {fault.one} - {fault.other}")
+        self.fleet.network.reset(fault.one, fault.other)
+
+    def _half_open(self, fault: Fault) -> None:
+        self._note(f"half open {fault.one} - {fault.other}")
+        self.fleet.network.half_open(fault.one, fault.other)
+        self._silence(fault.one, fault.other, fault.lasts)
+
+    def _slow(self, fault: Fault) -> None:
+        self._note(f"slow {fault.one} > {fault.other}")
+        self.fleet.network.ways.slow[fault.one, fault.other] = SLOW
+        self._after(fault.lasts, partial(self._quick, (fault.one, fault.other)))
 
     def _quick(self, way: Way) -> None:
         self.fleet.network.ways.slow.pop(way, None)
 
     # --- computers and processes ----------------------------------------------------------------------
 
-    def _host(self) -> str:
-        """One that runs now; '' for none."""
-        return self._dice.choice(sorted(self.fleet.lives) or [""])
+    def _runs(self, fault: Fault, what: str) -> bool:
+        if runs := fault.one in self.fleet.lives:
+            self._note(f"{what} {fault.one}")
+        return runs
 
-    def _kill(self) -> None:
-        if name := self._host():
-            self._note(f"kill {name}")
-            self.fleet.crash(name)
-            self._passes(partial(self._start, name))
+    def _kill(self, fault: Fault) -> None:
+        if self._runs(fault, "kill"):
+            self.fleet.crash(fault.one)
+            self._after(fault.lasts, partial(self._start, fault.one))
 
-    def _power(self) -> None:
-        if name := self._host():
-            self._note(f"power {name}")
-            self.fleet.power_off(name)
-            self._passes(partial(self._start, name))
+    def _restart(self, fault: Fault) -> None:
+        if self._runs(fault, "restart"):
+            self.fleet.stop(fault.one)
+            self._after(fault.lasts, partial(self._start, fault.one))
 
-    def _stop(self) -> None:
-        if name := self._host():
-            self._freeze(f"stop {name}", self.fleet.lives[name].process)
+    def _power(self, fault: Fault) -> None:
+        if self._runs(fault, "power"):
+            self.fleet.power_off(fault.one)
+            self._after(fault.lasts, partial(self._start, fault.one))
 
-    def _guard_kill(self) -> None:
-        if guard := self._guard():
-            self._note(f"kill a guard of {guard.loop.machine.name}")
-            guard.die(-9)
-
-    def _guard_stop(self) -> None:
-        if guard := self._guard():
-            self._freeze(f"stop a guard of {guard.loop.machine.name}", guard)
-
-    def _guard(self) -> Process | None:
-        hosts = [life.process for life in self.fleet.lives.values()]
-        all = [process for computer in self.fleet.computers.values() for process in computer.processes]
-        guards = [process for process in all if process not in hosts]
-        return self._dice.choice(guards) if guards else None
-
-    def _freeze(self, what: str, process: Process) -> None:
-        self._note(what)
-        process.loop.freeze()
-        self._passes(process.loop.thaw, STOPPED)
+    def _disk_new(self, fault: Fault) -> None:
+        if self._runs(fault, "new disk for"):
+            self.fleet.power_off(fault.one)
+            self.fleet.lose_disk(fault.one)
+            self._after(fault.lasts, partial(self._start, fault.one))
 
     def _start(self, name: str) -> None:
-        if name not in self.fleet.lives.keys() | self.fleet.left.keys():
+        """Start a host again; one that is still about to end, when it has."""
+        life = self.fleet.lives.get(name)
+        if life is not None and life.words.first.is_set():
+            self._after(0.5, partial(self._start, name))
+        elif life is None and name not in self.fleet.left:
             self.fleet.boot(name)
+
+    def _stop(self, fault: Fault) -> None:
+        if self._runs(fault, "stop"):
+            self._freeze(self.fleet.lives[fault.one].process, fault)
+
+    def _freeze(self, process: Process, fault: Fault) -> None:
+        process.loop.freeze()
+        self._after(fault.lasts, process.loop.thaw)
+
+    def _suspend(self, fault: Fault) -> None:
+        """Its monotonic clock stands still, its time of day does not; nothing comes in or goes out."""
+        if not self._runs(fault, "suspend"):
+            return
+        computer, clock = self.fleet.computers[fault.one], self.fleet.machines[fault.one].clock
+        for process in list(computer.processes):
+            self._freeze(process, fault)
+        for other in self.fleet.mission.team.hosts:
+            if other != fault.one:
+                self._silence(fault.one, other, fault.lasts)
+                self._silence(other, fault.one, fault.lasts)
+        clock.stands_still(fault.lasts)
+
+    def _drift(self, fault: Fault) -> None:
+        rate = DRIFT[0] + (DRIFT[1] - DRIFT[0]) * fault.size
+        self._note(f"clock of {fault.one} at {rate:.3f}")
+        usual = self.fleet.machines[fault.one].rate
+        self._pace(fault.one, rate)
+        self._after(fault.lasts, partial(self._pace, fault.one, usual))
+
+    def _pace(self, name: str, rate: float) -> None:
+        self.fleet.machines[name].clock.run_at(rate)
+        for process in list(self.fleet.computers[name].processes):
+            process.loop.enter(_nothing)
+
+    def _clock(self, fault: Fault) -> None:
+        jump = JUMP * (2.0 * fault.size - 1.0)
+        self._note(f"time of day of {fault.one} jumps {jump:+.0f} s")
+        self.fleet.machines[fault.one].clock.ahead += jump
+
+    def _disk_full(self, fault: Fault) -> None:
+        self._note(f"disk full on {fault.one}")
+        disk = self.fleet.disks[fault.one]
+        disk.full = True
+        self._after(fault.lasts, partial(setattr, disk, "full", False))
+
+    # --- guards ---------------------------------------------------------------------------------------
+
+    def _guard_kill(self, fault: Fault) -> None:
+        if guard := self._guard(fault):
+            self._note(f"kill a guard of {fault.one}")
+            guard.die(-9)
+
+    def _guard_stop(self, fault: Fault) -> None:
+        if guard := self._guard(fault):
+            self._note(f"stop a guard of {fault.one}")
+            self._freeze(guard, fault)
+
+    def _guard(self, fault: Fault) -> Process | None:
+        hosts = [life.process for life in self.fleet.lives.values()]
+        guards = [p for p in self.fleet.computers[fault.one].processes if p not in hosts]
+        return guards[int(fault.size * len(guards))] if guards else None
+
+
+def _nothing() -> None:
+    """What lets a loop look at its clock."""

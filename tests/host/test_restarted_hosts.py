@@ -111,7 +111,7 @@ def test_a_start_that_arrives_where_a_later_one_runs_ends_it_first(fleet):
         home, _, carol = await team.up(mission, keeps=True)
         await team.until(lambda: carol.output)
         first = carol.output[0].split()[0]
-        # Nobody who can be reached knows where it is, and on the disk that is spoilt: a second one is started.
+        # Nobody who can be reached knows of it, and its page on the disk is spoilt: a second one is started.
         team.network.partition("home", "carol")
         await home.host.stop()
         await asyncio.sleep(10.0)

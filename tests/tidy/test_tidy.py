@@ -34,6 +34,7 @@ SMALL = {
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/net/guests.py": "who may wait at the door before the greeting",
     "lfield/simulate/computers/timeline.py": "the one queue of a simulation",
+    "lfield/simulate/saved.py": "what is asked of simulated journals",
     "lfield/simulate/time.py": "the jumping clock",
     "lfield/testing/offers.py": "a team for golden programs",
     "lfield/testing/reports.py": "the guard's end of a driver, for tests",

@@ -65,13 +65,18 @@ async def run_host(
     hear_signals(words)
     if leash:
         Leash(sys.stdin.fileno(), host.reaped, partial(words.say, again=False))
-    return await live(host, words, lost_after)
+    return await live(host, words, lost_after, _settle)
 
 
-async def live(host: Host, words: StopWords, lost_after: float | None) -> int:
-    """Run a host until it is done, is told to stop or fails; returns the exit status."""
+async def live(
+    host: Host, words: StopWords, lost_after: float | None, started: Callable[[], None] = lambda: None
+) -> int:
+    """Run a host until it is done, is told to stop or fails; returns the exit status.
+
+    `started` is called when it is up.
+    """
     asyncio.get_running_loop().set_exception_handler(host.unhandled)
-    life = asyncio.ensure_future(_until_done(host, lost_after))
+    life = asyncio.ensure_future(_until_done(host, lost_after, started))
     stopped = asyncio.ensure_future(words.first.wait())
     failed = asyncio.ensure_future(host.failed.wait())
     try:
@@ -128,12 +133,16 @@ async def stay_here(name: str, address: str) -> None:
         )
 
 
-async def _until_done(host: Host, lost_after: float | None) -> int:
-    """Start the host, and wait until all is done; for ever if `lost_after` is None."""
-    await host.start()
-    # What is loaded now stays: Python's collector need not look at it again in the middle of a hop.
+def _settle() -> None:
+    """What is loaded now stays: Python's collector need not look at it again in the middle of a hop."""
     gc.collect()
     gc.freeze()
+
+
+async def _until_done(host: Host, lost_after: float | None, started: Callable[[], None]) -> int:
+    """Start the host, and wait until all is done; for ever if `lost_after` is None."""
+    await host.start()
+    started()
     if lost_after is None:
         await _for_ever()
     return exits.worst(_told(host, fate) for fate in await until_done(host, lost_after))

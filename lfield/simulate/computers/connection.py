@@ -119,10 +119,9 @@ class End(asyncio.Transport):
             self.loop.call_soon(self._lost, None)
 
     def abort(self) -> None:
-        """Close at once; what waits is lost."""
+        """Close at once. What was written is the kernel's, which still sends it."""
         if not self.over:
             self._closing = True
-            self._waiting.clear()
             self._send(reset())
             self.loop.call_soon(self._lost, None)
 

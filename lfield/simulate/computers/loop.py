@@ -51,6 +51,9 @@ class ProcessLoop(asyncio.BaseEventLoop):
         """Its machine's monotonic clock."""
         return self.clock.monotonic()
 
+    def __del__(self) -> None:
+        """It holds nothing of the real computer: nobody need close it."""
+
     # --- from outside ---------------------------------------------------------------------------------
 
     def enter(self, event: Callable[[], object]) -> None:

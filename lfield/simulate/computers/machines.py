@@ -33,6 +33,15 @@ class MachineClock:
         """What it takes for the time of day."""
         return self.monotonic() + self.ahead
 
+    def run_at(self, rate: float) -> None:
+        """Run so fast from now on. Who waits for it must look again."""
+        self._began, self._since, self.rate = self.monotonic(), self._timeline.now, rate
+
+    def stands_still(self, seconds: float) -> None:
+        """The machine is suspended for so long: nobody on it runs, and only its time of day goes on."""
+        self._began -= seconds * self.rate
+        self.ahead += seconds * self.rate
+
     def true(self, monotonic: float) -> float:
         """When its monotonic time will be that, in true time."""
         return self._since + (monotonic - self._began) / self.rate
@@ -42,7 +51,7 @@ class Machine:
     """A machine by its name. `dice` are its own, so that what happens on one changes nothing on another."""
 
     def __init__(self, name: str, timeline: Timeline, dice: random.Random, rate: float = 1.0) -> None:
-        self.name, self.timeline, self.dice, self._rate = name, timeline, dice, rate
+        self.name, self.timeline, self.dice, self.rate = name, timeline, dice, rate
         #: What is plugged in, by endpoint.
         self.hardware: dict[str, object] = {}
         self.on = False
@@ -51,7 +60,7 @@ class Machine:
     def switch_on(self) -> None:
         """Its monotonic clock begins anew, its time of day is anything."""
         self.on = True
-        self.clock = MachineClock(self.timeline, began=self.dice.uniform(1.0, 1e5), rate=self._rate)
+        self.clock = MachineClock(self.timeline, began=self.dice.uniform(1.0, 1e5), rate=self.rate)
         self.clock.ahead = self.dice.uniform(0.0, 2e9)
 
 

@@ -52,6 +52,12 @@ class Network:
             if set(end.way) == {one, other}:
                 end.lose(reset())
 
+    def half_open(self, gone: str, left: str) -> None:
+        """One end of every connection of two machines breaks, and the other is not told."""
+        for end in self._ends():
+            if end.way == (gone, left):
+                end.lose(reset())
+
     def process_died(self, loop: ProcessLoop, *, silently: bool) -> None:
         """Its ports are free, its connections reset; `silently` when its machine is gone and tells nobody."""
         self._listening = {at: found for at, found in self._listening.items() if found.loop is not loop}

@@ -1,0 +1,121 @@
+"""Thousands of stories, over several processes: `make simulate SEEDS=10000`.
+
+A story in which a promise is broken is told with the command that repeats it, and again made smaller.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from lfield.simulate.stories.shrink import command, smallest
+from lfield.simulate.stories.story import drawn
+from lfield.simulate.stories.trial import Verdict, tell
+
+#: Seeds that a process is given at a time, and after how many it makes room for a new one.
+CHUNK, MOST = 8, 160
+#: So many stories are made smaller at most; of the others the command is told.
+SMALLER = 3
+
+
+@dataclass(slots=True)
+class Tally:
+    """What came of many stories."""
+
+    told: int = 0
+    seconds: float = 0.0
+    faults: int = 0
+    calls: int = 0
+    broken: list[Verdict] = field(default_factory=list)
+    digests: dict[int, str] = field(default_factory=dict)
+
+    def add(self, verdict: Verdict) -> None:
+        """One more."""
+        self.told += 1
+        self.seconds += verdict.seconds
+        self.faults += len(verdict.faults)
+        self.calls += verdict.calls
+        self.digests[verdict.story.seed] = verdict.digest
+        if verdict.breaches:
+            self.broken.append(verdict)
+
+    @property
+    def digest(self) -> str:
+        """What tells these runs from others."""
+        lines = (f"{seed} {digest}\n" for seed, digest in sorted(self.digests.items()))
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
+def told(seed: int) -> Verdict:
+    """The story of a seed."""
+    return tell(drawn(seed))
+
+
+def first_broken(seeds: Iterable[int]) -> Verdict | None:
+    """The first story of some, told one after another, in which a promise is broken."""
+    return next((verdict for verdict in map(told, seeds) if verdict.breaches), None)
+
+
+@contextmanager
+def _spread(seeds: range, processes: int) -> Iterator[Iterator[Verdict]]:
+    """What comes of the stories, as it comes."""
+    if processes == 1:
+        yield map(told, seeds)
+        return
+    with multiprocessing.get_context("spawn").Pool(processes, maxtasksperchild=MOST // CHUNK) as pool:
+        yield pool.imap_unordered(told, seeds, CHUNK)
+
+
+def run(seeds: range, processes: int = 0, console: Console | None = None) -> Tally:
+    """Tell the stories of some seeds, and of each that breaks a promise; `processes` 0: one for each core."""
+    console = console or Console()
+    processes = processes or len(os.sched_getaffinity(0))
+    tally, began = Tally(), time.monotonic()
+    columns = (BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
+    with (
+        Progress(*columns, console=console, transient=True) as progress,
+        _spread(seeds, processes) as verdicts,
+    ):
+        task = progress.add_task("0 breaches", total=len(seeds))
+        for verdict in verdicts:
+            tally.add(verdict)
+            progress.update(task, advance=1, description=f"{len(tally.broken)} breaches")
+            if verdict.breaches:
+                _tell(progress.console.print, verdict)
+    for verdict in sorted(tally.broken, key=lambda verdict: verdict.story.seed)[:SMALLER]:
+        console.print("made smaller:", highlight=False)
+        _tell(console.print, smallest(verdict))
+    took = time.monotonic() - began
+    console.print(in_words(tally, took), highlight=False, soft_wrap=True)
+    return tally
+
+
+def in_words(tally: Tally, took: float) -> str:
+    """What came of it, in two lines; `took` is in real seconds."""
+    kinds = Counter(verdict.breaches[0].name for verdict in tally.broken)
+    of = f" ({', '.join(f'{name} {count}' for name, count in sorted(kinds.items()))})" if kinds else ""
+    return (
+        f"{tally.told:,} seeds, {len(tally.broken):,} breaches{of}; "
+        f"{tally.faults:,} faults, {tally.calls:,} calls\n"
+        f"{tally.seconds:,.0f} virtual seconds in {took:,.1f} s: {tally.seconds / took:,.0f} per second; "
+        f"digest {tally.digest[:16]}"
+    )
+
+
+def _tell(write: Callable[..., None], verdict: Verdict) -> None:
+    """What was broken, how large the story is, and how to repeat it."""
+    story = verdict.story
+    write(f"{verdict.breaches[0]}", markup=False, highlight=False, soft_wrap=True)
+    size = (
+        f"{story.hosts} hosts, {story.walkers} walkers, {len(verdict.faults)} faults, {verdict.seconds:.1f} s"
+    )
+    write(f"    {size}: {command(story)}", markup=False, highlight=False, soft_wrap=True)

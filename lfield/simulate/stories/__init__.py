@@ -1,0 +1,1 @@
+"""Stories: drawn from seeds, told, judged, made smaller."""

@@ -1,0 +1,65 @@
+"""Makes a story in which a promise was broken smaller: fewer faults, hosts, walkers, devices, and shorter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from lfield.simulate.stories.story import Story, drawn
+from lfield.simulate.stories.trial import Verdict, tell
+
+#: So many smaller stories are tried at most.
+MOST = 200
+
+
+def smallest(found: Verdict, most: int = MOST) -> Verdict:
+    """The smallest story that was found in which the same promise is broken."""
+    name, best = found.breaches[0].name, found
+    tries = most
+    while tries > 0:
+        for story in _smaller(best):
+            tries -= 1
+            verdict = tell(story)
+            if any(breach.name == name for breach in verdict.breaches):
+                best = verdict
+                break
+            if tries <= 0:
+                break
+        else:
+            break
+    return best
+
+
+def _smaller(verdict: Verdict) -> Iterator[Story]:
+    """Stories that are a little smaller, the boldest first."""
+    story = verdict.story
+    if verdict.seconds + 0.1 < story.seconds:
+        yield replace(story, seconds=round(verdict.seconds + 0.1, 3))
+    struck = [number for number, fault in story.numbered if fault.at < story.seconds]
+    size = len(struck)
+    if size < len(story.numbered):
+        yield replace(story, keep=frozenset(struck))
+    if story.hosts > 2:
+        yield replace(story, hosts=story.hosts - 1, arms=min(story.arms, story.hosts - 1))
+    if story.walkers > 1:
+        yield replace(story, walkers=story.walkers - 1)
+    if story.arms:
+        yield replace(story, arms=story.arms - 1)
+    while size > 1:
+        size = (size + 1) // 2
+        for first in range(0, len(struck), size):
+            yield replace(story, keep=frozenset(struck[:first] + struck[first + size :]))
+    if len(struck) == 1:
+        yield replace(story, keep=frozenset())
+
+
+def command(story: Story) -> str:
+    """The one command that tells this story again."""
+    usual, words = drawn(story.seed), [f"python -m lfield.simulate --story {story.seed}"]
+    for name in ("hosts", "walkers", "arms", "seconds"):
+        value = getattr(story, name)
+        if value != getattr(usual, name):
+            words.append(f"--{name} {value}")
+    if story.keep is not None:
+        words.append(f"--keep {','.join(str(number) for number in sorted(story.keep))}")
+    return " ".join(words)

@@ -1,0 +1,83 @@
+"""One story, told and judged."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import hashlib
+import io
+from dataclasses import dataclass
+
+from lfield.simulate.fleet import Fleet
+from lfield.simulate.judge import Breach, Judge
+from lfield.simulate.stories.story import Story
+from lfield.simulate.weather import Storm
+
+#: Seconds between two looks at devices and logs.
+LOOK = 0.25
+#: Seconds after the weather in which whoever may go on must have done so, beside those that a call waits: a
+#: greeting that nobody answered is given up after 10 s.
+PATIENCE = 25.0
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What came of a story. `seconds` of virtual time; `faults` as they struck, `calls` that began."""
+
+    story: Story
+    breaches: tuple[Breach, ...]
+    digest: str
+    seconds: float
+    faults: tuple[tuple[float, str], ...]
+    calls: int
+    log: tuple[tuple[float, str, str], ...] = ()
+
+
+def tell(story: Story, *, keep_log: bool = False) -> Verdict:
+    """Let a story happen; it ends with the first breach, or when all that may go on have done so."""
+    # A story leaves much behind that is in circles: young while it is told, it is found at once afterwards.
+    gc.disable()
+    try:
+        return _told(story, keep_log=keep_log)
+    finally:
+        gc.collect(0)
+        gc.enable()
+
+
+def _told(story: Story, *, keep_log: bool) -> Verdict:
+    judge = Judge()
+    fleet = judge.fleet = Fleet(
+        story.mission,
+        story.seed,
+        unreachable_after=story.unreachable_after,
+        lost_after=story.lost_after,
+        born=judge.born,
+    )
+    storm = Storm(fleet, story.forecast)
+    # A guard whose host is gone tells the terminal.
+    with contextlib.redirect_stderr(io.StringIO()):
+        _happen(fleet, storm, judge, story)
+        fleet.close()
+    said = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
+    log = tuple(fleet.log) if keep_log else ()
+    calls = judge.seen["calls"]
+    return Verdict(story, tuple(judge.breaches), said, fleet.now, tuple(storm.faults), calls, log)
+
+
+def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
+    _until(fleet, judge, story.seconds)
+    if judge.breaches:
+        return
+    storm.end()
+    judge.healed()
+    end = fleet.now + PATIENCE + story.unreachable_after
+    while judge.waits_for() and fleet.now < end and not judge.breaches:
+        _until(fleet, judge, fleet.now + 1.0)
+    if not judge.breaches:
+        judge.end()
+
+
+def _until(fleet: Fleet, judge: Judge, when: float) -> None:
+    while fleet.now < when and not judge.breaches:
+        fleet.run(min(LOOK, when - fleet.now))
+        judge.look()

@@ -1,0 +1,104 @@
+"""What is seen of a host without asking the code that decides: who comes into its machine, what is said.
+
+The wires of one life are tapped, each where a shell or the machine calls it: nothing is changed by that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from lfield.simulate.fleet import Life
+from lfield.vm.agent import Agent, Member
+from lfield.wire.framing import Buffer
+from lfield.wire.messages import Transfer
+
+
+class Sees(Protocol):
+    """Whoever watches. All of it happens now, in this life of a host."""
+
+    def started(self, life: Life, agent: Agent) -> None:
+        """A coordinator was begun."""
+
+    def admitted(self, life: Life, agent: Agent, *, came: bool) -> None:
+        """A coordinator was put into the machine; it `came` over a link, or else from the host's own disk."""
+
+    def may_run(self, life: Life, agent: Agent) -> None:
+        """A frozen coordinator may run again."""
+
+    def sent(self, life: Life, agent: str, generation: int, target: str, incarnation: int) -> None:
+        """A coordinator was sent to another host, in that life of it; 0 if there was no link."""
+
+    def unkept(self, life: Life) -> None:
+        """The start of its coordinators could not be kept, so it has none."""
+
+    def turned(self, life: Life) -> None:
+        """The host has done all there was to do."""
+
+    def said(self, life: Life, agent: Agent, text: str) -> None:
+        """A program has written something."""
+
+
+def tap(life: Life, sees: Sees) -> None:
+    """Let somebody see all of one life."""
+    core, machine, peers = life.core, life.core.machine, life.host.peers
+    coming: list[Transfer] = []
+
+    def start(go: Callable[..., Agent], member: Member, *more: Any) -> Agent:
+        agent = go(member, *more)
+        if member.kind == "coordinator":
+            sees.started(life, agent)
+        return agent
+
+    def arrived(go: Callable[..., None], host: str, header: Transfer, *more: Any) -> None:
+        coming.append(header)
+        try:
+            go(host, header, *more)
+        finally:
+            coming.pop()
+
+    def admit(go: Callable[..., Agent], *more: Any) -> Agent:
+        agent = go(*more)
+        sees.admitted(life, agent, came=bool(coming))
+        return agent
+
+    def resume(go: Callable[..., None], agent: Agent, *more: Any) -> None:
+        go(agent, *more)
+        sees.may_run(life, agent)
+
+    def send_transfer(go: Callable[..., None], host: str, header: Transfer, block: Buffer) -> None:
+        sees.sent(life, header.agent, header.generation, host, peers.incarnations.get(host, 0))
+        go(host, header, block)
+
+    def not_kept(go: Callable[..., None], *more: Any) -> None:
+        sees.unkept(life)
+        go(*more)
+
+    def run(go: Callable[[], float | None]) -> float | None:
+        pause = go()
+        sees.turned(life)
+        return pause
+
+    def write(go: Callable[..., None], agent: Agent, text: str) -> None:
+        sees.said(life, agent, text)
+        go(agent, text)
+
+    def log(go: Callable[..., None], agent: Agent, text: str) -> None:
+        sees.said(life, agent, text)
+        go(agent, text)
+
+    for place, wire in (
+        (machine, start), (machine, admit), (machine, resume), (core, arrived), (core, not_kept),
+        (core, run), (core, write), (core, log), (peers, send_transfer),
+    ):  # fmt: skip
+        _tap(place, wire)
+
+
+def _tap(place: object, wire: Callable[..., Any]) -> None:
+    """Lead every call of a method of this name through `wire`, which is given the method first."""
+    go = getattr(place, wire.__name__)
+
+    def tapped(*given: Any, **named: Any) -> Any:
+        return wire(go, *given, **named)
+
+    setattr(place, wire.__name__, tapped)

@@ -1,0 +1,192 @@
+"""Bugs that this code had, or might well have, as patches of the real code: the judge must find them all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from lfield.errors import DeviceError
+from lfield.host.core import HostCore
+from lfield.host.host import Host
+from lfield.mobility.arrivals import Arrivals
+from lfield.mobility.copies import Copy
+from lfield.mobility.departures import Departures
+from lfield.mobility.effects import Effect, Send
+from lfield.mobility.fates import Absent
+from lfield.mobility.hearsay import Hearsay
+from lfield.mobility.starts import Starts
+from lfield.vm.machine import Machine
+from lfield.wire.messages import NEVER_ARRIVED, Hello, Inquire, Refused
+
+Patch = pytest.MonkeyPatch
+
+
+@dataclass(frozen=True)
+class Bug:
+    """A bug: how it is planted, why it is one, by which breaches it may be found, and a seed that does."""
+
+    plant: Callable[[Patch], None]
+    why: str
+    breaches: frozenset[str]
+    seed: int
+
+    @property
+    def name(self) -> str:
+        return self.plant.__name__
+
+
+def silence_is_a_loss(patch: Patch) -> None:
+    def absent(self: Hearsay, answered: Any, now: float, lost_after: float, unmet: float) -> Absent:
+        return Absent(gone=[host for host in self._others if host not in answered])
+
+    patch.setattr(Hearsay, "absent", absent)
+
+
+def two_starts_on_one_host(patch: Patch) -> None:
+    admit = Machine.admit
+
+    def admit_beside(self: Machine, member: Any, *more: Any) -> Any:
+        other = self.agents.get(member.id)
+        ended = other.ended if other else ""
+        agent = admit(self, member, *more)
+        if other:
+            other.ended = ended
+        return agent
+
+    patch.setattr(Machine, "admit", admit_beside)
+
+
+def generations_from_the_wall_clock(patch: Patch) -> None:
+    begin = HostCore.start_coordinators
+
+    def start(self: HostCore, *given: Any, **named: Any) -> None:
+        self._starts.today = int(self._clock.time() * 1e3)  # type: ignore[attr-defined]
+        begin(self, *given, **named)
+
+    patch.setattr(HostCore, "start_coordinators", start)
+    patch.setattr(Starts, "next", property(lambda self: self.today))
+
+
+def a_pump_dies_while_guards_are_fed(patch: Patch) -> None:
+    enter, unlinked = Host._enter, HostCore.unlinked
+
+    def breaks(self: HostCore, host: str) -> None:
+        self.breaks = getattr(self, "breaks", 0) + 1  # type: ignore[attr-defined]
+        if self.breaks == 3:
+            raise ValueError("a bug that nobody has met yet")
+        unlinked(self, host)
+
+    def enter_if_alive(self: Host, event: Callable[[], None]) -> None:
+        if not hasattr(self, "pump_died"):
+            enter(self, event)
+
+    patch.setattr(HostCore, "unlinked", breaks)
+    patch.setattr(Host, "_enter", enter_if_alive)
+    patch.setattr(Host, "fail", lambda self, error: setattr(self, "pump_died", error))
+    patch.setattr(Host, "turn", lambda self: self._enter(lambda: None) or True)
+
+
+def an_exception_loses_a_thread(patch: Patch) -> None:
+    answered = HostCore.answered
+
+    def lost(self: HostCore, asked: Any, value: Any) -> None:
+        if not isinstance(value, DeviceError):
+            answered(self, asked, value)
+
+    patch.setattr(HostCore, "answered", lost)
+
+
+def resume_after_the_point_of_no_return(patch: Patch) -> None:
+    def overdue(self: Departures, copy: Copy) -> list[Effect]:
+        return self._resume(copy, "UnreachableResourceException", "it took too long")
+
+    patch.setattr(Departures, "overdue", overdue)
+
+
+def no_memory_of_ids(patch: Patch) -> None:
+    def inquire(self: Arrivals, host: str, asked: Inquire) -> list[Effect]:
+        refused = Refused(asked.agent, asked.generation, asked.sequence, NEVER_ARRIVED, "who?")
+        return [Send(host, refused)]
+
+    patch.setattr(Arrivals, "inquire", inquire)
+
+
+def a_restart_is_taken_for_a_proof(patch: Patch) -> None:
+    take_up = Departures._take_up
+
+    def take_up_boldly(self: Departures, copy: Copy, peer: Hello) -> list[Effect]:
+        restarted = copy.state == "PREPARED" and peer.incarnation != copy.incarnation
+        return self._send(copy) if restarted else take_up(self, copy, peer)
+
+    patch.setattr(Departures, "_take_up", take_up_boldly)
+
+
+BUGS = [
+    Bug(
+        silence_is_a_loss,
+        "a host that is well declared a live coordinator lost when one link of a triangle was cut",
+        frozenset({"lost"}),
+        125,
+    ),
+    Bug(
+        two_starts_on_one_host,
+        "an earlier start arrived where a later one ran, and both went on",
+        frozenset({"I1", "I4"}),
+        462,
+    ),
+    Bug(
+        generations_from_the_wall_clock,
+        "the time of day jumps, and a later start counts as an earlier one",
+        frozenset({"start"}),
+        67,
+    ),
+    Bug(
+        a_pump_dies_while_guards_are_fed,
+        "an exception ended what turns the host, and its guards heard that all was well",
+        frozenset({"stuck", "device"}),
+        3,
+    ),
+    Bug(
+        an_exception_loses_a_thread,
+        "an answer that was an exception came to nobody, and its thread waited for ever",
+        frozenset({"stuck"}),
+        8,
+    ),
+    Bug(
+        resume_after_the_point_of_no_return,
+        "appendix I as printed: what was sent may have arrived",
+        frozenset({"I1", "I4"}),
+        4,
+    ),
+    Bug(
+        no_memory_of_ids,
+        "a receiver that forgets its verdicts says that what it has taken never arrived",
+        frozenset({"I1", "I4"}),
+        39,
+    ),
+    Bug(
+        a_restart_is_taken_for_a_proof,
+        "what the earlier life of a receiver took may have gone on before it died",
+        frozenset({"I1", "I4"}),
+        418,
+    ),
+]
+
+#: What cannot be planted before the code is there, and by what it is to be found then.
+NOT_YET = {
+    "a copy in doubt whose receiver restarted stays in doubt for ever": ("journal", "stuck"),
+    "MOVED and PREPARED are not on disk": ("journal", "I1, I5"),
+    "verdicts are not on disk": ("journal", "I2"),
+    "a call is begun before its block is on disk": ("journal", "I4"),
+    "a resource serves an older token": ("fencing", "I3"),
+    "running without a lease": ("quorum", "I1"),
+    "an acknowledgement without the fence": ("quorum", "I1"),
+    "no wait after the promises": ("quorum", "I1"),
+    "a wait that is shorter than the lease": ("quorum", "I1"),
+    "the fence is not on disk": ("quorum", "I1"),
+    "the promises of a minority": ("quorum", "I1"),
+    "fences told once and lost with their link": ("quorum", "I1"),
+}

@@ -1,0 +1,30 @@
+"""Every planted bug is found: by a seed that is known to do so, and by `make simulate` from the first on."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from planted_bugs import BUGS, Bug
+
+from lfield.simulate.seeds import first_broken, told
+
+by_name = pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name)
+
+
+@by_name
+def test_a_planted_bug_is_found(bug: Bug, monkeypatch: pytest.MonkeyPatch) -> None:
+    bug.plant(monkeypatch)
+    found = told(bug.seed).breaches
+    assert found, bug.why
+    assert found[0].name in bug.breaches
+
+
+@pytest.mark.skipif("LFIELD_PLANTED" not in os.environ, reason="minutes of a processor: make simulate")
+@by_name
+def test_a_planted_bug_is_found_within_a_thousand_seeds(bug: Bug, monkeypatch: pytest.MonkeyPatch) -> None:
+    bug.plant(monkeypatch)
+    found = first_broken(range(1000))
+    assert found is not None, bug.why
+    print(f"{bug.name}: {found.story.seed + 1} seeds; {found.breaches[0]}")
+    assert found.breaches[0].name in bug.breaches
