@@ -85,8 +85,42 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             terminalreporter.write_line(f"{client}: {passed + failed} tried, {passed} passed")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--every-case", action="store_true", help="all cases of the tests marked few(COUNT)")
+
+
+def chosen(cases: list[pytest.Function], count: int) -> list[pytest.Function]:
+    """So many cases of one test, in which as many values of each parameter occur as can; always the same."""
+    left = sorted(cases, key=lambda case: zlib.crc32(case.nodeid.encode()))
+    seen: set[tuple[str, int]] = set()
+    found: list[pytest.Function] = []
+    while left and len(found) < count:
+        new = [len(case.callspec.indices.items() - seen) for case in left]
+        found.append(left.pop(new.index(max(new))))
+        seen |= found[-1].callspec.indices.items()
+    return found
+
+
+def left_out(items: list[pytest.Item]) -> set[pytest.Item]:
+    """The cases that only `--every-case` takes."""
+    tests: dict[str, list[pytest.Function]] = {}
+    for item in items:
+        if isinstance(item, pytest.Function) and item.get_closest_marker("few"):
+            tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    out: set[pytest.Item] = set()
+    for cases in tests.values():
+        marker = cases[0].get_closest_marker("few")
+        assert marker
+        out |= {*cases} - {*chosen(cases, *marker.args)}
+    return out
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Workers begin with long files, and mix the others: who computes fills the time of those who wait."""
+    if not (config.option.every_case or config.option.keyword or any("::" in word for word in config.args)):
+        out = left_out(items)
+        config.hook.pytest_deselected(items=[item for item in items if item in out])
+        items[:] = [item for item in items if item not in out]
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
     long = {item.path for item in items if item.get_closest_marker("long")}
