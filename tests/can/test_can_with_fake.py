@@ -108,6 +108,7 @@ def test_three_devices_on_one_bus(door, drive, odrive, gripper):
     asyncio.run(mission())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("door", DOORS)
 def test_a_setpoint_that_is_over_ends_in_the_safe_state(door, drive):
     async def mission():
@@ -201,6 +202,7 @@ def test_a_guard_that_dies_comes_back_with_everything_safe(drive, odrive):
     asyncio.run(mission())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("door", DOORS)
 def test_a_device_that_vanishes_and_returns(door, drive, odrive):
     async def mission():
