@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import sys
+import zlib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -18,7 +20,8 @@ _NOWHERE = ("/proc/", "/sys/", "/dev/")
 class Inputs(msgspec.Struct, frozen=True, array_like=True):
     """`files` by path with the SHA-256 of their bytes, b"" where there was none.
 
-    `code` are modules and folders of modules: path, time of the last change in nanoseconds, and size.
+    `code` are modules and folders of modules: path, time of the last change in nanoseconds, and size; of a
+    folder a checksum of what can be imported or is installed there, and how much that is.
     """
 
     files: dict[str, bytes]
@@ -72,9 +75,25 @@ def _code() -> set[str]:
 def _state(path: str) -> tuple[str, int, int]:
     try:
         found = os.stat(path)
+        if stat.S_ISDIR(found.st_mode):
+            return path, *_modules_in(path)
     except OSError:
         return path, -1, -1
     return path, found.st_mtime_ns, found.st_size
+
+
+def _modules_in(folder: str) -> tuple[int, int]:
+    """What tells when a folder of modules has changed; caches of tools, in hidden folders, are none.
+
+    A package that is installed again has the same names there, and its record is a new folder.
+    """
+    with os.scandir(folder) as entries:
+        found = sorted(
+            (entry.name, entry.stat().st_mtime_ns if entry.name.endswith(".dist-info") else 0)
+            for entry in entries
+            if not entry.name.startswith((".", "__pycache__"))
+        )
+    return zlib.crc32(repr(found).encode("utf-8", "replace")), len(found)
 
 
 def _digest(path: str) -> bytes:
