@@ -15,7 +15,7 @@ from lfield.driver.plugins import discover
 from lfield.errors import DevicesError
 from lfield.testing.driver_bench import guarded, running_fake
 
-pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.process, pytest.mark.long]
 
 #: Seconds that the host of a test may be silent: the machine may be busy.
 SILENCE = 1.0

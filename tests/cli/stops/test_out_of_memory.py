@@ -59,7 +59,7 @@ def run(self):
 core.HostCore.run = run
 """
 #: Seconds until the vehicle has been told to land: silence, and what a busy computer adds.
-SOON = 15.0
+SOON = 45.0
 MIB = 1 << 20
 
 
