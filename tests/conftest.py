@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
 
 settings.register_profile("any computer", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any computer")
@@ -53,6 +54,25 @@ class Dealing(LoadFileScheduling):
 
     def _split_scope(self, nodeid: str) -> str:
         return nodeid if nodeid.startswith(WAITING) else super()._split_scope(nodeid)
+
+    def remove_node(self, node: WorkerController) -> str | None:
+        """What a worker that is gone has left is dealt again, but for the test in which it crashed.
+
+        xdist deals that again too, and what was done: the one crashes the next worker, and who gets only the
+        other is told nothing more, so that the run never ends.
+        """
+        left = {
+            scope: [test for test, done in tests.items() if not done]
+            for scope, tests in self.assigned_work.pop(node).items()
+        }
+        crashed = next((test for tests in left.values() for test in tests), None)
+        for scope, tests in left.items():
+            if rest := {test: False for test in tests if test != crashed}:
+                self.workqueue[scope] = rest
+        if crashed:
+            for other in self.assigned_work:
+                self._reschedule(other)
+        return crashed
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Dealing:
