@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import stat
 import sys
 import zlib
 from collections.abc import Iterable
@@ -20,8 +19,8 @@ _NOWHERE = ("/proc/", "/sys/", "/dev/")
 class Inputs(msgspec.Struct, frozen=True, array_like=True):
     """`files` by path with the SHA-256 of their bytes, b"" where there was none.
 
-    `code` are modules and folders of modules: path, time of the last change in nanoseconds, and size; of a
-    folder a checksum of what can be imported or is installed there, and how much that is.
+    `code` are modules, by path with the time of the last change in nanoseconds and the size, and folders of
+    modules, by path with a checksum of the names in them and how many those are.
     """
 
     files: dict[str, bytes]
@@ -74,26 +73,18 @@ def _code() -> set[str]:
 
 def _state(path: str) -> tuple[str, int, int]:
     try:
+        if os.path.isdir(path):
+            names = sorted(filter(_is_importable, os.listdir(path)))
+            return path, zlib.crc32("\0".join(names).encode("utf-8", "replace")), len(names)
         found = os.stat(path)
-        if stat.S_ISDIR(found.st_mode):
-            return path, *_modules_in(path)
     except OSError:
         return path, -1, -1
     return path, found.st_mtime_ns, found.st_size
 
 
-def _modules_in(folder: str) -> tuple[int, int]:
-    """What tells when a folder of modules has changed; caches of tools, in hidden folders, are none.
-
-    A package that is installed again has the same names there, and its record is a new folder.
-    """
-    with os.scandir(folder) as entries:
-        found = sorted(
-            (entry.name, entry.stat().st_mtime_ns if entry.name.endswith(".dist-info") else 0)
-            for entry in entries
-            if not entry.name.startswith((".", "__pycache__"))
-        )
-    return zlib.crc32(repr(found).encode("utf-8", "replace")), len(found)
+def _is_importable(name: str) -> bool:
+    """Whether it could be a module: tools leave hidden folders, and Python what it compiled."""
+    return not name.startswith(".") and name != "__pycache__"
 
 
 def _digest(path: str) -> bytes:

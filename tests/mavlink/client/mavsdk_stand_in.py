@@ -79,7 +79,7 @@ class StandIn:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        # A cancelled task leaves its call running on a thread; MAVSDK may not go before it has returned.
+        # A cancelled task leaves its call running on a thread: MAVSDK may not go before that has returned.
         await asyncio.get_running_loop().shutdown_default_executor()
         self._door.close()
         self._mavsdk.destroy()
