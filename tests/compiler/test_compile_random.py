@@ -187,14 +187,14 @@ def _outcome(term: Term) -> Trace:
 
 
 @given(numbers())
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 def test_numbers(term: Term) -> None:
     desk, _ = run_text(_PROGRAM.format(statement=f"x = {term.text};"))
     assert desk.output == _outcome(term)
 
 
 @given(numbers())
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=25)
 def test_the_target_may_be_read_by_its_own_value(term: Term) -> None:
     desk, _ = run_text(_PROGRAM.format(statement=f"x = sum(x, {term.text}) - x;"))
     expected = _outcome(term)
@@ -204,7 +204,7 @@ def test_the_target_may_be_read_by_its_own_value(term: Term) -> None:
 
 
 @given(conditions(), st.booleans())
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=60)
 def test_conditions(term: Term, branch: bool) -> None:
     """The same condition as a branch and as a value."""
     statement = (

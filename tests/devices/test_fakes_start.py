@@ -74,6 +74,7 @@ def test_a_fake_without_its_library_names_the_extra(bare: None, driver: str) -> 
     assert said.endswith(f"pip install 'lfield[{driver}]'")
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("driver", VENDORS)
 @pytest.mark.parametrize("command", ["kit", "sim", "doctor"])
 def test_every_command_names_the_extra(bare: None, lfield_here, driver: str, command: str) -> None:

@@ -85,7 +85,7 @@ def test_a_pulled_plug_is_told_once_and_it_comes_back_still(chain):
         with pytest.raises(DeviceError) as caught:
             await moving
         assert caught.value.kind == "DeviceTimeoutException"
-        assert time.monotonic() - start < 3.0
+        assert time.monotonic() - start < 10.0
         # Longer than its watchdog: the servo has stopped by itself when the plug is back.
         await asyncio.sleep(1.5)
         chain.fault("unplug=false")

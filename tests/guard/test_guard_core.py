@@ -630,7 +630,7 @@ class GuardMachine(RuleBasedStateMachine):
         assert due is None or due > self.now, "something is due and has not been done"
 
 
-GuardMachine.TestCase.settings = settings(max_examples=200, stateful_step_count=30, deadline=None)
+GuardMachine.TestCase.settings = settings(max_examples=100, stateful_step_count=30, deadline=None)
 TestGuardMachine = GuardMachine.TestCase
 
 

@@ -14,7 +14,7 @@ from lfield.mission.one_device import devices_in_file
 from lfield.testing.driver_bench import running_fake
 
 #: Seconds that the host of a test may be silent: the machine may be busy.
-SILENCE = 0.5
+SILENCE = 0.8
 
 
 @pytest.fixture

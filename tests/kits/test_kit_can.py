@@ -21,7 +21,7 @@ def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(fake, try_kit):
         "can",
         {"drive": f'endpoint: "{drive.endpoint}", node: 5, {DRIVE}, limits: {{speed: 5.0, torque: 1.0}}'},
         # Its setpoints live for longer than the host may be silent: which is over first is no chance.
-        {"odrive": f'endpoint: "{odrive.endpoint}", node: 3, {ODRIVE}, ttl: 1.0, limits: {{speed: 5.0}}'},
+        {"odrive": f'endpoint: "{odrive.endpoint}", node: 3, {ODRIVE}, ttl: 1.6, limits: {{speed: 5.0}}'},
         {
             "gripper": f'endpoint: "{gripper.endpoint}", type: CanSignals, dbc: "{DBC}", '
             "commands: [GripperCommand], "

@@ -43,7 +43,7 @@ PIECES = sorted(
         "extends",
     }
 )
-LENIENT = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+LENIENT = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def assert_sound(checked: Checked) -> None:
@@ -101,7 +101,7 @@ def test_any_text_gives_diagnostics(text: str) -> None:
     assert_sound(check_text(text))
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.binary(max_size=200))
 def test_any_bytes_give_diagnostics(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "any.L"

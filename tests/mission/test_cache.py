@@ -56,16 +56,20 @@ def test_another_order_is_another_bundle(tmp_path: Path, built: list[Order]) -> 
     assert len(found) == len(built) == 2
 
 
-def test_a_change_of_any_file_counts(tmp_path: Path, built: list[Order]) -> None:
+def test_a_change_of_any_file_counts(tmp_path: Path, folder: Path, built: list[Order]) -> None:
     deploy = write_rich(tmp_path / "here")
     order = Order(deploy)
     before = bytes_of(order)
-    for ending in (".L", ".dL", ".devices.yaml", ".capabilities.yaml"):
+    for ending in (".dL", ".devices.yaml", ".capabilities.yaml", ".L"):
         path = deploy.with_suffix(ending)
-        path.write_text(path.read_text() + ("\n// more" if ending == ".L" else "\n# more"))
-        bytes_of(order)
-    assert len(built) == 5
+        text = path.read_text()
+        path.write_text(text + ("\n// more" if ending == ".L" else "\n# more"))
+        assert cache._kept(folder, order) is None, ending
+        path.write_text(text)
+        assert cache._kept(folder, order) is not None, ending
+    path.write_text(text + "\n// more")
     assert bytes_of(order) != before, "the sources are in it"
+    assert len(built) == 2
 
 
 def test_a_file_that_was_not_there_counts_when_it_comes(tmp_path: Path, built: list[Order]) -> None:

@@ -163,7 +163,7 @@ def explore(machine: type[Mobility], examples: int, steps: int = 60, shrink: boo
 
 
 def test_never_two_live_copies_and_none_vanishes():
-    explore(Mobility, examples=250)
+    explore(Mobility, examples=120)
 
 
 class Hasty(Mobility):

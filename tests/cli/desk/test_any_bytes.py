@@ -155,7 +155,7 @@ def said(line: str) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize("line", COMMANDS)
-@settings(max_examples=6, suppress_health_check=list(HealthCheck))
+@settings(max_examples=3, suppress_health_check=list(HealthCheck))
 @given(data=st.one_of(st.binary(max_size=200), st.lists(cuts, min_size=1, max_size=4)))
 def test_no_bytes_are_a_traceback(
     mission: Path, line: str, data: bytes | list[tuple[float, int, bytes]]

@@ -94,6 +94,7 @@ COMMANDS = [
 ]
 
 
+@pytest.mark.few(22)
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize(
     ("name", "status"),

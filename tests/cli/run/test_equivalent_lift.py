@@ -1,4 +1,7 @@
-"""The example of capabilities, as its README runs it: four runs, each with one more robot that has failed."""
+"""The example of capabilities: of its four runs, each with one more robot that has failed, the third.
+
+`make test-more` runs all four, as its README does.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +13,45 @@ from pathlib import Path
 import pytest
 
 DEMO = Path(__file__).parents[3] / "examples" / "02-equivalent-lift" / "demo.py"
+#: The crane and the copter have failed.
+THIRD = """
+import sys
+import demo
+from lfield import exits
+sys.exit(demo.run(demo.FAILURES[1:3]) != exits.UNSAFE)
+"""
+
+pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(600)]
 
 
-@pytest.mark.process
-@pytest.mark.long
-@pytest.mark.timeout(600)
-def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield, alone):
-    done = subprocess.run(
-        [sys.executable, str(DEMO)], env={**lfield.environment, **alone}, capture_output=True, text=True
-    )
+def lifts_of(run: str) -> list[tuple[str, str]]:
+    """Where the foreman was when the parcel had gone up, and by how many metres."""
+    return re.findall(r"^(\w+) +\| foreman: the parcel went up by (.*) m$", run, re.M)
+
+
+def shown(lfield, alone, *words: str) -> str:
+    """What Python prints, in the folder of the example."""
+    environment = {**lfield.environment, **alone}
+    command = [sys.executable, *words]
+    done = subprocess.run(command, env=environment, cwd=DEMO.parent, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Traceback" not in done.stdout + done.stderr
-    runs = re.split(r"^Run \d: .*$", done.stdout, flags=re.M)[1:]
-    lifts = [re.findall(r"^(\w+) +\| foreman: the parcel went up by (.*) m$", run, re.M) for run in runs]
-    assert [[host for host, _ in lift] for lift in lifts] == [["yard"], ["air"], ["bench"], []], done.stdout
+    assert lfield.left() == []
+    return done.stdout
+
+
+def test_an_arm_and_a_hand_together_when_crane_and_copter_have_failed(lfield, alone):
+    run = shown(lfield, alone, "-c", THIRD)
+    assert lifts_of(run) == [("bench", "0.8")], run
+    assert "composed: grip-and-climb of Grip (hand), Climb (arm)" in run
+
+
+@pytest.mark.few(0)
+def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield, alone):
+    said = shown(lfield, alone, str(DEMO))
+    runs = re.split(r"^Run \d: .*$", said, flags=re.M)[1:]
+    lifts = [lifts_of(run) for run in runs]
+    assert [[host for host, _ in lift] for lift in lifts] == [["yard"], ["air"], ["bench"], []], said
     # The crane and the arm are exact, a copter is not.
     assert [height for lift in lifts for host, height in lift if host != "air"] == ["0.8", "0.8"]
     assert "(direct, " in runs[0]
@@ -32,4 +60,3 @@ def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield, alon
     explanation = runs[3].partition("nobody can lift the parcel\n")[2]
     assert re.search(r"crane: axis: not heard for \d", explanation), runs[3]
     assert re.search(r"sky: battery 0\.1\d* < 0\.3", explanation), runs[3]
-    assert lfield.left() == []

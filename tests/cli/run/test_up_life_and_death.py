@@ -40,6 +40,7 @@ coordinator Traveller {
 TWO_HOSTS = "//Post:near@alpha\n//Post:far@bravo\n//Traveller:tom@alpha?near&far&{stay}\n"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("order", [["alpha", "bravo"], ["bravo", "alpha"]])
 def test_hosts_started_by_hand_in_any_order(lfield, order):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
@@ -119,6 +120,7 @@ def test_a_program_that_expects_a_host_to_die_goes_on(lfield):
     assert hosts["alpha"].wait() == 0, hosts["alpha"].said
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_ends_all_hosts_in_order(lfield, number):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="1000"))

@@ -60,7 +60,7 @@ def filled(reading: int) -> None:
         assert time.monotonic() < end, f"only {now} bytes came"
         before = now
         time.sleep(1.0)
-    time.sleep(3.0)
+    time.sleep(1.0)
 
 
 def waiting(reading: int) -> int:
@@ -78,6 +78,7 @@ def read_some(reading: int) -> list[bytes]:
     return lines[:-1]
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("everything", [False, True], ids=["host", "all"])
 def test_a_host_whose_output_nobody_reads_flies_on_and_answers(lfield, alone, unread, everything):
     reading, writing = unread
@@ -105,5 +106,5 @@ def test_a_host_whose_output_nobody_reads_flies_on_and_answers(lfield, alone, un
     before = time.monotonic()
     team.signal(signal.SIGTERM)
     assert team.wait() == (130 if everything else 0)
-    assert time.monotonic() - before < 20
+    assert time.monotonic() - before < 60
     assert lfield.left() == []

@@ -18,7 +18,7 @@ DYING = (
 coordinator Careless { init(string[] arg) { sleep(s2f(arg[1])); print(i2s(1 / (arg.length() - 2))); } }
 """
 )
-AGENTS = "//Careless:tom@alpha?20.0\n"
+AGENTS = "//Careless:tom@alpha?10.0\n"
 
 
 def fill(pid: int) -> None:
@@ -35,6 +35,7 @@ def flies(witness: Witness) -> bool:
     return witness.armed and witness.mode == "GUIDED" and witness.height > 2.0
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_log_and_output_on_a_full_disk_end_no_flight_and_delay_no_stop(flight, number):
     with open("/dev/full", "wb") as full:

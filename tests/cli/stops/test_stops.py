@@ -15,6 +15,7 @@ from flight import SLOW, SLOWEST
 pytestmark = pytest.mark.process
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("before", [0.0, 0.05, 0.15])
 def test_a_guard_killed_just_before_its_host_is_stopped_is_started_again_and_lands(flight, before):
     flown = flight()
@@ -48,6 +49,7 @@ def test_a_vehicle_that_fell_silent_is_named_with_what_was_last_known_and_the_st
     assert "armed yes" in line
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGHUP])
 def test_the_host_stays_and_answers_until_its_vehicle_is_down(lfield, alone, flight, how):
     flown = flight(land=SLOWEST)
@@ -58,6 +60,7 @@ def test_the_host_stays_and_answers_until_its_vehicle_is_down(lfield, alone, fli
         asked = lfield("ps", *flown.words, env=alone)
         assert lfield.status(asked) == 0, asked.said
         answered, shown = answered + 1, shown + asked.said
+        time.sleep(1.0)
     assert answered >= 3
     assert "safe: " in shown
     assert "m up, sinking at 0." in shown
@@ -112,6 +115,7 @@ def test_a_killed_host_leaves_its_guard_until_the_vehicle_is_down(lfield, flight
     flown.host.wait_for("lead.fc: is in its safe state: ")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 def test_no_failsafe_takes_over_the_landing_of_a_host_that_is_gone_or_hangs(flight, flavour, number):

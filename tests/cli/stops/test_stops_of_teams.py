@@ -115,25 +115,20 @@ class Terminal:
         os.close(master)
 
 
-def test_ctrl_c_lands_the_team_before_it_ends(team):
-    flown = team()
-    flown.run.signal(signal.SIGINT)
-    assert flown.run.wait() == 130, flown.run.said
-    flown.are_down()
+def test_ctrl_c_in_a_hurry_is_one_word_and_lands_the_team_before_it_ends(team):
+    _lands_before_it_ends(team, signal.SIGINT)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_another_signal_lands_the_team_too(team, number):
-    flown = team()
-    flown.run.signal(number)
-    assert flown.run.wait() == 130, flown.run.said
-    flown.are_down()
+    _lands_before_it_ends(team, number)
 
 
-def test_ctrl_c_in_a_hurry_is_one_word(team):
+def _lands_before_it_ends(team, number: signal.Signals) -> None:
     flown = team(land=SLOW)
     for _ in range(3):
-        flown.run.signal(signal.SIGINT)
+        flown.run.signal(number)
         time.sleep(0.05)
     assert flown.run.wait() == 130, flown.run.said
     flown.are_down()

@@ -66,6 +66,7 @@ def peak(pid: int) -> int:
     return int(found[1])
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("length", [2 << 20, GREETING_LIMITS[HELLO]], ids=["huge", "largest"])
 def test_a_flood_costs_little_and_keeps_nobody_out(lfield, length):
     deployment = lfield.mission(PROGRAM, DEPLOYMENT)

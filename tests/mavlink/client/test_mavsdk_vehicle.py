@@ -13,7 +13,7 @@ from lfield.errors import DeviceError
 from lfield.testing.driver_bench import DriverBench, bind
 from lfield_mavlink import PLUGIN
 
-pytestmark = [pytest.mark.process, pytest.mark.timeout(60)]
+pytestmark = pytest.mark.process
 
 #: No story may take longer, in seconds.
 LONGEST = 30.0

@@ -63,7 +63,7 @@ hostile_words = st.sampled_from([b"\xff" * 4, b"\0" * 4, b"\x7f\xff\xff\xff", b"
 payloads = st.one_of(st.binary(max_size=255), st.lists(hostile_words, max_size=64).map(b"".join))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(
     st.sampled_from(["copter", "rover", "plane"]),
     st.lists(st.tuples(st.sampled_from(MESSAGES), payloads), max_size=12),
@@ -85,7 +85,7 @@ def test_no_message_breaks_the_driver_or_publishes_nonsense(kind, messages):
     assert position is None or all(map(math.isfinite, position))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(st.binary(max_size=600), max_size=6))
 def test_no_bytes_break_the_driver(pieces):
     fc, _ = vehicle()

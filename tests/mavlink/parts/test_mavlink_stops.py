@@ -16,6 +16,7 @@ def slow(bench, seconds):
         link._deliver = lambda data, deliver=deliver, loop=loop: loop.call_later(seconds, deliver, data)
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @pytest.mark.parametrize("there", [0.0, 0.4, 1.2])
 @pytest.mark.parametrize("back", [0.0, 0.4, 1.2])

@@ -73,7 +73,7 @@ def messages(draw: st.DrawFn):
     return made(*values)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.lists(st.binary(max_size=80), max_size=5), flavours)
 def test_malformed_bytes(pieces, flavour):
     c = Client(flavour=flavour)
@@ -82,7 +82,7 @@ def test_malformed_bytes(pieces, flavour):
     assert c.command(ARM, 1) in (ACCEPTED, None)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(st.lists(messages(), min_size=1, max_size=8), flavours, kinds, st.booleans())
 def test_valid_messages_with_any_values(several, flavour, kind, flying):
     c = Client(kind, flavour=flavour)
@@ -95,7 +95,7 @@ def test_valid_messages_with_any_values(several, flavour, kind, flying):
     tell_everything(c)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=35, deadline=None)
 @given(messages(), st.integers(0, 300), st.integers(0, 255))
 def test_mutated_packets(message, spot, byte):
     c = Client()
@@ -106,7 +106,7 @@ def test_mutated_packets(message, spot, byte):
     c.wait(0.1)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     st.sampled_from(COMMANDS),
     st.lists(numbers, min_size=4, max_size=4),
@@ -126,7 +126,7 @@ def test_hostile_commands(number, values, coordinates, z, frame, flavour, flying
     tell_everything(c)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=35, deadline=None)
 @given(st.lists(numbers, min_size=6, max_size=6), st.integers(0, 0xFFFF), st.integers(0, 12), flavours)
 def test_hostile_setpoints(values, mask, frame, flavour):
     c = Client(flavour=flavour)
@@ -139,7 +139,7 @@ def test_hostile_setpoints(values, mask, frame, flavour):
     tell_everything(c)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=35, deadline=None)
 @given(st.data(), numbers, st.binary(max_size=16), flavours, kinds)
 def test_hostile_parameters(data, number, other, flavour, kind):
     c = Client(kind, flavour=flavour)

@@ -1,6 +1,7 @@
 """The fake does what real autopilots did with the same inputs, but for what the table beside this says.
 
 `python tests/sim/replay/replay.py ap-copter.c` prints the differences of a recording. See README.md.
+`make test-more` plays all recordings, and so does that program without a name: do it when a fake has changed.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ def verdict(name: str) -> Verdict:
     return replay.verdict(name, load())
 
 
+@pytest.mark.few(18)
 @pytest.mark.parametrize("name", names())
 def test_the_fake_does_what_the_real_one_did(name):
     found = verdict(name)
@@ -28,6 +30,7 @@ def test_the_fake_does_what_the_real_one_did(name):
     assert found.stale == [], "listed, but it does not occur any more: take it out of differences.yaml"
 
 
+@pytest.mark.few(0)
 def test_what_is_listed_for_several_recordings_occurs_in_one_of_them():
     gone = [
         (trace, pattern)
