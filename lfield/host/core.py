@@ -12,11 +12,11 @@ from collections.abc import Iterable
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
 from lfield.errors import DeviceError
-from lfield.host.coordinators import Coordinators
 from lfield.host.directory import TeamDirectory
 from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Nearby, Reach, Say, Write
 from lfield.host.offers import Offers
-from lfield.host.policy import Policies
+from lfield.host.team.coordinators import Coordinators
+from lfield.host.team.policy import Policies
 from lfield.journal.pages import Page
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission

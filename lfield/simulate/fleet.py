@@ -24,13 +24,12 @@ from lfield.host.process.run import live
 from lfield.host.process.stop_words import StopWords
 from lfield.mission.mission import Mission
 from lfield.net.tcp import TcpTransport
-from lfield.simulate.beside import REFERENCE, guard
 from lfield.simulate.computers.computer import Computer, Process
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.network import Network
 from lfield.simulate.computers.timeline import Timeline
 from lfield.simulate.disk import JournalDisk
-from lfield.simulate.hardware import Hardware
+from lfield.simulate.hardware import REFERENCE, Hardware, guard
 
 #: By how much clocks run fast or slow at most.
 CLOCKS = 0.0005

@@ -1,4 +1,4 @@
-"""Hardware of any kind on virtual time, and its driver: it does what its manifest says, and keeps a record.
+"""Hardware of any kind on virtual time, with its driver and guard: it does what it is told, and keeps a record.
 
 What a device is does not matter here, only who commands it when. It moves while a command is carried out, and
 after a setpoint until it is told otherwise, or until nobody has fed its watchdog for too long.
@@ -16,12 +16,16 @@ from typing import Any, NamedTuple
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import RELEASE
 from lfield.driver.device import Device, Driver, method_name
-from lfield.driver.plugin import Plugin
+from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import DeviceError
+from lfield.guard.shell import Shell
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction
+from lfield.simulate.computers.computer import Input, Process
 from lfield.simulate.computers.loop import ProcessLoop
 from lfield.simulate.computers.timeline import Timeline
 
+#: Where the driver of simulated hardware is.
+REFERENCE = "lfield.simulate.hardware:PLUGIN"
 #: Seconds that an answer takes, a command takes to be carried out, and the way into a safe state.
 ANSWER, ACT, STOP = (0.002, 0.02), (0.1, 3.0), (0.05, 0.6)
 #: Seconds between two signs of life of a driver.
@@ -197,3 +201,23 @@ def _plugged_in(endpoint: str) -> Hardware:
 
 
 PLUGIN = Plugin("simulated", "lfield.simulate", "lfield.simulate.hardware:AnyDriver", "all")
+
+
+def guard(process: Process, output: asyncio.WriteTransport) -> Input:
+    """What `python -m lfield.guard.process` does, around the pipes of a simulation."""
+    shell = Shell(load_plugin(REFERENCE), output, process.loop.clock)
+
+    async def serve() -> None:
+        status = await shell.exit
+        await shell.close()
+        process.exit(status)
+
+    process.loop.create_task(serve())
+
+    def came(data: bytes | None) -> None:
+        if data is None:
+            shell.connection_lost(None)
+        else:
+            shell.data_received(data)
+
+    return came

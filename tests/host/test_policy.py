@@ -8,7 +8,7 @@ import pytest
 
 from lfield.driver.binding import DeviceBinding, WithoutPolicy
 from lfield.host.effects import MakeSafe
-from lfield.host.policy import ASKED_AT_ONCE, Policies
+from lfield.host.team.policy import ASKED_AT_ONCE, Policies
 from lfield.mobility.effects import Send
 from lfield.mobility.fates import Absent
 from lfield.wire.messages import Known, StatusRequest

@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterable
 from lfield.clock import Clock
 from lfield.errors import BlockError
 from lfield.host.effects import CHANGED, Effect, Keep, Say
-from lfield.host.keeping import Keeping
-from lfield.host.recovery import Recovery
+from lfield.host.team.keeping import Keeping, Recovery
 from lfield.journal.pages import Page, Run, Starts
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
@@ -62,7 +61,7 @@ class Coordinators:
         #: Answers to arrivals, until those that arrived have run.
         self._answers: list[tuple[str, mobile.Send]] = []
         #: Coordinators that came before the resources here were started; None once they are.
-        self._early: dict[str, tuple[str, Transfer, memoryview]] | None = {}
+        self._early: dict[tuple[str, int], tuple[str, Transfer, memoryview]] | None = {}
         #: Where each coordinator was last sent, and the resource that it last wanted to get to.
         self._sent_to: dict[str, str] = {}
         self._wanted: dict[str, str] = {}
@@ -146,7 +145,7 @@ class Coordinators:
         """A coordinator came: it runs before its sender gets an answer."""
         if self._early is not None:
             if header.agent in self._members:
-                self._early[header.agent] = host, header, block
+                self._early[header.agent, header.generation] = host, header, block
             return
         self._sent_to.pop(header.agent, None)
         self.carry_out(self.mobility.arrive(host, header, block))
