@@ -12,7 +12,14 @@ from lfield.capability.reading.reader import is_shipped
 from lfield.capability.types.language import RegistryTypes
 from lfield.capability.types.live_units import settle_live
 from lfield.driver.plugins import Plugins, discover
-from lfield.errors import DamagedFileError, Finding, InputFileError, ProgramError, ProgramFileError
+from lfield.errors import (
+    BindingError,
+    DamagedFileError,
+    Finding,
+    InputFileError,
+    ProgramError,
+    ProgramFileError,
+)
 from lfield.lang.deployment import read_deployment
 from lfield.mission import bundle
 from lfield.mission.bindings import chosen_fakes
@@ -176,6 +183,20 @@ def compile_file(
     if checked.program is None:
         raise ProgramError(checked.diagnostics)
     return compile_program(checked.program), checked.diagnostics
+
+
+def device_problems(deploy: Path) -> Sequence[str]:
+    """What is wrong in the devices file beside a deployment that has no mistakes itself.
+
+    That a device is not bound there is none: it may be elsewhere, or simulated.
+    """
+    if beside(deploy, DEVICES) is None or beside(deploy, ".L") is None:
+        return []
+    try:
+        load_mission(deploy, simulate=True)
+    except BindingError as error:
+        return error.problems
+    return []
 
 
 def check_file(path: Path) -> Sequence[Finding]:

@@ -11,6 +11,7 @@ from lfield.driver.plugins import Plugins
 from lfield.errors import BindingError, InputFileError
 from lfield.mission.bindings import SIM_SILENCE, on_fakes
 from lfield.mission.bindings_file import read_bindings
+from lfield.mission.load import device_problems
 
 NEEDED = {"alpha": {"fc": "Mavlink"}, "beta": {"fc": "Mavlink"}, "tour": {}}
 
@@ -223,3 +224,15 @@ def test_what_makes_no_sense_without_a_policy_is_drawn_at_its_place(written, plu
     assert words in told
     assert "m.devices.yaml:4:" in told
     assert "^" in told
+
+
+def test_a_deployment_is_checked_with_the_devices_file_beside_it(tmp_path):
+    (tmp_path / "m.L").write_text("resource Copter { Mavlink fc; init(string[] arg) { } }\n")
+    (tmp_path / "m.dL").write_text("//Copter:alpha@host\n//Copter:beta@host\n")
+    assert device_problems(tmp_path / "m.dL") == []
+    devices = tmp_path / "m.devices.yaml"
+    devices.write_text(WITHOUT_POLICY.format("{after: 30, do: land}"))
+    assert device_problems(tmp_path / "m.dL") == []
+    devices.write_text(WITHOUT_POLICY.format("{after: 30, do: lnd}"))
+    (problem,) = device_problems(tmp_path / "m.dL")
+    assert "did you mean 'land'?" in problem

@@ -1,4 +1,4 @@
-"""`lfield check FILE`: all errors and warnings of programs and deployments; whether a bundle is sound."""
+"""`lfield check FILE`: all errors and warnings of programs, deployments and their devices; sound bundles."""
 
 from __future__ import annotations
 
@@ -39,8 +39,11 @@ def _findings(path: Path) -> list[tuple[str, bool]]:
     A bundle has the warnings with which it was built. Raises BundleError for one that is not sound.
     """
     from lfield.mission import bundle
-    from lfield.mission.load import check_file
+    from lfield.mission.load import check_file, device_problems
 
     if path.suffix == bundle.SUFFIX:
         return [(warning, False) for warning in bundle.read(path).warnings]
-    return [(found.render(), found.severity == "error") for found in check_file(path)]
+    found = [(found.render(), found.severity == "error") for found in check_file(path)]
+    if path.suffix == ".dL" and not any(is_error for _, is_error in found):
+        found += [(problem, True) for problem in device_problems(path)]
+    return found
