@@ -72,8 +72,9 @@ class Hearsay:
         #: The signs of this host, and up to which count it was asked for them.
         self._count = self._promised = 0
         self._signs, self._questions = _Highest(), _Highest()
-        #: What was news, numbered, the latest last: the sign or the question of a host. What each was told.
-        self._news: dict[tuple[bool, int], int] = {}
+        #: What was news, numbered, the latest last: the sign of a host, or the question for one of its lives,
+        #: of which none may hide another. Up to which number each host was told.
+        self._news: dict[tuple[bool, int, int], int] = {}
         self._number = 0
         self._told: dict[str, int] = {}
         #: Those that tell this host something: it is a neighbour to them.
@@ -189,11 +190,15 @@ class Hearsay:
         if not part:
             return None
         self._told[host] = self._news[part[-1]]
-        tables = self._signs.newest, self._questions.newest
-        return Heard(*([table[number] for question, number in part if question == which]
-                       for which, table in enumerate(tables)))  # fmt: skip
+        signs = [self._signs.newest[number] for question, number, _ in part if not question]
+        asked = [
+            SignOfLife(number, life, self._questions.of(number, life))
+            for question, number, life in part
+            if question
+        ]
+        return Heard(signs, asked)
 
-    def _note(self, key: tuple[bool, int]) -> None:
+    def _note(self, key: tuple[bool, int, int]) -> None:
         self._number += 1
         self._news.pop(key, None)
         self._news[key] = self._number
@@ -210,7 +215,7 @@ class Hearsay:
         """A sign of life came, or is given; whether it is news."""
         if not self._signs.take(sign):
             return False
-        self._note((False, sign.host))
+        self._note((False, sign.host, 0))
         host = self._hosts[sign.host]
         self._met(host, sign.incarnation)
         owed = self._owed.get(host)
@@ -238,7 +243,7 @@ class Hearsay:
         """A question is passed on; whether it is news."""
         if not self._questions.take(question):
             return False
-        self._note((True, question.host))
+        self._note((True, question.host, question.incarnation))
         if question.host == self._here:
             return True
         host = self._hosts[question.host]

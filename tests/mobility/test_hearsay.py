@@ -235,6 +235,15 @@ def test_a_new_life_counts_from_the_beginning_and_an_old_one_is_no_news():
     assert (to, heard.signs) == ("c", [SignOfLife(1, 22, 1)])
 
 
+def test_no_question_hides_another_one_about_the_same_host():
+    a = ears("a")
+    a.linked("b", 1)
+    questions = [SignOfLife(2, 7, AHEAD), SignOfLife(2, 0, AHEAD)]
+    a.told("b", Heard([], questions), 1.0)
+    ((_, heard),) = a.tell(1.0)
+    assert heard.asked == questions
+
+
 def test_whoever_is_asked_for_gives_no_more_signs_than_it_was_asked_for():
     a = ears("a", 9)
     a.linked("b", 1)
