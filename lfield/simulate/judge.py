@@ -282,8 +282,11 @@ class Judge:
             seen = self._starts[start]
             if seen.copy is None or seen.copy.ended != "dropped":
                 return self._disks is not None or not any(life.process.loop.dead for life in seen.holders)
-        home = self.fleet.lives.get(self._homes[agent])
-        return home is not None and home not in self._unkept
+        name = self._homes[agent]
+        home = self.fleet.lives.get(name)
+        # A home that has lost its disk waits for all others, and one that has gone is not started again.
+        waits = name in self.fleet.replaced and bool(self.fleet.left)
+        return home is not None and home not in self._unkept and not waits
 
     def end(self) -> None:
         """Time is up: whoever has not got on is stuck."""

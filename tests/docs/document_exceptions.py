@@ -30,6 +30,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         ".venv/bin/pytest tests/vm/test_hop.py": SUITE,
         '.venv/bin/pytest -k "hostile" tests/vm': SUITE,
         "make bench ONLY=hop": SUITE,
+        "make simulate SEEDS=10000": SUITE,
     },
     "README.md": {
         "sudo apt-get install python3 python3-venv make git": INSTALLS,
