@@ -1,4 +1,4 @@
-"""Hardware of any kind on virtual time, with its driver and guard: it does what it is told, and keeps a record.
+"""Hardware of any kind on virtual time, with its driver and guard: it does as told, and keeps a record.
 
 What a device is does not matter here, only who commands it when. It moves while a command is carried out, and
 after a setpoint until it is told otherwise, or until nobody has fed its watchdog for too long.

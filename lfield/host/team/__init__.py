@@ -1,1 +1,1 @@
-"""The coordinators that are on one host: how they come, are kept, go on, and what happens when none is left."""
+"""The coordinators on one host: how they come, are kept and go on, and what happens when none is left."""
