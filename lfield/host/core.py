@@ -17,7 +17,7 @@ from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Nearby, R
 from lfield.host.offers import Offers
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.policy import Policies
-from lfield.journal.pages import Page
+from lfield.journal.pages import CopyPage, Page
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
@@ -156,6 +156,11 @@ class HostCore:
         What is under way between hosts goes on, and so does what this host tells of itself.
         """
         self._team.park()
+
+    @property
+    def outdated(self) -> list[CopyPage]:
+        """What the journal need not keep any more."""
+        return self._team.recovery.outdated
 
     @property
     def has_coordinators(self) -> bool:

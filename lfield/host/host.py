@@ -161,6 +161,7 @@ class Host:
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
         self.note(f"{self.name} is up on {self.address}")
+        self.scribe.forget(self.core.outdated)
         self._enter(self.core.start_resources)
         if not self.core.has_coordinators:
             return

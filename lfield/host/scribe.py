@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import suppress
 
 from lfield.errors import JournalError
 from lfield.host.effects import Keep
 from lfield.journal.journal import Journal
-from lfield.journal.pages import Page
+from lfield.journal.pages import Key, Page, key_of
 from lfield.loop import spawn
 
 #: Seconds after which a disk that could keep nothing is tried again.
@@ -40,6 +41,15 @@ class Scribe:
     def pages(self) -> list[Page]:
         """What was kept before."""
         return self._journal.pages() if self._journal else []
+
+    def forget(self, pages: Collection[Page]) -> None:
+        """Remove pages that nobody needs; if it fails, the next start does it."""
+        if pages and self._journal:
+            spawn(self._forget([key_of(page) for page in pages], self._journal))
+
+    async def _forget(self, keys: Collection[Key], journal: Journal) -> None:
+        with suppress(JournalError):
+            await journal.forget(keys)
 
     def keep(self, batch: Keep) -> None:
         """Put pages on the disk, after those before."""

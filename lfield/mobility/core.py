@@ -64,7 +64,7 @@ class Mobility:
         unreachable_after: float = 10.0,
     ) -> None:
         self._own = own
-        self._copies = Copies(agents, own.program if own.memory else b"")
+        self._copies = Copies(agents, own.mission if own.memory else b"")
         self._links: dict[str, Hello] = {}
         self._endings = Endings(own.host, frozenset(peers) - {own.host}, self._copies, self._links)
         self._departures = Departures(own, self._copies, self._links, self._endings, unreachable_after)

@@ -52,7 +52,7 @@ class Coordinators:
             unreachable_after=unreachable_after,
         )
         self.keeping = Keeping()
-        self.recovery = Recovery(pages, own.program)
+        self.recovery = Recovery(pages, own.mission)
         self.mobility.restore(self.recovery.copies)
         #: Why nothing can be kept now, '' while all is well.
         self.trouble = ""
