@@ -106,6 +106,7 @@ class Host:
             options.journal,
             lambda number: self._enter(partial(self.core.kept, number)),
             lambda why: self._enter(partial(self.core.not_kept, why)),
+            lambda trouble: self._enter(partial(self.core.room, trouble)),
         )
         self.core = HostCore(
             mission,
@@ -162,6 +163,7 @@ class Host:
         await self.guards.open(devices)
         self.note(f"{self.name} is up on {self.address}")
         self.scribe.forget(self.core.outdated)
+        self.scribe.look()
         self._enter(self.core.start_resources)
         if not self.core.has_coordinators:
             return

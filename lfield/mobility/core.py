@@ -165,6 +165,10 @@ class Mobility:
         """The coordinators that a host which goes has told to be lost, with proof, since then."""
         return self._endings.proven(since)
 
+    def room(self, host: str, trouble: str) -> list[Effect]:
+        """A host says why it can keep no coordinator that comes, or with '' that it can again."""
+        return self._departures.room(host, trouble)
+
     def unlinked(self, host: str) -> None:
         """The last link to a host is gone. What was on its way may have arrived or not."""
         self._links.pop(host, None)

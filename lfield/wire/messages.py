@@ -363,6 +363,12 @@ class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     asked: Annotated[list[SignOfLife], Meta(max_length=4096)]
 
 
+class Room(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
+    """Whether the sender can keep coordinators that come to it: '' if so, else why it can not."""
+
+    trouble: Text
+
+
 #: Messages that share the control frame.
 Control = (
     Accepted
@@ -378,6 +384,7 @@ Control = (
     | EmergencyStopped
     | Report
     | Heard
+    | Room
 )
 
 #: Every message without a block.
