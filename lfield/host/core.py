@@ -17,7 +17,7 @@ from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Nearby, R
 from lfield.host.offers import Offers
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.policy import Policies
-from lfield.journal.pages import Page
+from lfield.journal.pages import CopyPage, Page
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
@@ -31,7 +31,18 @@ from lfield.vm.contract import Reading
 from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
 from lfield.vm.world import PENDING, Pending
-from lfield.wire.messages import Control, Ended, EndedAck, Heard, Hello, Known, Report, Transfer
+from lfield.wire.messages import (
+    Control,
+    Ended,
+    EndedAck,
+    Heard,
+    Hello,
+    Known,
+    Report,
+    Room,
+    Transfer,
+    clip,
+)
 
 
 class HostCore:
@@ -71,6 +82,8 @@ class HostCore:
         self._starts = Starts([m.id for m in self._own], [h for h in self.team.hosts if h != name])
         #: The batch that has the number of a start, and that number, until it is on the disk.
         self._counting: tuple[int, int] | None = None
+        #: Why no coordinator should come, '' when one may.
+        self._trouble = ""
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -158,6 +171,11 @@ class HostCore:
         self._team.park()
 
     @property
+    def outdated(self) -> list[CopyPage]:
+        """What the journal need not keep any more."""
+        return self._team.recovery.outdated
+
+    @property
     def has_coordinators(self) -> bool:
         """Whether any start here, or were here when this host was last up."""
         return bool(self._own or self._team.recovery.copies)
@@ -165,6 +183,12 @@ class HostCore:
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
         self._team.not_kept(why)
+
+    def room(self, trouble: str) -> None:
+        """Why the journal should take in nothing more, or '': whoever would send something is told."""
+        self._trouble = trouble
+        self._say(f"no coordinator is taken in: {trouble}" if trouble else "coordinators are taken in again")
+        self._effects += [mobile.Send(host, Room(clip(trouble))) for host in self.hearsay.links]
 
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
@@ -227,6 +251,9 @@ class HostCore:
             self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
         self._starts.heard(hello.host, hello.coordinators)
         self._effects += self.directory.linked(hello)
+        if self._trouble:
+            self._effects.append(mobile.Send(hello.host, Room(clip(self._trouble))))
+        self._team.carry_out(self.mobility.room(hello.host, ""))
         self._team.carry_out(self.mobility.linked(hello))
         self._start_when_heard()
         self._effects.append(CHANGED)
@@ -254,6 +281,8 @@ class HostCore:
         if isinstance(message, Report):
             if complaint := self.directory.received(host, message):
                 self._effects.append(Complain(complaint))
+        elif isinstance(message, Room):
+            self._team.carry_out(self.mobility.room(host, message.trouble))
         elif isinstance(message, Heard):
             self.hearsay.told(host, message, self._clock.monotonic())
         elif isinstance(message, MobilityMessage):

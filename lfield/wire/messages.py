@@ -9,6 +9,7 @@ is followed by the raw bytes of a block. `codec` writes and reads them all.
 
 from __future__ import annotations
 
+import hashlib
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
@@ -116,6 +117,11 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     def remembers(self) -> int:
         """The identity of what this host answers from: a question for another one has no answer here."""
         return self.memory or self.incarnation
+
+    @property
+    def mission(self) -> bytes:
+        """The hash of what blocks are of: a program, and the agents in whose order proxies are numbers."""
+        return hashlib.sha256(self.program + self.deployment).digest()
 
 
 class ForeignHello(Struct, frozen=True):
@@ -357,6 +363,12 @@ class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     asked: Annotated[list[SignOfLife], Meta(max_length=4096)]
 
 
+class Room(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
+    """Whether the sender can keep coordinators that come to it: '' if so, else why it can not."""
+
+    trouble: Text
+
+
 #: Messages that share the control frame.
 Control = (
     Accepted
@@ -372,6 +384,7 @@ Control = (
     | EmergencyStopped
     | Report
     | Heard
+    | Room
 )
 
 #: Every message without a block.

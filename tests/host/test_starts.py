@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import asyncio
 
+from lfield.mobility.copies import MAX_STARTS
+from lfield.simulate.time import LoopClock
+
 PROGRAM = """
 resource Post {
     init(string[] arg) { }
@@ -115,12 +118,30 @@ def test_a_start_that_cannot_be_kept_is_not_made(fleet):
         starting = asyncio.ensure_future(home.host.start())
         await asyncio.sleep(5.0)
         assert "coordinators wait, since nothing can be kept: " in home.log
-        assert home.log.count("its disk fails") == 1
+        assert home.log.count("coordinators wait") == 1
         assert not home.holds("guest")
         # The resources are served all the same.
         assert home.holds("here")
         team.disks["home"].broken = False
         await starting
         assert home.holds("guest")
+
+    fleet(story)
+
+
+def test_a_mission_may_be_run_again_and_again(fleet):
+    """A host remembers how the last starts ended, and no more."""
+
+    async def story(team):
+        mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
+        await team.up(mission, "away", keeps=True)
+        for number in range(1, 71):
+            (home,) = await team.up(mission, "home", keeps=True)
+            await team.until(lambda home=home, number=number: start_of(home) == number)
+            await team.until(lambda home=home: not home.holds("guest"))
+            await asyncio.sleep(1.0)
+            await home.host.stop()
+        kept = team.disks["home"].open(LoopClock(), print).pages()
+        assert len(kept) <= MAX_STARTS + 4
 
     fleet(story)

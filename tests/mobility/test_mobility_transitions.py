@@ -325,10 +325,19 @@ def test_strangers_do_not_fill_the_memory(b):
     for generation in range(1, 1000):
         b.mobility.receive("a", Inquire(TOUR, generation, 1, 1), 0.0)
         b.mobility.receive("a", Inquire(f"Stranger:{generation}", 1, 1, 1), 0.0)
-        b.mobility.receive("a", Ended(TOUR, generation, "done", "", "a"), 0.0)
-    assert len(b.mobility.knowledge()) == MAX_STARTS
+        if generation < MAX_STARTS:
+            b.mobility.receive("a", Ended(TOUR, 2 * generation, "done", "", "a"), 0.0)
+    assert len(b.mobility.knowledge()) < MAX_STARTS
     (answer,) = b.mobility.arrive("a", transfer(1, generation=5000), b"block 1")
     assert "starts of it" in answer.message.reason
+
+
+def test_of_very_many_starts_the_first_that_ended_are_forgotten(b):
+    for generation in range(1, 1000):
+        b.mobility.receive("a", Ended(TOUR, generation, "done", "", "a"), 0.0)
+    assert [known.generation for known in b.mobility.knowledge()] == list(range(1000 - MAX_STARTS, 1000))
+    go, _ = b.mobility.arrive("a", transfer(1, generation=5000), b"block 1")
+    assert go == Go(TOUR, 5000)
 
 
 # Endings

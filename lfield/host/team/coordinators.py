@@ -52,10 +52,12 @@ class Coordinators:
             unreachable_after=unreachable_after,
         )
         self.keeping = Keeping()
-        self.recovery = Recovery(pages, own.program)
+        self.recovery = Recovery(pages, own.mission)
         self.mobility.restore(self.recovery.copies)
         #: Why nothing can be kept now, '' while all is well.
         self.trouble = ""
+        #: Those that wait at a portal call here until they are kept.
+        self._saving: set[str] = set()
         #: No coordinator is taken in any more.
         self.halted = False
         #: Answers to arrivals, until those that arrived have run.
@@ -94,14 +96,18 @@ class Coordinators:
         if not self.trouble:
             self._say(f"coordinators wait, since nothing can be kept: {why}")
         self.trouble = why
+        for identity in sorted(self._saving & self._machine.agents.keys()):
+            self._stays(self._machine.agents[identity])
+        self._saving.clear()
 
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
         if self.trouble:
             self._say("what happens can be kept again")
-        self.trouble = ""
         for effect in self.keeping.kept(number):
             self._effect(effect)
+        # Only now: what has waited since must not be taken for what is on the disk.
+        self.trouble = ""
 
     def answer(self) -> None:
         """Those that arrived have run: whoever sent them may hear of it."""
@@ -167,6 +173,7 @@ class Coordinators:
             return True
         if self._stays(agent):
             return False
+        self._saving.add(agent.id)
         self.carry_out(self.mobility.save(agent.id, self._machine.pack(agent)))
         return False
 
@@ -252,6 +259,7 @@ class Coordinators:
             case mobile.Began():
                 self._start(effect.agent, effect.generation)
             case mobile.Go():
+                self._saving.discard(effect.agent)
                 if agent := self._held(effect.agent, effect.generation):
                     self._machine.go(agent)
             case mobile.Departed():
@@ -279,6 +287,7 @@ class Coordinators:
         return agent if agent and agent.frozen and agent.generation == generation else None
 
     def _drop(self, identity: str, generation: int) -> None:
+        self._saving.discard(identity)
         agent = self._machine.agents.get(identity)
         if agent and agent.generation == generation:
             agent.ended = agent.ended or "dropped"

@@ -17,6 +17,10 @@ from lfield.wire.messages import Known
 SOON = 1.0
 
 
+#: Of so many starts of each coordinator it is remembered how they ended; every run makes one.
+ENDINGS = 8
+
+
 class Keeping:
     """The pages and effects of one host that are waiting."""
 
@@ -74,17 +78,22 @@ class Keeping:
 
 
 class Recovery:
-    """The pages of a host's journal; `program` is the digest of what it runs now.
+    """The pages of a host's journal; `mission` is the hash of what it runs now (`Hello.mission`).
 
-    A coordinator of another program stays parked: what is kept of it waits for that program.
+    A coordinator of another mission stays parked: it waits for its own program and deployment.
     """
 
-    def __init__(self, pages: Iterable[Page], program: bytes) -> None:
+    def __init__(self, pages: Iterable[Page], mission: bytes) -> None:
         pages = list(pages)
         copies = [page for page in pages if isinstance(page, CopyPage)]
-        self.copies = [page for page in copies if not page.block or page.program == program]
-        #: What belongs to another program.
-        self.parked = [page for page in copies if page.block and page.program != program]
+        #: Starts that ended so long ago that nobody asks any more.
+        self.outdated = _outdated(copies)
+        old = {key_of(page) for page in self.outdated}
+        self.copies = [
+            page for page in copies if key_of(page) not in old and (not page.block or page.program == mission)
+        ]
+        #: What belongs to another program or deployment.
+        self.parked = [page for page in copies if page.block and page.program != mission]
         #: The last start that was made here, None when none is on record.
         self.starts = next((page.count for page in pages if isinstance(page, Starts)), None)
         #: Whether the run that was begun here earlier goes on.
@@ -94,7 +103,7 @@ class Recovery:
         """Why a coordinator of this host is not started anew, '' if nothing is against it."""
         rows = [row for row in known if row.agent == agent]
         if any(page.agent == agent for page in self.parked):
-            return "waits for the program that it belongs to"
+            return "waits for the program and deployment that it belongs to"
         for row in rows:
             if row.state in ("FROZEN", "PREPARED", "IN DOUBT", "MOVED"):
                 return f"went to {row.where}"
@@ -104,6 +113,19 @@ class Recovery:
             last = max(rows, key=lambda row: row.generation)
             return f"has ended ({last.outcome}) in the run that goes on here; --fresh begins another one"
         return ""
+
+
+def _outdated(copies: Iterable[CopyPage]) -> list[CopyPage]:
+    """The endings of each coordinator but the last few."""
+    found: dict[str, list[CopyPage]] = {}
+    for page in copies:
+        if page.state == "EXITED":
+            found.setdefault(page.agent, []).append(page)
+    return [
+        page
+        for pages in found.values()
+        for page in sorted(pages, key=lambda page: page.generation)[:-ENDINGS]
+    ]
 
 
 def _agent(effect: Effect) -> str:
