@@ -213,17 +213,20 @@ class HostCore:
         """Start the coordinators, once the number of that start is kept, and no later one was heard of."""
         known = self.mobility.knowledge()
         self._starts.learn(known)
-        if self._memory and counted < self._starts.next:
+        against = {member.id: self._why_not(member.id, known) for member in self._own}
+        if self._memory and counted < self._starts.next and not all(against.values()):
             self._counting = self._team.count(self._starts.next), self._starts.next
             return
-        for member in self._own:
-            why = self._team.recovery.why_not(member.id, known)
-            if not why and self._starts.alive(member.id, known):
-                why = "is alive on another host"
+        for agent, why in against.items():
             if why:
-                self._say(f"{member.id} {why}: not started again")
+                self._say(f"{agent} {why}: not started again")
             else:
-                self._team.carry_out(self.mobility.start(member.id, self._starts.next))
+                self._team.carry_out(self.mobility.start(agent, self._starts.next))
+
+    def _why_not(self, agent: str, known: list[Known]) -> str:
+        """Why a coordinator of this host is not started now, '' if nothing is against it."""
+        alive = "is alive on another host" if self._starts.alive(agent, known) else ""
+        return self._team.recovery.why_not(agent, known) or alive
 
     def reaped(self, host: str) -> None:
         """A host of this team has ended for good: whoever started it says so."""

@@ -109,8 +109,9 @@ class Recovery:
                 return f"went to {row.where}"
             if row.state == "RUN":
                 return "goes on"
-        if rows and self.goes_on:
-            last = max(rows, key=lambda row: row.generation)
+        last = max(rows, key=lambda row: row.generation, default=None)
+        # An earlier one ended in an earlier run: the start that is on record was not made.
+        if last and self.goes_on and last.generation >= (self.starts or 0):
             return f"has ended ({last.outcome}) in the run that goes on here; --fresh begins another one"
         return ""
 
