@@ -176,6 +176,11 @@ class HostCore:
         return self._team.recovery.outdated
 
     @property
+    def settled(self) -> bool:
+        """Whether the coordinators of this host are started, as far as they are."""
+        return self._starts.begun and self._counting is None
+
+    @property
     def has_coordinators(self) -> bool:
         """Whether any start here, or were here when this host was last up."""
         return bool(self._own or self._team.recovery.copies)

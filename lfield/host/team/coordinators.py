@@ -138,9 +138,12 @@ class Coordinators:
         return self.keeping.page(Starts(generation), now)
 
     def park(self) -> None:
-        """The host stops in order. Unless a coordinator of its own may go on, the next start is a new run."""
+        """The host stops in order. Unless a coordinator of its own may go on, the next start is a new run.
+
+        Not when it has opened no device: what tries again by itself must not begin a mission anew.
+        """
         self.halted = True
-        if not self._own.memory:
+        if not self._own.memory or self._early is not None:
             return
         here = self._mission.team.number(self._own.host)
         own = {member.id for member in self._members.values() if member.host == here}
