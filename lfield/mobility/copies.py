@@ -72,11 +72,11 @@ class Copy:
         """Become the memory of an ending."""
         self.state, self.outcome, self.detail, self.ended_on = "EXITED", outcome, detail, host
         self.seal = self.block = None
-        self.doubt = ""
+        self.doubt, self.restored = "", False
 
     def give_way(self) -> None:
         """Leave the machine in doubt: another start needs its place. The block stays as a shadow."""
-        self.state, self.seal = "MOVED", None
+        self.state, self.seal, self.restored = "MOVED", None, False
         self.doubt = f"{self.doubt}; its copy here gave way to a later start"
 
     @property
