@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, field
 
+from lfield.journal.pages import CopyPage
 from lfield.simulate.fleet import Fleet, Life
 from lfield.simulate.saved import nowhere
 from lfield.simulate.witness import tap
@@ -122,7 +123,8 @@ class Judge:
     def _again(self, life: Life, agent: Agent, newest: int) -> None:
         """A number that is not new: of who had called nothing yet, or it tells nothing any more."""
         before = self._starts.get((agent.id, agent.generation))
-        if before and self.fleet.keeps and not any(self._calls[who] for who in before.lives):
+        calls = [call for who in before.lives for call in self._calls[who].values()] if before else []
+        if before and self.fleet.keeps and not any(call.begun for call in calls):
             return
         if self._remembers(life.core.name):
             found = f"{agent.id} was started as {agent.generation}, which is not above {newest}"
@@ -260,10 +262,10 @@ class Judge:
 
     def _disks(self) -> None:
         going = [(agent, self._goes_on(agent)) for agent in self._newest if agent not in self._over]
-        starts = [(agent, start) for agent, start in going if start and not self._doubtful((agent, start))]
         pages = (page for disk in self.fleet.disks.values() for page in disk.pages())
-        for agent, start in nowhere(pages, starts):
-            self._breach("I5", (), f"no disk holds {agent} of start {start}, and it has not ended")
+        for agent, start in nowhere(pages, [(agent, start) for agent, start in going if start]):
+            if not self._doubtful((agent, start)):
+                self._breach("I5", (), f"no disk holds {agent} of start {start}, and it has not ended")
 
     def _goes_on(self, agent: str) -> int:
         """The latest start that has not given way to another, 0 if all have."""
@@ -272,8 +274,20 @@ class Judge:
 
     def _doubtful(self, start: Start) -> bool:
         """Whether a host that may have had it has lost its disk since: then nobody can know."""
-        disks, places = self.fleet.disks, self._starts[start].places
-        return any(disks[name].identity != memory for name, memory in places.items())
+        places = self._starts[start].places
+        return any(self._is_gone(name, memory) for name, memory in places.items()) or self._waits(start)
+
+    def _waits(self, start: Start) -> bool:
+        """Whether a disk says that it went to a memory that is gone: whether it was sent cannot be known."""
+        disks = self.fleet.disks.values()
+        pages = [page for disk in disks for page in disk.pages() if isinstance(page, CopyPage)]
+        here = [page for page in pages if (page.agent, page.generation) == start]
+        sent = [page for page in here if page.state == "PREPARED"]
+        runs = any(page.state == "RUN" for page in here)
+        return not runs and any(self._is_gone(page.target, page.memory) for page in sent)
+
+    def _is_gone(self, name: str, memory: int) -> bool:
+        return self.fleet.disks[name].identity != memory
 
     def _device(self, name: str) -> None:
         hardware, now = self.fleet.hardware[name], self.fleet.now

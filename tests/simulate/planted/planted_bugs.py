@@ -230,8 +230,8 @@ BUGS = [
     Bug(
         what_is_sent_is_not_on_disk,
         "a sender that is killed finds the copy that has left, and lets it go on",
-        frozenset({"I1", "I4"}),
-        12,
+        frozenset({"I1", "I4", "start"}),
+        2,
     ),
     Bug(
         verdicts_are_not_on_disk,
