@@ -41,6 +41,11 @@ class Scribe:
         """What was kept before."""
         return self._journal.pages() if self._journal else []
 
+    @property
+    def journal(self) -> Journal | None:
+        """Where it keeps them."""
+        return self._journal
+
     def keep(self, batch: Keep) -> None:
         """Put pages on the disk, after those before."""
         self._waiting.append(batch)

@@ -253,12 +253,33 @@ class Told(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     unknown: Annotated[dict[Label, Text], Meta(max_length=1024)]
 
 
+class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A coordinator that a journal keeps for another program, whose digest is given."""
+
+    agent: Name
+    generation: Count
+    hops: Count
+    program: Hash
+
+
+class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The journal of a host: how many commits it made in the last minute, and what it keeps for later.
+
+    `trouble` is why nothing more should be taken in, '' when all is well.
+    """
+
+    commits: Count
+    trouble: Text
+    parked: Annotated[list[ParkedStatus], Meta(max_length=4096)]
+
+
 class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
     """The answer: a host that has been `up` for so many seconds, its agents, devices and links.
 
     `coordinators` are all that it has seen, `directory` is what it knows of the agents of the team. `late` is
     by how many seconds its signs of life for its guards were late, the longest of the last minute, and
-    `silence` for how many it may give none; both None without devices.
+    `silence` for how many it may give none; both None without devices. `journal` is None for a host that
+    keeps nothing.
     """
 
     host: Name
@@ -273,6 +294,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     directory: Annotated[list[Told], Meta(max_length=4096)]
     late: Age | None = None
     silence: Age | None = None
+    journal: JournalStatus | None = None
 
 
 class Ping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=8):
