@@ -8,6 +8,7 @@ from lfield.clock import Clock
 from lfield.devices.guards import Guards
 from lfield.host.core import HostCore
 from lfield.journal.journal import Journal
+from lfield.journal.pages import CopyPage
 from lfield.manifest import DeviceValue
 from lfield.net.peers import Peers
 from lfield.vm.agent import Agent
@@ -23,19 +24,8 @@ from lfield.vm.memory.layout import (
     WAITING,
 )
 from lfield.vm.memory.threads import threads
-from lfield.wire.messages import (
-    MAX_LABEL,
-    MAX_NUMBERS,
-    AgentStatus,
-    DeviceStatus,
-    JournalStatus,
-    LinkStatus,
-    ParkedStatus,
-    Status,
-    Telemetry,
-    age,
-    clip,
-)
+from lfield.wire.fields import MAX_LABEL, MAX_NUMBERS, Telemetry, age, clip
+from lfield.wire.messages import AgentStatus, DeviceStatus, JournalStatus, LinkStatus, ParkedStatus, Status
 
 #: The states of threads, the liveliest first.
 _LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
@@ -74,8 +64,13 @@ def status_of(
 
 
 def _journal(journal: Journal, core: HostCore, now: float) -> JournalStatus:
-    parked = [ParkedStatus(page.agent, page.generation, page.hops, page.program) for page in core.parked]
-    return JournalStatus(journal.commits_last_minute(now), clip(core.trouble or journal.trouble), parked)
+    commits, trouble = journal.commits_last_minute(now), clip(core.trouble or journal.trouble)
+    return JournalStatus(commits, trouble, [_parked(page) for page in core.parked])
+
+
+def _parked(page: CopyPage) -> ParkedStatus:
+    state = "EXITED" if page.state == "ABSENT" else page.state
+    return ParkedStatus(page.agent, page.generation, page.hops, page.program, state, page.target)
 
 
 def _since(seconds: float) -> float:

@@ -89,13 +89,15 @@ def _agents(answers: Answers[Status]) -> Table:
                 state = f"{known.outcome or 'in doubt'}: {known.detail}".splitlines()[0].rstrip(": ")
                 shown.add_row(host, known.agent, "", state, str(known.hops), "", "")
         for parked in answer.journal.parked if answer.journal is not None else ():
-            shown.add_row(host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
+            if parked.state != "MOVED":
+                shown.add_row(host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
     return shown
 
 
 def _parked(parked: ParkedStatus) -> str:
+    left = f" and may have left for {parked.where}" if parked.state == "PREPARED" else ""
     return (
-        f"parked: it is of program {parked.program.hex()[:16]}, and goes on when that is started here; "
+        f"parked: it is of program {parked.program.hex()[:16]}{left}, and goes on when that is started here; "
         "'lfield inspect' of the journal shows it"
     )
 
@@ -142,11 +144,14 @@ def _status(status: Status) -> dict[str, Any]:
     }
 
 
+_PARKED = ("generation", "hops", "state", "where")
+
+
 def _journal_data(journal: JournalStatus | None) -> dict[str, Any] | None:
     if journal is None:
         return None
     parked = [
-        {"id": one.agent, "generation": one.generation, "hops": one.hops, "program": one.program.hex()[:16]}
+        {"id": one.agent, **{n: getattr(one, n) for n in _PARKED}, "program": one.program.hex()[:16]}
         for one in journal.parked
     ]
     return {"commits": journal.commits, "trouble": journal.trouble, "parked": parked}
