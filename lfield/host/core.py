@@ -7,7 +7,7 @@ calls a method for each event, then `run`, and carries out what `take` gives. A 
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
@@ -31,6 +31,7 @@ from lfield.vm.contract import Reading
 from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
 from lfield.vm.world import PENDING, Pending
+from lfield.wire.fields import clip
 from lfield.wire.messages import (
     Control,
     Ended,
@@ -41,7 +42,6 @@ from lfield.wire.messages import (
     Report,
     Room,
     Transfer,
-    clip,
 )
 
 
@@ -184,6 +184,20 @@ class HostCore:
     def has_coordinators(self) -> bool:
         """Whether any start here, or were here when this host was last up."""
         return bool(self._own or self._team.recovery.copies)
+
+    @property
+    def parked(self) -> Collection[CopyPage]:
+        """The coordinators that the journal keeps for another program."""
+        return self._team.recovery.parked
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing can be kept now, '' while all is well."""
+        return self._team.trouble
+
+    def waits(self, agent: Agent) -> str:
+        """What a frozen coordinator waits for, in a word or two."""
+        return self._team.waits(agent)
 
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""

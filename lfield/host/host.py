@@ -396,4 +396,6 @@ class Host:
     def status(self) -> Status:
         """What `lfield ps` shows of this host."""
         up = self.clock.monotonic() - self.started
-        return status_of(self.core, self.peers, self.guards, self.address, up, self.clock)
+        return status_of(
+            self.core, self.peers, self.guards, self.scribe.journal, self.address, up, self.clock
+        )

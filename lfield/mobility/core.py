@@ -222,6 +222,11 @@ class Mobility:
         copy = self._copies.find(agent, generation)
         return copy is not None and copy.outcome == "superseded"
 
+    def leaves(self, agent: str, generation: int) -> bool:
+        """Whether a copy that is frozen here wants to another host, or may be there."""
+        copy = self._copies.find(agent, generation)
+        return copy is not None and copy.state in ("FROZEN", "PREPARED")
+
     def unconfirmed(self, hosts: Collection[str]) -> bool:
         """Whether one of these hosts has yet to confirm an ending that it was told of."""
         return self._endings.unconfirmed(hosts)

@@ -17,8 +17,8 @@ from lfield.mobility.effects import (
     SendTransfer,
     Supersede,
 )
+from lfield.wire.fields import MAX_TEXT
 from lfield.wire.messages import (
-    MAX_TEXT,
     NEVER_ARRIVED,
     SUPERSEDED,
     Accepted,
