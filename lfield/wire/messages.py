@@ -294,6 +294,18 @@ class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fiel
     devices: dict[str, Text]
 
 
+class Forget(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
+    """From an observer: a person says that what is not known to be alive of a coordinator is lost."""
+
+    agent: Name
+
+
+class Forgotten(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=15):
+    """The answer: the starts that have ended here by that word."""
+
+    starts: Annotated[list[Count], Meta(max_length=4096)]
+
+
 class FactReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The value of a live attribute, `age` seconds old when it was sent.
 
@@ -361,6 +373,8 @@ Control = (
     | Pong
     | EmergencyStop
     | EmergencyStopped
+    | Forget
+    | Forgotten
     | Report
     | Heard
 )
