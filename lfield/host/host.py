@@ -108,6 +108,7 @@ class Host:
             options.journal,
             lambda number: self._enter(partial(self.core.kept, number)),
             lambda why: self._enter(partial(self.core.not_kept, why)),
+            lambda trouble: self._enter(partial(self.core.room, trouble)),
         )
         self.core = HostCore(
             mission,
@@ -163,6 +164,8 @@ class Host:
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
         self.note(f"{self.name} is up on {self.address}")
+        self.scribe.forget(self.core.outdated)
+        self.scribe.look()
         self._enter(self.core.start_resources)
         if not self.core.has_coordinators:
             return
@@ -370,9 +373,8 @@ class Host:
         self._enter(partial(self.core.pass_on, found))
 
     def _forget(self, message: Forget, link: Link) -> None:
-        starts = self.core.forget(message.agent)
         with suppress(AddressError):
-            link.send(Forgotten(starts))
+            link.send(Forgotten(self.core.forget(message.agent)))
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
         self._pressed = not message.lift
@@ -394,7 +396,5 @@ class Host:
 
     def status(self) -> Status:
         """What `lfield ps` shows of this host."""
-        up = self.clock.monotonic() - self.started
-        return status_of(
-            self.core, self.peers, self.guards, self.scribe.journal, self.address, up, self.clock
-        )
+        up, journal = self.clock.monotonic() - self.started, self.scribe.journal
+        return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock)

@@ -39,8 +39,8 @@ class CopyPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     `sequence` is the highest transfer number that this start used or tried here. `kind` and `reason` are the
     refusal of that transfer, '' for none. `target` is where it was sent, and `memory` the identity of that
     host's journal, or of its process if it has none. `outcome`, `detail` and `ended_on` belong to EXITED.
-    `program` is the digest of the program the block belongs to, b"" without a block; `block` its bytes, b""
-    for none. `doubt` is why the fate of a copy that was sent is not known, '' where it is.
+    `program` is the hash of the program and deployment the block belongs to, b"" without a block; `block` its
+    bytes, b"" for none. `doubt` is why the fate of a copy that was sent is not known, '' where it is.
     """
 
     agent: str

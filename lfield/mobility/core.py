@@ -64,7 +64,7 @@ class Mobility:
         unreachable_after: float = 10.0,
     ) -> None:
         self._own = own
-        self._copies = Copies(agents, own.program if own.memory else b"")
+        self._copies = Copies(agents, own.mission if own.memory else b"")
         self._links: dict[str, Hello] = {}
         self._endings = Endings(own.host, frozenset(peers) - {own.host}, self._copies, self._links)
         self._departures = Departures(own, self._copies, self._links, self._endings, unreachable_after)
@@ -173,6 +173,10 @@ class Mobility:
     def proven(self, since: float) -> set[str]:
         """The coordinators that a host which goes has told to be lost, with proof, since then."""
         return self._endings.proven(since)
+
+    def room(self, host: str, trouble: str) -> list[Effect]:
+        """A host says why it can keep no coordinator that comes, or with '' that it can again."""
+        return self._departures.room(host, trouble)
 
     def unlinked(self, host: str) -> None:
         """The last link to a host is gone. What was on its way may have arrived or not."""

@@ -9,6 +9,7 @@ is followed by the raw bytes of a block. `codec` writes and reads them all.
 
 from __future__ import annotations
 
+import hashlib
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
@@ -80,6 +81,11 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     def remembers(self) -> int:
         """The identity of what this host answers from: a question for another one has no answer here."""
         return self.memory or self.incarnation
+
+    @property
+    def mission(self) -> bytes:
+        """The hash of what blocks are of: a program, and the agents in whose order proxies are numbers."""
+        return hashlib.sha256(self.program + self.deployment).digest()
 
 
 class ForeignHello(Struct, frozen=True):
@@ -218,7 +224,7 @@ class Told(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
 
 class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What a journal keeps of a coordinator for another program, whose digest is given.
+    """What a journal keeps of a coordinator for another program or deployment; the digest of both is given.
 
     With `state` RUN it is here, with another one it left for `where`, or may have.
     """
@@ -294,13 +300,13 @@ class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fiel
     devices: dict[str, Text]
 
 
-class Forget(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
+class Forget(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=15):
     """From an observer: a person says that what is not known to be alive of a coordinator is lost."""
 
     agent: Name
 
 
-class Forgotten(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=15):
+class Forgotten(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=16):
     """The answer: the starts that have ended here by that word."""
 
     starts: Annotated[list[Count], Meta(max_length=4096)]
@@ -360,6 +366,12 @@ class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     asked: Annotated[list[SignOfLife], Meta(max_length=4096)]
 
 
+class Room(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
+    """Whether the sender can keep coordinators that come to it: '' if so, else why it can not."""
+
+    trouble: Text
+
+
 #: Messages that share the control frame.
 Control = (
     Accepted
@@ -377,6 +389,7 @@ Control = (
     | Forgotten
     | Report
     | Heard
+    | Room
 )
 
 #: Every message without a block.

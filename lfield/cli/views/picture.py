@@ -99,8 +99,8 @@ def _agents(answers: Answers[Status]) -> Table:
 def _parked(parked: ParkedStatus) -> str:
     left = f" and may have left for {parked.where}" if parked.state == "PREPARED" else ""
     return (
-        f"parked: it is of program {parked.program.hex()[:16]}{left}, and goes on when that is started here; "
-        f"'lfield forget {parked.agent}' ends it by your word"
+        f"parked: it is of another mission ({parked.program.hex()[:16]}){left}, and goes on when that is "
+        f"started here; 'lfield forget {parked.agent}' ends it by your word"
     )
 
 

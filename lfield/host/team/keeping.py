@@ -17,6 +17,10 @@ from lfield.wire.messages import Known
 SOON = 1.0
 
 
+#: Of so many starts of each coordinator it is remembered how they ended; every run makes one.
+ENDINGS = 8
+
+
 class Keeping:
     """The pages and effects of one host that are waiting. `first` goes along with the first that are due."""
 
@@ -78,19 +82,24 @@ class Keeping:
 
 
 class Recovery:
-    """The pages of a host's journal; `program` is the digest of what it runs now.
+    """The pages of a host's journal; `mission` is the hash of what it runs now (`Hello.mission`).
 
-    A coordinator of another program stays parked: what is kept of it waits for that program.
+    A coordinator of another mission stays parked: it waits for its own program and deployment.
     """
 
-    def __init__(self, pages: Iterable[Page], program: bytes) -> None:
+    def __init__(self, pages: Iterable[Page], mission: bytes) -> None:
         pages = list(pages)
         copies = [page for page in pages if isinstance(page, CopyPage)]
-        self.copies = [page for page in copies if not page.block or page.program == program]
-        #: What belongs to another program.
-        self.parked = [page for page in copies if page.block and page.program != program]
-        #: Whether there is what explains the blocks of this program.
-        self.explained = any(isinstance(page, ProgramPage) and page.digest == program for page in pages)
+        #: Starts that ended so long ago that nobody asks any more.
+        self.outdated = _outdated(copies)
+        old = {key_of(page) for page in self.outdated}
+        self.copies = [
+            page for page in copies if key_of(page) not in old and (not page.block or page.program == mission)
+        ]
+        #: What belongs to another program or deployment.
+        self.parked = [page for page in copies if page.block and page.program != mission]
+        #: Whether there is what explains the blocks of this mission.
+        self.explained = any(isinstance(page, ProgramPage) and page.digest == mission for page in pages)
         #: The last start that was made here, None when none is on record.
         self.starts = next((page.count for page in pages if isinstance(page, Starts)), None)
         #: Whether the run that was begun here earlier goes on.
@@ -100,16 +109,30 @@ class Recovery:
         """Why a coordinator of this host is not started anew, '' if nothing is against it."""
         rows = [row for row in known if row.agent == agent]
         if any(page.agent == agent for page in self.parked):
-            return "waits for the program that it belongs to"
+            return "waits for the program and deployment that it belongs to"
         for row in rows:
             if row.state in ("FROZEN", "PREPARED", "IN DOUBT", "MOVED"):
                 return f"went to {row.where}"
             if row.state == "RUN":
                 return "goes on"
-        if rows and self.goes_on:
-            last = max(rows, key=lambda row: row.generation)
+        last = max(rows, key=lambda row: row.generation, default=None)
+        # An earlier one ended in an earlier run: the start that is on record was not made.
+        if last and self.goes_on and last.generation >= (self.starts or 0):
             return f"has ended ({last.outcome}) in the run that goes on here; --fresh begins another one"
         return ""
+
+
+def _outdated(copies: Iterable[CopyPage]) -> list[CopyPage]:
+    """The endings of each coordinator but the last few."""
+    found: dict[str, list[CopyPage]] = {}
+    for page in copies:
+        if page.state == "EXITED":
+            found.setdefault(page.agent, []).append(page)
+    return [
+        page
+        for pages in found.values()
+        for page in sorted(pages, key=lambda page: page.generation)[:-ENDINGS]
+    ]
 
 
 def _agent(effect: Effect) -> str:
