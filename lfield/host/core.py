@@ -7,7 +7,7 @@ calls a method for each event, then `run`, and carries out what `take` gives. A 
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
@@ -17,7 +17,7 @@ from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Nearby, R
 from lfield.host.offers import Offers
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.policy import Policies
-from lfield.journal.pages import Page
+from lfield.journal.pages import CopyPage, Page
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
@@ -31,7 +31,18 @@ from lfield.vm.contract import Reading
 from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
 from lfield.vm.world import PENDING, Pending
-from lfield.wire.messages import Control, Ended, EndedAck, Heard, Hello, Known, Report, Transfer
+from lfield.wire.fields import clip
+from lfield.wire.messages import (
+    Control,
+    Ended,
+    EndedAck,
+    Heard,
+    Hello,
+    Known,
+    Report,
+    Room,
+    Transfer,
+)
 
 
 class HostCore:
@@ -71,6 +82,8 @@ class HostCore:
         self._starts = Starts([m.id for m in self._own], [h for h in self.team.hosts if h != name])
         #: The batch that has the number of a start, and that number, until it is on the disk.
         self._counting: tuple[int, int] | None = None
+        #: Why no coordinator should come, '' when one may.
+        self._trouble = ""
 
     # --- out ------------------------------------------------------------------------------------------
 
@@ -158,13 +171,43 @@ class HostCore:
         self._team.park()
 
     @property
+    def outdated(self) -> list[CopyPage]:
+        """What the journal need not keep any more."""
+        return self._team.recovery.outdated
+
+    @property
+    def settled(self) -> bool:
+        """Whether the coordinators of this host are started, as far as they are."""
+        return self._starts.begun and self._counting is None
+
+    @property
     def has_coordinators(self) -> bool:
         """Whether any start here, or were here when this host was last up."""
         return bool(self._own or self._team.recovery.copies)
 
+    @property
+    def parked(self) -> Collection[CopyPage]:
+        """The coordinators that the journal keeps for another program."""
+        return self._team.recovery.parked
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing can be kept now, '' while all is well."""
+        return self._team.trouble
+
+    def waits(self, agent: Agent) -> str:
+        """What a frozen coordinator waits for, in a word or two."""
+        return self._team.waits(agent)
+
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
         self._team.not_kept(why)
+
+    def room(self, trouble: str) -> None:
+        """Why the journal should take in nothing more, or '': whoever would send something is told."""
+        self._trouble = trouble
+        self._say(f"no coordinator is taken in: {trouble}" if trouble else "coordinators are taken in again")
+        self._effects += [mobile.Send(host, Room(clip(trouble))) for host in self.hearsay.links]
 
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
@@ -184,17 +227,20 @@ class HostCore:
         """Start the coordinators, once the number of that start is kept, and no later one was heard of."""
         known = self.mobility.knowledge()
         self._starts.learn(known)
-        if self._memory and counted < self._starts.next:
+        against = {member.id: self._why_not(member.id, known) for member in self._own}
+        if self._memory and counted < self._starts.next and not all(against.values()):
             self._counting = self._team.count(self._starts.next), self._starts.next
             return
-        for member in self._own:
-            why = self._team.recovery.why_not(member.id, known)
-            if not why and self._starts.alive(member.id, known):
-                why = "is alive on another host"
+        for agent, why in against.items():
             if why:
-                self._say(f"{member.id} {why}: not started again")
+                self._say(f"{agent} {why}: not started again")
             else:
-                self._team.carry_out(self.mobility.start(member.id, self._starts.next))
+                self._team.carry_out(self.mobility.start(agent, self._starts.next))
+
+    def _why_not(self, agent: str, known: list[Known]) -> str:
+        """Why a coordinator of this host is not started now, '' if nothing is against it."""
+        alive = "is alive on another host" if self._starts.alive(agent, known) else ""
+        return self._team.recovery.why_not(agent, known) or alive
 
     def reaped(self, host: str) -> None:
         """A host of this team has ended for good: whoever started it says so."""
@@ -227,6 +273,9 @@ class HostCore:
             self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
         self._starts.heard(hello.host, hello.coordinators)
         self._effects += self.directory.linked(hello)
+        if self._trouble:
+            self._effects.append(mobile.Send(hello.host, Room(clip(self._trouble))))
+        self._team.carry_out(self.mobility.room(hello.host, ""))
         self._team.carry_out(self.mobility.linked(hello))
         self._start_when_heard()
         self._effects.append(CHANGED)
@@ -254,6 +303,8 @@ class HostCore:
         if isinstance(message, Report):
             if complaint := self.directory.received(host, message):
                 self._effects.append(Complain(complaint))
+        elif isinstance(message, Room):
+            self._team.carry_out(self.mobility.room(host, message.trouble))
         elif isinstance(message, Heard):
             self.hearsay.told(host, message, self._clock.monotonic())
         elif isinstance(message, MobilityMessage):

@@ -106,6 +106,7 @@ class Host:
             options.journal,
             lambda number: self._enter(partial(self.core.kept, number)),
             lambda why: self._enter(partial(self.core.not_kept, why)),
+            lambda trouble: self._enter(partial(self.core.room, trouble)),
         )
         self.core = HostCore(
             mission,
@@ -161,6 +162,8 @@ class Host:
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
         self.note(f"{self.name} is up on {self.address}")
+        self.scribe.forget(self.core.outdated)
+        self.scribe.look()
         self._enter(self.core.start_resources)
         if not self.core.has_coordinators:
             return
@@ -393,4 +396,6 @@ class Host:
     def status(self) -> Status:
         """What `lfield ps` shows of this host."""
         up = self.clock.monotonic() - self.started
-        return status_of(self.core, self.peers, self.guards, self.address, up, self.clock)
+        return status_of(
+            self.core, self.peers, self.guards, self.scribe.journal, self.address, up, self.clock
+        )

@@ -13,7 +13,8 @@ from typing import Literal, NamedTuple
 import msgspec
 from msgspec import Struct
 
-from lfield.wire.messages import Count, Hash, Outcome
+from lfield.wire.fields import Count, Hash
+from lfield.wire.messages import Outcome
 
 #: The version of all pages that are written here. A page of a newer one is not read.
 VERSION = 1
@@ -38,8 +39,8 @@ class CopyPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     `sequence` is the highest transfer number that this start used or tried here. `kind` and `reason` are the
     refusal of that transfer, '' for none. `target` is where it was sent, and `memory` the identity of that
     host's journal, or of its process if it has none. `outcome`, `detail` and `ended_on` belong to EXITED.
-    `program` is the digest of the program the block belongs to, b"" without a block; `block` its bytes, b""
-    for none. `doubt` is why the fate of a copy that was sent is not known, '' where it is.
+    `program` is the hash of the program and deployment the block belongs to, b"" without a block; `block` its
+    bytes, b"" for none. `doubt` is why the fate of a copy that was sent is not known, '' where it is.
     """
 
     agent: str

@@ -24,7 +24,7 @@ State = Literal["ABSENT", "RUN", "FROZEN", "PREPARED", "MOVED", "EXITED"]
 #: A copy here that runs or may have to run again.
 LIVE: tuple[State, ...] = ("RUN", "FROZEN", "PREPARED")
 
-#: Most starts of one coordinator that a host remembers. Every restart of its home host makes one.
+#: Most starts of one coordinator that a host remembers; of more it forgets the first that has ended.
 MAX_STARTS = 64
 
 
@@ -72,11 +72,11 @@ class Copy:
         """Become the memory of an ending."""
         self.state, self.outcome, self.detail, self.ended_on = "EXITED", outcome, detail, host
         self.seal = self.block = None
-        self.doubt = ""
+        self.doubt, self.restored = "", False
 
     def give_way(self) -> None:
         """Leave the machine in doubt: another start needs its place. The block stays as a shadow."""
-        self.state, self.seal = "MOVED", None
+        self.state, self.seal, self.restored = "MOVED", None, False
         self.doubt = f"{self.doubt}; its copy here gave way to a later start"
 
     @property
@@ -95,7 +95,7 @@ class Copy:
             self.agent, self.generation, self.sequence, self.hops, state, where, self.outcome, detail, memory
         )
 
-    def page(self, program: bytes) -> CopyPage:
+    def page(self, mission: bytes) -> CopyPage:
         """What a journal keeps of it. A copy that waits for a link runs, for whoever reads this later."""
         return CopyPage(
             self.agent,
@@ -110,7 +110,7 @@ class Copy:
             self.outcome,
             self.detail,
             self.ended_on,
-            program,
+            mission,
             bytes(self.block) if self.block is not None else b"",
             self.doubt,
         )
@@ -128,25 +128,25 @@ class Copy:
 class Copies:
     """All copies of one host, for the coordinators of its deployment and for no others.
 
-    `program` is the digest of theirs, b"" on a host that keeps no journal.
+    `mission` is the hash of what their blocks are of (`Hello.mission`), b"" on a host that keeps no journal.
     """
 
-    def __init__(self, agents: Collection[str], program: bytes = b"") -> None:
+    def __init__(self, agents: Collection[str], mission: bytes = b"") -> None:
         self._starts: dict[str, dict[int, Copy]] = {agent: {} for agent in agents}
-        self._program = program
+        self._mission = mission
 
     @property
     def kept(self) -> bool:
         """Whether this host has a journal."""
-        return bool(self._program)
+        return bool(self._mission)
 
     def keep(self, copy: Copy) -> list[Effect]:
         """Have what is known of it on disk before anything that comes after."""
-        return [Persist(copy.agent, copy.page(self._program))] if self._program else []
+        return [Persist(copy.agent, copy.page(self._mission))] if self._mission else []
 
     def keep_soon(self, copy: Copy) -> list[Effect]:
         """The same, but nothing waits for it: if it is lost, it is asked for again."""
-        return [Persist(copy.agent, copy.page(self._program), soon=True)] if self._program else []
+        return [Persist(copy.agent, copy.page(self._mission), soon=True)] if self._mission else []
 
     def __iter__(self) -> Iterator[Copy]:
         return (copy for starts in self._starts.values() for copy in starts.values())
@@ -160,11 +160,17 @@ class Copies:
         return self._starts.get(agent, {}).get(generation)
 
     def enter(self, agent: str, generation: int) -> Copy | None:
-        """`find`, with a new entry for a new start; None for a stranger, or when there are too many."""
+        """`find`, with a new entry for a new start; None for a stranger, or when too many have not ended."""
         starts = self._starts.get(agent)
         if starts is None:
             return None
         copy = starts.get(generation)
-        if copy is None and len(starts) < MAX_STARTS:
-            copy = starts[generation] = Copy(agent, generation)
+        if copy is not None:
+            return copy
+        if len(starts) >= MAX_STARTS:
+            ended = min((g for g, c in starts.items() if c.state == "EXITED"), default=None)
+            if ended is None or ended > generation:
+                return None
+            del starts[ended]
+        copy = starts[generation] = Copy(agent, generation)
         return copy

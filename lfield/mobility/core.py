@@ -64,7 +64,7 @@ class Mobility:
         unreachable_after: float = 10.0,
     ) -> None:
         self._own = own
-        self._copies = Copies(agents, own.program if own.memory else b"")
+        self._copies = Copies(agents, own.mission if own.memory else b"")
         self._links: dict[str, Hello] = {}
         self._endings = Endings(own.host, frozenset(peers) - {own.host}, self._copies, self._links)
         self._departures = Departures(own, self._copies, self._links, self._endings, unreachable_after)
@@ -165,6 +165,10 @@ class Mobility:
         """The coordinators that a host which goes has told to be lost, with proof, since then."""
         return self._endings.proven(since)
 
+    def room(self, host: str, trouble: str) -> list[Effect]:
+        """A host says why it can keep no coordinator that comes, or with '' that it can again."""
+        return self._departures.room(host, trouble)
+
     def unlinked(self, host: str) -> None:
         """The last link to a host is gone. What was on its way may have arrived or not."""
         self._links.pop(host, None)
@@ -217,6 +221,11 @@ class Mobility:
         """Whether a start was stopped because another goes on."""
         copy = self._copies.find(agent, generation)
         return copy is not None and copy.outcome == "superseded"
+
+    def leaves(self, agent: str, generation: int) -> bool:
+        """Whether a copy that is frozen here wants to another host, or may be there."""
+        copy = self._copies.find(agent, generation)
+        return copy is not None and copy.state in ("FROZEN", "PREPARED")
 
     def unconfirmed(self, hosts: Collection[str]) -> bool:
         """Whether one of these hosts has yet to confirm an ending that it was told of."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lfield.mobility.effects import Departed, Effect, InDoubt, Resume, Send, SendTransfer
-from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Hello, Inquire, Refused, Transfer, clip
+from lfield.wire.fields import clip
+from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Hello, Inquire, Refused, Transfer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -36,6 +37,8 @@ class Departures:
     ) -> None:
         self._own, self._copies, self._links, self._endings = own, copies, links, endings
         self._unreachable_after = unreachable_after
+        #: The hosts that can keep nothing now, with the reason of each.
+        self._full: dict[str, str] = {}
 
     def depart(self, copy: Copy, host: str, seal: Callable[[int], Buffer], now: float) -> list[Effect]:
         """A running copy wants to go to `host`."""
@@ -56,6 +59,15 @@ class Departures:
         copy.deadline = now + self._unreachable_after
         peer = self._links.get(copy.target)
         return [] if peer is None else self._take_up(copy, peer)
+
+    def room(self, host: str, trouble: str) -> list[Effect]:
+        """Whether a host can keep what is sent there: else nothing is, and copies wait as without a link."""
+        self._full.pop(host, None)
+        if trouble:
+            self._full[host] = trouble
+            return []
+        waiting = [copy for copy in self._copies if copy.target == host and copy.state == "FROZEN"]
+        return [effect for copy in waiting for effect in self._send(copy)]
 
     def accepted(self, host: str, message: Accepted) -> list[Effect]:
         """The receiver has it: the commit point, seen from here."""
@@ -100,7 +112,10 @@ class Departures:
         """The time of a departure is over: nothing was sent, so resume; or something was, so doubt."""
         host, seconds = copy.target, f"{self._unreachable_after:g} s"
         if copy.state == "FROZEN":
-            return self._resume(copy, UNREACHABLE, f"{host} could not be reached within {seconds}; is it up?")
+            why = f"could not be reached within {seconds}; is it up?"
+            if host in self._full:
+                why = f"could not keep {copy.agent} within {seconds}: {self._full[host]}"
+            return self._resume(copy, UNREACHABLE, f"{host} {why}")
         if copy.state == "PREPARED" and not copy.doubt:
             return self._doubt(
                 copy,
@@ -111,7 +126,7 @@ class Departures:
     def _send(self, copy: Copy) -> list[Effect]:
         """Send under the next number, or wait frozen for a link."""
         peer = self._links.get(copy.target)
-        if peer is None:
+        if peer is None or copy.target in self._full:
             copy.state = "FROZEN"
             return []
         copy.sequence += 1

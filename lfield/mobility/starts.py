@@ -60,6 +60,11 @@ class Starts:
         return now
 
     @property
+    def begun(self) -> bool:
+        """Whether they were to be started already; there may be none."""
+        return self._begun or not self.agents
+
+    @property
     def wanted(self) -> Collection[str]:
         """Who must be asked: all, until the coordinators are started; then those that were never heard.
 

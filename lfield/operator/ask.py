@@ -13,6 +13,7 @@ from lfield.net.greeting import Greeting
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link, Transport
 from lfield.operator.addressed import Party, Place
+from lfield.wire.fields import clip
 from lfield.wire.messages import (
     EmergencyStop,
     EmergencyStopped,
@@ -21,7 +22,6 @@ from lfield.wire.messages import (
     Status,
     StatusRequest,
     Transfer,
-    clip,
 )
 
 T = TypeVar("T", bound=Status | EmergencyStopped)

@@ -9,40 +9,15 @@ is followed by the raw bytes of a block. `codec` writes and reads them all.
 
 from __future__ import annotations
 
+import hashlib
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from lfield.wire.fields import Age, Count, Hash, Index, Label, MaybeName, Name, Telemetry, Text
+
 #: The version of everything in this package. Hosts of different versions do not talk.
 PROTOCOL = 5
-
-#: Longest name of an agent or host, in characters.
-MAX_NAME = 128
-
-#: Longest sentence or traceback that travels, in characters; `clip` cuts to it.
-MAX_TEXT = 2048
-
-#: Longest text of a fact or of a reason in a report, in characters: reports are many.
-MAX_LABEL = 256
-
-#: Bytes of a program or deployment hash.
-HASH_SIZE = 32
-
-#: The most an age or another span of time may be, in seconds; `age` cuts to it.
-OLDEST = 1e9
-
-#: The most numbers of an array of telemetry that a status shows.
-MAX_NUMBERS = 1024
-
-Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME)]
-MaybeName = Annotated[str, Meta(max_length=MAX_NAME)]
-Text = Annotated[str, Meta(max_length=MAX_TEXT)]
-Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
-Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
-Label = Annotated[str, Meta(max_length=MAX_LABEL)]
-Age = Annotated[float, Meta(ge=0.0, le=OLDEST)]
-Telemetry = bool | int | float | Text | Annotated[list[int | float], Meta(max_length=MAX_NUMBERS)]
 
 #: Where a host's copy of a coordinator stands; see `lfield/docs/mobility.md`.
 CopyState = Literal["RUN", "FROZEN", "PREPARED", "IN DOUBT", "MOVED", "EXITED"]
@@ -58,16 +33,6 @@ NEVER_ARRIVED = "never arrived"
 
 #: `Refused.kind` for a copy that must end because an earlier start of its coordinator is alive.
 SUPERSEDED = "superseded"
-
-
-def clip(text: str, longest: int = MAX_TEXT) -> str:
-    """The text cut to what a message may carry."""
-    return text if len(text) <= longest else text[: longest - 4] + " ..."
-
-
-def age(seconds: float) -> float:
-    """A span of time as a message may carry it."""
-    return min(max(0.0, seconds), OLDEST)
 
 
 class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -116,6 +81,11 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     def remembers(self) -> int:
         """The identity of what this host answers from: a question for another one has no answer here."""
         return self.memory or self.incarnation
+
+    @property
+    def mission(self) -> bytes:
+        """The hash of what blocks are of: a program, and the agents in whose order proxies are numbers."""
+        return hashlib.sha256(self.program + self.deployment).digest()
 
 
 class ForeignHello(Struct, frozen=True):
@@ -253,12 +223,38 @@ class Told(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     unknown: Annotated[dict[Label, Text], Meta(max_length=1024)]
 
 
+class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What a journal keeps of a coordinator for another program, whose digest is given.
+
+    With `state` RUN it is here, with another one it left for `where`, or may have.
+    """
+
+    agent: Name
+    generation: Count
+    hops: Count
+    program: Hash
+    state: CopyState
+    where: MaybeName
+
+
+class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The journal of a host: how many commits it made in the last minute, and what it keeps for later.
+
+    `trouble` is why nothing more should be taken in, '' when all is well.
+    """
+
+    commits: Count
+    trouble: Text
+    parked: Annotated[list[ParkedStatus], Meta(max_length=4096)]
+
+
 class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
     """The answer: a host that has been `up` for so many seconds, its agents, devices and links.
 
     `coordinators` are all that it has seen, `directory` is what it knows of the agents of the team. `late` is
     by how many seconds its signs of life for its guards were late, the longest of the last minute, and
-    `silence` for how many it may give none; both None without devices.
+    `silence` for how many it may give none; both None without devices. `journal` is None for a host that
+    keeps nothing.
     """
 
     host: Name
@@ -273,6 +269,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     directory: Annotated[list[Told], Meta(max_length=4096)]
     late: Age | None = None
     silence: Age | None = None
+    journal: JournalStatus | None = None
 
 
 class Ping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=8):
@@ -357,6 +354,12 @@ class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     asked: Annotated[list[SignOfLife], Meta(max_length=4096)]
 
 
+class Room(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
+    """Whether the sender can keep coordinators that come to it: '' if so, else why it can not."""
+
+    trouble: Text
+
+
 #: Messages that share the control frame.
 Control = (
     Accepted
@@ -372,6 +375,7 @@ Control = (
     | EmergencyStopped
     | Report
     | Heard
+    | Room
 )
 
 #: Every message without a block.

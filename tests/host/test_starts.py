@@ -4,6 +4,12 @@ from __future__ import annotations
 
 import asyncio
 
+from lfield.errors import HostFailure
+from lfield.journal.pages import Run, Starts
+from lfield.mobility.copies import MAX_STARTS
+from lfield.operator.fresh import anew
+from lfield.simulate.time import LoopClock
+
 PROGRAM = """
 resource Post {
     init(string[] arg) { }
@@ -48,7 +54,7 @@ def test_what_another_host_knows_counts_when_the_disk_was_replaced(fleet):
         assert await team.ended("guest") == "done"
         await home.host.stop()
         (home,) = await team.up(mission, "home", keeps=True)
-        assert start_of(home) == 3
+        assert start_of(home) == 2
 
     fleet(story)
 
@@ -115,12 +121,92 @@ def test_a_start_that_cannot_be_kept_is_not_made(fleet):
         starting = asyncio.ensure_future(home.host.start())
         await asyncio.sleep(5.0)
         assert "coordinators wait, since nothing can be kept: " in home.log
-        assert home.log.count("its disk fails") == 1
+        assert home.log.count("coordinators wait") == 1
         assert not home.holds("guest")
         # The resources are served all the same.
         assert home.holds("here")
         team.disks["home"].broken = False
         await starting
         assert home.holds("guest")
+
+    fleet(story)
+
+
+def test_a_mission_may_be_run_again_and_again(fleet):
+    """A host remembers how the last starts ended, and no more."""
+
+    async def story(team):
+        mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
+        await team.up(mission, "away", keeps=True)
+        for number in range(1, 71):
+            (home,) = await team.up(mission, "home", keeps=True)
+            await team.until(lambda home=home, number=number: start_of(home) == number)
+            await team.until(lambda home=home: not home.holds("guest"))
+            await asyncio.sleep(1.0)
+            await home.host.stop()
+        kept = team.disks["home"].open(LoopClock(), print).pages()
+        assert len(kept) <= MAX_STARTS + 4
+
+    fleet(story)
+
+
+def test_what_has_ended_in_a_run_that_was_broken_off_is_not_started_again(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
+        home, _ = await team.up(mission, keeps=True)
+        assert await team.ended("guest") == "done"
+        await asyncio.sleep(1.0)
+        crash(home)
+        (again,) = await team.up(mission, "home", keeps=True)
+        assert "guest has ended (done) in the run that goes on here" in again.log
+        await again.host.stop()
+        (next_run,) = await team.up(mission, "home", keeps=True)
+        assert start_of(next_run) == 2
+
+    fleet(story)
+
+
+def test_a_start_that_was_counted_and_not_made_is_made_the_next_time(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM.replace("20.0", "0.0"), DEPLOYMENT)
+        home, _ = await team.up(mission, keeps=True)
+        assert await team.ended("guest") == "done"
+        await asyncio.sleep(1.0)
+        await home.host.stop()
+        journal = team.disks["home"].open(LoopClock(), print)
+        await journal.keep([Run(open=True), Starts(2)])
+        (again,) = await team.up(mission, "home", keeps=True)
+        assert start_of(again) == 3
+
+    fleet(story)
+
+
+def crash(running) -> None:
+    """As by SIGKILL: nothing that it does from now on comes anywhere."""
+    running.host.peers.close()
+    running.host.options.journal.close()
+    running.host.failure = HostFailure(running.host.name, RuntimeError("killed"))
+
+
+def test_after_a_fresh_start_is_prepared_the_coordinator_begins_anew_and_all_know_of_the_old_one(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        home, away = await team.up(mission, keeps=True)
+        await team.until(lambda: away.output)
+        await away.host.stop()
+        # The holder throws away what it has, then the home begins again.
+        disk = team.disks["away"].open(LoopClock(), print)
+        await disk.keep(anew("away", disk.pages(), {}).pages)
+        (again,) = await team.up(mission, "away", keeps=True)
+        assert again.output == []
+        assert await team.ended("guest") == "lost"
+        await home.host.stop()
+        disk = team.disks["home"].open(LoopClock(), print)
+        found = anew("home", disk.pages(), {"away": again.host.status()})
+        assert (found.away, found.thrown) == ([], [])
+        await disk.keep(found.pages)
+        (home,) = await team.up(mission, "home", keeps=True)
+        await team.until(lambda: again.output == ["arrived"])
+        assert start_of(home) == start_of(again) == 2
 
     fleet(story)

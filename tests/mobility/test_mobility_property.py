@@ -29,10 +29,11 @@ class Wandering(RuleBasedStateMachine):
     """Everything that can happen, in any order."""
 
     machine = Mobility
+    world_type = World
 
     def __init__(self) -> None:
         super().__init__()
-        self.world = World(HOSTS, AGENTS, self.machine)
+        self.world = self.world_type(HOSTS, AGENTS, self.machine)
         for pair in self.world.unlinked_pairs():
             self.world.connect(*pair)
         while self.world.packets:
@@ -146,8 +147,14 @@ class Wandering(RuleBasedStateMachine):
         self.world.check_healed()
 
 
-def explore(machine: type[Mobility], examples: int, steps: int = 60, shrink: bool = True) -> None:
-    broken = type(f"Wandering{machine.__name__}", (Wandering,), {"machine": machine})
+def explore(machine: type[Mobility], examples: int, shrink: bool = True) -> None:
+    explored(Wandering, machine, examples, shrink=shrink)
+
+
+def explored(
+    events: type[Wandering], machine: type[Mobility], examples: int, steps: int = 60, shrink: bool = True
+) -> None:
+    broken = type(f"{events.__name__}{machine.__name__}", (events,), {"machine": machine})
     run_state_machine_as_test(
         broken,
         settings=settings(

@@ -2,6 +2,7 @@
 
 import pytest
 
+from lfield.journal.pages import CopyPage
 from lfield.mobility.copies import MAX_STARTS
 from lfield.mobility.core import Mobility
 from lfield.mobility.effects import (
@@ -16,8 +17,8 @@ from lfield.mobility.effects import (
     SendTransfer,
     Supersede,
 )
+from lfield.wire.fields import MAX_TEXT
 from lfield.wire.messages import (
-    MAX_TEXT,
     NEVER_ARRIVED,
     SUPERSEDED,
     Accepted,
@@ -325,10 +326,19 @@ def test_strangers_do_not_fill_the_memory(b):
     for generation in range(1, 1000):
         b.mobility.receive("a", Inquire(TOUR, generation, 1, 1), 0.0)
         b.mobility.receive("a", Inquire(f"Stranger:{generation}", 1, 1, 1), 0.0)
-        b.mobility.receive("a", Ended(TOUR, generation, "done", "", "a"), 0.0)
-    assert len(b.mobility.knowledge()) == MAX_STARTS
+        if generation < MAX_STARTS:
+            b.mobility.receive("a", Ended(TOUR, 2 * generation, "done", "", "a"), 0.0)
+    assert len(b.mobility.knowledge()) < MAX_STARTS
     (answer,) = b.mobility.arrive("a", transfer(1, generation=5000), b"block 1")
     assert "starts of it" in answer.message.reason
+
+
+def test_of_very_many_starts_the_first_that_ended_are_forgotten(b):
+    for generation in range(1, 1000):
+        b.mobility.receive("a", Ended(TOUR, generation, "done", "", "a"), 0.0)
+    assert [known.generation for known in b.mobility.knowledge()] == list(range(1000 - MAX_STARTS, 1000))
+    go, _ = b.mobility.arrive("a", transfer(1, generation=5000), b"block 1")
+    assert go == Go(TOUR, 5000)
 
 
 # Endings
@@ -474,3 +484,16 @@ def test_a_copy_in_doubt_does_not_end_a_later_start(away):
     restarted.mobility.start(TOUR, 2)
     assert restarted.mobility.linked(away.greeting()) == []
     assert restarted.known(2).state == "RUN"
+
+
+def test_a_restored_copy_of_which_an_end_is_heard_does_not_go_on():
+    page = CopyPage(TOUR, 1, "PREPARED", 1, target="b", memory=1, block=b"block 1")
+    host = Host("a")
+    host.mobility.restore([page])
+    host.mobility.linked(Host("b").hello(Known(TOUR, 1, 3, 2, "EXITED", "b", "done")))
+    assert host.known().state == "EXITED"
+
+    def put(copy, *, runs):
+        raise AssertionError("it has ended")
+
+    assert host.mobility.wake(put, 0.0) == []

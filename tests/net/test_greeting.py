@@ -60,6 +60,7 @@ def test_the_same_life_may_have_a_second_link():
         (hello(registry=b"q" * 32), "a has registry 727272727272 and b has registry 7171"),
         (hello(registry=b""), r"b has registry \(none\); start both from the same .capabilities.yaml file"),
         (hello(program=b""), r"b has program \(none\)"),
+        (hello(memory=5), "b keeps its coordinators in a journal and a does not; start both with --volatile"),
         (hello("a"), "two hosts call themselves a"),
         (hello("a", incarnation=1), "a reached itself"),
         (hello("d"), "the deployment of a has no host d"),

@@ -23,12 +23,9 @@ from lfield.wire.codec import (
     frame_decoder,
     limits,
 )
+from lfield.wire.fields import MAX_LABEL, MAX_NAME, MAX_NUMBERS, MAX_TEXT, clip
 from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import (
-    MAX_LABEL,
-    MAX_NAME,
-    MAX_NUMBERS,
-    MAX_TEXT,
     Accepted,
     AgentReport,
     AgentStatus,
@@ -51,7 +48,6 @@ from lfield.wire.messages import (
     Told,
     ToldFact,
     Transfer,
-    clip,
 )
 
 HASH = b"h" * 32

@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from lfield.host.host import Host
+from lfield.journal.pages import CopyPage
 from lfield.mobility.fates import Absent, Fate, Judge, known_fates
 from lfield.wire.messages import Known, StatusRequest
 
@@ -24,6 +25,8 @@ ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
 ASKED_AT_ONCE = 8
 #: So long a loss that was told is believed without asking, in seconds: its coordinator may be started again.
 FRESH = 1.5
+#: After so many seconds of a link a home has started its coordinators, if it does so at all.
+SETTLED = 5.0
 
 
 async def until_done(host: Host, lost_after: float) -> list[Fate]:
@@ -35,6 +38,7 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
     homes = {member.id: host.team.hosts[member.host] for member in host.team.coordinators}
     judge = Judge(homes)
     hearsay = host.core.hearsay
+    remembered = _Remembered(host, homes, lost_after, unmet)
     # What was told while this host was starting is news, too.
     since = 0.0
     while True:
@@ -48,11 +52,49 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
             now = host.clock.monotonic()
             found = judge.judge(records, _absent(host, hearsay.absent(records, now, lost_after, unmet)))
             found |= known_fates(homes, host.mobility.knowledge(), host.mobility.proven(now - FRESH))
+        for agent in remembered.unsettled():
+            found.pop(agent, None)
         if not homes.keys() - found.keys():
             await _pass_on(host, found.values())
             return [found[agent] for agent in sorted(homes)]
         await _news(host, ASK_EVERY)
         since = host.clock.monotonic() - FRESH
+
+
+class _Remembered:
+    """The endings that a host knows from its journal: those of an earlier run, when a home begins a new one.
+
+    `homes` has the home of each coordinator; `lost_after` and `unmet` are as in `Hearsay.absent`.
+    """
+
+    def __init__(self, host: Host, homes: Mapping[str, str], lost_after: float, unmet: float) -> None:
+        self._host, self._homes, self._bounds = host, homes, (lost_after, unmet)
+        pages = (page for page in host.scribe.pages if isinstance(page, CopyPage))
+        self._ended = {(page.agent, page.generation) for page in pages if page.state == "EXITED"}
+        #: When each home was first linked.
+        self._met: dict[str, float] = {}
+
+    def unsettled(self) -> set[str]:
+        """The coordinators that may be started anew yet."""
+        newest = {
+            row.agent: row.generation
+            for row in sorted(self._host.mobility.knowledge(), key=lambda row: row.generation)
+        }
+        old = {agent for agent, generation in newest.items() if (agent, generation) in self._ended}
+        return {agent for agent in old if not self._settled(self._homes[agent])}
+
+    def _settled(self, home: str) -> bool:
+        """Whether a home has started what it starts, or is not heard of."""
+        host = self._host
+        if home == host.name:
+            return host.core.settled
+        now = host.clock.monotonic()
+        if home in host.peers.incarnations:
+            self._met.setdefault(home, now)
+        if now >= self._met.get(home, now) + SETTLED:
+            return True
+        absent = host.core.hearsay.absent(set(host.team.hosts) - {home}, now, *self._bounds)
+        return home in absent.gone or home in absent.unheard
 
 
 def _absent(host: Host, absent: Absent) -> Absent:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from lfield.bytecode.encoding import encode
 from lfield.clock import Clock
 from lfield.errors import BlockError
 from lfield.host.effects import CHANGED, Effect, Keep, Say
 from lfield.host.team.keeping import Keeping, Recovery
-from lfield.journal.pages import Page, Run, Starts
+from lfield.journal.pages import Page, ProgramPage, Run, Starts
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
 from lfield.mobility.copies import Copy
@@ -51,11 +52,13 @@ class Coordinators:
             inject=self._inject,
             unreachable_after=unreachable_after,
         )
-        self.keeping = Keeping()
-        self.recovery = Recovery(pages, own.program)
+        self.recovery = Recovery(pages, own.mission)
+        self.keeping = Keeping([] if self.recovery.explained else [_explanation(mission, own.mission)])
         self.mobility.restore(self.recovery.copies)
         #: Why nothing can be kept now, '' while all is well.
         self.trouble = ""
+        #: Those that wait at a portal call here until they are kept.
+        self._saving: set[str] = set()
         #: No coordinator is taken in any more.
         self.halted = False
         #: Answers to arrivals, until those that arrived have run.
@@ -94,14 +97,18 @@ class Coordinators:
         if not self.trouble:
             self._say(f"coordinators wait, since nothing can be kept: {why}")
         self.trouble = why
+        for identity in sorted(self._saving & self._machine.agents.keys()):
+            self._stays(self._machine.agents[identity])
+        self._saving.clear()
 
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
         if self.trouble:
             self._say("what happens can be kept again")
-        self.trouble = ""
         for effect in self.keeping.kept(number):
             self._effect(effect)
+        # Only now: what has waited since must not be taken for what is on the disk.
+        self.trouble = ""
 
     def answer(self) -> None:
         """Those that arrived have run: whoever sent them may hear of it."""
@@ -132,9 +139,12 @@ class Coordinators:
         return self.keeping.page(Starts(generation), now)
 
     def park(self) -> None:
-        """The host stops in order. Unless a coordinator of its own may go on, the next start is a new run."""
+        """The host stops in order. Unless a coordinator of its own may go on, the next start is a new run.
+
+        Not when it has opened no device: what tries again by itself must not begin a mission anew.
+        """
         self.halted = True
-        if not self._own.memory:
+        if not self._own.memory or self._early is not None:
             return
         here = self._mission.team.number(self._own.host)
         own = {member.id for member in self._members.values() if member.host == here}
@@ -167,8 +177,15 @@ class Coordinators:
             return True
         if self._stays(agent):
             return False
+        self._saving.add(agent.id)
         self.carry_out(self.mobility.save(agent.id, self._machine.pack(agent)))
         return False
+
+    def waits(self, agent: Agent) -> str:
+        """What a frozen coordinator waits for, in a word or two: it is only kept, or it leaves."""
+        if self.trouble and self.keeping.holds_back(agent.id):
+            return "waits for its disk"
+        return "leaving" if self.mobility.leaves(agent.id, agent.generation) else "being kept"
 
     def _stays(self, agent: Agent) -> bool:
         """Whether a call must not begin, since where it stands cannot be kept; its caller is told."""
@@ -252,6 +269,7 @@ class Coordinators:
             case mobile.Began():
                 self._start(effect.agent, effect.generation)
             case mobile.Go():
+                self._saving.discard(effect.agent)
                 if agent := self._held(effect.agent, effect.generation):
                     self._machine.go(agent)
             case mobile.Departed():
@@ -279,6 +297,7 @@ class Coordinators:
         return agent if agent and agent.frozen and agent.generation == generation else None
 
     def _drop(self, identity: str, generation: int) -> None:
+        self._saving.discard(identity)
         agent = self._machine.agents.get(identity)
         if agent and agent.generation == generation:
             agent.ended = agent.ended or "dropped"
@@ -287,6 +306,13 @@ class Coordinators:
 
     def _say(self, text: str) -> None:
         self._out(Say(text))
+
+
+def _explanation(mission: Mission, digest: bytes) -> ProgramPage:
+    """What explains the blocks of a mission to whoever looks into the journal."""
+    team = mission.team
+    members, types = tuple(m.id for m in team.members), tuple(m.type for m in team.members)
+    return ProgramPage(digest, encode(mission.program), members, types, tuple(team.hosts))
 
 
 def _nothing(_: int) -> Buffer:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from lfield.journal.pages import CopyPage, Key, Page, Run, Starts, key_of
+from lfield.journal.pages import CopyPage, Key, Page, ProgramPage, Run, Starts, key_of
 from lfield.mobility.effects import Effect, Note, Persist, Send, SendTransfer
 from lfield.wire.messages import Known
 
@@ -17,11 +17,15 @@ from lfield.wire.messages import Known
 SOON = 1.0
 
 
-class Keeping:
-    """The pages and effects of one host that are waiting."""
+#: Of so many starts of each coordinator it is remembered how they ended; every run makes one.
+ENDINGS = 8
 
-    def __init__(self) -> None:
-        self._pages: dict[Key, Page] = {}
+
+class Keeping:
+    """The pages and effects of one host that are waiting. `first` goes along with the first that are due."""
+
+    def __init__(self, first: Iterable[Page] = ()) -> None:
+        self._pages: dict[Key, Page] = {key_of(page): page for page in first}
         #: The number of the batch that pages go into now.
         self._number = 1
         self._behind: dict[str, deque[tuple[int, Effect]]] = {}
@@ -42,6 +46,10 @@ class Keeping:
             else:
                 ready.append(effect)
         return ready
+
+    def holds_back(self, agent: str) -> bool:
+        """Whether something that a coordinator has to do waits for the disk."""
+        return agent in self._behind
 
     def page(self, page: Page, now: float, *, soon: bool = False) -> int:
         """A page to keep; the number of its batch."""
@@ -74,17 +82,24 @@ class Keeping:
 
 
 class Recovery:
-    """The pages of a host's journal; `program` is the digest of what it runs now.
+    """The pages of a host's journal; `mission` is the hash of what it runs now (`Hello.mission`).
 
-    A coordinator of another program stays parked: what is kept of it waits for that program.
+    A coordinator of another mission stays parked: it waits for its own program and deployment.
     """
 
-    def __init__(self, pages: Iterable[Page], program: bytes) -> None:
+    def __init__(self, pages: Iterable[Page], mission: bytes) -> None:
         pages = list(pages)
         copies = [page for page in pages if isinstance(page, CopyPage)]
-        self.copies = [page for page in copies if not page.block or page.program == program]
-        #: What belongs to another program.
-        self.parked = [page for page in copies if page.block and page.program != program]
+        #: Starts that ended so long ago that nobody asks any more.
+        self.outdated = _outdated(copies)
+        old = {key_of(page) for page in self.outdated}
+        self.copies = [
+            page for page in copies if key_of(page) not in old and (not page.block or page.program == mission)
+        ]
+        #: What belongs to another program or deployment.
+        self.parked = [page for page in copies if page.block and page.program != mission]
+        #: Whether there is what explains the blocks of this mission.
+        self.explained = any(isinstance(page, ProgramPage) and page.digest == mission for page in pages)
         #: The last start that was made here, None when none is on record.
         self.starts = next((page.count for page in pages if isinstance(page, Starts)), None)
         #: Whether the run that was begun here earlier goes on.
@@ -94,16 +109,30 @@ class Recovery:
         """Why a coordinator of this host is not started anew, '' if nothing is against it."""
         rows = [row for row in known if row.agent == agent]
         if any(page.agent == agent for page in self.parked):
-            return "waits for the program that it belongs to"
+            return "waits for the program and deployment that it belongs to"
         for row in rows:
             if row.state in ("FROZEN", "PREPARED", "IN DOUBT", "MOVED"):
                 return f"went to {row.where}"
             if row.state == "RUN":
                 return "goes on"
-        if rows and self.goes_on:
-            last = max(rows, key=lambda row: row.generation)
+        last = max(rows, key=lambda row: row.generation, default=None)
+        # An earlier one ended in an earlier run: the start that is on record was not made.
+        if last and self.goes_on and last.generation >= (self.starts or 0):
             return f"has ended ({last.outcome}) in the run that goes on here; --fresh begins another one"
         return ""
+
+
+def _outdated(copies: Iterable[CopyPage]) -> list[CopyPage]:
+    """The endings of each coordinator but the last few."""
+    found: dict[str, list[CopyPage]] = {}
+    for page in copies:
+        if page.state == "EXITED":
+            found.setdefault(page.agent, []).append(page)
+    return [
+        page
+        for pages in found.values()
+        for page in sorted(pages, key=lambda page: page.generation)[:-ENDINGS]
+    ]
 
 
 def _agent(effect: Effect) -> str:

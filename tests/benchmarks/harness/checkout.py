@@ -64,6 +64,13 @@ class Checkout:
         except OSError:
             return "unknown"
 
+    @property
+    def keeping_nothing(self) -> tuple[str, ...]:
+        """The options of `lfield up` for a host without a journal: none where it has none anyway."""
+        asked = (self.python, "-m", "lfield", "up", "--help")
+        told = subprocess.run(asked, capture_output=True, text=True, cwd=self.root, env=self.environment)
+        return ("--volatile",) if "--volatile" in told.stdout else ()
+
     def run(self, processes: Processes, *words: str, merged: bool = False) -> Child:
         """Start a Python command of it, in its folder."""
         return processes.start(
@@ -81,12 +88,16 @@ class Checkout:
 
 @dataclass(slots=True)
 class Mission:
-    """An L program and who runs it, written to a folder; `agents` are lines of a deployment file."""
+    """An L program and who runs it, written to a folder; `agents` are lines of a deployment file.
+
+    Hosts keep nothing, unless it is to be `kept`: then in journals in that folder.
+    """
 
     folder: Path
     program: str
     agents: Sequence[str]
     devices: str = ""
+    kept: bool = False
     addresses: Mapping[str, str] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -115,12 +126,21 @@ class Mission:
 
     def up(self, checkout: Checkout, processes: Processes) -> list[Child]:
         """Start a process for each host."""
-        return [checkout.lfield(processes, "up", *self.words, "--host", host) for host in self.addresses]
+        memory = ("--state", str(self.folder / "state")) if self.kept else checkout.keeping_nothing
+        words = ("up", *self.words, *memory, "--host")
+        return [checkout.lfield(processes, *words, host) for host in self.addresses]
 
 
 def paced_mission(
-    checkout: Checkout, processes: Processes, program: Path, agents: Sequence[str], devices: str = ""
+    checkout: Checkout,
+    processes: Processes,
+    program: Path,
+    agents: Sequence[str],
+    devices: str = "",
+    *,
+    kept: bool = False,
 ) -> Paced:
     """A mission that measures itself in rounds; the first host is the one that writes."""
-    mission = Mission(processes.folder(), program.read_text(encoding="utf-8"), agents, devices)
+    text = program.read_text(encoding="utf-8")
+    mission = Mission(processes.folder(), text, agents, devices, kept)
     return Paced(mission.up(checkout, processes))

@@ -9,6 +9,7 @@ the coordinator itself. L times itself: the two hosts share this machine's clock
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path
 
 from harness.checkout import Checkout, paced_mission
@@ -23,12 +24,12 @@ CALLS, WARM_UP = 300, 20
 _HERE = Path(__file__).parent
 
 
-def hops(checkout: Checkout, processes: Processes) -> Contender:
+def hops(checkout: Checkout, processes: Processes, *, kept_on_disk: bool = False) -> Contender:
     """The coordinator of hop.L, on two hosts."""
     words = "&".join(str(word) for word in (CALLS, WARM_UP, *SIZES))
     kept = CALLS // 2
     agents = f"//Post:near@a?{kept}", f"//Post:far@b?{kept}", f"//Traveller:traveller@a?{words}"
-    return paced_mission(checkout, processes, _HERE / "hop.L", agents)
+    return paced_mission(checkout, processes, _HERE / "hop.L", agents, kept=kept_on_disk)
 
 
 def calls(library: str, share: float = 1.0) -> Opener:
@@ -58,6 +59,7 @@ FIGURE = Figure(
     "A remote portal call by live state; ratio to the fastest RPC library",
     {
         "lfield: a hop": hops,
+        "lfield: a hop, kept on disk": partial(hops, kept_on_disk=True),
         "TCP, one way (half an echo)": calls("TCP", 0.5),
         "Pyro5, method call": calls("Pyro5"),
         "RPyC, method call": calls("RPyC"),

@@ -1,0 +1,73 @@
+"""A host whose disk is full takes nobody in; senders hear of it, and wait with what they have."""
+
+from __future__ import annotations
+
+import asyncio
+
+PROGRAM = """
+resource Post {
+    int calls;
+    init(string[] arg) { }
+    portal visit() { calls = calls + 1; write("visited\\n"); }
+}
+coordinator Guest {
+    init(string[] arg) {
+        for (int i = 0; i < 40; i = i + 1) {
+            try {
+                findPost("near").visit();
+                findPost("far").visit();
+            } catch (UnreachableResourceException e) { print(e.message()); }
+            sleep(0.5);
+        }
+    }
+}
+"""
+DEPLOYMENT = "//Post:near@home\n//Post:far@away\n//Guest:guest@home\n"
+
+
+def test_senders_wait_for_room_on_the_disk(fleet):
+    async def story(team):
+        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+        await team.until(lambda: len(away.output) > 2)
+        team.disks["away"].full = True
+        await team.until(lambda: "no coordinator is taken in: its disk is full" in away.log)
+        visits = len(away.output)
+        (waiting,) = home.host.mobility.knowledge()
+        await team.until(lambda: home.host.mobility.knowledge()[0].state == "FROZEN")
+        await asyncio.sleep(5.0)
+        assert len(away.output) == visits
+        team.disks["away"].full = False
+        await team.until(lambda: len(away.output) > visits)
+        assert "coordinators are taken in again" in away.log
+        assert waiting.generation == 1
+
+    fleet(story)
+
+
+def test_what_waits_too_long_is_told_why(fleet):
+    async def story(team):
+        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True, unreachable_after=3.0)
+        await team.until(lambda: away.output)
+        team.disks["away"].full = True
+        await team.until(lambda: "guest: away could not keep guest within 3 s: its disk is full" in home.log)
+
+    fleet(story)
+
+
+def test_where_nothing_can_be_kept_no_call_that_acts_begins(fleet):
+    async def story(team):
+        program = PROGRAM.replace("UnreachableResourceException", "LimitException")
+        home, _ = await team.up(
+            team.mission(program, DEPLOYMENT.replace("away", "home") + "//Post:third@away\n"), keeps=True
+        )
+        await team.until(lambda: len(home.output) > 4)
+        team.disks["home"].broken = True
+        await team.until(lambda: "guest: home can keep nothing: " in home.log)
+        calls = len(home.output)
+        await asyncio.sleep(3.0)
+        assert len(home.output) == calls
+        team.disks["home"].broken = False
+        await team.until(lambda: len(home.output) > calls)
+        assert "what happens can be kept again" in home.log
+
+    fleet(story)

@@ -1,0 +1,142 @@
+"""The small world on disks: hosts die at any moment, what they had not kept yet is lost, and they go on.
+
+A coordinator's work since it was last kept may be lost with its host; its copy goes on from the disk.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from mobility_world import PATIENCE, PROGRAM, SimHost, Start, World
+
+from lfield.host.team.keeping import Keeping
+from lfield.journal.pages import CopyPage, Key, Page, key_of
+from lfield.mobility.copies import Copy
+from lfield.mobility.effects import Began, Go, Refusal
+from lfield.wire.messages import Hello
+
+
+@dataclass
+class KeptHost(SimHost):
+    """One life of a host with a journal; those that came or are being kept wait in `waiting`."""
+
+    keeping: Keeping = field(default_factory=Keeping)
+    waiting: dict[Start, int] = field(default_factory=dict)
+
+    def drop(self, start: Start) -> None:
+        super().drop(start)
+        self.waiting.pop(start, None)
+
+
+class KeptWorld(World):
+    """Hosts with disks; nothing that was not synced survives them."""
+
+    def __init__(self, *args) -> None:
+        self.disks: dict[str, dict[Key, Page]] = {}
+        super().__init__(*args)
+
+    def boot(self, name: str) -> None:
+        self.lives += 1
+        host = KeptHost(name, self.lives)
+        first = name not in self.disks
+        disk = self.disks.setdefault(name, {})
+        host.mobility = self.machine(
+            self.hello(host),
+            peers=self.names,
+            agents=list(self.homes),
+            inject=lambda header, block: self.inject(host, header, block),
+            unreachable_after=PATIENCE,
+        )
+        self.hosts[name] = host
+        host.mobility.restore(page for page in disk.values() if isinstance(page, CopyPage))
+        self.apply(host, host.mobility.wake(lambda copy, runs: self.put(host, copy, runs), self.now))
+        for agent, home in self.homes.items():
+            if home == name and first:
+                self.apply(host, host.mobility.start(agent, 1))
+                self.sync(name)
+
+    def put(self, host: KeptHost, copy: Copy, runs: bool):
+        """A copy from the disk is in the machine again."""
+        start = copy.agent, copy.generation
+        count = int(bytes(copy.block).decode().split()[3]) if copy.block else 0
+        (host.running if runs else host.frozen)[start] = self.count[start] = count
+        return self.sealer(start, count)
+
+    def sealer(self, start: Start, count: int):
+        return lambda sequence: f"{start[0]} {start[1]} {sequence} {count}".encode()
+
+    def kill(self, name: str) -> None:
+        del self.hosts[name]
+        for pair in [pair for pair in self.open if name in pair]:
+            del self.open[pair]
+
+    def sync(self, name: str) -> None:
+        """What a host has put down so far is on its disk."""
+        host = self.hosts[name]
+        while batch := host.keeping.take(self.now + 60.0):
+            number, pages = batch
+            self.disks[name].update((key_of(page), page) for page in pages)
+            self.carry_out(host, host.keeping.kept(number))
+
+    def save(self, host: KeptHost, start: Start) -> None:
+        """A coordinator calls a portal of its host: it is kept first."""
+        host.waiting[start] = host.running.pop(start)
+        block = self.sealer(start, host.waiting[start])(0)
+        self.apply(host, host.mobility.save(start[0], block))
+
+    def inject(self, host: KeptHost, header, block: bytes) -> Refusal | None:
+        refusal = super().inject(host, header, block)
+        start = header.agent, header.generation
+        if refusal is None:
+            host.waiting[start] = host.running.pop(start)
+        return refusal
+
+    def apply(self, host: KeptHost, effects) -> None:
+        self.carry_out(host, host.keeping.put(effects, self.now))
+
+    def carry_out(self, host: KeptHost, effects) -> None:
+        for effect in effects:
+            match effect:
+                case Go(agent, generation):
+                    if (agent, generation) in host.waiting:
+                        host.running[agent, generation] = host.waiting.pop((agent, generation))
+                case Began(agent, generation):
+                    host.running[agent, generation] = self.count[agent, generation] = 0
+                case _:
+                    super().apply(host, [effect])
+
+    def heal(self) -> None:
+        for name in self.names:
+            if name not in self.hosts:
+                self.boot(name)
+        for _ in range(4):
+            super().heal()
+            for name in self.names:
+                self.sync(name)
+            while self.packets:
+                self.deliver(self.packets.pop(0))
+                for name in self.names:
+                    self.sync(name)
+
+    def check(self) -> None:
+        live = Counter(start for host in self.hosts.values() for start in host.running)
+        for start, copies in live.items():
+            assert copies == 1, f"{copies} live copies of {start}"
+        for identity, times in self.injected.items():
+            assert times == 1 or self.forgotten(identity), f"{identity} was injected {times} times"
+        for start in self.count:
+            kept = [disk.get(Key("copy", *start)) for disk in self.disks.values()]
+            alive = any(page is not None and page.state in ("RUN", "PREPARED") for page in kept)
+            assert alive or start in self.excused, f"{start} is on no disk"
+
+    def forgotten(self, identity: tuple[str, int, int]) -> bool:
+        """Whether a copy that was taken in never came to be kept: its host died first, and told nobody."""
+        agent, generation, sequence = identity
+        pages = (disk.get(Key("copy", agent, generation)) for disk in self.disks.values())
+        return not any(page is not None and page.sequence > sequence for page in pages)
+
+    def hello(self, host: SimHost) -> Hello:
+        known = host.mobility.knowledge() if host.mobility else []
+        memory = 1 + self.names.index(host.name)
+        return Hello("host", host.name, host.incarnation, PROGRAM, PROGRAM, 1 << 20, known, memory=memory)
