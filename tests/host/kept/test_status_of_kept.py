@@ -16,7 +16,11 @@ resource Post {
     portal stay(real seconds) { calls = calls + 1; write("call\\n"); sleep(seconds); }
 }
 coordinator Guest {
-    init(string[] arg) { while (true) findPost(arg[1]).stay(1.0); }
+    init(string[] arg) {
+        while (true) {
+            try { findPost(arg[1]).stay(1.0); } catch (LimitException full) { sleep(0.5); }
+        }
+    }
 }
 """
 LATER = PROGRAM.replace("while (true)", "sleep(5.0);")
