@@ -148,15 +148,18 @@ class Mobility:
 
     def linked(self, peer: Hello) -> list[Effect]:
         """A link to a host is up; `peer` is what it said in its greeting."""
-        effects = self.told(peer.host, peer.coordinators)
+        effects = self._told(peer.host, peer.remembers, peer.coordinators)
         self._links[peer.host] = peer
         return effects + self._departures.linked(peer) + self._endings.linked(peer.host)
 
     def told(self, host: str, records: Iterable[Known]) -> list[Effect]:
         """A host says what it knows, in a greeting or because it was asked."""
+        return self._told(host, self.memories.get(host, 0), records)
+
+    def _told(self, host: str, memory: int, records: Iterable[Known]) -> list[Effect]:
         effects: list[Effect] = []
         for known in records:
-            effects += self._learn(host, known)
+            effects += self._learn(host, memory, known)
         return effects
 
     def pass_on(self, found: Iterable[Fate]) -> list[Effect]:
@@ -250,11 +253,11 @@ class Mobility:
         copy = self._copies.find(agent, generation)
         return copy.block if copy is not None and copy.state == "MOVED" else None
 
-    def _learn(self, host: str, known: Known) -> list[Effect]:
+    def _learn(self, host: str, memory: int, known: Known) -> list[Effect]:
         if known.state == "EXITED":
             ended = Ended(known.agent, known.generation, known.outcome or "lost", known.detail, known.where)
             return self._endings.learn(ended)
-        effects = self._departures.learn(host, known)
+        effects = self._departures.learn(host, memory, known)
         if known.state in LIVE:
             effects += self._endings.compare(host, known)
         return effects

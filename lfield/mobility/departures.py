@@ -91,13 +91,16 @@ class Departures:
             return self._send(copy)
         return self._resume(copy, UNREACHABLE, f"the link to {host} broke on the way and came back too late")
 
-    def learn(self, host: str, known: Known) -> list[Effect]:
+    def learn(self, host: str, memory: int, known: Known) -> list[Effect]:
         """Whether what `host` knows proves that a copy under way from here has arrived.
 
         Numbers beyond its own are given out only by the copy that it became.
         """
         copy = self._copies.find(known.agent, known.generation)
         if copy is None or not (copy.state == "PREPARED" or copy.gave_way):
+            return []
+        if self._copies.kept and (host, memory) == (copy.target, copy.memory):
+            # What it says of itself may not be on its disk yet. It answers for that transfer when it is.
             return []
         arrived = known.sequence == copy.sequence and known.state in ("RUN", "FROZEN")
         return self.moved(copy) if arrived or known.sequence > copy.sequence else []

@@ -50,6 +50,7 @@ def _parser() -> argparse.ArgumentParser:
     many.add_argument("--story", type=int, metavar="SEED", help="tell one again, as it is or smaller:")
     for name in ("hosts", "walkers", "arms"):
         many.add_argument(f"--{name}", type=int, metavar="N")
+    many.add_argument("--forget", action="store_true", help="hosts keep no journals in it")
     many.add_argument("--keep", type=_numbers, metavar="N,N", help="the faults of it that strike")
     one = parser.add_argument_group("a mission")
     one.add_argument("mission", metavar="MISSION.dL", type=Path, nargs="?", help="the deployment")
@@ -63,6 +64,8 @@ def _parser() -> argparse.ArgumentParser:
 def _story(args: argparse.Namespace) -> int:
     given = {name: getattr(args, name) for name in ("hosts", "walkers", "arms", "seconds", "keep")}
     story: Story = replace(drawn(args.story), **{name: v for name, v in given.items() if v is not None})
+    if args.forget:
+        story = replace(story, journals=False)
     verdict = tell(story, keep_log=True)
     if not args.quiet:
         _print(verdict.log, verdict.faults)

@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -57,14 +57,16 @@ class Tally:
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
-def told(seed: int) -> Verdict:
-    """The story of a seed."""
-    return tell(drawn(seed))
+def told(seed: int, *, forget: bool = False) -> Verdict:
+    """The story of a seed; of hosts without journals if they are to `forget`."""
+    story = drawn(seed)
+    return tell(replace(story, journals=False) if forget else story)
 
 
-def first_broken(seeds: Iterable[int]) -> Verdict | None:
+def first_broken(seeds: Iterable[int], *, forget: bool = False) -> Verdict | None:
     """The first story of some, told one after another, in which a promise is broken."""
-    return next((verdict for verdict in map(told, seeds) if verdict.breaches), None)
+    verdicts = (told(seed, forget=forget) for seed in seeds)
+    return next((verdict for verdict in verdicts if verdict.breaches), None)
 
 
 @contextmanager

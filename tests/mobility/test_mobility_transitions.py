@@ -497,3 +497,23 @@ def test_a_restored_copy_of_which_an_end_is_heard_does_not_go_on():
         raise AssertionError("it has ended")
 
     assert host.mobility.wake(put, 0.0) == []
+
+
+@pytest.mark.parametrize(("memory", "gone"), [(7, False), (8, True)], ids=["the same", "another disk"])
+def test_what_a_receiver_says_of_itself_may_not_be_on_its_disk_yet(memory, gone):
+    """So the sender asks, since that answer waits for the disk; another disk's word counts."""
+
+    def hello(host, memory, *known):
+        return Hello(
+            host.role, host.host, host.incarnation, PROGRAM, PROGRAM, 1000, list(known), memory=memory
+        )
+
+    a, b = Host("a").hello(), Host("b").hello()
+    mobility = Mobility(hello(a, 5), peers=["a", "b"], agents=[TOUR], inject=lambda *_: None)
+    mobility.linked(hello(b, 7))
+    mobility.start(TOUR, 1)
+    mobility.depart(TOUR, "b", seal, 0.0)
+    mobility.unlinked("b")
+    effects = mobility.linked(hello(b, memory, Known(TOUR, 1, 2, 2, "RUN")))
+    assert any(isinstance(effect, Departed) for effect in effects) == gone
+    assert any(isinstance(effect, Send) and isinstance(effect.message, Inquire) for effect in effects) != gone

@@ -60,6 +60,8 @@ def command(story: Story) -> str:
         value = getattr(story, name)
         if value != getattr(usual, name):
             words.append(f"--{name} {value}")
+    if usual.journals and not story.journals:
+        words.append("--forget")
     if story.keep is not None:
         words.append(f"--keep {','.join(str(number) for number in sorted(story.keep))}")
     return " ".join(words)
