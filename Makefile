@@ -7,7 +7,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-more test-sitl simulate bench lint locks clean
+.PHONY: demo test test-more test-sitl simulate chaos bench lint locks clean
 
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
@@ -44,6 +44,13 @@ FIRST ?= 0
 simulate: $(VENV)/.tested
 	$(BIN)/python -m lfield.simulate --seeds $(SEEDS) --first $(FIRST)
 	LFIELD_PLANTED=yes $(BIN)/pytest -n 0 -s --timeout 3600 -p no:cacheprovider tests/simulate/planted/test_planted.py
+
+# Real processes that are killed, stopped, cut off and out of disk, for so long. Disks that are full are mounted in a
+# namespace of this command's own, where the system allows it.
+SECONDS ?= 120
+SEED ?= 1
+chaos: $(VENV)/.tested
+	$$(unshare -Urm true 2>/dev/null && echo unshare -Urm) $(BIN)/python tests/chaos/run.py --seconds $(SECONDS) --seed $(SEED)
 
 lint: $(VENV)/.tested
 	$(BIN)/ruff check .

@@ -19,6 +19,7 @@
     ├── AddressError              a port in use, an address that is not ours                  69
     │   └── NobodyListens         an address where no program listens                         69
     ├── NothingRuns               no mission that a command could be about                    69
+    ├── CoordinatorAlive          a coordinator that is alive, or may be, and must not be     69
     ├── HostFailure               a bug in lfield that ended a host                           70
     └── PluginError               a driver is unknown, broken or lacks its vendor library     69
         └── DeviceError           a device refused, failed or went away
@@ -236,6 +237,12 @@ class NobodyListens(AddressError):
 
 class NothingRuns(LfieldError):
     """No mission runs that a command could be about; the message says where was looked."""
+
+    exit_status = exits.UNAVAILABLE
+
+
+class CoordinatorAlive(LfieldError):
+    """A coordinator that is alive, or may be, where that stands in the way; the message says where."""
 
     exit_status = exits.UNAVAILABLE
 

@@ -7,7 +7,7 @@ calls a method for each event, then `run`, and carries out what `take` gives. A 
 from __future__ import annotations
 
 import random
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
@@ -31,6 +31,7 @@ from lfield.vm.contract import Reading
 from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
 from lfield.vm.world import PENDING, Pending
+from lfield.wire.fields import clip
 from lfield.wire.messages import (
     Control,
     Ended,
@@ -41,7 +42,6 @@ from lfield.wire.messages import (
     Report,
     Room,
     Transfer,
-    clip,
 )
 
 
@@ -185,6 +185,20 @@ class HostCore:
         """Whether any start here, or were here when this host was last up."""
         return bool(self._own or self._team.recovery.copies)
 
+    @property
+    def parked(self) -> Collection[CopyPage]:
+        """The coordinators that the journal keeps for another program."""
+        return self._team.recovery.parked
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing can be kept now, '' while all is well."""
+        return self._team.trouble
+
+    def waits(self, agent: Agent) -> str:
+        """What a frozen coordinator waits for, in a word or two."""
+        return self._team.waits(agent)
+
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
         self._team.not_kept(why)
@@ -245,6 +259,10 @@ class HostCore:
         """A host that was asked says what it knows of coordinators."""
         self._policies.told(host, records, self._clock.monotonic())
         self._team.carry_out(self.mobility.told(host, records))
+
+    def forget(self, agent: str) -> list[int]:
+        """A person says that this coordinator is lost; the starts of it that end here."""
+        return self._team.forget(agent)
 
     def pass_on(self, found: Iterable[Fate]) -> None:
         """This host is about to go: whoever can be reached is told of all endings, and of what it found."""

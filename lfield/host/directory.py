@@ -25,7 +25,8 @@ from lfield.mobility.effects import Send
 from lfield.vm.agent import Agent
 from lfield.vm.contract import Reading
 from lfield.vm.world import Pending
-from lfield.wire.messages import Hello, Report, Told, ToldFact, age, clip
+from lfield.wire.fields import age, clip
+from lfield.wire.messages import Hello, Report, Told, ToldFact
 
 #: The registry of a mission that asks for no capability.
 NO_REGISTRY = Registry({}, {}, {}, {}, {}, {})

@@ -12,7 +12,8 @@ from lfield.capability.directory.directory import Deployed, live_attributes
 from lfield.capability.directory.news import Condition, News, Sample, Scalar, Trouble
 from lfield.capability.model import Attribute, Registry
 from lfield.errors import WireError
-from lfield.wire.messages import MAX_LABEL, AgentReport, FactReport, Report, age, clip
+from lfield.wire.fields import MAX_LABEL, age, clip
+from lfield.wire.messages import AgentReport, FactReport, Report
 
 
 class Reports:

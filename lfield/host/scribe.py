@@ -48,6 +48,11 @@ class Scribe:
         """What was kept before."""
         return self._journal.pages() if self._journal else []
 
+    @property
+    def journal(self) -> Journal | None:
+        """Where it keeps them."""
+        return self._journal
+
     def forget(self, pages: Collection[Page]) -> None:
         """Remove pages that nobody needs; if it fails, the next start does it."""
         if pages and self._journal:

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from lfield.clock import Clock
 from lfield.devices.guards import Guards
 from lfield.host.core import HostCore
+from lfield.journal.journal import Journal
+from lfield.journal.pages import CopyPage
 from lfield.manifest import DeviceValue
 from lfield.net.peers import Peers
 from lfield.vm.agent import Agent
@@ -22,23 +24,22 @@ from lfield.vm.memory.layout import (
     WAITING,
 )
 from lfield.vm.memory.threads import threads
-from lfield.wire.messages import (
-    MAX_LABEL,
-    MAX_NUMBERS,
-    AgentStatus,
-    DeviceStatus,
-    LinkStatus,
-    Status,
-    Telemetry,
-    age,
-    clip,
-)
+from lfield.wire.fields import MAX_LABEL, MAX_NUMBERS, Telemetry, age, clip
+from lfield.wire.messages import AgentStatus, DeviceStatus, JournalStatus, LinkStatus, ParkedStatus, Status
 
 #: The states of threads, the liveliest first.
 _LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
 
 
-def status_of(core: HostCore, peers: Peers, guards: Guards, address: str, up: float, clock: Clock) -> Status:
+def status_of(
+    core: HostCore,
+    peers: Peers,
+    guards: Guards,
+    journal: Journal | None,
+    address: str,
+    up: float,
+    clock: Clock,
+) -> Status:
     """The status of a host that has been `up` for so many seconds, to the millisecond."""
     now = clock.monotonic()
     lateness = guards.lateness if guards.telemetry else None
@@ -48,7 +49,7 @@ def status_of(core: HostCore, peers: Peers, guards: Guards, address: str, up: fl
         up=_since(up),
         program=core.mission.program.digest,
         deployment=core.team.deployment,
-        agents=[_agent(agent) for agent in core.machine.agents.values()],
+        agents=[_agent(agent, core) for agent in core.machine.agents.values()],
         coordinators=core.mobility.knowledge(),
         devices=_devices(guards, now),
         links=[
@@ -58,21 +59,32 @@ def status_of(core: HostCore, peers: Peers, guards: Guards, address: str, up: fl
         directory=core.directory.told(),
         late=_since(lateness.last_minute(now)) if lateness else None,
         silence=lateness.limit.silence if lateness else None,
+        journal=_journal(journal, core, now) if journal is not None else None,
     )
+
+
+def _journal(journal: Journal, core: HostCore, now: float) -> JournalStatus:
+    commits, trouble = journal.commits_last_minute(now), clip(core.trouble or journal.trouble)
+    return JournalStatus(commits, trouble, [_parked(page) for page in core.parked])
+
+
+def _parked(page: CopyPage) -> ParkedStatus:
+    state = "EXITED" if page.state == "ABSENT" else page.state
+    return ParkedStatus(page.agent, page.generation, page.hops, page.program, state, page.target)
 
 
 def _since(seconds: float) -> float:
     return round(age(seconds), 3)
 
 
-def _agent(agent: Agent) -> AgentStatus:
+def _agent(agent: Agent, core: HostCore) -> AgentStatus:
     block = agent.block
     states = [block.w[place + THREAD_STATE] for place in threads(block)]
     return AgentStatus(
         id=agent.id,
         type=clip(agent.member.type),
         kind="coordinator" if agent.member.kind == "coordinator" else "resource",
-        state=agent.ended or ("leaving" if agent.frozen else _busiest(states)),
+        state=agent.ended or (core.waits(agent) if agent.frozen else _busiest(states)),
         hops=agent.hops,
         served=agent.served,
         heap=8 * block.top,

@@ -13,7 +13,8 @@ from typing import Literal, NamedTuple
 import msgspec
 from msgspec import Struct
 
-from lfield.wire.messages import Count, Hash, Outcome
+from lfield.wire.fields import Count, Hash
+from lfield.wire.messages import Outcome
 
 #: The version of all pages that are written here. A page of a newer one is not read.
 VERSION = 1

@@ -16,7 +16,7 @@ import msgspec
 from msgspec import Struct
 
 from lfield.journal.pages import Entry, Key
-from lfield.wire.messages import Count
+from lfield.wire.fields import Count
 
 #: The version of the tables. A newer one is refused, all older ones are read.
 FORMAT = 1

@@ -11,7 +11,7 @@ from lfield.errors import BundleError
 from lfield.mission.bindings import MAX_HEAP, MIN_HEAP, Bindings, Needed, each_needed
 from lfield.mission.team import Row
 from lfield.vm.contract import Limits
-from lfield.wire.messages import MAX_NAME
+from lfield.wire.fields import MAX_NAME
 
 #: Agents are counted in 16 bits in the reports of hosts.
 MOST_AGENTS = 1 << 16

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 from lfield.mobility.copies import MAX_STARTS, Copies, Copy
 from lfield.mobility.departures import LIMIT, UNREACHABLE
 from lfield.mobility.effects import Effect, Go, Note, Refusal, Send
-from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Inquire, Refused, Transfer, clip
+from lfield.wire.fields import clip
+from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Inquire, Refused, Transfer
 
 if TYPE_CHECKING:
     from collections.abc import Callable

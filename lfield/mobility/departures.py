@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lfield.mobility.effects import Departed, Effect, InDoubt, Resume, Send, SendTransfer
-from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Hello, Inquire, Refused, Transfer, clip
+from lfield.wire.fields import clip
+from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Hello, Inquire, Refused, Transfer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

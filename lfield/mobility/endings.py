@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from lfield.mobility.copies import LIVE, Copies, Copy
 from lfield.mobility.effects import Effect, Finished, Send, Supersede
-from lfield.wire.messages import Ended, EndedAck, Hello, Known, Outcome, clip
+from lfield.wire.fields import clip
+from lfield.wire.messages import Ended, EndedAck, Hello, Known, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping

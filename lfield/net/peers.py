@@ -315,14 +315,16 @@ class Peers:
             if session.hello and (self.wants(host) or now - session.heard <= SILENT_FOR)
         }
 
-    def crossed(self, host: str) -> bool:
-        """Whether a host that calls is being called, and this host's call is the one that counts."""
+    def crossed(self, host: str, came: float) -> bool:
+        """Whether this host's own call is the one that counts, of two that crossed; the other `came` then."""
         own = self._dialling.get(host)
-        if own is None or own.linked or not own.connected:
+        if own is None or not own.connected:
             return False
         if self._here < self._numbers.get(host, -1):
-            return True
-        own.link.close()
+            # Who calls when the own call has long been taken has lost that link, and may not have told.
+            return came < own.linked_at
+        if not own.linked:
+            own.link.close()
         return False
 
     def known(self, session: Session, hello: Hello) -> None:

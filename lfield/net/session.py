@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
 
@@ -25,8 +26,8 @@ class Sessions(Protocol):
     def new_greeting(self, dialled: str | None, *, observers_only: bool) -> Greeting:
         """The greeting for a new link."""
 
-    def crossed(self, host: str) -> bool:
-        """Whether a host that calls is being called, and this host's call is the one that counts."""
+    def crossed(self, host: str, came: float) -> bool:
+        """Whether this host's own call is the one that counts, of two that crossed; the other `came` then."""
 
     def known(self, session: Session, hello: Hello) -> None:
         """A link has greeted, and its other side has taken ours."""
@@ -60,7 +61,9 @@ class Session:
     def __init__(self, peers: Sessions, dialled: str | None, *, observers_only: bool = False) -> None:
         self._peers = peers
         self.dialled = dialled
-        self.connected = self.linked = False
+        self.connected = False
+        #: When it was made, and when the other took it.
+        self.made, self.linked_at = peers.now(), math.inf
         self._greeting = peers.new_greeting(dialled, observers_only=observers_only)
         self.hello: Hello | None = None
         #: When something last came, and when this host last had no use for the link.
@@ -68,6 +71,11 @@ class Session:
         self.reason = ""
         self.over = asyncio.Event()
         self._patience: asyncio.TimerHandle | None = None
+
+    @property
+    def linked(self) -> bool:
+        """Whether the other has taken it."""
+        return self.linked_at < math.inf
 
     def greet(self, link: Link) -> None:
         """Say who we are, and wait for the other's greeting, though not for ever. Again: nothing happens."""
@@ -107,7 +115,7 @@ class Session:
             if self._greeting.refusal:
                 link.send(self._greeting.refusal)
             raise
-        if self.dialled is None and hello.role == "host" and self._peers.crossed(hello.host):
+        if self.dialled is None and hello.role == "host" and self._peers.crossed(hello.host, self.made):
             link.close()
             return
         self.hello = hello
@@ -123,7 +131,7 @@ class Session:
         if self.linked:
             return
         self._relax()
-        self.linked = True
+        self.linked_at = self.heard
         self._peers.known(self, hello)
 
     def _sender(self) -> str:

@@ -42,7 +42,7 @@ from lfield.text.private import (
     write_private,
 )
 from lfield.text.suggest import listed
-from lfield.wire.messages import Label, Name
+from lfield.wire.fields import Label, Name
 
 #: Where the unit of deploy/ has its runs.
 SERVICE = Path("/run/lfield")

@@ -34,12 +34,13 @@ class JournalDisk:
         self.sync, self.reserve = sync, RESERVE
         #: Whether it has no room; whether it takes nothing.
         self.full = self.broken = False
-        self._identity = 0
+        #: Of the journal on it, 0 until there is one.
+        self.identity = 0
         self._entries: dict[Key, Entry] = {}
 
     def replace(self) -> None:
         """Another disk, empty and well: its journal will be another memory."""
-        self._identity, self.reserve = 0, RESERVE
+        self.identity, self.reserve = 0, RESERVE
         self._entries.clear()
         self.full = self.broken = False
 
@@ -57,10 +58,14 @@ class JournalDisk:
                 pages.append(page_of(found))
             except PageError as error:
                 del self._entries[key]
-                self._identity = 0
+                self.identity = 0
                 tell(f"{lost(found)}, is damaged in the journal ({error}); it was moved aside")
-        self._identity = self._identity or self.dice.getrandbits(63)
-        return SimulatedJournal(self, self._identity, pages, clock)
+        self.identity = self.identity or self.dice.getrandbits(63)
+        return SimulatedJournal(self, self.identity, pages, clock)
+
+    def pages(self) -> list[Page]:
+        """What is on it, and would be there after a crash in this moment."""
+        return [page_of(found) for found in self._entries.values()]
 
     def trouble(self) -> str:
         """What a host is told of it."""

@@ -15,6 +15,7 @@ from functools import partial
 
 from msgspec import structs
 
+from lfield import exits
 from lfield.driver.known import KnownDrivers
 from lfield.errors import LfieldError
 from lfield.host.core import HostCore
@@ -73,7 +74,7 @@ class Fleet:
         keeps: bool = True,
         born: Born = lambda name, life: None,
     ) -> None:
-        self._watch, self._born, self._keeps = watch, born, keeps
+        self._watch, self._born, self.keeps = watch, born, keeps
         self._unreachable_after, self._lost_after = unreachable_after, lost_after
         dice = random.Random(seed)
         self.timeline = Timeline()
@@ -95,7 +96,7 @@ class Fleet:
         #: The hosts that run now; the exit statuses of those that have ended by themselves.
         self.lives: dict[str, Life] = {}
         self.left: dict[str, int] = {}
-        #: The hosts that ended because of a bug of ours, and those whose disk was replaced.
+        #: The hosts that ended because of a bug of ours; those whose disk was replaced.
         self.failed: set[str] = set()
         self.replaced: set[str] = set()
         for name in names:
@@ -188,7 +189,7 @@ class Fleet:
             clock=machine.clock,
             dice=random.Random(machine.dice.random()),
             unreachable_after=self._unreachable_after,
-            journal=disk.open(machine.clock, book.note) if self._keeps else None,
+            journal=disk.open(machine.clock, book.note) if self.keeps else None,
             first_start=name not in self._known,
         )
         self._known.add(name)
@@ -216,6 +217,13 @@ class Fleet:
     def _ended(self, name: str, process: Process, _: int) -> None:
         if name in self.lives and self.lives[name].process is process:
             del self.lives[name]
+
+    def recall(self) -> None:
+        """Start those again that gave up and ended by themselves, as whoever looks after the team does."""
+        for name, status in list(self.left.items()):
+            if status != exits.DONE:
+                del self.left[name]
+                self.boot(name)
 
     # --- links ----------------------------------------------------------------------------------------
 

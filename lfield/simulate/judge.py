@@ -15,10 +15,12 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, field
 
+from lfield.journal.pages import CopyPage
 from lfield.simulate.fleet import Fleet, Life
-from lfield.simulate.saved import Disks, nowhere
+from lfield.simulate.saved import nowhere
 from lfield.simulate.witness import tap
 from lfield.vm.agent import Agent
+from lfield.wire.messages import Transfer
 
 #: A coordinator and one start of it.
 Start = tuple[str, int]
@@ -59,22 +61,29 @@ class _Seen:
     first: float
     holders: set[Life] = field(default_factory=set)
     running: set[Life] = field(default_factory=set)
+    #: The hosts that may have it, each with the memory that would tell; and the lives that it has drawn.
+    places: dict[str, int] = field(default_factory=dict)
+    lives: set[str] = field(default_factory=set)
     #: Its last copy that was in a machine.
     copy: Agent | None = None
+
+    @property
+    def gave_way(self) -> bool:
+        """Whether another start of the coordinator goes on."""
+        return self.copy is not None and self.copy.ended == "dropped"
 
 
 class Judge:
     """Watches one team. `breaches` has what was found, each kind once.
 
-    With `disks` hosts have journals: then no coordinator may be lost, whoever dies.
+    Where hosts have journals no coordinator may be lost, whoever dies.
     """
 
-    def __init__(self, disks: Disks | None = None) -> None:
-        self._disks = disks
+    def __init__(self) -> None:
         self.breaches: list[Breach] = []
         self.fleet: Fleet
-        #: How many injections, calls and starts were seen: a judge who sees nothing finds nothing.
-        self.seen = dict.fromkeys(("injections", "calls", "starts"), 0)
+        #: How much was seen: a judge who sees nothing finds nothing.
+        self.seen = dict.fromkeys(("injections", "calls", "starts", "restarts"), 0)
         self._starts: dict[Start, _Seen] = {}
         self._newest: dict[str, int] = {}
         #: The starts whose number was given twice, by a host that had lost its disk.
@@ -86,7 +95,6 @@ class Judge:
         self._served: dict[tuple[str, str], int] = {}
         self._ended: defaultdict[str, int] = defaultdict(int)
         self._over: set[str] = set()
-        self._unkept: set[Life] = set()
         self._told = 0
         self._commands: dict[str, int] = {}
         self._actuated: set[tuple[object, ...]] = set()
@@ -113,8 +121,12 @@ class Judge:
         self._held(life, agent)
 
     def _again(self, life: Life, agent: Agent, newest: int) -> None:
-        """A number that is not new: it tells nothing any more where a disk was not kept."""
-        if life.core.name not in self.fleet.replaced:
+        """A number that is not new: of who had called nothing yet, or it tells nothing any more."""
+        before = self._starts.get((agent.id, agent.generation))
+        calls = [call for who in before.lives for call in self._calls[who].values()] if before else []
+        if before and self.fleet.keeps and not any(call.begun for call in calls):
+            return
+        if self._remembers(life.core.name):
             found = f"{agent.id} was started as {agent.generation}, which is not above {newest}"
             self._breach("start", (life.core.name,), found)
         self._void.add((agent.id, agent.generation))
@@ -136,19 +148,22 @@ class Judge:
     def _held(self, life: Life, agent: Agent) -> None:
         seen = self._starts.setdefault((agent.id, agent.generation), _Seen(self.fleet.now))
         seen.holders, seen.copy = {life}, agent
+        seen.places = {life.core.name: life.host.scribe.memory}
         if all(agent is not other for other in self._agents[life]):
             self._agents[life].append(agent)
         self._look(life)
 
-    def sent(self, life: Life, agent: str, generation: int, target: str, incarnation: int) -> None:
+    def sent(self, life: Life, header: Transfer, target: str, incarnation: int) -> None:
         """A coordinator was sent: whoever gets it may have it now."""
-        receiver = self._lives.get(incarnation)
-        if receiver is not None and (agent, generation) in self._starts:
-            self._starts[agent, generation].holders.add(receiver)
+        receiver, seen = self._lives.get(incarnation), self._starts.get((header.agent, header.generation))
+        if seen is not None:
+            seen.places[target] = header.receiver_memory
+        if seen is not None and receiver is not None:
+            seen.holders.add(receiver)
 
-    def unkept(self, life: Life) -> None:
-        """Its coordinators will not be started."""
-        self._unkept.add(life)
+    def _remembers(self, name: str) -> bool:
+        """Whether a host has always had one memory."""
+        return self.fleet.keeps and name not in self.fleet.replaced
 
     def turned(self, life: Life) -> None:
         """The host stands still: who can run on it?"""
@@ -182,11 +197,27 @@ class Judge:
     def said(self, life: Life, agent: Agent, text: str) -> None:
         """A program has written something: a word, a life of a coordinator, the number of a call."""
         for line in text.splitlines():
-            word, who, *number = line.split()
+            word, who, *more = line.split()
             if word == "over":
                 self._over.add(who.partition(".")[0])
-            elif number:
-                self._call(life.core.name, agent.id, word, who, int(number[0]))
+            elif word == "born":
+                self._starts[agent.id, agent.generation].lives.add(who)
+            elif word == "restarted":
+                self._restarted(life.core.name, who, int(more[0]), " ".join(more))
+            elif more:
+                self._call(life.core.name, agent.id, word, who, int(more[0]))
+
+    def _restarted(self, host: str, who: str, number: int, text: str) -> None:
+        """A call that may have begun, or has not; what came after it had not begun, and is forgotten."""
+        self.seen["restarts"] += 1
+        calls = self._calls[who]
+        later = sorted(n for n in calls if n > number)
+        for begun in (n for n in later if calls[n].begun):
+            found = f"{who} went back to call {number}, and call {begun} had begun"
+            self._breach("I4", (host,), found)
+        for n in later:
+            del calls[n]
+        self._call(host, "", "failed" if "has not begun" in text else "threw", who, number)
 
     def _call(self, host: str, by: str, word: str, who: str, number: int) -> None:
         call = self._calls[who].setdefault(number, _Call())
@@ -226,10 +257,37 @@ class Judge:
         for at, host, text in self.fleet.log[self._told :]:
             self._line(at, host, text)
         self._told = len(self.fleet.log)
-        if self._disks is not None:
-            going = {agent: newest for agent, newest in self._newest.items() if agent not in self._over}
-            for agent in nowhere(self._disks, self.fleet.mission.team.hosts, going):
-                self._breach("I5", (), f"no disk holds {agent} of start {going[agent]}, and it has not ended")
+        if self.fleet.keeps:
+            self._disks()
+
+    def _disks(self) -> None:
+        going = [(agent, self._goes_on(agent)) for agent in self._newest if agent not in self._over]
+        pages = (page for disk in self.fleet.disks.values() for page in disk.pages())
+        for agent, start in nowhere(pages, [(agent, start) for agent, start in going if start]):
+            if not self._doubtful((agent, start)):
+                self._breach("I5", (), f"no disk holds {agent} of start {start}, and it has not ended")
+
+    def _goes_on(self, agent: str) -> int:
+        """The latest start that has not given way to another, 0 if all have."""
+        starts = (s for s, seen in self._starts.items() if s[0] == agent and not seen.gave_way)
+        return max((generation for _, generation in starts), default=0)
+
+    def _doubtful(self, start: Start) -> bool:
+        """Whether a host that may have had it has lost its disk since: then nobody can know."""
+        places = self._starts[start].places
+        return any(self._is_gone(name, memory) for name, memory in places.items()) or self._waits(start)
+
+    def _waits(self, start: Start) -> bool:
+        """Whether a disk says that it went to a memory that is gone: whether it was sent cannot be known."""
+        disks = self.fleet.disks.values()
+        pages = [page for disk in disks for page in disk.pages() if isinstance(page, CopyPage)]
+        here = [page for page in pages if (page.agent, page.generation) == start]
+        sent = [page for page in here if page.state == "PREPARED"]
+        runs = any(page.state == "RUN" for page in here)
+        return not runs and any(self._is_gone(page.target, page.memory) for page in sent)
+
+    def _is_gone(self, name: str, memory: int) -> bool:
+        return self.fleet.disks[name].identity != memory
 
     def _device(self, name: str) -> None:
         hardware, now = self.fleet.hardware[name], self.fleet.now
@@ -277,16 +335,15 @@ class Judge:
     def _owed(self, agent: str) -> bool:
         if agent in self._over or self._ended[agent] >= ENOUGH:
             return False
-        starts = sorted((s for s in self._starts if s[0] == agent), reverse=True)
-        for start in starts:
-            seen = self._starts[start]
-            if seen.copy is None or seen.copy.ended != "dropped":
-                return self._disks is not None or not any(life.process.loop.dead for life in seen.holders)
+        if generation := self._goes_on(agent):
+            start = agent, generation
+            if self.fleet.keeps:
+                return not self._doubtful(start)
+            return not any(life.process.loop.dead for life in self._starts[start].holders)
         name = self._homes[agent]
-        home = self.fleet.lives.get(name)
-        # A home that has lost its disk waits for all others, and one that has gone is not started again.
-        waits = name in self.fleet.replaced and bool(self.fleet.left)
-        return home is not None and home not in self._unkept and not waits
+        # A home that has forgotten waits for all others, and one that has gone is not started again.
+        waits = not self._remembers(name) and bool(self.fleet.left)
+        return name in self.fleet.lives and not waits
 
     def end(self) -> None:
         """Time is up: whoever has not got on is stuck."""

@@ -1,55 +1,25 @@
 """I5: at every moment some disk holds a state from which a coordinator can go on, unless it ended.
 
-What is asked of whoever simulates journals: what the disk of a host would give if the host began now.
+What is asked of a disk is what it would give to a host that began now.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Protocol
+from collections.abc import Iterable
 
-#: What a copy's page may say of a copy that may run, or have to run again.
-GOES_ON = ("RUN", "PREPARED")
+from lfield.journal.pages import CopyPage, Page
 
 
-class CopyPage(Protocol):
-    """What is read of a journal's page of a copy; other pages have no `state` and are not looked at."""
-
-    @property
-    def agent(self) -> str:
-        """Of which coordinator."""
-
-    @property
-    def generation(self) -> int:
-        """Of which start of it."""
-
-    @property
-    def state(self) -> str:
-        """What the copy is, as in lfield/mobility/copies.py."""
-
-    @property
-    def block(self) -> bytes:
-        """Its state; b'' for none."""
+def saved(page: Page) -> bool:
+    """Whether a page is enough to go on from. A copy without a block has called nothing, and begins again."""
+    if not isinstance(page, CopyPage):
+        return False
+    if page.state == "EXITED":
+        return page.outcome != "lost"
+    return page.state == "RUN" or (page.state == "PREPARED" and bool(page.block))
 
 
-class Disks(Protocol):
-    """The disks of a team."""
-
-    def pages(self, host: str) -> Iterable[object]:
-        """What is on the disk of a host now, and would be there after a crash in this moment."""
-
-
-def nowhere(disks: Disks, hosts: Iterable[str], newest: Mapping[str, int]) -> list[str]:
-    """The coordinators of which no disk holds a state to go on from; `newest` has the start of each."""
-    saved = {
-        (page.agent, page.generation)
-        for host in hosts
-        for page in copies(disks.pages(host))
-        if page.state in GOES_ON and page.block
-    }
-    return [agent for agent, generation in newest.items() if (agent, generation) not in saved]
-
-
-def copies(pages: Iterable[object]) -> Iterable[CopyPage]:
-    """Those of some pages that are of a copy."""
-    return (page for page in pages if hasattr(page, "state"))  # type: ignore[misc]
+def nowhere(pages: Iterable[Page], starts: Iterable[tuple[str, int]]) -> list[tuple[str, int]]:
+    """The starts of coordinators of which no disk holds a state; `pages` are those of all disks."""
+    held = {(page.agent, page.generation) for page in pages if isinstance(page, CopyPage) and saved(page)}
+    return [start for start in starts if start not in held]

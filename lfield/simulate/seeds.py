@@ -35,6 +35,7 @@ class Tally:
     seconds: float = 0.0
     faults: int = 0
     calls: int = 0
+    restarts: int = 0
     broken: list[Verdict] = field(default_factory=list)
     digests: dict[int, str] = field(default_factory=dict)
 
@@ -44,6 +45,7 @@ class Tally:
         self.seconds += verdict.seconds
         self.faults += len(verdict.faults)
         self.calls += verdict.calls
+        self.restarts += verdict.restarts
         self.digests[verdict.story.seed] = verdict.digest
         if verdict.breaches:
             self.broken.append(verdict)
@@ -105,7 +107,7 @@ def in_words(tally: Tally, took: float) -> str:
     of = f" ({', '.join(f'{name} {count}' for name, count in sorted(kinds.items()))})" if kinds else ""
     return (
         f"{tally.told:,} seeds, {len(tally.broken):,} breaches{of}; "
-        f"{tally.faults:,} faults, {tally.calls:,} calls\n"
+        f"{tally.faults:,} faults, {tally.calls:,} calls, {tally.restarts:,} restarts told\n"
         f"{tally.seconds:,.0f} virtual seconds in {took:,.1f} s: {tally.seconds / took:,.0f} per second; "
         f"digest {tally.digest[:16]}"
     )

@@ -26,11 +26,8 @@ class Sees(Protocol):
     def may_run(self, life: Life, agent: Agent) -> None:
         """A frozen coordinator may run again."""
 
-    def sent(self, life: Life, agent: str, generation: int, target: str, incarnation: int) -> None:
+    def sent(self, life: Life, header: Transfer, target: str, incarnation: int) -> None:
         """A coordinator was sent to another host, in that life of it; 0 if there was no link."""
-
-    def unkept(self, life: Life) -> None:
-        """The start of its coordinators could not be kept, so it has none."""
 
     def turned(self, life: Life) -> None:
         """The host has done all there was to do."""
@@ -67,12 +64,8 @@ def tap(life: Life, sees: Sees) -> None:
         sees.may_run(life, agent)
 
     def send_transfer(go: Callable[..., None], host: str, header: Transfer, block: Buffer) -> None:
-        sees.sent(life, header.agent, header.generation, host, peers.incarnations.get(host, 0))
+        sees.sent(life, header, host, peers.incarnations.get(host, 0))
         go(host, header, block)
-
-    def not_kept(go: Callable[..., None], *more: Any) -> None:
-        sees.unkept(life)
-        go(*more)
 
     def run(go: Callable[[], float | None]) -> float | None:
         pause = go()
@@ -88,8 +81,8 @@ def tap(life: Life, sees: Sees) -> None:
         go(agent, text)
 
     for place, wire in (
-        (machine, start), (machine, admit), (machine, resume), (core, arrived), (core, not_kept),
-        (core, run), (core, write), (core, log), (peers, send_transfer),
+        (machine, start), (machine, admit), (machine, resume), (core, arrived), (core, run),
+        (core, write), (core, log), (peers, send_transfer),
     ):  # fmt: skip
         _tap(place, wire)
 

@@ -18,9 +18,9 @@ import pytest
 
 from lfield.errors import AddressError, GreetingError, LfieldError, WireError
 from lfield.wire.codec import CONTROL, GREETING_LIMITS, HELLO, TRANSFER, encode, encode_transfer
+from lfield.wire.fields import MAX_TEXT
 from lfield.wire.framing import frame_header
 from lfield.wire.messages import (
-    MAX_TEXT,
     EmergencyStop,
     Ended,
     Hello,

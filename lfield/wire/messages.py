@@ -14,36 +14,10 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from lfield.wire.fields import Age, Count, Hash, Index, Label, MaybeName, Name, Telemetry, Text
+
 #: The version of everything in this package. Hosts of different versions do not talk.
 PROTOCOL = 5
-
-#: Longest name of an agent or host, in characters.
-MAX_NAME = 128
-
-#: Longest sentence or traceback that travels, in characters; `clip` cuts to it.
-MAX_TEXT = 2048
-
-#: Longest text of a fact or of a reason in a report, in characters: reports are many.
-MAX_LABEL = 256
-
-#: Bytes of a program or deployment hash.
-HASH_SIZE = 32
-
-#: The most an age or another span of time may be, in seconds; `age` cuts to it.
-OLDEST = 1e9
-
-#: The most numbers of an array of telemetry that a status shows.
-MAX_NUMBERS = 1024
-
-Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME)]
-MaybeName = Annotated[str, Meta(max_length=MAX_NAME)]
-Text = Annotated[str, Meta(max_length=MAX_TEXT)]
-Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
-Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
-Label = Annotated[str, Meta(max_length=MAX_LABEL)]
-Age = Annotated[float, Meta(ge=0.0, le=OLDEST)]
-Telemetry = bool | int | float | Text | Annotated[list[int | float], Meta(max_length=MAX_NUMBERS)]
 
 #: Where a host's copy of a coordinator stands; see `lfield/docs/mobility.md`.
 CopyState = Literal["RUN", "FROZEN", "PREPARED", "IN DOUBT", "MOVED", "EXITED"]
@@ -59,16 +33,6 @@ NEVER_ARRIVED = "never arrived"
 
 #: `Refused.kind` for a copy that must end because an earlier start of its coordinator is alive.
 SUPERSEDED = "superseded"
-
-
-def clip(text: str, longest: int = MAX_TEXT) -> str:
-    """The text cut to what a message may carry."""
-    return text if len(text) <= longest else text[: longest - 4] + " ..."
-
-
-def age(seconds: float) -> float:
-    """A span of time as a message may carry it."""
-    return min(max(0.0, seconds), OLDEST)
 
 
 class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -259,12 +223,38 @@ class Told(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     unknown: Annotated[dict[Label, Text], Meta(max_length=1024)]
 
 
+class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What a journal keeps of a coordinator for another program or deployment; the digest of both is given.
+
+    With `state` RUN it is here, with another one it left for `where`, or may have.
+    """
+
+    agent: Name
+    generation: Count
+    hops: Count
+    program: Hash
+    state: CopyState
+    where: MaybeName
+
+
+class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The journal of a host: how many commits it made in the last minute, and what it keeps for later.
+
+    `trouble` is why nothing more should be taken in, '' when all is well.
+    """
+
+    commits: Count
+    trouble: Text
+    parked: Annotated[list[ParkedStatus], Meta(max_length=4096)]
+
+
 class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
     """The answer: a host that has been `up` for so many seconds, its agents, devices and links.
 
     `coordinators` are all that it has seen, `directory` is what it knows of the agents of the team. `late` is
     by how many seconds its signs of life for its guards were late, the longest of the last minute, and
-    `silence` for how many it may give none; both None without devices.
+    `silence` for how many it may give none; both None without devices. `journal` is None for a host that
+    keeps nothing.
     """
 
     host: Name
@@ -279,6 +269,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     directory: Annotated[list[Told], Meta(max_length=4096)]
     late: Age | None = None
     silence: Age | None = None
+    journal: JournalStatus | None = None
 
 
 class Ping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=8):
@@ -307,6 +298,18 @@ class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fiel
     """The answer: every device of the host, with '' when its safe state is confirmed, else why it is not."""
 
     devices: dict[str, Text]
+
+
+class Forget(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=15):
+    """From an observer: a person says that what is not known to be alive of a coordinator is lost."""
+
+    agent: Name
+
+
+class Forgotten(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=16):
+    """The answer: the starts that have ended here by that word."""
+
+    starts: Annotated[list[Count], Meta(max_length=4096)]
 
 
 class FactReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -382,6 +385,8 @@ Control = (
     | Pong
     | EmergencyStop
     | EmergencyStopped
+    | Forget
+    | Forgotten
     | Report
     | Heard
     | Room

@@ -17,6 +17,7 @@ INSPECT = RUNNING + "tests/cli/team/test_ps_and_inspect.py"
 QUERY = RUNNING + "tests/cli/team/test_query.py"
 TEAM = RUNNING + "tests/cli/team"
 EXAMPLES = LONG + "tests/cli/run/test_thesis_and_examples.py runs it"
+SURVIVES = LONG + "tests/cli/run/test_mission_survives.py runs it"
 DRIVER = "a driver of its own: tests/cli/robot/test_driver_new.py makes and tries one"
 SETUP = "writes to a vehicle, after a yes: tests/cli/robot/test_setup_command.py"
 GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake and its kit"
@@ -31,6 +32,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         '.venv/bin/pytest -k "hostile" tests/vm': SUITE,
         "make bench ONLY=hop": SUITE,
         "make simulate SEEDS=10000": SUITE,
+        "make chaos SECONDS=120": SUITE,
     },
     "README.md": {
         "sudo apt-get install python3 python3-venv make git": INSTALLS,
@@ -76,6 +78,10 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     "examples/02-equivalent-lift/README.md": {
         "python examples/02-equivalent-lift/demo.py": f"{LONG}tests/cli/run/test_equivalent_lift.py",
         "Run 1: everything works": f"{LONG}tests/cli/run/test_equivalent_lift.py",
+    },
+    "examples/04-the-mission-survives/README.md": {
+        "python examples/04-the-mission-survives/run.py": SURVIVES,
+        "killed  sky after 25.8 s: the copter flies back, and the coordinator is with it": SURVIVES,
     },
     "examples/03-mixed-team/README.md": {
         "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,

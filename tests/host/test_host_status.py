@@ -11,8 +11,9 @@ from lfield.errors import AddressError, GreetingError
 from lfield.host.process.until_done import until_done
 from lfield.operator.ask import STATUS, ask, ask_all
 from lfield.wire.codec import decode, encode
+from lfield.wire.fields import MAX_NUMBERS, MAX_TEXT, OLDEST
 from lfield.wire.framing import HEADER_SIZE
-from lfield.wire.messages import MAX_NUMBERS, MAX_TEXT, OLDEST, LinkStatus
+from lfield.wire.messages import LinkStatus
 
 PROGRAM = """
 resource Post {

@@ -7,6 +7,7 @@ import asyncio
 from lfield.errors import HostFailure
 from lfield.journal.pages import Run, Starts
 from lfield.mobility.copies import MAX_STARTS
+from lfield.operator.fresh import anew
 from lfield.simulate.time import LoopClock
 
 PROGRAM = """
@@ -185,3 +186,27 @@ def crash(running) -> None:
     running.host.peers.close()
     running.host.options.journal.close()
     running.host.failure = HostFailure(running.host.name, RuntimeError("killed"))
+
+
+def test_after_a_fresh_start_is_prepared_the_coordinator_begins_anew_and_all_know_of_the_old_one(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        home, away = await team.up(mission, keeps=True)
+        await team.until(lambda: away.output)
+        await away.host.stop()
+        # The holder throws away what it has, then the home begins again.
+        disk = team.disks["away"].open(LoopClock(), print)
+        await disk.keep(anew("away", disk.pages(), {}).pages)
+        (again,) = await team.up(mission, "away", keeps=True)
+        assert again.output == []
+        assert await team.ended("guest") == "lost"
+        await home.host.stop()
+        disk = team.disks["home"].open(LoopClock(), print)
+        found = anew("home", disk.pages(), {"away": again.host.status()})
+        assert (found.away, found.thrown) == ([], [])
+        await disk.keep(found.pages)
+        (home,) = await team.up(mission, "home", keeps=True)
+        await team.until(lambda: again.output == ["arrived"])
+        assert start_of(home) == start_of(again) == 2
+
+    fleet(story)

@@ -24,8 +24,9 @@ from lfield.vm.agent import Member
 from lfield.vm.inspect import dump
 from lfield.vm.inspect.decode import view
 from lfield.wire.codec import decode as decode_message
+from lfield.wire.fields import MAX_TEXT
 from lfield.wire.framing import FrameDecoder
-from lfield.wire.messages import MAX_TEXT, PROTOCOL, ForeignHello, Hello
+from lfield.wire.messages import PROTOCOL, ForeignHello, Hello
 
 FORMATS = Path(__file__).parents[1] / "formats"
 PROGRAMS = sorted(FORMATS.glob("program-*.lb"))

@@ -2,6 +2,7 @@
 
 import pytest
 
+from lfield.journal.pages import CopyPage
 from lfield.mobility.copies import MAX_STARTS
 from lfield.mobility.core import Mobility
 from lfield.mobility.effects import (
@@ -16,8 +17,8 @@ from lfield.mobility.effects import (
     SendTransfer,
     Supersede,
 )
+from lfield.wire.fields import MAX_TEXT
 from lfield.wire.messages import (
-    MAX_TEXT,
     NEVER_ARRIVED,
     SUPERSEDED,
     Accepted,
@@ -483,3 +484,16 @@ def test_a_copy_in_doubt_does_not_end_a_later_start(away):
     restarted.mobility.start(TOUR, 2)
     assert restarted.mobility.linked(away.greeting()) == []
     assert restarted.known(2).state == "RUN"
+
+
+def test_a_restored_copy_of_which_an_end_is_heard_does_not_go_on():
+    page = CopyPage(TOUR, 1, "PREPARED", 1, target="b", memory=1, block=b"block 1")
+    host = Host("a")
+    host.mobility.restore([page])
+    host.mobility.linked(Host("b").hello(Known(TOUR, 1, 3, 2, "EXITED", "b", "done")))
+    assert host.known().state == "EXITED"
+
+    def put(copy, *, runs):
+        raise AssertionError("it has ended")
+
+    assert host.mobility.wake(put, 0.0) == []

@@ -7,11 +7,12 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
+from lfield.journal.pages import CopyPage, Starts
 from lfield.mobility.copies import Copy
 from lfield.mobility.departures import Departures
 from lfield.mobility.effects import Effect
@@ -28,13 +29,15 @@ from lfield.simulate.weather import Weather
 @pytest.mark.parametrize("first", range(0, 160, 40))
 def test_stories_of_all_kinds_of_weather_keep_every_promise(first: int) -> None:
     struck: Counter[str] = Counter()
-    calls = 0
+    calls = restarts = 0
     for seed in range(first, first + 40):
         verdict = told(seed)
         assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
         struck.update(fault.kind for fault in verdict.story.forecast)
         calls += verdict.calls
+        restarts += verdict.restarts
     assert calls > 300
+    assert restarts > 10
     assert set(struck) >= Weather.__dataclass_fields__.keys() - {"guard_kill", "guard_stop"}
 
 
@@ -66,46 +69,32 @@ def test_a_breach_is_told_with_the_command_that_repeats_it_and_made_smaller(
         return self._resume(copy, "UnreachableResourceException", "it took too long")
 
     monkeypatch.setattr(Departures, "overdue", overdue)
-    found = told(24)
+    found = told(5)
     breach = found.breaches[0]
     assert (breach.name, len(breach.hosts)) == ("I1", 2)
     small = smallest(found, most=40)
     assert small.breaches[0].name == "I1"
     assert len(small.faults) < len(found.faults)
     assert tell(small.story).digest == small.digest
-    assert command(small.story).startswith("python -m lfield.simulate --story 24 --")
+    assert command(small.story).startswith("python -m lfield.simulate --story 5 --")
     said = Console(file=io.StringIO(), width=200)
-    tally = run(range(24, 25), processes=1, console=said)
+    tally = run(range(5, 6), processes=1, console=said)
     assert [verdict.digest for verdict in tally.broken] == [found.digest]
     assert "1 seeds, 1 breaches (I1 1)" in said.file.getvalue()
-
-
-@dataclass(frozen=True)
-class Page:
-    agent: str
-    generation: int
-    state: str
-    block: bytes
-
-
-class Disks:
-    def __init__(self, **pages: list[object]) -> None:
-        self._pages = pages
-
-    def pages(self, host: str) -> list[object]:
-        return self._pages[host]
 
 
 @pytest.mark.parametrize(
     ("page", "held"),
     [
-        (Page("w", 2, "RUN", b"x"), True),
-        (Page("w", 2, "PREPARED", b"x"), True),
-        (Page("w", 2, "RUN", b""), False),
-        (Page("w", 2, "MOVED", b"x"), False),
-        (Page("w", 1, "RUN", b"x"), False),
+        (CopyPage("w", 2, "RUN", block=b"x"), True),
+        (CopyPage("w", 2, "RUN"), True),
+        (CopyPage("w", 2, "PREPARED", block=b"x"), True),
+        (CopyPage("w", 2, "PREPARED"), False),
+        (CopyPage("w", 2, "MOVED", block=b"x"), False),
+        (CopyPage("w", 2, "EXITED", outcome="done"), True),
+        (CopyPage("w", 2, "EXITED", outcome="lost"), False),
+        (CopyPage("w", 1, "RUN", block=b"x"), False),
     ],
 )
-def test_some_disk_must_hold_a_state_to_go_on_from(page: Page, held: bool) -> None:
-    disks = Disks(a=[object()], b=[object(), page])
-    assert nowhere(disks, ["a", "b"], {"w": 2}) == ([] if held else ["w"])
+def test_some_disk_must_hold_a_state_to_go_on_from(page: CopyPage, held: bool) -> None:
+    assert nowhere([Starts(2), page], [("w", 2)]) == ([] if held else [("w", 2)])

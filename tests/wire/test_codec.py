@@ -23,12 +23,9 @@ from lfield.wire.codec import (
     frame_decoder,
     limits,
 )
+from lfield.wire.fields import MAX_LABEL, MAX_NAME, MAX_NUMBERS, MAX_TEXT, clip
 from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import (
-    MAX_LABEL,
-    MAX_NAME,
-    MAX_NUMBERS,
-    MAX_TEXT,
     Accepted,
     AgentReport,
     AgentStatus,
@@ -37,10 +34,14 @@ from lfield.wire.messages import (
     EndedAck,
     FactReport,
     ForeignHello,
+    Forget,
+    Forgotten,
     Hello,
     Inquire,
+    JournalStatus,
     Known,
     LinkStatus,
+    ParkedStatus,
     Ping,
     Pong,
     Refuse,
@@ -51,7 +52,6 @@ from lfield.wire.messages import (
     Told,
     ToldFact,
     Transfer,
-    clip,
 )
 
 HASH = b"h" * 32
@@ -91,6 +91,9 @@ MESSAGES = [
     StatusRequest(),
     STATUS,
     status(devices=[DeviceStatus("one.fc", {}, None, "why")], links=[LinkStatus("b", 2.5)]),
+    status(journal=JournalStatus(3, "full", [ParkedStatus("one", 1, 2, HASH, "PREPARED", "b")])),
+    Forget("Tour:one"),
+    Forgotten([1, 3]),
     Ping(1),
     Pong(1),
     Report(1, 0, 1, [AgentReport(3, "fc: not heard", 3.5, [FactReport(0, 0.75, 0.5, True)], [(1, "…")])]),

@@ -13,11 +13,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield import exits
 from lfield.cli.mission_argument import add_mission, mission_path, setup_command
 from lfield.errors import DevicesError, OutputFileError, UsageError
 
 if TYPE_CHECKING:
     from lfield.journal.journal import Journal
+    from lfield.journal.opening import Owner
     from lfield.mission.mission import Mission
 
 
@@ -59,6 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--volatile", action="store_true", help="keep nothing: what a host has is gone when it stops"
     )
+    parser.add_argument(
+        "--fresh", action="store_true", help="begin anew: throw away, after a yes, what this host keeps"
+    )
+    parser.add_argument("--yes", action="store_true", help="with --fresh: throw it away without asking")
     parser.add_argument(
         "--first-start",
         action="store_true",
@@ -131,6 +137,8 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
     if args.all:
         if args.first_start:
             raise UsageError("--first-start is for a host on its own: with --all every host is heard first")
+        if args.fresh:
+            raise UsageError("--fresh is for a host on its own: with --all name a new folder with --state")
         from lfield.cli.run.up_all import run_all
 
         return run_all(mission, file, args)
@@ -151,6 +159,8 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
     from lfield.net.local import own_host
 
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
+    if not _ready(mission, name, args):
+        return exits.FAILED
     with (
         _door(mission, name, args) as door,
         _setup_named(args, name),
@@ -208,20 +218,43 @@ def _journal(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[
     """
     from lfield.clock import SystemClock
     from lfield.journal.file import FileJournal
-    from lfield.journal.journal import journal_file
-    from lfield.journal.opening import Owner
-    from lfield.journal.owner import machine_identity
 
-    trial = args.sim or mission.world == "fakes" or (args.leash and mission.world != "hardware")
-    if args.volatile or (trial and args.state is None):
+    if not _keeps(mission, args):
         yield None
         return
-    owner = Owner(mission.name, host, machine_identity())
-    journal = FileJournal(journal_file(args.state, mission.name, host), owner, tell, SystemClock())
+    journal = FileJournal(*_place(mission, host, args), tell, SystemClock())
     try:
         yield journal
     finally:
         journal.close()
+
+
+def _keeps(mission: Mission, args: argparse.Namespace) -> bool:
+    trial = args.sim or mission.world == "fakes" or (args.leash and mission.world != "hardware")
+    return not (args.volatile or (trial and args.state is None))
+
+
+def _place(mission: Mission, host: str, args: argparse.Namespace) -> tuple[Path, Owner]:
+    """The journal of a host, and whose it is."""
+    from lfield.journal.journal import journal_file
+    from lfield.journal.opening import Owner
+    from lfield.journal.owner import machine_identity
+
+    return journal_file(args.state, mission.name, host), Owner(mission.name, host, machine_identity())
+
+
+def _ready(mission: Mission, host: str, args: argparse.Namespace) -> bool:
+    """Whether the host may start: with --fresh, when what it keeps was thrown away. Raises LfieldError."""
+    from lfield.cli.run.fresh import begun_anew
+
+    if args.yes and not args.fresh:
+        raise UsageError("--yes is an answer to --fresh")
+    if not args.fresh:
+        return True
+    if not _keeps(mission, args):
+        raise UsageError("--fresh is for a host that keeps its coordinators: this one keeps nothing")
+    others = {name: address for name, address in mission.team.reached.items() if name != host}
+    return begun_anew(*_place(mission, host, args), others, tell, yes=args.yes)
 
 
 def _with_own_drivers(mission: Mission, host: str) -> Mission:

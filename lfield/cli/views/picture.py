@@ -14,7 +14,7 @@ from lfield.errors import LfieldError
 from lfield.operator.ask import Answers
 from lfield.operator.descent import SILENT
 from lfield.text.values import telemetry_in_words
-from lfield.wire.messages import DeviceStatus, Known, Status, Told
+from lfield.wire.messages import DeviceStatus, JournalStatus, Known, ParkedStatus, Status, Told
 
 
 def show(answers: Answers[Status]) -> None:
@@ -25,7 +25,7 @@ def show(answers: Answers[Status]) -> None:
 def picture(answers: Answers[Status]) -> Group:
     """The agents of all hosts with the coordinators that have ended or are in doubt, then the devices.
 
-    Last are the hosts that have devices, with how late each was and how long it may be silent.
+    Last are the hosts: how late each was, how long it may be silent, and what it keeps.
     """
     further = (table for table in (_devices(answers), _hosts(answers)) if table.row_count)
     return Group(_agents(answers), *(part for table in further for part in ("", table)))
@@ -33,12 +33,21 @@ def picture(answers: Answers[Status]) -> Group:
 
 def _hosts(answers: Answers[Status]) -> Table:
     shown = Table(box=None, pad_edge=False)
-    for column in ("HOST", "LATE", "SILENCE"):
-        shown.add_column(column, justify="left" if column == "HOST" else "right")
+    for column in ("HOST", "LATE", "SILENCE", "JOURNAL"):
+        shown.add_column(column, justify="right" if column in ("LATE", "SILENCE") else "left")
     for host, answer in answers.items():
-        if not isinstance(answer, LfieldError) and answer.late is not None and answer.silence is not None:
-            shown.add_row(host, f"{answer.late:.3f} s", f"{answer.silence:g} s")
+        if not isinstance(answer, LfieldError):
+            late = f"{answer.late:.3f} s" if answer.late is not None else ""
+            silence = f"{answer.silence:g} s" if answer.silence is not None else ""
+            shown.add_row(host, late, silence, _journal(answer.journal))
     return shown
+
+
+def _journal(journal: JournalStatus | None) -> str:
+    if journal is None:
+        return "keeps nothing"
+    commits = f"{journal.commits} commit{'s' * (journal.commits != 1)} in the last minute"
+    return f"{commits}; in trouble: {journal.trouble}" if journal.trouble else commits
 
 
 def _devices(answers: Answers[Status]) -> Table:
@@ -78,8 +87,21 @@ def _agents(answers: Answers[Status]) -> Table:
         for known in answer.coordinators:
             if known.state == "IN DOUBT" or (known.state == "EXITED" and known.where == host):
                 state = f"{known.outcome or 'in doubt'}: {known.detail}".splitlines()[0].rstrip(": ")
+                if known.state == "IN DOUBT":
+                    state += f"; 'lfield forget {known.agent}' ends it by your word"
                 shown.add_row(host, known.agent, "", state, str(known.hops), "", "")
+        for parked in answer.journal.parked if answer.journal is not None else ():
+            if parked.state != "MOVED":
+                shown.add_row(host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
     return shown
+
+
+def _parked(parked: ParkedStatus) -> str:
+    left = f" and may have left for {parked.where}" if parked.state == "PREPARED" else ""
+    return (
+        f"parked: it is of another mission ({parked.program.hex()[:16]}){left}, and goes on when that is "
+        f"started here; 'lfield forget {parked.agent}' ends it by your word"
+    )
 
 
 def _size(count: int) -> str:
@@ -118,9 +140,23 @@ def _status(status: Status) -> dict[str, Any]:
         "latched": {device.name: device.latched for device in status.devices if device.latched},
         "late": status.late,
         "silence": status.silence,
+        "journal": _journal_data(status.journal),
         "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),
     }
+
+
+_PARKED = ("generation", "hops", "state", "where")
+
+
+def _journal_data(journal: JournalStatus | None) -> dict[str, Any] | None:
+    if journal is None:
+        return None
+    parked = [
+        {"id": one.agent, **{n: getattr(one, n) for n in _PARKED}, "program": one.program.hex()[:16]}
+        for one in journal.parked
+    ]
+    return {"commits": journal.commits, "trouble": journal.trouble, "parked": parked}
 
 
 def _coordinator(known: Known) -> dict[str, Any]:

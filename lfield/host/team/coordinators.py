@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from lfield.bytecode.encoding import encode
 from lfield.clock import Clock
 from lfield.errors import BlockError
 from lfield.host.effects import CHANGED, Effect, Keep, Say
 from lfield.host.team.keeping import Keeping, Recovery
-from lfield.journal.pages import Page, Run, Starts
+from lfield.journal.pages import Page, ProgramPage, Run, Starts
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
 from lfield.mobility.copies import Copy
@@ -51,8 +52,8 @@ class Coordinators:
             inject=self._inject,
             unreachable_after=unreachable_after,
         )
-        self.keeping = Keeping()
         self.recovery = Recovery(pages, own.mission)
+        self.keeping = Keeping([] if self.recovery.explained else [_explanation(mission, own.mission)])
         self.mobility.restore(self.recovery.copies)
         #: Why nothing can be kept now, '' while all is well.
         self.trouble = ""
@@ -159,6 +160,17 @@ class Coordinators:
         self._sent_to.pop(header.agent, None)
         self.carry_out(self.mobility.arrive(host, header, block))
 
+    def forget(self, agent: str) -> list[int]:
+        """A person says that this coordinator is lost; the starts of it that end here."""
+        parked = [page for page in self.recovery.parked if page.agent == agent]
+        detail = "given up by 'lfield forget'"
+        starts, effects = self.mobility.forget(agent, [page.generation for page in parked], detail)
+        self.recovery.parked = [page for page in self.recovery.parked if page not in parked]
+        if starts:
+            self._say(f"{agent} is given up as lost: somebody ran 'lfield forget'")
+        self.carry_out(effects)
+        return starts
+
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
         self._wanted[agent.id] = resource.id
@@ -179,6 +191,12 @@ class Coordinators:
         self._saving.add(agent.id)
         self.carry_out(self.mobility.save(agent.id, self._machine.pack(agent)))
         return False
+
+    def waits(self, agent: Agent) -> str:
+        """What a frozen coordinator waits for, in a word or two: it is only kept, or it leaves."""
+        if self.trouble and self.keeping.holds_back(agent.id):
+            return "waits for its disk"
+        return "leaving" if self.mobility.leaves(agent.id, agent.generation) else "being kept"
 
     def _stays(self, agent: Agent) -> bool:
         """Whether a call must not begin, since where it stands cannot be kept; its caller is told."""
@@ -299,6 +317,13 @@ class Coordinators:
 
     def _say(self, text: str) -> None:
         self._out(Say(text))
+
+
+def _explanation(mission: Mission, digest: bytes) -> ProgramPage:
+    """What explains the blocks of a mission to whoever looks into the journal."""
+    team = mission.team
+    members, types = tuple(m.id for m in team.members), tuple(m.type for m in team.members)
+    return ProgramPage(digest, encode(mission.program), members, types, tuple(team.hosts))
 
 
 def _nothing(_: int) -> Buffer:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from lfield.journal.pages import CopyPage, Key, Page, Run, Starts, key_of
+from lfield.journal.pages import CopyPage, Key, Page, ProgramPage, Run, Starts, key_of
 from lfield.mobility.effects import Effect, Note, Persist, Send, SendTransfer
 from lfield.wire.messages import Known
 
@@ -22,10 +22,10 @@ ENDINGS = 8
 
 
 class Keeping:
-    """The pages and effects of one host that are waiting."""
+    """The pages and effects of one host that are waiting. `first` goes along with the first that are due."""
 
-    def __init__(self) -> None:
-        self._pages: dict[Key, Page] = {}
+    def __init__(self, first: Iterable[Page] = ()) -> None:
+        self._pages: dict[Key, Page] = {key_of(page): page for page in first}
         #: The number of the batch that pages go into now.
         self._number = 1
         self._behind: dict[str, deque[tuple[int, Effect]]] = {}
@@ -46,6 +46,10 @@ class Keeping:
             else:
                 ready.append(effect)
         return ready
+
+    def holds_back(self, agent: str) -> bool:
+        """Whether something that a coordinator has to do waits for the disk."""
+        return agent in self._behind
 
     def page(self, page: Page, now: float, *, soon: bool = False) -> int:
         """A page to keep; the number of its batch."""
@@ -94,6 +98,8 @@ class Recovery:
         ]
         #: What belongs to another program or deployment.
         self.parked = [page for page in copies if page.block and page.program != mission]
+        #: Whether there is what explains the blocks of this mission.
+        self.explained = any(isinstance(page, ProgramPage) and page.digest == mission for page in pages)
         #: The last start that was made here, None when none is on record.
         self.starts = next((page.count for page in pages if isinstance(page, Starts)), None)
         #: Whether the run that was begun here earlier goes on.

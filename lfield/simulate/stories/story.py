@@ -65,6 +65,8 @@ coordinator Walker {
                 print("done " + life + " " + i2s(number));
             } catch (UnreachableResourceException gone) {
                 print("failed " + life + " " + i2s(number));
+            } catch (RestartException again) {
+                print("restarted " + life + " " + i2s(number) + " " + again.message());
             } catch (Exception other) {
                 print("threw " + life + " " + i2s(number));
             }
@@ -82,15 +84,20 @@ _PROGRAMS: dict[bytes, Program] = {}
 FOR_EVER = -1
 #: Seconds between two faults of a kind at least and at most, and how likely each kind is in a story.
 BETWEEN, LIKELY = (0.7, 6.0), 0.35
+#: So many stories are of hosts that keep journals; the others forget, as many a trial does.
+KEEP = 0.75
+#: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
+DISKS = (0.002, 0.002, 0.05)
 
 
 @dataclass(frozen=True, slots=True)
 class Story:
     """All that a run depends on. Times are in seconds; `lost_after` None for walkers that walk for ever.
 
-    Walkers make so many `calls`, FOR_EVER for no end, each of which lets them `stay` so long. The forecast is
-    drawn for a team of `cast` hosts and `weather` seconds; `keep` has the numbers of its faults that strike,
-    None for all. `hosts` and `seconds` are what is left when a story is made smaller.
+    Walkers make so many `calls`, FOR_EVER for no end, each of which lets them `stay` so long. Hosts keep
+    `journals`, on disks that take `sync` to keep anything, or forget. The forecast is drawn for a team of
+    `cast` hosts and `weather` seconds; `keep` has the numbers of its faults that strike, None for all.
+    `hosts` and `seconds` are what is left when a story is made smaller.
     """
 
     seed: int
@@ -105,6 +112,8 @@ class Story:
     unreachable_after: float
     lost_after: float | None
     means: Mapping[str, float]
+    journals: bool
+    sync: float
     keep: frozenset[int] | None = None
 
     @property
@@ -153,6 +162,8 @@ def drawn(seed: int) -> Story:
         dice.choice((0.5, 1.5, 3.0, 5.0)),
         dice.uniform(2.0, 5.0) if ends else None,
         means,
+        dice.random() < KEEP,
+        dice.choice(DISKS),
     )
 
 

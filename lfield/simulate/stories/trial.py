@@ -22,7 +22,10 @@ PATIENCE = 25.0
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What came of a story. `seconds` of virtual time; `faults` as they struck, `calls` that began."""
+    """What came of a story. `seconds` of virtual time; `faults` as they struck.
+
+    `calls` that began, `restarts` that a walker was told of.
+    """
 
     story: Story
     breaches: tuple[Breach, ...]
@@ -30,6 +33,7 @@ class Verdict:
     seconds: float
     faults: tuple[tuple[float, str], ...]
     calls: int
+    restarts: int
     log: tuple[tuple[float, str, str], ...] = ()
 
 
@@ -51,8 +55,11 @@ def _told(story: Story, *, keep_log: bool) -> Verdict:
         story.seed,
         unreachable_after=story.unreachable_after,
         lost_after=story.lost_after,
+        keeps=story.journals,
         born=judge.born,
     )
+    for disk in fleet.disks.values():
+        disk.sync = story.sync
     storm = Storm(fleet, story.forecast)
     # A guard whose host is gone tells the terminal.
     with contextlib.redirect_stderr(io.StringIO()):
@@ -60,8 +67,10 @@ def _told(story: Story, *, keep_log: bool) -> Verdict:
         fleet.close()
     said = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
     log = tuple(fleet.log) if keep_log else ()
-    calls = judge.seen["calls"]
-    return Verdict(story, tuple(judge.breaches), said, fleet.now, tuple(storm.faults), calls, log)
+    seen, faults = judge.seen, tuple(storm.faults)
+    return Verdict(
+        story, tuple(judge.breaches), said, fleet.now, faults, seen["calls"], seen["restarts"], log
+    )
 
 
 def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
@@ -69,6 +78,8 @@ def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
     if judge.breaches:
         return
     storm.end()
+    if story.journals:
+        fleet.recall()
     judge.healed()
     end = fleet.now + PATIENCE + story.unreachable_after
     while judge.waits_for() and fleet.now < end and not judge.breaches:

@@ -92,7 +92,8 @@ class Subject:
         agents = [f"//{self.device.resource}:a@here?{way}"]
         mission = Mission(processes.folder(), _PROGRAM, agents, bindings)
         self._checkout.lfield(processes, "build", str(mission.deploy), merged=True).wait()
-        return [str(mission.deploy.with_suffix(".lfm")), "--host", "here", *mission.words[2:]]
+        bundle, memory = str(mission.deploy.with_suffix(".lfm")), self._checkout.keeping_nothing
+        return [bundle, "--host", "here", *memory, *mission.words[2:]]
 
     def start_host(self, processes: Processes, way: str, silence: float) -> Child:
         """A host that keeps the device moving."""

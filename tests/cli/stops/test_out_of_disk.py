@@ -60,12 +60,15 @@ def test_a_dump_on_a_full_disk_is_told_and_the_flight_goes_on(lfield, flight):
     flown.is_down()
 
 
-def test_a_team_that_can_leave_no_note_of_itself_says_so_and_flies(lfield, alone):
+def test_a_team_that_can_leave_no_note_of_itself_says_so_and_flies_if_it_need_keep_nothing(lfield, alone):
     endpoint = copter(lfield, alone)
     file = lfield.mission(PROGRAM, DEPLOYMENT.format(stay="1000"), devices({"lead": endpoint}, 60.0))
     assert lfield.status(lfield("build", file)) == 0
     words = ("up", file.with_suffix(".lfm"), "--all")
-    team = lfield.start(*words, env=alone, preexec_fn=full_from_the_start)
+    refused = lfield(*words, env=alone, preexec_fn=full_from_the_start)
+    assert lfield.status(refused) == 73
+    assert "cannot use the journal" in refused.said
+    team = lfield.start(*words, "--volatile", env=alone, preexec_fn=full_from_the_start)
     witness = Witness(endpoint)
     try:
         witness.until(flies)

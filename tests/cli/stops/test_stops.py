@@ -61,7 +61,7 @@ def test_the_host_stays_and_answers_until_its_vehicle_is_down(lfield, alone, fli
         assert lfield.status(asked) == 0, asked.said
         answered, shown = answered + 1, shown + asked.said
         time.sleep(1.0)
-    assert answered >= 3
+    assert answered >= 1
     assert "safe: " in shown
     assert "m up, sinking at 0." in shown
     assert flown.host.popen.poll() is None

@@ -1,0 +1,69 @@
+"""`lfield up --fresh`: names what a host throws away of its journal, asks, and closes the run of before."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield.errors import CoordinatorAlive, UsageError
+
+if TYPE_CHECKING:
+    from lfield.journal.opening import Owner
+    from lfield.journal.pages import CopyPage
+
+
+def begun_anew(
+    file: Path, owner: Owner, others: Mapping[str, str], tell: Callable[[str], None], *, yes: bool
+) -> bool:
+    """Whether the journal was made ready for a new run; False when the person does not want it.
+
+    `others` are the addresses of the other hosts by name; `tell` takes lines for people. Raises JournalError,
+    CoordinatorAlive, UsageError.
+    """
+    import asyncio
+
+    from lfield import loop
+    from lfield.clock import SystemClock
+    from lfield.journal.file import FileJournal
+    from lfield.operator.ask import STATUS, ask_all, observer
+    from lfield.operator.fresh import anew, left
+
+    journal = FileJournal(file, owner, tell, SystemClock())
+    try:
+        pages = journal.pages()
+        answers = asyncio.run(ask_all(observer(), others, STATUS)) if left(pages) else {}
+        found = anew(owner.host, pages, answers)
+        if found.away:
+            raise CoordinatorAlive(_in_the_way(found.away))
+        if found.thrown and not _agreed(owner.host, found.thrown, yes=yes):
+            return False
+        loop.run(journal.keep(found.pages))
+        return True
+    finally:
+        journal.close()
+
+
+def _in_the_way(away: Sequence[CopyPage]) -> str:
+    page = away[0]
+    return (
+        f"--fresh is refused: {page.agent}, start {page.generation}, left for {page.target} (transfer "
+        f"{page.sequence}) and may go on there; start {page.target} and try again, or end {page.agent} "
+        "where it is"
+    )
+
+
+def _agreed(host: str, thrown: Sequence[CopyPage], *, yes: bool) -> bool:
+    """Name it and ask. Whoever cannot be asked has not agreed: raises UsageError."""
+    print(f"--fresh throws away what {host} keeps of coordinators that could go on:")
+    for page in thrown:
+        where = f", parked at {page.target}" if page.state != "RUN" else ""
+        print(
+            f"  {page.agent}, start {page.generation}, after {page.hops} hop{'s' * (page.hops != 1)}{where}"
+        )
+    if yes:
+        return True
+    if not sys.stdin.isatty():
+        raise UsageError("nothing was thrown away: nobody can be asked here; add --yes if that is wanted")
+    return input("Type 'yes' to throw that away: ").strip().lower() == "yes"

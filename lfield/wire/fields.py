@@ -1,0 +1,45 @@
+"""What the fields of messages may hold: bounds, and texts and spans of time cut to them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+#: Longest name of an agent or host, in characters.
+MAX_NAME = 128
+
+#: Longest sentence or traceback that travels, in characters; `clip` cuts to it.
+MAX_TEXT = 2048
+
+#: Longest text of a fact or of a reason in a report, in characters: reports are many.
+MAX_LABEL = 256
+
+#: Bytes of a program or deployment hash.
+HASH_SIZE = 32
+
+#: The most an age or another span of time may be, in seconds; `age` cuts to it.
+OLDEST = 1e9
+
+#: The most numbers of an array of telemetry that a status shows.
+MAX_NUMBERS = 1024
+
+Name = Annotated[str, Meta(min_length=1, max_length=MAX_NAME)]
+MaybeName = Annotated[str, Meta(max_length=MAX_NAME)]
+Text = Annotated[str, Meta(max_length=MAX_TEXT)]
+Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Hash = Annotated[bytes, Meta(max_length=HASH_SIZE)]
+Index = Annotated[int, Meta(ge=0, le=2**16 - 1)]
+Label = Annotated[str, Meta(max_length=MAX_LABEL)]
+Age = Annotated[float, Meta(ge=0.0, le=OLDEST)]
+Telemetry = bool | int | float | Text | Annotated[list[int | float], Meta(max_length=MAX_NUMBERS)]
+
+
+def clip(text: str, longest: int = MAX_TEXT) -> str:
+    """The text cut to what a message may carry."""
+    return text if len(text) <= longest else text[: longest - 4] + " ..."
+
+
+def age(seconds: float) -> float:
+    """A span of time as a message may carry it."""
+    return min(max(0.0, seconds), OLDEST)

@@ -1,0 +1,188 @@
+"""Real processes in bad weather, judged by what the resources themselves have served.
+
+    make chaos SECONDS=120            python tests/chaos/run.py --seconds 120 --seed 7
+
+Rounds, each a team of four hosts with a journal each and two walkers (walkers.L). Hosts are killed, stopped
+and cut off, and their disks are full; then everything heals, and every walker must complete within a bound.
+Ends with 1 when a call was served twice, or skipped without a word, or a mission is not complete; the folder
+with all that the hosts have said is named. A seed gives the same faults, though not the same run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import random
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+from disks import Disk
+from hosts import HostProcess
+from links import Link
+from storm import Storm
+from verdict import Verdict
+
+PROGRAM = Path(__file__).with_name("walkers.L")
+HOSTS, WALKERS, NUMBERS = 4, 2, 150
+#: A round's faults end after so many seconds; then all must be complete within the bound.
+STORM, BOUND = 30.0, 60.0
+
+
+class Round:
+    """One team, from its first start to its end."""
+
+    def __init__(self, bundle: Path, folder: Path, seed: int) -> None:
+        self._bundle, self._folder = bundle, folder
+        self.verdict = Verdict({f"w{number}": NUMBERS for number in range(WALKERS)})
+        self._dice = random.Random(seed)
+        self.disks = [Disk(folder / f"disk{number}") for number in range(HOSTS)]
+        self.hosts: list[HostProcess] = []
+        self.faults: Counter[str] = Counter()
+        #: Seconds from the last fault until all were complete.
+        self.healed_after = 0.0
+        self.wrong: list[str] = []
+
+    async def run(self) -> None:
+        """All of it; what is wrong is in `wrong`."""
+        ports = free_ports(HOSTS)
+        pairs = [(a, b) for a in range(HOSTS) for b in range(HOSTS) if a != b]
+        links = {pair: Link(ports[pair[1]]) for pair in pairs}
+        calls = {pair: await link.open() for pair, link in links.items()}
+        self.hosts = [self._host(number, ports[number], calls) for number in range(HOSTS)]
+        storm = Storm(self._dice, self.hosts, self.disks, links)
+        try:
+            for host in self.hosts:
+                host.start()
+            await self._weather(storm)
+            self._judge([host.name for host in self.hosts if not await host.end()])
+        finally:
+            for host in self.hosts:
+                await host.kill()
+            for link in links.values():
+                await link.close()
+            for disk in self.disks:
+                disk.close()
+
+    def _host(self, number: int, port: int, calls: dict[tuple[int, int], int]) -> HostProcess:
+        name = f"h{number}"
+        maps = [f"--map={name}=127.0.0.1:{port}"]
+        maps += [f"--map=h{b}=127.0.0.1:{at}" for (a, b), at in calls.items() if a == number]
+        state = str(self.disks[number].folder)
+        words = ("up", str(self._bundle), "--host", name, *maps, "--state", state)
+        return HostProcess(name, words, self._folder / f"{name}.log", self.verdict.hear)
+
+    async def _weather(self, storm: Storm) -> None:
+        await self._fulfilled(lambda: self.verdict.under_way, BOUND)
+        raging = asyncio.ensure_future(storm.rage())
+        await self._fulfilled(lambda: self.verdict.complete, STORM)
+        raging.cancel()
+        await asyncio.gather(raging, return_exceptions=True)
+        began = time.monotonic()
+        await storm.heal()
+        await self._fulfilled(lambda: self.verdict.complete, BOUND)
+        self.healed_after = time.monotonic() - began
+        self.faults = storm.faults
+
+    async def _fulfilled(self, is_so: Callable[[], bool], bound: float) -> None:
+        """Wait until something is so, for so many seconds at most."""
+        end = time.monotonic() + bound
+        while not is_so() and time.monotonic() < end:
+            await asyncio.sleep(0.1)
+
+    def _judge(self, unruly: list[str]) -> None:
+        verdict = self.verdict
+        missing = sorted(verdict.walkers.keys() - verdict.walked.keys())
+        self.wrong += [f"{who} {number} was served twice" for who, number in verdict.twice]
+        self.wrong += [f"{who} {number} was skipped without a word" for who, number in verdict.skipped]
+        self.wrong += [f"{who} is not complete {BOUND:.0f} s after the last fault" for who in missing]
+        self.wrong += [f"{host} did not end with 0 when it was told to" for host in unruly]
+        self.wrong += ["a traceback of Python"] * verdict.tracebacks
+
+
+def free_ports(count: int) -> list[int]:
+    """Ports of loopback that nobody listens at, below those that the system gives to callers."""
+    found: list[int] = []
+    while len(found) < count:
+        port = random.SystemRandom().randrange(20000, 32000)
+        with socket.socket() as probe:
+            if port not in found and probe.connect_ex(("127.0.0.1", port)) != 0:
+                found.append(port)
+    return found
+
+
+def built(folder: Path) -> Path:
+    """The mission of all rounds, as one file."""
+    deployment = folder / "walkers.dL"
+    rows = [f"//Post:p{number}@h{number}" for number in range(HOSTS)]
+    rows += [f"//Walker:w{number}@h{number}?{NUMBERS}" for number in range(WALKERS)]
+    deployment.write_text("\n".join(rows) + "\n")
+    (folder / "walkers.L").write_text(PROGRAM.read_text())
+    command = [sys.executable, "-m", "lfield", "build", str(deployment)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return folder / "walkers.lfm"
+
+
+def report(rounds: list[Round], folder: Path) -> int:
+    """Say what happened; the exit status."""
+    faults = sum((each.faults for each in rounds), Counter())
+    calls = sum(each.verdict.served.total() for each in rounds)
+    begun = sum(len(each.verdict.walkers) for each in rounds)
+    done = sum(len(each.verdict.walked.keys() & each.verdict.walkers.keys()) for each in rounds)
+    hosts = [host for each in rounds for host in each.hosts]
+    recoveries = [seconds for host in hosts for seconds in host.recoveries]
+    gave_up = Counter(status for host in hosts for status in host.gave_up)
+    kinds = ", ".join(f"{kind} {count}" for kind, count in sorted(faults.items()))
+    print(f"faults      {faults.total()}: {kinds}")
+    if not all(disk.can_be_full for each in rounds for disk in each.disks):
+        print("            no disk was full: nothing may be mounted here")
+    perhaps = sum(len(each.verdict.perhaps) for each in rounds)
+    print(f"calls       {calls} made, {perhaps} told as perhaps made")
+    print(f"twice       {sum(len(each.verdict.twice) for each in rounds)}")
+    print(f"skipped     {sum(len(each.verdict.skipped) for each in rounds)} without a word")
+    print(f"complete    {done} of {begun} missions, in {len(rounds)} rounds")
+    print(f"after heal  complete within {max(each.healed_after for each in rounds):.1f} s")
+    if recoveries:
+        median, worst = statistics.median(recoveries), max(recoveries)
+        print(f"recovery    {len(recoveries)} after a kill, median {median:.2f} s, at most {worst:.2f} s")
+    if gave_up:
+        print(f"ended alone {', '.join(f'{n} with status {s}' for s, n in sorted(gave_up.items()))}")
+    wrong = [f"round {number}: {what}" for number, each in enumerate(rounds) for what in each.wrong]
+    print(*(f"BROKEN      {what}" for what in wrong), f"logs        {folder}", sep="\n")
+    return 1 if wrong else 0
+
+
+async def rounds_for(seconds: float, seed: int, folder: Path) -> list[Round]:
+    """One round after the other, until so many seconds are over."""
+    bundle, end, rounds = built(folder), time.monotonic() + seconds, []
+    while not rounds or time.monotonic() < end:
+        number = len(rounds)
+        place = folder / f"round{number}"
+        place.mkdir()
+        rounds.append(Round(bundle, place, seed + number))
+        await rounds[number].run()
+        print(f"round {number}, seed {seed + number}: {rounds[number].wrong or 'well'}", flush=True)
+    return rounds
+
+
+def main() -> int:
+    """The command."""
+    parser = argparse.ArgumentParser(description="Real processes in bad weather, judged.")
+    parser.add_argument("--seconds", type=float, default=120.0, help="the last round begins before (120)")
+    parser.add_argument("--seed", type=int, default=1, help="of the first round; each next has one more (1)")
+    args = parser.parse_args()
+    folder = Path(tempfile.mkdtemp(prefix="lfield-chaos-"))
+    # Runs of others are not found, nor do commands of others find these.
+    os.environ |= {"LFIELD_RUNS": "here", "XDG_RUNTIME_DIR": str(folder)}
+    return report(asyncio.run(rounds_for(args.seconds, args.seed, folder)), folder)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

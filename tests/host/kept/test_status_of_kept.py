@@ -1,0 +1,108 @@
+"""What `lfield ps` is told of coordinators that are kept, and of the journal that keeps them."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+
+from lfield.cli.views.picture import as_data, picture
+from lfield.journal.pages import ProgramPage
+
+PROGRAM = """
+resource Post {
+    int calls;
+    init(string[] arg) { }
+    portal stay(real seconds) { calls = calls + 1; write("call\\n"); sleep(seconds); }
+}
+coordinator Guest {
+    init(string[] arg) { while (true) findPost(arg[1]).stay(1.0); }
+}
+"""
+LATER = PROGRAM.replace("while (true)", "sleep(5.0);")
+TWO_HOSTS = "//Guest:guest@home?post\n//Post:post@away\n"
+DEPLOYMENT = "//Guest:guest@home?post\n//Post:post@home\n"
+
+
+def shown(*hosts) -> str:
+    out = io.StringIO()
+    Console(file=out, width=240).print(
+        picture({running.host.name: running.host.status() for running in hosts})
+    )
+    return out.getvalue()
+
+
+def test_a_journal_and_its_trouble_are_told(fleet):
+    async def story(team):
+        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+        await team.until(lambda: len(home.output) == 3)
+        journal = home.host.status().journal
+        assert journal.commits >= 3
+        assert (journal.trouble, journal.parked) == ("", [])
+        assert "in the last minute" in shown(home)
+
+    fleet(story)
+
+
+def test_a_coordinator_whose_disk_fails_waits_for_it(fleet):
+    async def story(team):
+        home, away = await team.up(team.mission(LATER, TWO_HOSTS), keeps=True)
+        team.disks["home"].broken = True
+        await team.until(lambda: home.host.status().journal.trouble)
+        (guest,) = home.host.status().agents
+        assert (guest.id, guest.state) == ("guest", "waits for its disk")
+        assert "in trouble: " in shown(home)
+        assert "its disk fails" in shown(home)
+        team.disks["home"].broken = False
+        await team.until(lambda: away.output == ["call"])
+        assert home.host.status().journal.trouble == ""
+
+    fleet(story)
+
+
+def test_a_coordinator_that_is_being_kept_does_not_leave(fleet):
+    async def story(team):
+        home = team.make(team.mission(PROGRAM, DEPLOYMENT), "home", keeps=True)
+        team.disks["home"].sync = 0.5
+        await home.host.start()
+        states = set()
+
+        def seen() -> bool:
+            states.update(agent.state for agent in home.host.status().agents if agent.id == "guest")
+            return len(home.output) == 3
+
+        await team.until(seen)
+        assert "being kept" in states
+        assert "leaving" not in states
+
+    fleet(story)
+
+
+def test_a_coordinator_of_another_program_is_parked_and_explained(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        (home,) = await team.up(mission, keeps=True)
+        await team.until(lambda: len(home.output) == 2)
+        await home.host.stop()
+        (again,) = await team.up(
+            team.mission(PROGRAM + "\n// another\nclass Other { }\n", DEPLOYMENT), keeps=True
+        )
+        digest = home.host.hello().mission
+        (parked,) = again.host.status().journal.parked
+        assert (parked.agent, parked.generation, parked.program) == ("guest", 1, digest)
+        assert f"parked: it is of another mission ({digest.hex()[:16]})" in shown(again)
+        assert as_data({"home": again.host.status()})["home"]["journal"]["parked"][0]["id"] == "guest"
+        pages = again.host.scribe.pages
+        (explained,) = (page for page in pages if isinstance(page, ProgramPage))
+        assert (explained.digest, explained.members) == (digest, ("guest", "post"))
+
+    fleet(story)
+
+
+def test_a_host_that_keeps_nothing_says_so(fleet):
+    async def story(team):
+        (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
+        assert home.host.status().journal is None
+        assert "keeps nothing" in shown(home)
+
+    fleet(story)
