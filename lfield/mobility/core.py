@@ -243,6 +243,11 @@ class Mobility:
         """Whether one of these hosts has yet to confirm an ending that it was told of."""
         return self._endings.unconfirmed(hosts)
 
+    @property
+    def telling(self) -> set[tuple[str, int]]:
+        """The starts of whose endings this host tells the others until they confirm."""
+        return self._endings.telling
+
     def wanted(self) -> set[str]:
         """The hosts that a copy here wants to go to or waits for, and those that must confirm an ending."""
         waiting = (copy for copy in self._copies if copy.state in ("FROZEN", "PREPARED") or copy.gave_way)

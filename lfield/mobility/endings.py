@@ -83,6 +83,11 @@ class Endings:
         """The hosts that have yet to confirm an ending."""
         return {host for _, hosts in self._untold.values() for host in hosts}
 
+    @property
+    def telling(self) -> set[tuple[str, int]]:
+        """The starts of whose endings this host tells the others: mostly those that ended here."""
+        return set(self._untold)
+
     def linked(self, host: str) -> list[Effect]:
         """Tell a host again what it has not confirmed."""
         return [Send(host, message) for message, hosts in self._untold.values() if host in hosts]

@@ -62,7 +62,7 @@ async def until_done(host: Host, lost_after: float) -> list[Fate]:
 
 
 class _Remembered:
-    """The endings that a host knows from its journal: those of an earlier run, when a home begins a new one.
+    """The endings that hosts know from journals: those of an earlier run, when a home begins a new one.
 
     `homes` has the home of each coordinator; `lost_after` and `unmet` are as in `Hearsay.absent`.
     """
@@ -71,16 +71,23 @@ class _Remembered:
         self._host, self._homes, self._bounds = host, homes, (lost_after, unmet)
         pages = (page for page in host.scribe.pages if isinstance(page, CopyPage))
         self._ended = {(page.agent, page.generation) for page in pages if page.state == "EXITED"}
+        #: The starts that were alive since this host was started, or ended here since.
+        self._fresh: set[tuple[str, int]] = set()
         #: When each home was first linked.
         self._met: dict[str, float] = {}
 
     def unsettled(self) -> set[str]:
         """The coordinators that may be started anew yet."""
-        newest = {
-            row.agent: row.generation
-            for row in sorted(self._host.mobility.knowledge(), key=lambda row: row.generation)
-        }
-        old = {agent for agent, generation in newest.items() if (agent, generation) in self._ended}
+        if not self._host.scribe.memory:
+            return set()
+        newest: dict[str, int] = {}
+        self._fresh |= self._host.mobility.telling - self._ended
+        for row in self._host.mobility.knowledge():
+            start = row.agent, row.generation
+            newest[row.agent] = max(newest.get(row.agent, 0), row.generation)
+            if row.state != "EXITED":
+                self._fresh.add(start)
+        old = {agent for agent, _ in newest.items() - self._fresh}
         return {agent for agent in old if not self._settled(self._homes[agent])}
 
     def _settled(self, home: str) -> bool:
