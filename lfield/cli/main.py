@@ -28,6 +28,7 @@ COMMANDS = {
     "query": "tell who of a team can do something, and why the others cannot",
     "capabilities": "read, check and extend the registry of capabilities",
     "estop": "bring every device of a running mission into its safe state",
+    "forget": "end a coordinator that is in doubt, lost or parked, by your word",
     "inspect": "explain a dumped agent",
     "doctor": "look for what stands between this computer and its devices",
     "driver": "list the drivers, or begin a new one",
@@ -38,7 +39,7 @@ COMMANDS = {
 _ROOMS = {
     "desk": ("check", "build", "disasm", "inspect", "capabilities"),
     "run": ("up",),
-    "team": ("ps", "query", "estop"),
+    "team": ("ps", "query", "estop", "forget"),
     "robot": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of every subcommand.

@@ -260,6 +260,10 @@ class HostCore:
         self._policies.told(host, records, self._clock.monotonic())
         self._team.carry_out(self.mobility.told(host, records))
 
+    def forget(self, agent: str) -> list[int]:
+        """A person says that this coordinator is lost; the starts of it that end here."""
+        return self._team.forget(agent)
+
     def pass_on(self, found: Iterable[Fate]) -> None:
         """This host is about to go: whoever can be reached is told of all endings, and of what it found."""
         self._team.carry_out(self.mobility.pass_on(found))

@@ -48,6 +48,8 @@ from lfield.wire.messages import (
     Control,
     EmergencyStop,
     EmergencyStopped,
+    Forget,
+    Forgotten,
     Hello,
     Status,
     StatusRequest,
@@ -310,15 +312,8 @@ class Host:
             answered(error)
 
     def _dump(self, agent: Agent, folder: Path) -> None:
-        data = dump.encode(
-            self.name,
-            agent.report,
-            agent.limits.heap,
-            self.team.members,
-            self.team.hosts,
-            self.mission.program,
-            agent.block,
-        )
+        team, program, limit = self.team, self.mission.program, agent.limits.heap
+        data = dump.encode(self.name, agent.report, limit, team.members, team.hosts, program, agent.block)
         path = folder / f"{agent.id}.block"
         try:
             write_private(path, data)
@@ -364,6 +359,8 @@ class Host:
             self.changed.set()
         elif isinstance(message, EmergencyStop) and not host:
             spawn(self._emergency_stop(message, link))
+        elif isinstance(message, Forget) and not host:
+            self._enter(partial(self._forget, message, link))
         elif host:
             self._enter(partial(self.core.received, host, message))
 
@@ -374,6 +371,10 @@ class Host:
     def pass_on(self, found: Iterable[Fate]) -> None:
         """This host is about to go: it tells all others of the endings it knows, and what it found."""
         self._enter(partial(self.core.pass_on, found))
+
+    def _forget(self, message: Forget, link: Link) -> None:
+        with suppress(AddressError):
+            link.send(Forgotten(self.core.forget(message.agent)))
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
         self._pressed = not message.lift
@@ -395,7 +396,5 @@ class Host:
 
     def status(self) -> Status:
         """What `lfield ps` shows of this host."""
-        up = self.clock.monotonic() - self.started
-        return status_of(
-            self.core, self.peers, self.guards, self.scribe.journal, self.address, up, self.clock
-        )
+        up, journal = self.clock.monotonic() - self.started, self.scribe.journal
+        return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock)

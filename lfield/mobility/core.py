@@ -132,6 +132,15 @@ class Mobility:
             raise ValueError(f"{agent} of generation {generation} cannot end here as {outcome!r}")
         return self._endings.end(copy, outcome, detail)
 
+    def forget(self, agent: str, others: Iterable[int], detail: str) -> tuple[list[int], list[Effect]]:
+        """A person says that this agent is lost; `others` are starts that are kept beside those known here.
+
+        Whatever is known to be alive goes on. Returns the starts that end here.
+        """
+        gone = [c.generation for c in self._copies.of(agent) if c.state == "MOVED" or c.doubt]
+        starts = sorted({*gone, *(number for number in others if self._copies.find(agent, number) is None)})
+        return starts, self._endings.lose(agent, starts, detail)
+
     @property
     def memories(self) -> dict[str, int]:
         """What each linked host answers from; see `Hello.remembers`."""

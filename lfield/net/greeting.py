@@ -9,7 +9,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NoReturn
 
 from lfield.errors import GreetingError, WireError
-from lfield.wire.messages import PROTOCOL, EmergencyStop, ForeignHello, Hello, Ping, Refuse, StatusRequest
+from lfield.wire.messages import (
+    PROTOCOL,
+    EmergencyStop,
+    ForeignHello,
+    Forget,
+    Hello,
+    Ping,
+    Refuse,
+    StatusRequest,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -17,8 +26,9 @@ if TYPE_CHECKING:
     from lfield.wire.messages import Message
 
 
-#: What an observer may send: it looks, and it may stop every device, as anybody should be able to.
-OBSERVERS = StatusRequest | Ping | EmergencyStop
+#: What an observer may send: it looks, it may stop every device, as anybody should be able to, and it passes
+#: on a person's word about a coordinator that nobody knows to be alive.
+OBSERVERS = StatusRequest | Ping | EmergencyStop | Forget
 
 
 class Greeting:
@@ -78,7 +88,8 @@ class Greeting:
             raise WireError(f"a {type(message).__name__} came before the greeting")
         if self.peer.role == "observer" and not isinstance(message, OBSERVERS):
             raise WireError(
-                f"an observer sent a {type(message).__name__}; it may ask for the status and stop the devices"
+                f"an observer sent a {type(message).__name__}; it may ask for the status, stop the devices "
+                "and forget a coordinator"
             )
 
     def _check_name(self, hello: Hello) -> None:

@@ -17,6 +17,8 @@ from lfield.wire.fields import clip
 from lfield.wire.messages import (
     EmergencyStop,
     EmergencyStopped,
+    Forget,
+    Forgotten,
     Hello,
     Message,
     Status,
@@ -24,7 +26,7 @@ from lfield.wire.messages import (
     Transfer,
 )
 
-T = TypeVar("T", bound=Status | EmergencyStopped)
+T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten)
 K = TypeVar("K", bound=Hashable)
 
 #: For each host by its name what it answered, or the error that stood in the way.
@@ -38,7 +40,7 @@ _MAX_BLOCK = 1 << 20
 class Request(Generic[T]):
     """What can be asked: the message, what answers it, and the seconds that a host has for that."""
 
-    message: StatusRequest | EmergencyStop
+    message: StatusRequest | EmergencyStop | Forget
     answer: type[T]
     bound: float
 
@@ -49,6 +51,11 @@ STATUS = Request(StatusRequest(), Status, 2.0)
 def emergency_stop(reason: str, *, lift: bool = False) -> Request[EmergencyStopped]:
     """An emergency stop, or its end. It takes as long as the devices take to confirm it."""
     return Request(EmergencyStop(clip(reason), lift), EmergencyStopped, 8.0)
+
+
+def forget(agent: str) -> Request[Forgotten]:
+    """A person's word that a coordinator is lost."""
+    return Request(Forget(agent), Forgotten, 2.0)
 
 
 def ask_parties(parties: Sequence[Party], request: Request[T]) -> dict[Place, T | LfieldError]:

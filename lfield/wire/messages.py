@@ -224,7 +224,7 @@ class Told(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
 
 class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What a journal keeps of a coordinator for another program, whose digest is given.
+    """What a journal keeps of a coordinator for another program or deployment; the digest of both is given.
 
     With `state` RUN it is here, with another one it left for `where`, or may have.
     """
@@ -300,6 +300,18 @@ class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fiel
     devices: dict[str, Text]
 
 
+class Forget(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=15):
+    """From an observer: a person says that what is not known to be alive of a coordinator is lost."""
+
+    agent: Name
+
+
+class Forgotten(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=16):
+    """The answer: the starts that have ended here by that word."""
+
+    starts: Annotated[list[Count], Meta(max_length=4096)]
+
+
 class FactReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The value of a live attribute, `age` seconds old when it was sent.
 
@@ -373,6 +385,8 @@ Control = (
     | Pong
     | EmergencyStop
     | EmergencyStopped
+    | Forget
+    | Forgotten
     | Report
     | Heard
     | Room

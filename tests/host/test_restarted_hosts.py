@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from pathlib import Path
 
 import pytest
 
@@ -130,3 +131,92 @@ def test_a_start_that_arrives_where_a_later_one_runs_ends_it_first(fleet):
         assert [a.generation for a in again.host.machine.agents.values() if a.id == "guest"]
 
     fleet(story)
+
+
+VISIT = """
+resource Post {
+    init(string[] arg) { }
+    portal visit() { write("visited\\n"); }
+}
+coordinator Guest {
+    init(string[] arg) { findPost(arg[1]).visit(); }
+}
+"""
+ONE_VISIT = "//Post:post@away\n//Guest:guest@home?post\n"
+
+
+async def life(running) -> str:
+    """A host with --until-done, from its start to its end; how the guest ended."""
+    await running.host.start()
+    (fate,) = await until_done(running.host, lost_after=15.0)
+    await running.host.stop()
+    return fate.outcome
+
+
+def test_a_host_that_remembers_an_earlier_run_waits_for_the_next(fleet):
+    """Its journal says that the coordinator has ended; its home begins it anew a moment later."""
+
+    async def story(team):
+        mission = team.mission(VISIT, ONE_VISIT)
+        for _ in range(3):
+            away, home = (team.make(mission, name, keeps=True) for name in mission.team.hosts)
+            assert await asyncio.gather(life(home), life(away)) == ["done", "done"]
+            assert away.output == ["visited"]
+
+    fleet(story)
+
+
+def test_a_host_that_remembers_an_end_does_not_wait_for_a_home_that_has_gone(fleet):
+    async def story(team):
+        mission = team.mission(VISIT, ONE_VISIT)
+        away, home = (team.make(mission, name, keeps=True) for name in mission.team.hosts)
+        await asyncio.gather(life(home), life(away))
+        assert await life(team.make(mission, "away", keeps=True)) == "done"
+
+    fleet(story)
+
+
+def test_a_start_that_fails_leaves_the_run_as_it_was(fleet):
+    """The host was killed when all was over. One that tries again by itself begins no mission anew."""
+
+    async def story(team):
+        mission = team.mission(VISIT, ONE_VISIT)
+        away, home = await team.up(mission, keeps=True)
+        await team.until(lambda: _ended(home))
+        disk = team.disks["home"]
+        disk.full, disk.reserve = True, 0
+        await home.host.stop()
+        disk.full = False
+        # It opens no device, and ends.
+        await team.make(mission, "home", keeps=True).host.stop()
+        last = team.make(mission, "home", keeps=True)
+        await last.host.start()
+        assert "guest has ended (done) in the run that goes on here" in last.log
+        assert away.output == ["visited"]
+
+    fleet(story)
+
+
+def test_the_loader_of_the_language_document_goes_on_after_a_restart(fleet):
+    """Its host is stopped while its call is under way."""
+    text = (Path(__file__).parents[2] / "lfield/docs/language.md").read_text(encoding="utf-8")
+    (program,) = (block for block in text.split("```") if block.startswith("java\nresource Winch"))
+    program = program.removeprefix("java\n").replace("return out;", "sleep(9.0); return out;")
+
+    async def story(team):
+        mission = team.mission(program, "//Winch:winch@away\n//Loader:loader@home?winch\n")
+        away, home = await team.up(mission, keeps=True)
+        await team.until(lambda: away.holds("loader"))
+        await asyncio.sleep(1.0)
+        await away.host.stop()
+        (again,) = await team.up(mission, "away", keeps=True)
+        assert "loader: away was started again; this call may have begun" in again.log
+        assert await team.ended("loader") == "done"
+        assert "loader: lowered to 1.5" in again.log
+        assert not home.holds("loader")
+
+    fleet(story)
+
+
+def _ended(running) -> bool:
+    return any(row.state == "EXITED" for row in running.host.mobility.knowledge())

@@ -20,6 +20,7 @@ MOST_FILES, MOST_LINES, LEAST_LINES, LONGEST_FUNCTION = 14, 400, 60, 60
 TABLES: dict[str, str] = {}
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
+    "lfield/operator/whereabouts.py": "what several commands ask of the answers of hosts",
     "lfield/wire/fields.py": "types of fields, a table",
     "drivers/lfield_mavlink/geo.py": "places and vectors, for all rooms of the driver",
     "lfield/capability/matching/matcher.py": "the face of matching",

@@ -87,6 +87,8 @@ def _agents(answers: Answers[Status]) -> Table:
         for known in answer.coordinators:
             if known.state == "IN DOUBT" or (known.state == "EXITED" and known.where == host):
                 state = f"{known.outcome or 'in doubt'}: {known.detail}".splitlines()[0].rstrip(": ")
+                if known.state == "IN DOUBT":
+                    state += f"; 'lfield forget {known.agent}' ends it by your word"
                 shown.add_row(host, known.agent, "", state, str(known.hops), "", "")
         for parked in answer.journal.parked if answer.journal is not None else ():
             if parked.state != "MOVED":
@@ -97,8 +99,8 @@ def _agents(answers: Answers[Status]) -> Table:
 def _parked(parked: ParkedStatus) -> str:
     left = f" and may have left for {parked.where}" if parked.state == "PREPARED" else ""
     return (
-        f"parked: it is of program {parked.program.hex()[:16]}{left}, and goes on when that is started here; "
-        "'lfield inspect' of the journal shows it"
+        f"parked: it is of another mission ({parked.program.hex()[:16]}){left}, and goes on when that is "
+        f"started here; 'lfield forget {parked.agent}' ends it by your word"
     )
 
 

@@ -160,6 +160,17 @@ class Coordinators:
         self._sent_to.pop(header.agent, None)
         self.carry_out(self.mobility.arrive(host, header, block))
 
+    def forget(self, agent: str) -> list[int]:
+        """A person says that this coordinator is lost; the starts of it that end here."""
+        parked = [page for page in self.recovery.parked if page.agent == agent]
+        detail = "given up by 'lfield forget'"
+        starts, effects = self.mobility.forget(agent, [page.generation for page in parked], detail)
+        self.recovery.parked = [page for page in self.recovery.parked if page not in parked]
+        if starts:
+            self._say(f"{agent} is given up as lost: somebody ran 'lfield forget'")
+        self.carry_out(effects)
+        return starts
+
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
         self._wanted[agent.id] = resource.id

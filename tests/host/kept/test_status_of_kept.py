@@ -19,6 +19,8 @@ coordinator Guest {
     init(string[] arg) { while (true) findPost(arg[1]).stay(1.0); }
 }
 """
+LATER = PROGRAM.replace("while (true)", "sleep(5.0);")
+TWO_HOSTS = "//Guest:guest@home?post\n//Post:post@away\n"
 DEPLOYMENT = "//Guest:guest@home?post\n//Post:post@home\n"
 
 
@@ -38,15 +40,21 @@ def test_a_journal_and_its_trouble_are_told(fleet):
         assert journal.commits >= 3
         assert (journal.trouble, journal.parked) == ("", [])
         assert "in the last minute" in shown(home)
+
+    fleet(story)
+
+
+def test_a_coordinator_whose_disk_fails_waits_for_it(fleet):
+    async def story(team):
+        home, away = await team.up(team.mission(LATER, TWO_HOSTS), keeps=True)
         team.disks["home"].broken = True
         await team.until(lambda: home.host.status().journal.trouble)
-        (guest,) = (agent for agent in home.host.status().agents if agent.id == "guest")
-        assert guest.state == "waits for its disk"
+        (guest,) = home.host.status().agents
+        assert (guest.id, guest.state) == ("guest", "waits for its disk")
         assert "in trouble: " in shown(home)
         assert "its disk fails" in shown(home)
         team.disks["home"].broken = False
-        calls = len(home.output)
-        await team.until(lambda: len(home.output) > calls)
+        await team.until(lambda: away.output == ["call"])
         assert home.host.status().journal.trouble == ""
 
     fleet(story)
@@ -79,13 +87,14 @@ def test_a_coordinator_of_another_program_is_parked_and_explained(fleet):
         (again,) = await team.up(
             team.mission(PROGRAM + "\n// another\nclass Other { }\n", DEPLOYMENT), keeps=True
         )
+        digest = home.host.hello().mission
         (parked,) = again.host.status().journal.parked
-        assert (parked.agent, parked.generation, parked.program) == ("guest", 1, mission.program.digest)
-        assert f"parked: it is of program {mission.program.digest.hex()[:16]}" in shown(again)
+        assert (parked.agent, parked.generation, parked.program) == ("guest", 1, digest)
+        assert f"parked: it is of another mission ({digest.hex()[:16]})" in shown(again)
         assert as_data({"home": again.host.status()})["home"]["journal"]["parked"][0]["id"] == "guest"
         pages = again.host.scribe.pages
         (explained,) = (page for page in pages if isinstance(page, ProgramPage))
-        assert (explained.digest, explained.members) == (mission.program.digest, ("guest", "post"))
+        assert (explained.digest, explained.members) == (digest, ("guest", "post"))
 
     fleet(story)
 

@@ -1,0 +1,93 @@
+"""A person says that a coordinator is lost: what is in doubt or parked ends, what is alive goes on."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+
+from lfield.errors import AddressError, CoordinatorAlive, UsageError
+from lfield.operator.ask import STATUS, ask, ask_all, forget
+from lfield.operator.whereabouts import insist_on_doubt
+
+PROGRAM = """
+resource Post {
+    int calls;
+    init(string[] arg) { }
+    portal stay(real seconds) { calls = calls + 1; write("arrived\\n"); sleep(seconds); }
+}
+coordinator Guest {
+    init(string[] arg) { findPost(arg[1]).stay(1000.0); }
+}
+"""
+DEPLOYMENT = "//Guest:guest@home?post\n//Post:post@away\n"
+NAMES = {"home": "home", "away": "away"}
+
+
+async def looked(team, *hosts):
+    return await ask_all(team.network.transport("desk"), {host: f"{host}:8181" for host in hosts}, STATUS)
+
+
+def records(running):
+    return [(known.state, known.outcome) for known in running.host.mobility.knowledge()]
+
+
+def test_a_coordinator_in_doubt_ends_by_a_persons_word(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        (home,) = await team.up(mission, "home", keeps=True)
+        away = team.make(mission, "away", keeps=True)
+        # The transfer is taken from the link, and no answer ever leaves.
+        away.host.arrived = lambda host, header, block: None
+        await away.host.start()
+        await team.until(lambda: records(home) == [("IN DOUBT", "")])
+        insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
+        said = await ask(team.network.transport("desk"), "home:8181", forget("guest"))
+        assert said.starts == [1]
+        assert records(home) == [("EXITED", "lost")]
+        await team.until(lambda: not home.holds("guest"))
+        await team.until(lambda: records(away) == [("EXITED", "lost")])
+        assert "guest is given up as lost: somebody ran 'lfield forget'" in home.log
+        assert (await ask(team.network.transport("desk"), "home:8181", forget("guest"))).starts == []
+        with pytest.raises(UsageError, match=r"guest has ended on home \(lost\): there is nothing to end"):
+            insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
+
+    fleet(story)
+
+
+def test_one_that_is_alive_goes_on_and_whoever_asks_is_told_where(fleet):
+    async def story(team):
+        _, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+        await team.until(lambda: away.output)
+        with pytest.raises(CoordinatorAlive, match=r"guest is alive on away \(start 1\): nothing was done"):
+            insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
+        with pytest.raises(UsageError, match="no host that answers knows of a coordinator geust"):
+            insist_on_doubt("geust", await looked(team, "home", "away"), NAMES)
+        # Said of one that is alive all the same: its shadow is given up, and it goes on.
+        await ask(team.network.transport("desk"), "home:8181", forget("guest"))
+        await ask(team.network.transport("desk"), "away:8181", forget("guest"))
+        await asyncio.sleep(5.0)
+        assert away.holds("guest")
+        assert records(away) == [("RUN", "")]
+
+    fleet(story)
+
+
+def test_what_is_parked_for_another_program_is_given_up(fleet):
+    async def story(team):
+        _, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+        await team.until(lambda: away.output)
+        await away.host.stop()
+        other = team.mission(PROGRAM + "class Other { }\n", DEPLOYMENT)
+        (again,) = await team.up(other, "away", keeps=True)
+        assert len(again.host.status().journal.parked) == 1
+        answers = {"away": again.host.status(), "home": AddressError("home:8181", "nobody listens there")}
+        insist_on_doubt("guest", answers, NAMES)
+        assert (await ask(team.network.transport("desk"), "away:8181", forget("guest"))).starts == [1]
+        assert again.host.status().journal.parked == []
+        await again.host.stop()
+        (again,) = await team.up(other, "away", keeps=True)
+        assert again.host.status().journal.parked == []
+        assert records(again) == [("EXITED", "lost")]
+
+    fleet(story)
