@@ -139,7 +139,17 @@ class Judge:
             if transfer in self._injected and transfer[:2] not in self._void:
                 self._breach("I2", (life.core.name,), f"transfer {transfer} was injected twice")
             self._injected.add(transfer)
+        else:
+            self._went_back(agent)
         self._held(life, agent)
+
+    def _went_back(self, agent: Agent) -> None:
+        """It goes on from a disk, and may not know any more of which calls it was told that they failed."""
+        seen = self._starts.get((agent.id, agent.generation))
+        for who in seen.lives if seen else ():
+            for call in self._calls[who].values():
+                if call.told == "failed":
+                    call.told = "forgotten"
 
     def may_run(self, life: Life, agent: Agent) -> None:
         """A frozen coordinator may run again: whoever it was sent to has it not."""
