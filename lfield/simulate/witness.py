@@ -54,7 +54,8 @@ def tap(life: Life, sees: Sees) -> None:
         finally:
             coming.pop()
 
-    def admit(go: Callable[..., Agent], *more: Any) -> Agent:
+    def restore(go: Callable[..., Agent], *more: Any) -> Agent:
+        # Also what `admit` calls, for one that came.
         agent = go(*more)
         sees.admitted(life, agent, came=bool(coming))
         return agent
@@ -81,7 +82,7 @@ def tap(life: Life, sees: Sees) -> None:
         go(agent, text)
 
     for place, wire in (
-        (machine, start), (machine, admit), (machine, resume), (core, arrived), (core, run),
+        (machine, start), (machine, restore), (machine, resume), (core, arrived), (core, run),
         (core, write), (core, log), (peers, send_transfer),
     ):  # fmt: skip
         _tap(place, wire)
