@@ -16,6 +16,7 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 from lfield.journal.pages import CopyPage
+from lfield.mobility.departures import RESTARTED
 from lfield.simulate.fleet import Fleet, Life
 from lfield.simulate.saved import nowhere
 from lfield.simulate.witness import tap
@@ -139,8 +140,6 @@ class Judge:
             if transfer in self._injected and transfer[:2] not in self._void:
                 self._breach("I2", (life.core.name,), f"transfer {transfer} was injected twice")
             self._injected.add(transfer)
-        else:
-            self._went_back(agent)
         self._held(life, agent)
 
     def _went_back(self, agent: Agent) -> None:
@@ -151,8 +150,10 @@ class Judge:
                 if call.told == "failed":
                     call.told = "forgotten"
 
-    def may_run(self, life: Life, agent: Agent) -> None:
-        """A frozen coordinator may run again: whoever it was sent to has it not."""
+    def may_run(self, life: Life, agent: Agent, kind: str) -> None:
+        """A frozen coordinator may run again, with this exception: whoever it was sent to has it not."""
+        if kind == RESTARTED:
+            self._went_back(agent)
         self._held(life, agent)
 
     def _held(self, life: Life, agent: Agent) -> None:

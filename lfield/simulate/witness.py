@@ -23,7 +23,7 @@ class Sees(Protocol):
     def admitted(self, life: Life, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into the machine; it `came` over a link, or else from the host's own disk."""
 
-    def may_run(self, life: Life, agent: Agent) -> None:
+    def may_run(self, life: Life, agent: Agent, kind: str) -> None:
         """A frozen coordinator may run again."""
 
     def sent(self, life: Life, header: Transfer, target: str, incarnation: int) -> None:
@@ -54,15 +54,14 @@ def tap(life: Life, sees: Sees) -> None:
         finally:
             coming.pop()
 
-    def restore(go: Callable[..., Agent], *more: Any) -> Agent:
-        # Also what `admit` calls, for one that came.
+    def admit(go: Callable[..., Agent], *more: Any) -> Agent:
         agent = go(*more)
         sees.admitted(life, agent, came=bool(coming))
         return agent
 
-    def resume(go: Callable[..., None], agent: Agent, *more: Any) -> None:
-        go(agent, *more)
-        sees.may_run(life, agent)
+    def resume(go: Callable[..., None], agent: Agent, kind: str, *more: Any) -> None:
+        go(agent, kind, *more)
+        sees.may_run(life, agent, kind)
 
     def send_transfer(go: Callable[..., None], host: str, header: Transfer, block: Buffer) -> None:
         sees.sent(life, header, host, peers.incarnations.get(host, 0))
@@ -82,7 +81,7 @@ def tap(life: Life, sees: Sees) -> None:
         go(agent, text)
 
     for place, wire in (
-        (machine, start), (machine, restore), (machine, resume), (core, arrived), (core, run),
+        (machine, start), (machine, admit), (machine, resume), (core, arrived), (core, run),
         (core, write), (core, log), (peers, send_transfer),
     ):  # fmt: skip
         _tap(place, wire)
