@@ -6,6 +6,7 @@ a host ends are what runs on a robot. One seed is one run, to the byte.
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import io
 import random
@@ -54,6 +55,11 @@ class Life:
     def core(self) -> HostCore:
         """What decides in it."""
         return self.host.core
+
+
+def _never_unwind() -> None:
+    """The collector leaves alone what exists now: what the killed would do at their end comes too late."""
+    gc.freeze()
 
 
 class Fleet:
@@ -141,6 +147,7 @@ class Fleet:
     def run(self, seconds: float) -> None:
         """Let time go on for so long."""
         self.timeline.run(seconds, partial(self._watch, self))
+        _never_unwind()
 
     @property
     def digest(self) -> str:
@@ -215,6 +222,7 @@ class Fleet:
             life.process.exit(status)
 
     def _ended(self, name: str, process: Process, _: int) -> None:
+        _never_unwind()
         if name in self.lives and self.lives[name].process is process:
             del self.lives[name]
 
