@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import math
+import warnings
 from collections.abc import Callable, Coroutine, Sequence
-from contextlib import suppress
 from typing import Any
 
 from lfield.simulate.computers.machines import Machine
@@ -19,6 +19,10 @@ from lfield.simulate.computers.timeline import Planned
 MOST_ROUNDS = 100_000
 #: Seconds that work in a thread takes.
 IN_A_THREAD = 0.002
+
+
+#: What would not end when its process was killed. It is kept, since it would go on when it is forgotten.
+_NOT_ENDED: list[object] = []
 
 
 class _Nothing:
@@ -89,9 +93,14 @@ class ProcessLoop(asyncio.BaseEventLoop):
         self._backlog.clear()
         if self._wake is not None:
             self._wake.call_off()
-        for task in list(self._tasks):
-            with suppress(RuntimeError, ValueError):
-                task.get_coro().close()
+        with warnings.catch_warnings():
+            # What they begin at their end is awaited by nobody.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            for task in list(self._tasks):
+                try:
+                    task.get_coro().close()
+                except (RuntimeError, ValueError):
+                    _NOT_ENDED.append(task)
         self._tasks.clear()
 
     # --- the loop -------------------------------------------------------------------------------------
