@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
 from lfield.clock import Clock
 from lfield.errors import JournalError, OutputFileError
-from lfield.journal.grouping import Grouping
+from lfield.journal.grouping import Grouped
 from lfield.journal.journal import Change
 from lfield.journal.opening import Opened, Owner, opened, primary
 from lfield.journal.owner import Lock
-from lfield.journal.pages import CopyPage, Key, Page, entry, key_of
+from lfield.journal.pages import CopyPage, Key, entry, key_of
 from lfield.journal.reserve import Reserve
 from lfield.journal.store import Store
 from lfield.text.private import private_folder
@@ -34,7 +34,7 @@ _REASONS = {
 }
 
 
-class FileJournal:
+class FileJournal(Grouped):
     """See `Journal`. It is opened before the loop has anything to do, and closed after.
 
     `path` is that of `journal_file`; `tell` hears a sentence for all that was found damaged. Raises
@@ -52,33 +52,16 @@ class FileJournal:
             self._lock.release()
             raise
         self.identity = head.identity
-        self._read = list(pages.values())
+        super().__init__(list(pages.values()), self._in_thread, clock)
         self._inode = path.stat().st_ino
         #: Bytes of each copy that is here.
         self._held: dict[Key, int] = {}
         self._count([Change(self._read)])
         self.trouble = self._have_room()
-        self._grouping = Grouping(self._in_thread, clock)
         self._thread = ThreadPoolExecutor(1, "journal")
         self._closed = self._reopen = False
 
     # --- the journal ----------------------------------------------------------------------------------
-
-    def pages(self) -> list[Page]:
-        """See `Journal`."""
-        return self._read
-
-    async def keep(self, pages: Sequence[Page]) -> None:
-        """See `Journal`."""
-        await self._grouping.ask(Change(pages))
-
-    async def forget(self, keys: Collection[Key]) -> None:
-        """See `Journal`."""
-        await self._grouping.ask(Change((), keys))
-
-    def commits_last_minute(self, now: float) -> int:
-        """See `Journal`."""
-        return self._grouping.last_minute(now)
 
     def close(self) -> None:
         """See `Journal`."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Collection, Sequence
 
 from lfield.clock import Clock
 from lfield.journal.journal import Change
+from lfield.journal.pages import Key, Page
 
 #: Brings changes to the disk, all or none, in their order. Raises JournalError.
 Commit = Callable[[Sequence[Change]], Awaitable[None]]
@@ -67,3 +68,26 @@ class Grouping:
         for _, kept in group:
             if not kept.done():
                 kept.set_result(None)
+
+
+class Grouped:
+    """What all journals do alike: `read` is what was kept before, `commit` brings changes to the disk."""
+
+    def __init__(self, read: list[Page], commit: Commit, clock: Clock) -> None:
+        self._read, self._grouping = read, Grouping(commit, clock)
+
+    def pages(self) -> list[Page]:
+        """See `Journal`."""
+        return self._read
+
+    async def keep(self, pages: Sequence[Page]) -> None:
+        """See `Journal`."""
+        await self._grouping.ask(Change(pages))
+
+    async def forget(self, keys: Collection[Key]) -> None:
+        """See `Journal`."""
+        await self._grouping.ask(Change((), keys))
+
+    def commits_last_minute(self, now: float) -> int:
+        """See `Journal`."""
+        return self._grouping.last_minute(now)

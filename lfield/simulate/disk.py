@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 
 from lfield.clock import Clock
 from lfield.errors import JournalError
-from lfield.journal.grouping import Grouping
+from lfield.journal.grouping import Grouped
 from lfield.journal.journal import Change
 from lfield.journal.opening import lost
 from lfield.journal.pages import Entry, Key, Page, PageError, entry, page_of
@@ -94,30 +94,14 @@ class JournalDisk:
             raise JournalError("of a simulation", "its disk fails")
 
 
-class SimulatedJournal:
+class SimulatedJournal(Grouped):
     """See `Journal`: that of one life of a host, on the loop of its process."""
 
     def __init__(self, disk: JournalDisk, identity: int, pages: list[Page], clock: Clock) -> None:
-        self._disk, self.identity, self._read, self._clock = disk, identity, pages, clock
+        super().__init__(pages, self._commit, clock)
+        self._disk, self.identity, self._clock = disk, identity, clock
         self.trouble = disk.trouble()
-        self._grouping = Grouping(self._commit, clock)
         self._closed = False
-
-    def pages(self) -> list[Page]:
-        """See `Journal`."""
-        return self._read
-
-    async def keep(self, pages: Sequence[Page]) -> None:
-        """See `Journal`."""
-        await self._grouping.ask(Change(pages))
-
-    async def forget(self, keys: Collection[Key]) -> None:
-        """See `Journal`."""
-        await self._grouping.ask(Change((), keys))
-
-    def commits_last_minute(self, now: float) -> int:
-        """See `Journal`."""
-        return self._grouping.last_minute(now)
 
     def close(self) -> None:
         """See `Journal`."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from mobility_world import PATIENCE, PROGRAM, SimHost, Start, World
+from mobility_world import PROGRAM, SimHost, Start, World
 
 from lfield.host.team.keeping import Keeping
 from lfield.journal.pages import CopyPage, Key, Page, key_of
@@ -41,14 +41,7 @@ class KeptWorld(World):
         host = KeptHost(name, self.lives)
         first = name not in self.disks
         disk = self.disks.setdefault(name, {})
-        host.mobility = self.machine(
-            self.hello(host),
-            peers=self.names,
-            agents=list(self.homes),
-            inject=lambda header, block: self.inject(host, header, block),
-            unreachable_after=PATIENCE,
-        )
-        self.hosts[name] = host
+        self.enter(host)
         host.mobility.restore(page for page in disk.values() if isinstance(page, CopyPage))
         self.apply(host, host.mobility.wake(lambda copy, runs: self.put(host, copy, runs), self.now))
         for agent, home in self.homes.items():

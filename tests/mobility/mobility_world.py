@@ -83,6 +83,14 @@ class World:
     def boot(self, name: str) -> None:
         self.lives += 1
         host = SimHost(name, self.lives)
+        self.enter(host)
+        for agent, home in self.homes.items():
+            if home == name:
+                host.mobility.start(agent, self.lives)
+                host.running[agent, self.lives] = self.count[agent, self.lives] = 0
+
+    def enter(self, host: SimHost) -> None:
+        """A life begins, and knows nothing yet."""
         host.mobility = self.machine(
             self.hello(host),
             peers=self.names,
@@ -90,11 +98,7 @@ class World:
             inject=lambda header, block: self.inject(host, header, block),
             unreachable_after=PATIENCE,
         )
-        self.hosts[name] = host
-        for agent, home in self.homes.items():
-            if home == name:
-                host.mobility.start(agent, self.lives)
-                host.running[agent, self.lives] = self.count[agent, self.lives] = 0
+        self.hosts[host.name] = host
 
     def kill(self, name: str) -> None:
         host = self.hosts.pop(name)
