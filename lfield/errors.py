@@ -49,6 +49,9 @@ class Finding(Protocol):
     def render(self) -> str:
         """The finding for a reader, in several lines without the last newline."""
 
+    def as_data(self) -> dict[str, object]:
+        """The finding for a program, as data that JSON can hold."""
+
 
 class LfieldError(Exception):
     """Root of the tree; `exit_status` is what a command returns when nobody handles it."""
@@ -76,14 +79,15 @@ class ProgramError(LfieldError):
 class BindingError(LfieldError):
     """A devices file that cannot be used; `problems` lists everything found wrong, a sentence each.
 
+    `findings` are those of them that have a place in a text, the first ones in the same order.
     `cure` is one about what to do, for all of them, or ''.
     """
 
     exit_status = exits.DATA
     cure = ""
 
-    def __init__(self, problems: Sequence[str]) -> None:
-        self.problems = tuple(problems)
+    def __init__(self, problems: Sequence[str], findings: Sequence[Finding] = ()) -> None:
+        self.problems, self.findings = tuple(problems), tuple(findings)
         super().__init__("; ".join(self.problems))
 
 

@@ -1,154 +1,130 @@
-"""Runs the mission on fakes, and kills the computer that it is on, twice.
+"""Two missions on fakes whose computers are killed with SIGKILL in the middle of a call, side by side.
 
     python examples/04-the-mission-survives/run.py
 
-Fakes are processes of their own, as vehicles are: they outlive the computer that drives them. So are hosts,
-each with a journal; one is killed with SIGKILL in the middle of a call, and started again as systemd does.
+Under `self` a host is started again, as systemd does, and goes on; twice. Under `quorum` one never comes
+back, and another host goes on without it. Fakes are processes of their own, as vehicles are: they outlive the
+computer that drives them. Each host has a journal.
 """
 
 from __future__ import annotations
 
-import queue
-import re
-import socket
-import subprocess
 import sys
 import tempfile
-import threading
 import time
-from contextlib import suppress
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+
+from team import Failed, Team
 
 from lfield import exits
 
 HERE = Path(__file__).parent
-#: The fake at each endpoint of the devices file.
-FAKES = {
+SERVOS = "dynamixel --servo 1:XM540-W270 --servo 2:XM540-W270"
+#: The fake at each endpoint of the devices files.
+MISSION = {
     "udp:127.0.0.1:14550": "mavlink --listen udp:127.0.0.1:0 --set-up land --land 2 --param WPNAV_SPEED=500",
     "udp:127.0.0.1:14560": "mavlink --listen udp:127.0.0.1:0 --kind rover --system 2 --set-up hold",
     "socketcan:can0": "can --listen socketcand:127.0.0.1:0 --device cia402:5,counts=10000",
-    "serial:/dev/ttyUSB0:57600": "dynamixel --servo 1:XM540-W270 --servo 2:XM540-W270",
+    "serial:/dev/ttyUSB0:57600": SERVOS,
 }
+TABLE = {"serial:/dev/ttyUSB0:57600": SERVOS, "serial:/dev/ttyUSB1:57600": SERVOS}
 #: What the coordinator says before its host is killed, how many seconds before, which host, and at what.
 KILLS = (
-    ("the scout is at (5, 3)", 0.8, "sky", "the copter flies back, and the coordinator is with it"),
+    ("the scout is at (4, 2)", 0.8, "sky", "the copter flies back, and the coordinator is with it"),
     ("the truck is there", 1.5, "ground", "the hook goes down; this is also the coordinator's home"),
 )
-#: Seconds after which systemd starts it again, and within which a word of the mission must come.
-AGAIN, PATIENCE = 1.0, 60.0
-#: What is shown of all that hosts say.
-SHOWN = re.compile(r"^survivor|goes on where|safe state|Traceback|set up|problem")
+#: Seconds after which systemd starts a host again.
+AGAIN = 1.0
 
 
-class Demonstration:
-    """Fakes, hosts, and what they say. `folder` is for its journals; nothing is left running."""
+class Report:
+    """What is said of one mission at the end: what happened, with the times."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._fakes: list[subprocess.Popen[str]] = []
-        self._hosts: dict[str, subprocess.Popen[str]] = {}
-        self._lines: queue.Queue[tuple[float, str]] = queue.Queue()
-        self._ports = {host: free_port() for host in ("sky", "ground", "bench")}
-        self._began = time.monotonic()
-        self._summary: list[str] = []
+    def __init__(self, team: Team) -> None:
+        self._team, self._began = team, time.monotonic()
+        self._rows: list[tuple[float, str, str]] = []
 
-    def run(self) -> list[str]:
-        """All of it; returns what was killed, and how it went on. Raises TimeoutError."""
-        try:
-            self._build()
-            for host in self._ports:
-                self._start(host)
-            for words, seconds, host, what in KILLS:
-                self._wait_for(words)
-                time.sleep(seconds)
-                self._kill(host, what)
-            self._wait_for("survivor: complete")
-        finally:
-            self._end()
-        return [*self._summary, f"complete after {time.monotonic() - self._began:.0f} s"]
+    def row(self, at: float, what: str, text: str) -> None:
+        """Something happened."""
+        self._rows.append((at, what, text))
 
-    def _build(self) -> None:
-        """The bundle, with the fakes' endpoints in place of those in the field."""
-        self._fakes = [self._popen("sim", *words.split(), "--until-stdin-closes") for words in FAKES.values()]
-        bindings = (HERE / "mission.devices.yaml").read_text()
-        for endpoint, fake in zip(FAKES, self._fakes, strict=True):
-            assert fake.stdout is not None
-            bindings = bindings.replace(endpoint, fake.stdout.readline().split()[1])
-        devices = self._folder / "mission.devices.yaml"
-        devices.write_text(bindings)
-        bundle = str(self._folder / "mission.lfm")
-        words = ("build", str(HERE / "mission.dL"), "--devices", str(devices), "--output", bundle)
-        subprocess.run([sys.executable, "-m", "lfield", *words], check=True, stdout=subprocess.DEVNULL)
+    def after(self, at: float) -> str:
+        """A time, in words."""
+        return f"after {at - self._began:.1f} s"
 
-    def _start(self, host: str) -> None:
-        maps = [f"--map={name}=127.0.0.1:{port}" for name, port in self._ports.items()]
-        words = (str(self._folder / "mission.lfm"), "--host", host, "--state", str(self._folder), *maps)
-        self._hosts[host] = self._popen("up", *words)
-        threading.Thread(target=self._read, args=(host, self._hosts[host]), daemon=True).start()
+    @property
+    def lines(self) -> list[str]:
+        """All that happened, and all that the program was told, in order."""
+        told = [(x.at, "told", x.text.split(": ", 2)[2]) for x in self._team.lines if ": told at" in x.text]
+        return [f"{what:8} {text}" for _, what, text in sorted([*self._rows, *told])]
 
-    def _popen(self, *words: str) -> subprocess.Popen[str]:
-        pipe, merged = subprocess.PIPE, subprocess.STDOUT
-        command = [sys.executable, "-m", "lfield", *words]
-        return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=merged, text=True)
 
-    def _read(self, host: str, process: subprocess.Popen[str]) -> None:
-        assert process.stdout is not None
-        for line in process.stdout:
-            self._lines.put((time.monotonic(), line))
-            if SHOWN.search(line):
-                print(f"{host:6} | {line}", end="", flush=True)
-
-    def _wait_for(self, words: str) -> float:
-        """When a line with these words came."""
-        end = time.monotonic() + PATIENCE
-        while True:
-            with suppress(queue.Empty):
-                when, line = self._lines.get(timeout=0.1)
-                if "told at step" in line:
-                    self._summary.append(f"told    {line.split(': ', 2)[2].strip()}")
-                if words in line:
-                    return when
-            if time.monotonic() > end:
-                raise TimeoutError(f"{words!r} did not come within {PATIENCE:.0f} s")
-
-    def _kill(self, host: str, what: str) -> None:
-        at = time.monotonic() - self._began
-        self._hosts[host].kill()
-        print(f"       | ({host} is killed: {what})", flush=True)
+def started_again(team: Team, report: Report) -> None:
+    """Each host that is killed is started again, and goes on with what it had."""
+    said = 0.0
+    for words, seconds, host, what in KILLS:
+        said = team.wait_for(words, said).at
+        time.sleep(seconds)
+        killed = team.kill(host, what)
+        report.row(killed, "killed", f"{host} {report.after(killed)}: {what}")
         time.sleep(AGAIN)
         again = time.monotonic()
-        self._start(host)
-        self._summary.append(f"killed  {host} after {at:.1f} s: {what}")
-        seconds = self._wait_for("survivor goes on where it was kept") - again
-        self._summary.append(f"back    {seconds:.1f} s after the start of its new process")
-
-    def _end(self) -> None:
-        for host in self._hosts.values():
-            host.terminate()
-        for host in self._hosts.values():
-            host.wait()
-        for fake in self._fakes:
-            assert fake.stdin is not None
-            fake.stdin.close()
-            fake.wait()
+        team.start(host)
+        back = team.wait_for("survivor goes on where it was kept", again).at
+        report.row(back, "back", f"{back - again:.1f} s after the start of its new process")
+    done = team.wait_for("survivor: complete").at
+    report.row(done, "complete", report.after(done))
 
 
-def free_port() -> int:
-    """A port of loopback that nobody has."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def gone_for_good(team: Team, report: Report) -> None:
+    """The host that has the coordinator is killed, and stays away."""
+    here = team.wait_for("part 8 is in the box").host
+    time.sleep(0.5)
+    killed = team.kill(here, "its arm takes part 9, and the coordinator is with it")
+    report.row(killed, "killed", f"{here} {report.after(killed)}, for good: its arm takes part 9")
+    behind = "; ".join(since_it_came(team, here))
+    gone_on = team.wait_for("was recovered on", killed)
+    report.row(gone_on.at, "back", f"on {gone_on.host}, {gone_on.at - killed:.1f} s after the kill")
+    report.row(gone_on.at, "lost", f"the hop to {here}, and what came after it: {behind}")
+    done = team.wait_for("clearer: complete", killed).at
+    report.row(done, "complete", f"{report.after(done)}, without {here}")
+
+
+def since_it_came(team: Team, here: str) -> list[str]:
+    """What the coordinator said on a host since it came there: its newest shadow knows none of it."""
+    said = [x for x in team.lines if x.text.startswith("clearer: part")]
+    elsewhere = max((number for number, x in enumerate(said) if x.host != here), default=-1)
+    return [x.text.removeprefix("clearer: ") for x in said[elsewhere + 1 :]]
+
+
+def run(team: Team, fakes: Mapping[str, str], story: Callable[[Team, Report], None]) -> list[str]:
+    """One mission from its start to its end; returns what is said of it. Raises Failed."""
+    report = Report(team)
+    try:
+        team.begin(fakes)
+        story(team, report)
+    finally:
+        team.end()
+    return report.lines
 
 
 def main() -> int:
     """The command."""
-    with tempfile.TemporaryDirectory(prefix="lfield-survives-") as folder:
+    with tempfile.TemporaryDirectory(prefix="lfield-survives-") as folder, ThreadPoolExecutor() as pool:
+        mission = Team("self", HERE / "mission.dL", ("sky", "ground", "bench"), Path(folder))
+        table = Team("quorum", HERE / "table.dL", ("port", "starboard", "tower"), Path(folder))
+        first = pool.submit(run, mission, MISSION, started_again)
         try:
-            summary = Demonstration(Path(folder)).run()
-        except TimeoutError as error:
-            print(f"the mission does not go on: {error}", file=sys.stderr)
+            # Starting is what takes a processor: one after the other.
+            mission.wait_for("sky is up")
+            second = pool.submit(run, table, TABLE, gone_for_good)
+            print("", "self: hosts that are started again", *first.result(), sep="\n")
+            print("", "quorum: a host that never comes back", *second.result(), sep="\n")
+        except Failed as failed:
+            print(f"the mission does not go on: {failed}", file=sys.stderr)
             return exits.FAILED
-    print("", *summary, sep="\n")
     return exits.DONE
 
 

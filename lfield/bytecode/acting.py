@@ -1,8 +1,11 @@
-"""Which methods act: what a portal may change besides the values that it gives back.
+"""What methods may do: which of them act, and which coordinators ask to be recovered elsewhere.
 
-A caller of a portal that only queries has lost nothing when the host dies in the middle of the call, so its
-host need not keep it first. Computed from the instructions alone: whoever runs a program need not trust what
-made it. In doubt a method acts.
+A portal acts when it may change something besides the values that it gives back. A caller of one that only
+queries has lost nothing when the host dies in the middle of the call, so its host need not keep it first. A
+coordinator that may call `heartbeatInterval` (appendix I) is fenced: it runs only under a lease of its host.
+
+Computed from the instructions alone: whoever runs a program need not trust what made it. In doubt a method
+acts, and a coordinator is fenced.
 """
 
 from __future__ import annotations
@@ -14,15 +17,14 @@ from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
 from lfield.bytecode.program import MethodRecord, Program, Quad
 
 _CALL, _MOVE, _PUSH, _DEVICE = (BY_NAME[name].code for name in ("call", "move", "push", "device"))
+_HEARTBEAT = BY_NAME["heartbeat_interval"].code
 _WRITES = frozenset({BY_NAME["putf"].code, BY_NAME["pute"].code})
 #: Results that did not exist before the instruction: no other thread can hold them.
 _MAKES = frozenset(BY_NAME[name].code for name in ("new", "newarray", "lds"))
 #: Heads that leave the engine and change nothing but what people read, time and chance.
+_TELLING = ("write", "print", "now", "random", "find", "findall", "agent", "host", "offers", "explain")
 _HARMLESS = frozenset(
-    row.code
-    for row in BY_CODE.values()
-    if row.name.partition("_")[0]
-    in ("write", "print", "yield", "sleep", "now", "random", "find", "findall", "offers", "explain")
+    row.code for row in BY_CODE.values() if row.name.partition("_")[0] in (*_TELLING, "yield", "sleep")
 )
 
 # What a slot may hold, and what a method may change, as a set of bits: something that existed before and was
@@ -65,6 +67,23 @@ def acting_methods(program: Program) -> frozenset[int]:
             changed |= changes != found[i]
             found[i] = changes
     return frozenset(i for i, changes in enumerate(found) if changes & _LASTING)
+
+
+@lru_cache(maxsize=8)
+def fenced_classes(program: Program) -> frozenset[str]:
+    """The coordinators of a verified program of which some method leads to a call of `heartbeatInterval`.
+
+    Every method of the class counts, also one that nobody calls; constructors are methods too.
+    """
+    methods = program.core.methods
+    heads = [{(quad.op, quad.a) for quad in program.quads[m.entry : m.end]} for m in methods]
+    leads = {i for i, found in enumerate(heads) if any(op == _HEARTBEAT for op, _ in found)}
+    before = -1
+    while before != len(leads):
+        before = len(leads)
+        leads |= {i for i, found in enumerate(heads) if any(op == _CALL and a in leads for op, a in found)}
+    classes = [program.core.classes[methods[i].owner] for i in leads]
+    return frozenset(record.name for record in classes if record.kind == "coordinator")
 
 
 def _through(changes: int, arguments: list[int]) -> int:

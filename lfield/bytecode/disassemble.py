@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from lfield.bytecode.opcodes import BY_CODE, Operand
 from lfield.bytecode.program import (
     ARRAY,
-    BUILTIN_CLASSES,
     MethodDebug,
     MethodRecord,
     Program,
@@ -30,10 +29,10 @@ def disassemble(program: Program) -> str:
     core = program.core
     lines = [
         f"; program {program.digest.hex()}",
-        f"; {len(core.classes) - len(BUILTIN_CLASSES)} classes, {len(core.methods)} methods, "
+        f"; {len(core.classes) - core.builtins} classes, {len(core.methods)} methods, "
         f"{len(program.quads)} instructions, {len(core.constants)} constants",
     ]
-    for index in range(len(BUILTIN_CLASSES), len(core.classes)):
+    for index in range(core.builtins, len(core.classes)):
         lines += ["", *_class_lines(program, index)]
     texts = [source.text.split("\n") for source in program.debug.sources]
     for index in range(len(core.methods)):

@@ -18,7 +18,9 @@ from lfield.bytecode.verify import verify
 from lfield.errors import ProgramFileError
 
 MAGIC = b"LFLP"
-VERSION = 2
+VERSION = 3
+#: Programs of lfield 0.3: some instructions and built-in classes are younger.
+OLD_VERSION = 2
 #: A larger file is refused unread.
 MAX_SIZE = 16 << 20
 
@@ -54,7 +56,7 @@ def decode(data: bytes) -> Program:
     if len(data) > MAX_SIZE:
         raise ProgramFileError(f"it is larger than {MAX_SIZE >> 20} MiB")
     _, version, _, checksum, length = _HEADER.unpack_from(data)
-    if version != VERSION:
+    if version not in (OLD_VERSION, VERSION):
         raise ProgramFileError(f"it has format {version}, this lfield reads format {VERSION}")
     body = memoryview(data)[_HEADER.size :]
     if hashlib.sha256(body).digest() != checksum:

@@ -135,9 +135,12 @@ TABLE: tuple[Opcode, ...] = (
         731, "sneb", "D:boolean S:boolean S:boolean", "Sets 1 to whether boolean 2 differs from boolean 3."
     ),
     _quad(
-        740, "eqr", "D:boolean S:ref S:ref", "Sets 1 to whether 2 and 3 are the same object, or both null."
+        740,
+        "eqr",
+        "D:boolean S:ref S:ref",
+        "Sets 1 to whether 2 and 3 are the same object (of proxies: the same agent), or both null.",
     ),
-    _quad(741, "sner", "D:boolean S:ref S:ref", "Sets 1 to whether 2 and 3 are different objects."),
+    _quad(741, "sner", "D:boolean S:ref S:ref", "Sets 1 to whether 2 and 3 are different objects or agents."),
     _quad(750, "eqnull", "D:boolean S:ref", "Sets 1 to whether reference 2 is null."),
     # J.9 library: output
     _head(800, "write_int", "int", "Writes an int to standard output.", exits=True),
@@ -174,13 +177,20 @@ TABLE: tuple[Opcode, ...] = (
     _head(843, "hops", "->int", "How often this coordinator has migrated."),
     _head(844, "random", "->real", "A random number from 0 up to 1.", exits=True),
     _head(845, "random_int", "int->int", "A random int from 0 up to n-1; ArithmeticException.", exits=True),
+    _head(
+        846,
+        "heartbeat_interval",
+        "real",
+        "Sets how many seconds this coordinator's shadows wait for a heartbeat, -1: for ever; "
+        "ArithmeticException.",
+    ),
     # library: maths
     _head(850, "abs_int", "int->int", "Magnitude; ArithmeticException beyond 64 bits."),
     _head(851, "abs_float", "real->real", "Magnitude."),
     _head(852, "min_int", "int int->int", "The smaller."),
-    _head(853, "min_float", "real real->real", "The smaller."),
+    _head(853, "min_float", "real real->real", "The smaller; NaN if one is."),
     _head(854, "max_int", "int int->int", "The larger."),
-    _head(855, "max_float", "real real->real", "The larger."),
+    _head(855, "max_float", "real real->real", "The larger; NaN if one is."),
     _head(856, "sqrt", "real->real", "Square root; ArithmeticException below 0."),
     _head(857, "sin", "real->real", "Sine of radians."),
     _head(858, "cos", "real->real", "Cosine of radians."),
@@ -218,9 +228,23 @@ TABLE: tuple[Opcode, ...] = (
         "C",
         True,
     ),
+    _head(1304, "agent", "ref->string", "The id of the agent that a proxy is for.", exits=True),
+    _head(1305, "host", "ref->string", "The name of the host where the agent of a proxy is.", exits=True),
     _quad(1400, "throw", "V:ref", "Throws an object; NullException when it is null."),
-    _quad(1401, "noreturn", "", "Throws: a method with a result came to its end without a return."),
-    _head(1500, "device", "", "An instruction of a device of this resource.", "I", True),
+    _quad(
+        1401,
+        "noreturn",
+        "",
+        "Throws MissingReturnException: a method with a result came to its end.",
+    ),
+    _head(
+        1500,
+        "device",
+        "",
+        "An instruction of a device of this resource, or of one that is pushed first.",
+        "I",
+        True,
+    ),
 )
 
 BY_CODE: dict[int, Opcode] = {row.code: row for row in TABLE}

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from functools import cached_property
+from itertools import takewhile
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -35,7 +36,12 @@ BUILTIN_CLASSES = (
     "DeviceException",
     "DeviceTimeoutException",
     "ConstraintException",
+    "MissingReturnException",
 )
+#: What a built-in class is a kind of, where that is not just `Exception`: who catches that takes both.
+BUILTIN_PARENTS = {"DeviceTimeoutException": "DeviceException"}
+#: So many of them has a program of lfield 0.3. Later ones are only added behind.
+OLDEST_BUILTINS = 12
 MESSAGE, SOURCE, TRACE = 0, 1, 2
 
 #: The first field of a capability, and the fields of its class: what every offer tells about itself. `names`,
@@ -123,10 +129,17 @@ class MethodRecord(msgspec.Struct, frozen=True, array_like=True):
     handlers: tuple[Handler, ...] = ()
 
 
-class DeviceCall(msgspec.Struct, frozen=True, array_like=True):
-    """One instruction of one device field that the program uses."""
+#: The field of a call of a device that an object was given: which one, is the first value pushed.
+HELD = ""
 
-    owner: int  # class index of the resource
+
+class DeviceCall(msgspec.Struct, frozen=True, array_like=True):
+    """One instruction of one device field that the program uses, or of a device that objects have (HELD).
+
+    A device is known by its place among those of its resource, from 1; 0 is none.
+    """
+
+    owner: int  # class index of the resource, or of its class
     field: str
     device: str
     instruction: str
@@ -168,6 +181,12 @@ class Core(msgspec.Struct, frozen=True, array_like=True):
     device_calls: tuple[DeviceCall, ...]
     code: bytes
 
+    @property
+    def builtins(self) -> int:
+        """How many of its first classes are built in: fewer in a program that an older lfield has made."""
+        same = (record.name == name for record, name in zip(self.classes, BUILTIN_CLASSES, strict=False))
+        return sum(takewhile(bool, same))
+
 
 class Program:
     """A program in memory: the core, its debug information, its identity, and the code as quads."""
@@ -184,6 +203,19 @@ class Program:
         return tuple(Quad(*row) for row in _QUAD.iter_unpack(self.core.code))
 
     @cached_property
+    def builtins(self) -> int:
+        """How many of its first classes are built in."""
+        return self.core.builtins
+
+    @cached_property
+    def kinds(self) -> tuple[frozenset[int], ...]:
+        """For each class, all that its objects are: the class, what that is a kind of, Exception."""
+        own = [frozenset((0, index)) for index in range(len(self.core.classes))]
+        for name, parent in BUILTIN_PARENTS.items():
+            own[BUILTIN_CLASSES.index(name)] |= own[BUILTIN_CLASSES.index(parent)]
+        return tuple(own)
+
+    @cached_property
     def class_index(self) -> dict[str, int]:
         """Class, resource and coordinator indexes by name."""
         return {record.name: i for i, record in enumerate(self.core.classes)}
@@ -191,7 +223,7 @@ class Program:
     @property
     def units(self) -> dict[str, UnitKind]:
         """Deployable types: name to "resource" or "coordinator" (and "class" for the others)."""
-        return {c.name: c.kind for c in self.core.classes[len(BUILTIN_CLASSES) :]}
+        return {c.name: c.kind for c in self.core.classes[self.builtins :]}
 
     def method_name(self, index: int) -> str:
         """`Owner.name` of a method, as tracebacks and listings show it."""

@@ -253,7 +253,7 @@ class _Parser:
     def _check_operator(self) -> None:
         sign = self._next
         if sign.kind == "symbol" and sign.text in _FOREIGN:
-            raise _Stop(sign.span, f"L has no operator {sign.text}", _INSTEAD.get(sign.text, ""))
+            raise _Stop(sign.span, f"a condition has no operator {sign.text}", _INSTEAD.get(sign.text, ""))
 
     def _binary(self, weakest: int) -> Expr:
         """Operators of at least this precedence."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NoReturn, Protocol
 from lfield import __version__, exits
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
 from lfield.text.outlet import silence
+from lfield.text.visible import visible
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
@@ -28,7 +29,10 @@ COMMANDS = {
     "query": "tell who of a team can do something, and why the others cannot",
     "capabilities": "read, check and extend the registry of capabilities",
     "estop": "bring every device of a running mission into its safe state",
+    "pause": "let no agent of a running mission run, its devices in their safe states",
+    "resume": "let a mission that was paused go on",
     "forget": "end a coordinator that is in doubt, lost or parked, by your word",
+    "recover": "go on with a coordinator whose host is gone for good, by your word",
     "inspect": "explain a dumped agent",
     "doctor": "look for what stands between this computer and its devices",
     "driver": "list the drivers, or begin a new one",
@@ -39,7 +43,7 @@ COMMANDS = {
 _ROOMS = {
     "desk": ("check", "build", "disasm", "inspect", "capabilities"),
     "run": ("up",),
-    "team": ("ps", "query", "estop", "forget"),
+    "team": ("ps", "query", "estop", "pause", "resume", "forget", "recover"),
     "robot": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of every subcommand.
@@ -51,6 +55,7 @@ MODULES = {name: f"lfield.cli.{room}.{name}" for room, names in _ROOMS.items() f
 ORDERLY = {
     "up": ("mission.bundle", "mission.cache", "operator.runs", "host.process.run"),
     "estop": ("operator.addressed", "operator.descent", "operator.runs"),
+    "pause": ("operator.addressed", "operator.descent", "operator.runs"),
     "doctor": ("operator.doctor", "mission.load"),
     "setup": ("devices.setup", "mission.load"),
     "kit": ("devices.try_out", "mission.one_device"),
@@ -139,7 +144,8 @@ def _let_out() -> None:
 
 
 def _tell(text: str) -> None:
-    print(text, file=sys.stderr)
+    """An error may repeat what a program, a file or a host has said."""
+    print(visible(text), file=sys.stderr)
 
 
 def _refuse_empty(words: list[str]) -> None:

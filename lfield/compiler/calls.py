@@ -49,7 +49,8 @@ class Calls:
                 self._evaluated(expr.operation, expr.arguments)
             case DeviceCall():
                 index = tables.device_call(expr, self._frame.method.unit)
-                self._evaluated("device", expr.arguments, index)
+                given = [expr.device] if isinstance(expr.device, Expr) else []
+                self._evaluated("device", [*given, *expr.arguments], index)
             case _:
                 raise AssertionError(f"a {type(expr).__name__} is no call")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from lfield.compiler.constants import Unknown, fold
 from lfield.compiler.frame import Evaluator, Frame, Label
 from lfield.lang import types
+from lfield.lang.chains import terms
 from lfield.lang.tree import Binary, Expr, Logical, Not
 
 _NAMES = {"==": "eq", "!=": "sne", "<": "slt", "<=": "sle", ">": "sgt", ">=": "sge"}
@@ -67,15 +68,13 @@ class Conditions:
                 self._on_slot(self._evaluator.value(expr), when, label)
 
     def _short_circuit(self, expr: Logical, when: bool, label: Label) -> None:
-        decides = expr.op == "||"  # the value of the left side that makes the right side superfluous
-        if decides == when:
-            self.branch(expr.left, when, label)
-            self.branch(expr.right, when, label)
-        else:
-            skip = Label()
-            self.branch(expr.left, not when, skip)
-            self.branch(expr.right, when, label)
-            self._frame.code.place(skip)
+        decides = expr.op == "||"  # the value of a term that makes those behind it superfluous
+        *firsts, last = terms(expr)
+        skip = Label()
+        for term in firsts:
+            self.branch(term, decides, label if decides == when else skip)
+        self.branch(last, when, label)
+        self._frame.code.place(skip)
 
     def _is_null(self, expr: Expr) -> int:
         tested = self._evaluator.operand(expr)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from enum import Enum
 
+from lfield.lang.chains import chain
 from lfield.lang.tree import Binary, Expr, Literal_, Negate, Not, ToReal
 
 Constant = bool | int | float | str | None
@@ -37,10 +38,26 @@ def fold(expr: Expr) -> Constant | Unknown:
             value = fold(expr.operand)
             return not value if isinstance(value, bool) else Unknown.VALUE
         case Binary(op="+" | "-" | "*"):
-            # The right side is first: chains grow on the left, and most are over at their last operand.
-            right = fold(expr.right)
-            return _arithmetic(expr.op, fold(expr.left), right) if isinstance(right, int) else Unknown.VALUE
+            return _sum(expr)
     return Unknown.VALUE
+
+
+def _sum(expr: Binary) -> Constant | Unknown:
+    """The value of `1 + 2 - 3 * 4`, from the left. Most begin with none and are over at once."""
+    first: Expr = expr
+    while isinstance(first, Binary):
+        first = first.left
+    value = fold(first)
+    for link in [*chain(expr, _before), expr] if isinstance(value, int) else []:
+        right = fold(link.right)
+        if not isinstance(value, int) or not isinstance(right, int):
+            return Unknown.VALUE
+        value = _arithmetic(link.op, value, right)
+    return value if isinstance(value, int) else Unknown.VALUE
+
+
+def _before(link: Binary) -> Binary | None:
+    return link.left if isinstance(link.left, Binary) else None
 
 
 def _negate(value: Constant | Unknown) -> Constant | Unknown:
@@ -49,10 +66,9 @@ def _negate(value: Constant | Unknown) -> Constant | Unknown:
     return _within(-value) if isinstance(value, int) else Unknown.VALUE
 
 
-def _arithmetic(op: str, left: Constant | Unknown, right: int) -> Constant | Unknown:
-    if not isinstance(left, int):
-        return Unknown.VALUE
-    return _within({"+": left + right, "-": left - right, "*": left * right}[op])
+def _arithmetic(op: str, left: int, right: int) -> int | Unknown:
+    results = {"+": left + right, "-": left - right, "*": left * right}
+    return _within(results[op]) if op in results else Unknown.VALUE
 
 
 def _within(value: int) -> int | Unknown:

@@ -7,18 +7,22 @@ then. Without one, the result is where it is cheapest: in the slot of a local, o
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 from lfield.compiler.calls import Calls
 from lfield.compiler.conditions import Conditions, comparison, constant_last, tested_for_null
 from lfield.compiler.constants import Unknown, fold
 from lfield.compiler.frame import Frame, Label
 from lfield.compiler.objects import Objects, takes_steps
 from lfield.lang import types
+from lfield.lang.chains import chain, first_evaluated
 from lfield.lang.tree import (
     Assign,
     Binary,
     Call,
     DeviceCall,
     Element,
+    Elements,
     Expr,
     FieldGet,
     Find,
@@ -41,6 +45,10 @@ _ARITHMETIC = {
 }
 
 
+def _is_computed(expr: Expr) -> bool:
+    return isinstance(fold(expr), Unknown)
+
+
 class Expressions:
     """The expressions of one method; see frame.Evaluator for the rules of `value` and `operand`."""
 
@@ -50,10 +58,12 @@ class Expressions:
         self._calls = Calls(frame, self)
         self._objects = Objects(frame, self, self._calls)
         self._conditions = Conditions(frame, self)
+        #: Slots of values that are made already, before those which begin with them (chains.py).
+        self._ready: dict[Expr, int] = {}
 
     def operand(self, expr: Expr) -> int:
         """A constant where the expression is one, else a slot; the caller releases it."""
-        constant = fold(expr)
+        constant = Unknown.VALUE if expr in self._ready else fold(expr)
         return self.value(expr) if isinstance(constant, Unknown | str) else self._frame.constant(constant)
 
     def effect(self, expr: Expr) -> None:
@@ -73,6 +83,14 @@ class Expressions:
 
     def value(self, expr: Expr, wanted: int | None = None) -> int:
         """The slot that has the value: `wanted`, if one is. The caller releases it."""
+        if expr in self._ready:
+            return self._frame.settle(self._ready.pop(expr), expr.type, wanted)
+        links = chain(expr, first_evaluated)
+        for link in links[bisect_left(links, True, key=_is_computed) :]:
+            self._ready[link] = self._found(link, None)
+        return self._value(expr, wanted)
+
+    def _value(self, expr: Expr, wanted: int | None) -> int:
         constant = fold(expr)
         if isinstance(constant, str):
             result = self._frame.result(expr.type, wanted)
@@ -80,6 +98,10 @@ class Expressions:
             return result
         if not isinstance(constant, Unknown):
             return self._frame.settle(self._frame.constant(constant), expr.type, wanted)
+        return self._found(expr, wanted)
+
+    def _found(self, expr: Expr, wanted: int | None) -> int:
+        """Values that are no constants."""
         match expr:
             case This():
                 return self._frame.settle(0, expr.type, wanted)
@@ -102,7 +124,8 @@ class Expressions:
                 return self._comparison(expr, wanted)
             case Binary():
                 name = _ARITHMETIC[expr.type][expr.op]
-                return self._binary(name, *constant_last(expr), expr, wanted)
+                sides = (expr.left, expr.right) if expr.left in self._ready else constant_last(expr)
+                return self._binary(name, *sides, expr, wanted)
             case Negate():
                 return self._unary("negi" if expr.type == types.INT else "negf", expr.operand, expr, wanted)
             case Not():
@@ -115,6 +138,8 @@ class Expressions:
                 return self._objects.new(expr, wanted)
             case NewArray():
                 return self._objects.new_array(expr, wanted)
+            case Elements():
+                return self._objects.elements(expr, wanted)
             case Call() | PortalCall() | Find() | Query() | Library() | DeviceCall():
                 return self._calls.value(expr, wanted)
         raise AssertionError(f"there is no value of a {type(expr).__name__}")

@@ -10,13 +10,13 @@ from lfield.bytecode.program import MESSAGE
 from lfield.compiler.calls import Calls
 from lfield.compiler.frame import Evaluator, Frame, Label
 from lfield.lang import types
-from lfield.lang.tree import Expr, New, NewArray
+from lfield.lang.tree import Elements, Expr, New, NewArray
 from lfield.lang.types import ArrayType, Type
 
 
 def takes_steps(expr: Expr) -> bool:
     """Whether the slot that wants a value would be written before the value is complete."""
-    return isinstance(expr, New) or (isinstance(expr, NewArray) and len(expr.lengths) > 1)
+    return isinstance(expr, New | Elements) or (isinstance(expr, NewArray) and len(expr.lengths) > 1)
 
 
 class Objects:
@@ -51,6 +51,20 @@ class Objects:
         self._fill(result, expr.type, lengths)
         if len(lengths) > 1:
             self._frame.slots.release(*lengths)
+        return result
+
+    def elements(self, expr: Elements, wanted: int | None) -> int:
+        """`new T[] {a, b}`: the array, then one element after the other into its place."""
+        frame, code = self._frame, self._frame.code
+        result, index = frame.result(expr.type, wanted), frame.result(types.INT, None)
+        length = frame.constant(len(expr.elements))
+        code.emit("newarray", result, frame.tables.type_index(expr.type), length)
+        for number, element in enumerate(expr.elements):
+            value = self._evaluator.operand(element)
+            code.emit("move", index, frame.constant(number))
+            code.emit("pute", result, index, value)
+            frame.slots.release(value)
+        frame.slots.release(index)
         return result
 
     def _fill(self, made: int, array: Type, lengths: list[int]) -> None:

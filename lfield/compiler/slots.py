@@ -70,7 +70,8 @@ class Slots:
 
     def _named(self, local: Local, kind: int) -> int:
         slot = self._new(kind)
-        self.names.append((slot, local.name))
+        if local.name:
+            self.names.append((slot, local.name))
         return slot
 
     def _new(self, kind: int) -> int:

@@ -9,6 +9,7 @@ from lfield.compiler.constants import fold
 from lfield.compiler.expressions import Expressions
 from lfield.compiler.frame import Frame, Label
 from lfield.lang import types
+from lfield.lang.chains import parts
 from lfield.lang.tree import (
     Assign,
     Block,
@@ -26,7 +27,6 @@ from lfield.lang.tree import (
     Stmt,
     Throw,
     Try,
-    parts,
 )
 from lfield.lang.types import Type
 
@@ -103,22 +103,29 @@ class Statements:
             self._code.emit("move", slot, self._frame.constant(_zero(stmt.local.type)))
 
     def _if(self, stmt: If) -> None:
+        end = Label()
+        rest: list[Stmt] = [stmt]
+        while self._code.reachable and (one := _single_if(rest)) is not None:
+            rest = self._rung(one, end)
+        self.block(rest)
+        self._code.place(end)
+
+    def _rung(self, stmt: If, end: Label) -> list[Stmt]:
+        """One `if` of a ladder; gives what is left to do when its condition does not hold."""
         constant = fold(stmt.condition)
         if isinstance(constant, bool):
-            self.block(stmt.then if constant else stmt.otherwise)
-            return
+            return stmt.then if constant else stmt.otherwise
         leave = None if stmt.otherwise else self._leaving(stmt.then)
         if leave is not None:
             self._branch(stmt.condition, True, leave)
-            return
-        otherwise, end = Label(), Label()
+            return []
+        otherwise = Label()
         self._branch(stmt.condition, False, otherwise)
         self.block(stmt.then)
         if stmt.otherwise:
             self._code.jump("jmp", end)
         self._code.place(otherwise)
-        self.block(stmt.otherwise)
-        self._code.place(end)
+        return stmt.otherwise
 
     def _leaving(self, body: list[Stmt]) -> Label | None:
         """The label that a body of nothing but `break` or `continue` jumps to."""
@@ -183,6 +190,13 @@ class Statements:
             frame.handlers.append(Handler(start, end, self._code.position, caught, slot))
             self._code.place(Label(), entered=True)
             self.block(catch.body)
+
+
+def _single_if(body: list[Stmt]) -> If | None:
+    match body:
+        case [If() as one]:
+            return one
+    return None
 
 
 def _changed_inside(root: Expr) -> frozenset[Local]:

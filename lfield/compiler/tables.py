@@ -8,6 +8,7 @@ from lfield.bytecode.program import (
     BOOLEAN,
     BUILTIN_CLASSES,
     DEVICE,
+    HELD,
     INT,
     OBJECT,
     PROXY,
@@ -97,7 +98,7 @@ class Tables:
         """The index of an instruction of a device field; the same one is kept once."""
         row = DeviceCall(
             self.class_index(owner.name),
-            call.device.name,
+            call.device.name if isinstance(call.device, tree.Field) else HELD,
             call.manifest.type,
             call.instruction.name,
             tuple(self.type_index(_DEVICE_TYPES[p.type]) for p in call.instruction.parameters),
@@ -123,6 +124,10 @@ class Tables:
             unit.usage,
             tuple(FieldRecord(field.name, self.type_index(field.type)) for field in unit.fields),
             next(inits, -1),
-            tuple(DeviceField(f.name, f.type.name) for f in unit.fields if isinstance(f.type, DeviceType)),
+            tuple(
+                DeviceField(f.name, f.type.name)
+                for f in unit.fields
+                if isinstance(f.type, DeviceType) and unit.kind == "resource"
+            ),
             unit.capability,
         )

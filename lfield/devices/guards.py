@@ -16,6 +16,7 @@ from lfield.devices.fakes import Fake, on_running_fakes
 from lfield.devices.keeper import Guard
 from lfield.devices.lateness import Lateness, Limit
 from lfield.driver.binding import DeviceBinding, by_bus
+from lfield.driver.contract import RELEASE
 from lfield.driver.known import Drivers
 from lfield.errors import DeviceError, DevicesError
 from lfield.guard.core import SILENCE
@@ -153,11 +154,51 @@ class Guards:
 
     async def emergency_stop(self, reason: str) -> dict[str, str]:
         """Every device into its safe state: '' for each that confirmed within STOPS_WITHIN, else why not."""
+        return await self._confirmed(lambda guard: guard.bar(reason))
+
+    async def rest(self, reason: str) -> dict[str, str]:
+        """The same, and whoever calls `let_go` with that reason may have them back; no program is barred."""
+
+        def hold(guard: Guard) -> None:
+            for name in guard.movable:
+                guard.make_safe(name, reason)
+
+        return await self._confirmed(hold)
+
+    async def let_go(self, reason: str) -> dict[str, str]:
+        """Release the devices that are held for that reason; for each that moves why it stays held, or ''."""
+        table: dict[str, str] = {}
+        for guard in self._guards:
+            for name in guard.movable:
+                held = guard.held.latched.get(name, "")
+                table[name] = guard.held.barred or (held if held != reason else "")
+                if held and not table[name]:
+                    table[name] = await self._release(name)
+        return table
+
+    async def _release(self, name: str) -> str:
+        """Why a device could not be released, '' when it is."""
+        answered: asyncio.Future[DeviceValue | DeviceError] = asyncio.get_running_loop().create_future()
+        agent, _, field = name.rpartition(".")
+
+        def tell(value: DeviceValue | DeviceError) -> None:
+            if not answered.done():
+                answered.set_result(value)
+
+        try:
+            self.call(agent, field, RELEASE.name, (), tell)
+            async with asyncio.timeout(STOPS_WITHIN):
+                value = await answered
+        except (DeviceError, TimeoutError) as error:
+            return str(error) or "it does not answer"
+        return str(value) if isinstance(value, DeviceError) else ""
+
+    async def _confirmed(self, stop: Callable[[Guard], None]) -> dict[str, str]:
         changed = asyncio.Event()
         self._stopping.append(changed)
         for guard in self._guards:
             guard.held.on_change = self._latched
-            guard.bar(reason)
+            stop(guard)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(STOPS_WITHIN):
                 while any(not guard.held.confirmed.issuperset(guard.movable) for guard in self._guards):

@@ -6,18 +6,23 @@ calls a method for each event, then `run`, and carries out what `take` gives. A 
 
 from __future__ import annotations
 
+import math
 import random
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.host.directory import TeamDirectory
 from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Nearby, Reach, Say, Write
+from lfield.host.inits import Inits
 from lfield.host.offers import Offers
+from lfield.host.team import words
+from lfield.host.team.beginning import Beginning
 from lfield.host.team.coordinators import Coordinators
+from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
-from lfield.journal.pages import CopyPage, Page
+from lfield.journal.pages import Page
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
@@ -25,24 +30,15 @@ from lfield.mobility.core import MobilityMessage
 from lfield.mobility.fates import Fate
 from lfield.mobility.hearsay import Hearsay
 from lfield.mobility.neighbours import Neighbourhood
-from lfield.mobility.starts import Starts
 from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Reading
 from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
 from lfield.vm.world import PENDING, Pending
-from lfield.wire.fields import clip
-from lfield.wire.messages import (
-    Control,
-    Ended,
-    EndedAck,
-    Heard,
-    Hello,
-    Known,
-    Report,
-    Room,
-    Transfer,
-)
+from lfield.wire.coordinators import Ended, EndedAck, Known, Transfer
+from lfield.wire.messages import Control, Heard, Hello, Report, Room
+from lfield.wire.observing import Recover, Recovered
+from lfield.wire.quorum import QuorumMessage
 
 
 class HostCore:
@@ -69,27 +65,33 @@ class HostCore:
         self.here = self.team.number(name)
         self._clock, self._nearby, self._memory = clock, nearby, memory
         self._effects: list[Effect] = []
-        self.machine = Machine(mission.program, self.team.members, self.here, incarnation, self, clock, dice)
-        self._team = Coordinators(
+        self.machine = Machine(
+            mission.program, self.team.members, self.here, incarnation, self, clock, dice, mission.fenced
+        )
+        self.coordinators = Coordinators(
             mission, self._hello([]), self.machine, clock, self._out, unreachable_after, pages
         )
-        self.mobility = self._team.mobility
+        self.mobility = self.coordinators.mobility
         self.directory = TeamDirectory(mission, name, incarnation, self.machine.agents, nearby, clock)
+        self._leases = Leases(
+            mission, self._hello([]), self.coordinators, self.machine, clock, self._out, pages, dice
+        )
+        self.coordinators.barred = self._leases.barred
+        self._inits = Inits(self.machine.agents, self._say)
         self._offers = Offers(self.directory, mission)
         self._policies = Policies(mission.devices_of(name))
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
-        self._own = [member for member in self.team.on(self.here) if member.kind == "coordinator"]
-        self._starts = Starts([m.id for m in self._own], [h for h in self.team.hosts if h != name])
-        #: The batch that has the number of a start, and that number, until it is on the disk.
-        self._counting: tuple[int, int] | None = None
-        #: Why no coordinator should come, '' when one may.
-        self._trouble = ""
+        self._own = [member.id for member in self.team.on(self.here) if member.kind == "coordinator"]
+        others = [host for host in self.team.hosts if host != name]
+        self._beginning = Beginning(
+            self._own, others, self.coordinators, self._leases, self._say, kept=bool(memory)
+        )
 
     # --- out ------------------------------------------------------------------------------------------
 
     def take(self) -> list[Effect]:
         """What is to be done, in this order; each effect is given once."""
-        effects, self._effects = [*self._effects, *self._team.batch()], []
+        effects, self._effects = [*self._effects, *self.coordinators.batch()], []
         return effects
 
     def _out(self, effect: Effect) -> None:
@@ -97,7 +99,7 @@ class HostCore:
 
     def hello(self) -> Hello:
         """What this host says of itself now."""
-        return self._hello(self.mobility.knowledge())
+        return self._hello(self.mobility.greeting())
 
     def _reach(self, host: str) -> None:
         """A link to this host is needed, if there is none."""
@@ -116,6 +118,7 @@ class HostCore:
             self.mission.registry.digest if self.mission.registry is not None else b"",
             self.mission.world,
             self._memory,
+            str(self.mission.recovery) if self.mission.fenced else "",
         )
 
     # --- time -----------------------------------------------------------------------------------------
@@ -126,28 +129,42 @@ class HostCore:
         Returns the seconds until it is to be called again (0: at once), None for only after an event.
         """
         now = self._clock.monotonic()
-        self._team.tick(now)
+        self.coordinators.tick(now)
         if self.directory.due is not None and now >= self.directory.due:
             self._effects += self.directory.tick(now)
         if self.hearsay.due is not None and now >= self.hearsay.due:
             self._effects += [mobile.Send(host, news) for host, news in self.hearsay.tell(now)]
+        if self._leases.tick(now):
+            self._beginning.look()
         if self._policies.due is not None and now >= self._policies.due:
             self._effects += self._policies.look(self.name, self.mobility.knowledge(), self.hearsay, now)
-        pause = None if self._team.halted else self.machine.run()
-        self._team.answer()
-        dues = (self._team.due, self.directory.due, self.hearsay.due, self._policies.due)
+        pause = None if self.coordinators.halted or self.coordinators.paused else self.machine.run()
+        self.coordinators.answer()
+        self._inits.look(now)
+        dues = (
+            self.coordinators.due,
+            self.directory.due,
+            self.hearsay.due,
+            self._leases.due,
+            self._policies.due,
+            self._inits.due,
+        )
         left = [max(0.0, due - now) for due in dues if due is not None]
         return min([*left, *([] if pause is None else [pause])], default=None)
 
     # --- life -----------------------------------------------------------------------------------------
 
-    def start_resources(self) -> None:
-        """The devices are open: start the resources, and take in the coordinators that came meanwhile."""
+    def start_resources(self, *, first: bool = False) -> None:
+        """The devices are open: start the resources, and take in the coordinators that came meanwhile.
+
+        `first`: somebody says that this host was never started before.
+        """
         for member in self.team.on(self.here):
             if member.kind == "resource":
                 self.machine.start(member, self.mission.bindings.limits(member.id), 0)
         self.directory.open()
-        self._team.open()
+        self.coordinators.open()
+        self._leases.begin(first=first)
 
     def start_coordinators(self, *, first: bool = False) -> None:
         """The other hosts had time to say what they know: go on with the coordinators that the journal has,
@@ -156,117 +173,95 @@ class HostCore:
         `first`: somebody says that there was no earlier start. Else a host that has none on record must hear
         all others first.
         """
-        self._team.wake()
+        self._leases.wake()
+        self.coordinators.wake()
         for known in self.mobility.knowledge():
-            if known.state in ("PREPARED", "IN DOUBT"):
+            # What is barred has no place where it may be.
+            if known.state in ("PREPARED", "IN DOUBT") and known.where:
                 self._reach(known.where)
-        self._starts.begin(self._team.recovery.starts, first=first)
-        self._start_when_heard()
+        self._beginning.begin(first=first)
 
     def halt(self) -> None:
         """The host is stopping: no agent runs any more, and no coordinator is taken in.
 
         What is under way between hosts goes on, and so does what this host tells of itself.
         """
-        self._team.park()
-
-    @property
-    def outdated(self) -> list[CopyPage]:
-        """What the journal need not keep any more."""
-        return self._team.recovery.outdated
+        self.coordinators.park()
 
     @property
     def settled(self) -> bool:
         """Whether the coordinators of this host are started, as far as they are."""
-        return self._starts.begun and self._counting is None
+        return self._beginning.settled
 
     @property
     def has_coordinators(self) -> bool:
         """Whether any start here, or were here when this host was last up."""
-        return bool(self._own or self._team.recovery.copies)
+        return bool(self._own or self.coordinators.recovery.copies)
 
     @property
-    def parked(self) -> Collection[CopyPage]:
-        """The coordinators that the journal keeps for another program."""
-        return self._team.recovery.parked
-
-    @property
-    def trouble(self) -> str:
-        """Why nothing can be kept now, '' while all is well."""
-        return self._team.trouble
+    def lease(self) -> float | None:
+        """For how many seconds yet coordinators may act here, None where they need no lease."""
+        return self._leases.left
 
     def waits(self, agent: Agent) -> str:
-        """What a frozen coordinator waits for, in a word or two."""
-        return self._team.waits(agent)
+        """What a coordinator waits for besides its own work, in a few words; '' for nothing."""
+        if not agent.frozen:
+            return self._inits.waits(agent)
+        return "waits for a majority" if self._leases.is_waiting(agent) else self.coordinators.waits(agent)
 
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
-        self._team.not_kept(why)
+        self.coordinators.not_kept(why)
 
     def room(self, trouble: str) -> None:
         """Why the journal should take in nothing more, or '': whoever would send something is told."""
-        self._trouble = trouble
         self._say(f"no coordinator is taken in: {trouble}" if trouble else "coordinators are taken in again")
-        self._effects += [mobile.Send(host, Room(clip(trouble))) for host in self.hearsay.links]
+        self.coordinators.full = trouble
+        self._tell_room()
+
+    def _tell_room(self) -> None:
+        self._effects += [mobile.Send(host, self.coordinators.room) for host in self.hearsay.links]
+
+    def pause(self, *, on: bool) -> None:
+        """A person pauses the mission on this host, or lets it go on."""
+        words.pause(self.coordinators, self.machine, self._clock.monotonic(), on=on)
+        self._tell_room()
 
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
-        self._team.kept(number)
-        if self._counting and number >= self._counting[0]:
-            _, counted = self._counting
-            self._counting = None
-            self._begin(counted)
-
-    def _start_when_heard(self) -> None:
-        if why := self._starts.why():
-            self._say(why)
-        if not self._team.halted and self._starts.due:
-            self._begin(0)
-
-    def _begin(self, counted: int) -> None:
-        """Start the coordinators, once the number of that start is kept, and no later one was heard of."""
-        known = self.mobility.knowledge()
-        self._starts.learn(known)
-        against = {member.id: self._why_not(member.id, known) for member in self._own}
-        if self._memory and counted < self._starts.next and not all(against.values()):
-            self._counting = self._team.count(self._starts.next), self._starts.next
-            return
-        for agent, why in against.items():
-            if why:
-                self._say(f"{agent} {why}: not started again")
-            else:
-                self._team.carry_out(self.mobility.start(agent, self._starts.next))
-
-    def _why_not(self, agent: str, known: list[Known]) -> str:
-        """Why a coordinator of this host is not started now, '' if nothing is against it."""
-        alive = "is alive on another host" if self._starts.alive(agent, known) else ""
-        return self._team.recovery.why_not(agent, known) or alive
+        self.coordinators.kept(number)
+        self._beginning.kept(number)
 
     def reaped(self, host: str) -> None:
         """A host of this team has ended for good: whoever started it says so."""
         if host in self.team.hosts and host != self.name:
             self.hearsay.gone.add(host)
-            self._starts.heard(host)
-            self._start_when_heard()
+            self._beginning.heard(host)
+            self._beginning.look()
             self._effects.append(CHANGED)
 
     def wanted(self) -> set[str]:
         """The hosts to have links with now: the neighbours, and whoever is waited for."""
         near = self.hearsay.wanted(self._clock.monotonic())
-        return {*near, *self._starts.wanted, *self.mobility.wanted()} - {self.name}
+        return {*near, *self._beginning.wanted, *self.mobility.wanted(), *self._leases.wanted} - {self.name}
 
     def told(self, host: str, records: list[Known]) -> None:
         """A host that was asked says what it knows of coordinators."""
         self._policies.told(host, records, self._clock.monotonic())
-        self._team.carry_out(self.mobility.told(host, records))
+        self.coordinators.carry_out(self.mobility.told(host, records))
 
     def forget(self, agent: str) -> list[int]:
         """A person says that this coordinator is lost; the starts of it that end here."""
-        return self._team.forget(agent)
+        return words.forget(self.coordinators, agent)
+
+    def recover(self, word: Recover) -> Recovered:
+        """A person says that whoever held a coordinator is gone for good: this host goes on with it."""
+        fence = self._leases.quorum.fences.of(word.agent)
+        return words.recover(self.coordinators, self.name, self.here, word, fence)
 
     def pass_on(self, found: Iterable[Fate]) -> None:
         """This host is about to go: whoever can be reached is told of all endings, and of what it found."""
-        self._team.carry_out(self.mobility.pass_on(found))
+        self.coordinators.carry_out(self.mobility.pass_on(found))
 
     # --- events of links ------------------------------------------------------------------------------
 
@@ -275,13 +270,13 @@ class HostCore:
         restarted = self.hearsay.linked(hello.host, hello.incarnation)
         if restarted or hello.host in self.hearsay.near:
             self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
-        self._starts.heard(hello.host, hello.coordinators)
+        self._beginning.heard(hello.host, hello.coordinators)
         self._effects += self.directory.linked(hello)
-        if self._trouble:
-            self._effects.append(mobile.Send(hello.host, Room(clip(self._trouble))))
-        self._team.carry_out(self.mobility.room(hello.host, ""))
-        self._team.carry_out(self.mobility.linked(hello))
-        self._start_when_heard()
+        if self.coordinators.room.trouble:
+            self._effects.append(mobile.Send(hello.host, self.coordinators.room))
+        self.coordinators.carry_out(self.mobility.room(hello.host, ""))
+        self.coordinators.carry_out(self.mobility.linked(hello))
+        self._beginning.look()
         self._effects.append(CHANGED)
 
     def unlinked(self, host: str, *, quietly: bool = False) -> None:
@@ -291,16 +286,16 @@ class HostCore:
         self.mobility.unlinked(host)
         self.directory.unlinked(host)
         self.hearsay.unlinked(host, self._clock.monotonic())
-        self._starts.unlinked(host)
+        self._beginning.unlinked(host)
         self._effects.append(CHANGED)
 
     def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator came: it runs before its sender gets an answer."""
-        self._team.arrived(host, header, block)
+        self.coordinators.arrived(host, header, block)
 
     def too_large(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator came whose block was not even read."""
-        self._team.carry_out(self.mobility.oversize(host, header, size))
+        self.coordinators.carry_out(self.mobility.oversize(host, header, size))
 
     def received(self, host: str, message: Control) -> None:
         """A host has answered, asks, tells of an ending or of its agents."""
@@ -308,11 +303,13 @@ class HostCore:
             if complaint := self.directory.received(host, message):
                 self._effects.append(Complain(complaint))
         elif isinstance(message, Room):
-            self._team.carry_out(self.mobility.room(host, message.trouble))
+            self.coordinators.carry_out(self.mobility.room(host, message.trouble))
         elif isinstance(message, Heard):
             self.hearsay.told(host, message, self._clock.monotonic())
+        elif isinstance(message, QuorumMessage):
+            self._leases.received(host, message)
         elif isinstance(message, MobilityMessage):
-            self._team.carry_out(self.mobility.receive(host, message, self._clock.monotonic()))
+            self.coordinators.carry_out(self.mobility.receive(host, message, self._clock.monotonic()))
             if isinstance(message, Ended | EndedAck):
                 self._effects.append(CHANGED)
 
@@ -338,18 +335,25 @@ class HostCore:
         """A line of `print`."""
         self._say(f"{agent.id}: {text}")
 
-    def keep(self, agent: Agent) -> bool:
-        """A coordinator is about to call a further portal of this host that acts."""
-        return self._team.save(agent)
+    def may_begin(self, agent: Agent, acts: bool) -> bool:
+        """Whether a portal of this host may begin now.
+
+        Where its caller stands is kept before one that acts, and some callers need a lease.
+        """
+        return self._leases.may_begin(agent) and (agent.kept or not acts or self.coordinators.save(agent))
 
     def superseded(self, agent: str, generation: int) -> bool:
         """Whether that start of a coordinator was stopped because an earlier one goes on."""
         return self.mobility.superseded(agent, generation)
 
+    def host_of(self, member: Member) -> str:
+        """The name of the host where an agent of the team lives."""
+        return self.team.hosts[member.host]
+
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
         self._reach(self.team.hosts[resource.host])
-        self._team.depart(agent, resource)
+        self.coordinators.depart(agent, resource)
 
     def device(
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
@@ -357,9 +361,14 @@ class HostCore:
         """A device instruction: telemetry is known here, anything else is the guard's."""
         value = self._nearby.query(agent.id, call)
         if isinstance(value, Pending):
+            until = math.inf
+            if call.effect != "query" and self.machine.is_left(agent, thread):
+                raise DeviceError(call.field, "the call that would command it was taken from its caller")
             if call.effect != "query" and (caller := self.machine.caller(agent, thread)):
-                self._policies.used(f"{agent.id}.{call.field}", caller, self._clock.monotonic())
-            self._effects.append(Call(agent, thread, call, values))
+                device = f"{agent.id}.{call.field}"
+                until = self._leases.until(caller, device)
+                self._policies.used(device, caller.id, self._clock.monotonic())
+            self._effects.append(Call(agent, thread, call, values, until))
             return PENDING
         return value
 
@@ -380,7 +389,7 @@ class HostCore:
         if agent.ended == "died":
             self._report_death(agent)
         if agent.member.kind == "coordinator":
-            self._team.ended(agent)
+            self.coordinators.ended(agent)
         self._effects.append(CHANGED)
 
     def _report_death(self, agent: Agent) -> None:

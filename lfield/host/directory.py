@@ -26,7 +26,8 @@ from lfield.vm.agent import Agent
 from lfield.vm.contract import Reading
 from lfield.vm.world import Pending
 from lfield.wire.fields import age, clip
-from lfield.wire.messages import Hello, Report, Told, ToldFact
+from lfield.wire.messages import Hello, Report
+from lfield.wire.observing import Told, ToldFact
 
 #: The registry of a mission that asks for no capability.
 NO_REGISTRY = Registry({}, {}, {}, {}, {}, {})

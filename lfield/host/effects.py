@@ -6,6 +6,7 @@ Of mobility's effects two leave the core, `Send` and `SendTransfer`; the others 
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 from msgspec import Struct
@@ -49,12 +50,16 @@ class Complain(Struct, frozen=True):
 
 
 class Call(Struct, frozen=True):
-    """Have a device of this host carry an instruction out; the answer goes to `HostCore.answered`."""
+    """Have a device of this host carry an instruction out; the answer goes to `HostCore.answered`.
+
+    What acts begins before `until`, in seconds of the host's clock, or not at all.
+    """
 
     agent: Agent
     thread: int
     call: DeviceCall
     values: list[DeviceValue]
+    until: float = math.inf
 
 
 class MakeSafe(Struct, frozen=True):

@@ -30,8 +30,8 @@ from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
 from lfield.host.status import status_of
 from lfield.host.surroundings import Surroundings
+from lfield.host.visitors import Visitors
 from lfield.journal.journal import Journal
-from lfield.loop import spawn
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility.core import Mobility
@@ -44,17 +44,9 @@ from lfield.text.private import write_private
 from lfield.vm.agent import Agent
 from lfield.vm.inspect import dump
 from lfield.vm.machine import Machine
-from lfield.wire.messages import (
-    Control,
-    EmergencyStop,
-    EmergencyStopped,
-    Forget,
-    Forgotten,
-    Hello,
-    Status,
-    StatusRequest,
-    Transfer,
-)
+from lfield.wire.coordinators import Transfer
+from lfield.wire.messages import Control, Hello
+from lfield.wire.observing import Status, StatusRequest
 
 #: How long a starting host waits for the others' first answers before it starts its coordinators: one that
 #: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
@@ -63,8 +55,6 @@ CENSUS = 1.5
 RESERVE = 4 << 20
 #: What a computer is out of when it refuses a socket.
 SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
-#: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
-LOOKING, LAST_LOOK = 3.0, 1.5
 
 
 @dataclass(slots=True)
@@ -122,6 +112,9 @@ class Host:
             self.scribe.memory,
             self.scribe.pages,
         )
+        self._visitors = Visitors(
+            self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
+        )
         self.changed = asyncio.Event()
         #: Set when the host has failed: `failure` says by what.
         self.failed = asyncio.Event()
@@ -137,9 +130,7 @@ class Host:
         self._events: deque[Callable[[], None]] = deque()
         # Of a host that has no memory left; until then it is address space only.
         self._reserve = mmap(-1, RESERVE)
-        self._entered = self._stopped = self._pressed = False
-        #: When somebody last asked how the devices are.
-        self._looked = -LOOKING
+        self._entered = self._stopped = False
 
     @property
     def machine(self) -> Machine:
@@ -163,10 +154,11 @@ class Host:
         devices = self.mission.devices_of(self.name)
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
-        self.note(f"{self.name} is up on {self.address}")
-        self.scribe.forget(self.core.outdated)
+        await self._visitors.stay_paused()
+        self.note(f"{self.name} is up on {self.address}{'' if self.scribe.memory else ', and keeps nothing'}")
+        self.scribe.forget(self.core.coordinators.recovery.outdated)
         self.scribe.look()
-        self._enter(self.core.start_resources)
+        self._enter(partial(self.core.start_resources, first=self.options.first_start))
         if not self.core.has_coordinators:
             return
         await self.peers.first_round(CENSUS)
@@ -194,7 +186,7 @@ class Host:
         unsafe = await self.guards.close()
         for name, why in unsafe.items():
             self.note(f"{name}: NOT SAFE: {why}")
-        await self._be_seen()
+        await self._visitors.be_seen()
         await self.scribe.close()
         self._stopped = True
         if self._timer:
@@ -202,11 +194,6 @@ class Host:
         self.peers.close()
         self.logbook.flush()
         return unsafe
-
-    async def _be_seen(self) -> None:
-        """After an emergency stop somebody may be looking at the devices: let them see how that has ended."""
-        if self._pressed and self.clock.monotonic() - self._looked < LOOKING:
-            await asyncio.sleep(LAST_LOOK)
 
     # --- one way in, one way out ----------------------------------------------------------------------
 
@@ -307,7 +294,9 @@ class Host:
 
         call = asked.call
         try:
-            self.guards.call(asked.agent.id, call.field, call.instruction, asked.values, answered)
+            self.guards.call(
+                asked.agent.id, call.field, call.instruction, asked.values, answered, until=asked.until
+            )
         except DeviceError as error:
             answered(error)
 
@@ -349,19 +338,14 @@ class Host:
 
     def received(self, host: str, message: Control, link: Link) -> None:
         """A message came; `host` is '' when an observer sent it."""
-        if isinstance(message, StatusRequest):
-            self._looked = self.clock.monotonic()
-            link.send(self.status())
-        elif isinstance(message, Status):
+        if isinstance(message, Status):
             self.statuses[host] = message
             if host:
                 self._enter(partial(self.core.told, host, message.coordinators))
             self.changed.set()
-        elif isinstance(message, EmergencyStop) and not host:
-            spawn(self._emergency_stop(message, link))
-        elif isinstance(message, Forget) and not host:
-            self._enter(partial(self._forget, message, link))
-        elif host:
+        elif isinstance(message, StatusRequest) or not host:
+            self._visitors.received(message, link)
+        else:
             self._enter(partial(self.core.received, host, message))
 
     def reaped(self, host: str) -> None:
@@ -371,22 +355,6 @@ class Host:
     def pass_on(self, found: Iterable[Fate]) -> None:
         """This host is about to go: it tells all others of the endings it knows, and what it found."""
         self._enter(partial(self.core.pass_on, found))
-
-    def _forget(self, message: Forget, link: Link) -> None:
-        with suppress(AddressError):
-            link.send(Forgotten(self.core.forget(message.agent)))
-
-    async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
-        self._pressed = not message.lift
-        if message.lift:
-            self.note("the emergency stop is lifted; programs may release their devices")
-            devices = self.guards.lift_stop()
-        else:
-            self.note(f"EMERGENCY STOP: {message.reason}")
-            devices = await self.guards.emergency_stop(message.reason)
-        # Whoever pressed it may be gone by now: an impatient finger, a radio that is out of reach.
-        with suppress(AddressError):
-            link.send(EmergencyStopped(devices))
 
     def note(self, text: str) -> None:
         """A line for the log."""

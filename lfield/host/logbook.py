@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from typing import TextIO
 
+from lfield.text.visible import visible
+
 
 class Logbook:
     """Two streams, outlets in a host's process (text/outlet.py): neither makes the host wait, or fails."""
@@ -29,8 +31,8 @@ class Logbook:
             self._out.flush()
 
     def note(self, text: str) -> None:
-        """A line of the log."""
+        """A line of the log; what programs and other hosts say in it orders no terminal."""
         self.flush()
         if self._log is not None:
-            self._log.write(text + "\n")
+            self._log.write(visible(text) + "\n")
             self._log.flush()

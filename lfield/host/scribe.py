@@ -101,10 +101,12 @@ class Scribe:
                 await self._journal.keep([])
         self.look()
 
-    async def all_kept(self, bound: float | None = None) -> None:
-        """Return when nothing waits for the disk, or after so many seconds."""
+    async def all_kept(self, bound: float | None = None) -> bool:
+        """Return when nothing waits for the disk, or after so many seconds: whether all that did is on it."""
+        waited = list(self._waiting)
         if self._work is not None:
             await asyncio.wait([self._work], timeout=bound)
+        return not any(batch is one for batch in waited for one in self._waiting)
 
     async def close(self) -> None:
         """Leave the journal so that it is quickly opened again."""

@@ -25,7 +25,7 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.memory.threads import threads
 from lfield.wire.fields import MAX_LABEL, MAX_NUMBERS, Telemetry, age, clip
-from lfield.wire.messages import AgentStatus, DeviceStatus, JournalStatus, LinkStatus, ParkedStatus, Status
+from lfield.wire.observing import AgentStatus, DeviceStatus, JournalStatus, LinkStatus, ParkedStatus, Status
 
 #: The states of threads, the liveliest first.
 _LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
@@ -60,12 +60,14 @@ def status_of(
         late=_since(lateness.last_minute(now)) if lateness else None,
         silence=lateness.limit.silence if lateness else None,
         journal=_journal(journal, core, now) if journal is not None else None,
+        lease=core.lease,
+        paused=core.coordinators.paused,
     )
 
 
 def _journal(journal: Journal, core: HostCore, now: float) -> JournalStatus:
-    commits, trouble = journal.commits_last_minute(now), clip(core.trouble or journal.trouble)
-    return JournalStatus(commits, trouble, [_parked(page) for page in core.parked])
+    commits, trouble = journal.commits_last_minute(now), clip(core.coordinators.trouble or journal.trouble)
+    return JournalStatus(commits, trouble, [_parked(page) for page in core.mobility.parked])
 
 
 def _parked(page: CopyPage) -> ParkedStatus:
@@ -84,7 +86,7 @@ def _agent(agent: Agent, core: HostCore) -> AgentStatus:
         id=agent.id,
         type=clip(agent.member.type),
         kind="coordinator" if agent.member.kind == "coordinator" else "resource",
-        state=agent.ended or (core.waits(agent) if agent.frozen else _busiest(states)),
+        state=agent.ended or core.waits(agent) or _busiest(states),
         hops=agent.hops,
         served=agent.served,
         heap=8 * block.top,

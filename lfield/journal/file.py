@@ -13,6 +13,7 @@ from lfield.clock import Clock
 from lfield.errors import JournalError, OutputFileError
 from lfield.journal.grouping import Grouped
 from lfield.journal.journal import Change
+from lfield.journal.log import log_file, mark, unmark
 from lfield.journal.opening import Opened, Owner, opened, primary
 from lfield.journal.owner import Lock
 from lfield.journal.pages import CopyPage, Key, entry, key_of
@@ -54,6 +55,8 @@ class FileJournal(Grouped):
         self.identity = head.identity
         super().__init__(list(pages.values()), self._in_thread, clock)
         self._inode = path.stat().st_ino
+        #: The number of the log's file, 0 until there is one.
+        self._log = 0
         #: Bytes of each copy that is here.
         self._held: dict[Key, int] = {}
         self._count([Change(self._read)])
@@ -69,6 +72,7 @@ class FileJournal(Grouped):
             return
         self._closed = True
         self._thread.shutdown()
+        unmark(self.path)
         with suppress(sqlite3.Error):
             self._store.close()
         self._lock.release()
@@ -101,6 +105,7 @@ class FileJournal(Grouped):
             self.trouble = failure.reason
             raise failure from None
         self._count(changes)
+        self._mark_log()
         self.trouble = trouble or self._have_room()
         if self.trouble:
             # The log must not grow into the room that is left.
@@ -118,11 +123,19 @@ class FileJournal(Grouped):
         """What is written into a file that was removed is on no disk. Raises OSError and sqlite3.Error."""
         if self.path.stat().st_ino != self._inode:
             raise FileNotFoundError(0, "another file was put in its place")
-        if self._reopen:
+        if self._reopen or (self._log and _number(log_file(self.path)) != self._log):
+            # What is in a log that was removed is worked into the database when that is closed.
+            unmark(self.path)
             with suppress(sqlite3.Error):
                 self._store.close()
             self._store = Store.open(self.path)
             self._reopen = False
+            self._log = 0
+
+    def _mark_log(self) -> None:
+        if not self._log:
+            self._log = _number(log_file(self.path))
+            mark(self.path)
 
     # --- room -----------------------------------------------------------------------------------------
 
@@ -159,6 +172,14 @@ class FileJournal(Grouped):
                 return opened(self.path, owner, tell, self._clock.time())
         except (sqlite3.Error, OSError) as error:
             raise _failure(self.path, error) from None
+
+
+def _number(path: Path) -> int:
+    """What the file system calls a file, 0 for none."""
+    try:
+        return path.stat().st_ino
+    except OSError:
+        return 0
 
 
 def _locked(path: Path) -> Lock:

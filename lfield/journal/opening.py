@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from lfield.errors import ForeignJournal
-from lfield.journal.pages import Entry, Key, NewerPage, Page, PageError, page_of
+from lfield.journal.log import is_missing, read_log, sync_folder, unmark
+from lfield.journal.pages import CopyPage, Entry, Key, NewerPage, Page, PageError, Run, Starts, page_of
 from lfield.journal.salvage import readable
 from lfield.journal.store import APPLICATION, FORMAT, BrokenFile, Damaged, Head, Store
 
@@ -49,7 +50,11 @@ def opened(path: Path, owner: Owner, tell: Callable[[str], None], now: float) ->
     _finish(path)
     if not path.exists():
         _put(path, _new_head(owner), {}, [], now)
+        with suppress(OSError):
+            # Its folder may be new, too.
+            sync_folder(path.parent.parent)
     try:
+        check_log(path)
         return _read(path, owner, tell, now)
     except sqlite3.DatabaseError as error:
         if not is_damage(error):
@@ -71,6 +76,14 @@ def primary(error: sqlite3.Error) -> int:
     return getattr(error, "sqlite_errorcode", 0) & 0xFF
 
 
+def check_log(path: Path) -> None:
+    """See that SQLite will lose no commits of the log in silence. Raises BrokenFile, and OSError."""
+    if is_missing(path):
+        raise BrokenFile(_NO_LOG)
+    if fault := read_log(path).fault:
+        raise BrokenFile(fault)
+
+
 def check_format(path: Path, store: Store) -> None:
     """See that it is a journal, and not of a newer version. Raises ForeignJournal and BrokenFile."""
     if store.application() != APPLICATION:
@@ -79,21 +92,38 @@ def check_format(path: Path, store: Store) -> None:
         raise _newer(path, f"it has format {store.version()}, this lfield reads format {FORMAT}")
 
 
-def sort(path: Path, entries: Iterable[tuple[int, Entry]]) -> Sorted:
-    """Tell what can be believed from what cannot. Raises ForeignJournal for a page of a newer version."""
+def sort(
+    path: Path, entries: Iterable[tuple[int, Entry]], *, outrun: bool = False, looks: bool = False
+) -> Sorted:
+    """Tell what can be believed from what cannot. Raises ForeignJournal for a page of a newer version.
+
+    `outrun`: pages may be older than the newest that were kept, so those that change cannot be believed.
+    `looks`: nothing is done with them, so one of a newer version is only one more that cannot be read.
+    """
     found = Sorted({}, [])
     for place, entry in entries:
         try:
             page = page_of(entry)
         except NewerPage as error:
-            raise _newer(path, f"{lost(entry)}: {error}") from None
+            if not looks:
+                raise _newer(path, f"{lost(entry)}: {error}") from None
+            found.damaged.append(Damaged(entry, f"{error}: install the lfield that wrote it", place))
+            continue
         except PageError as error:
             found.damaged.append(Damaged(entry, str(error), place))
+            continue
+        if outrun and _changes(page):
+            found.damaged.append(Damaged(entry, "a later one may have been lost with the log", place))
             continue
         other = found.sound.get(entry.key)
         if other is None or other[0].kept <= entry.kept:
             found.sound[entry.key] = entry, page
     return found
+
+
+def _changes(page: Page) -> bool:
+    """Whether a later page may say something else: not so of a program and of an ending."""
+    return isinstance(page, Starts | Run) or (isinstance(page, CopyPage) and page.state != "EXITED")
 
 
 def lost(entry: Entry) -> str:
@@ -139,15 +169,17 @@ def _read(path: Path, owner: Owner, tell: Callable[[str], None], now: float) -> 
 
 def _salvage(path: Path, owner: Owner, tell: Callable[[str], None], now: float, why: str) -> None:
     """Move a whole file aside, after what can be read of it was written into another."""
-    head, entries = readable(path)
-    if head is not None:
-        _check_owner(path, head, owner)
-    found = sort(path, entries.items())
-    aside = _put(path, _new_head(owner), found.sound, found.damaged, now)
+    left = readable(path)
+    if left.head is not None:
+        _check_owner(path, left.head, owner)
+    found = sort(path, left.entries.items(), outrun=left.outrun)
+    whole = left.whole and not found.damaged
+    head = left.head if whole and left.head is not None else _new_head(owner)
+    aside = _put(path, head, found.sound, found.damaged, now)
     count = len(found.sound)
     tell(
         f"the journal {path} is damaged ({why}) and is now {aside}: {count} page{'s' * (count != 1)} of it "
-        f"could be read and count; {_FORGOTTEN}"
+        f"could be read and count; {_NOTHING_LOST if whole else _FORGOTTEN}"
     )
     _tell_damage(path, found.damaged, tell)
 
@@ -157,6 +189,10 @@ _FORGOTTEN = (
     "a coordinator of which nothing is left was lost with it, and transfers that were under way to this host "
     "stay in doubt: 'lfield ps' shows them"
 )
+
+
+_NOTHING_LOST = "nothing is lost"
+_NO_LOG = "its log is missing"
 
 
 def _tell_damage(path: Path, damaged: Iterable[Damaged], tell: Callable[[str], None]) -> None:
@@ -195,12 +231,9 @@ def _finish(path: Path) -> str:
         with suppress(FileNotFoundError):
             path.with_name(path.name + ending).rename(aside.with_name(aside.name + ending))
     path.with_name(f"{path.name}-shm").unlink(missing_ok=True)
+    unmark(path)
     whole.rename(path)
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    sync_folder(path.parent)
     return aside.name
 
 

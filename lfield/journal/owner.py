@@ -16,7 +16,7 @@ from lfield.errors import JournalError, JournalInUse
 _SOURCES = ("proc/device-tree/serial-number", "etc/machine-id")
 #: Of which nothing but the hash is ever written down, as machine-id(5) asks for.
 _PURPOSE = b"lfield journal "
-#: The file beside a journal that is locked, and says by which process.
+#: The file beside a journal that says which process has it.
 LOCK_NAME = "host.lock"
 
 
@@ -32,17 +32,21 @@ def machine_identity(root: Path = Path("/")) -> str:
 
 
 class Lock:
-    """Has a journal for this process alone. It ends with the process however that ends."""
+    """Has a journal for this process alone. It ends with the process however that ends.
+
+    What is locked is the folder: a file in it may be removed and made again.
+    """
 
     def __init__(self, journal: Path) -> None:
         """Take it. Raises JournalInUse with the process that has it, or JournalError."""
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         try:
+            self._folder = os.open(journal.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
             self._descriptor = os.open(journal.with_name(LOCK_NAME), flags, 0o600)
         except OSError as error:
             raise JournalError(str(journal), _words(error)) from None
         try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(self._folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             process = self._process()
             self.release()
@@ -54,6 +58,7 @@ class Lock:
     def release(self) -> None:
         """Let others have it."""
         os.close(self._descriptor)
+        os.close(self._folder)
 
     def _process(self) -> int:
         with suppress(OSError):

@@ -13,8 +13,8 @@ from typing import Literal, NamedTuple
 import msgspec
 from msgspec import Struct
 
+from lfield.wire.coordinators import Outcome
 from lfield.wire.fields import Count, Hash
-from lfield.wire.messages import Outcome
 
 #: The version of all pages that are written here. A page of a newer one is not read.
 VERSION = 1
@@ -72,6 +72,12 @@ class Run(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=
     open: bool
 
 
+class Paused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="paused"):
+    """Whether somebody has paused the mission on this host: no agent runs until it is resumed."""
+
+    on: bool
+
+
 class Fence(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="fence"):
     """No copy of an earlier generation of this agent may run here any more."""
 
@@ -93,7 +99,7 @@ class ProgramPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     hosts: tuple[str, ...] = ()
 
 
-Page = CopyPage | Starts | Run | Fence | ProgramPage
+Page = CopyPage | Starts | Run | Paused | Fence | ProgramPage
 
 _encode = msgspec.msgpack.Encoder().encode
 _decoder: msgspec.msgpack.Decoder[Page] = msgspec.msgpack.Decoder(Page)
@@ -116,6 +122,8 @@ def key_of(page: Page) -> Key:
             return Key("starts")
         case Run():
             return Key("run")
+        case Paused():
+            return Key("paused")
 
 
 class NewerPage(PageError):

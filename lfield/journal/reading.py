@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sqlite3
+import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from lfield.errors import DamagedFileError, InputFileError
-from lfield.journal.opening import check_format, is_damage, primary, sort
+from lfield.journal.opening import check_format, check_log, is_damage, primary, sort
 from lfield.journal.pages import Entry, Page
 from lfield.journal.salvage import copied, readable
 from lfield.journal.store import BrokenFile, Damaged, Head, Store
@@ -17,6 +18,10 @@ from lfield.text.files import look_at
 
 #: What SQLite says where it may not write: it keeps an index of the log beside it, also for readers.
 _NO_INDEX = (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM)
+
+
+#: A log that seems to be damaged is looked at so often, with so many seconds between.
+LOOKS, BETWEEN = 3, 0.05
 
 
 class Seen(NamedTuple):
@@ -35,6 +40,9 @@ class Seen(NamedTuple):
 def see(path: Path) -> Seen:
     """All that can be read. Raises InputFileError, DamagedFileError and ForeignJournal."""
     look_at(path)
+    if not path.is_file():
+        # Whoever opens a pipe waits until somebody writes to it.
+        raise InputFileError(str(path), "it is no file")
     try:
         try:
             return _sound(path)
@@ -76,15 +84,26 @@ def _in_place(path: Path) -> Store | None:
 
 def _sound(path: Path) -> Seen:
     """Raises sqlite3.DatabaseError for a file that is damaged as a whole."""
+    _check_log(path)
     with _store(path) as store:
         check_format(path, store)
         if fault := store.fault():
             raise BrokenFile(fault)
-        found = sort(path, store.entries())
+        found = sort(path, store.entries(), looks=True)
         return Seen(store.head(), list(found.sound.values()), found.damaged, store.damaged(), "")
 
 
+def _check_log(path: Path) -> None:
+    """A log that is just being written may look damaged, but not for long. Raises BrokenFile."""
+    for _ in range(LOOKS - 1):
+        with suppress(BrokenFile):
+            check_log(path)
+            return
+        time.sleep(BETWEEN)
+    check_log(path)
+
+
 def _broken(path: Path, fault: str) -> Seen:
-    head, entries = readable(path)
-    found = sort(path, entries.items())
-    return Seen(head, list(found.sound.values()), found.damaged, [], fault)
+    left = readable(path)
+    found = sort(path, left.entries.items(), outrun=left.outrun, looks=True)
+    return Seen(left.head, list(found.sound.values()), found.damaged, [], fault)

@@ -23,6 +23,8 @@ class Reserve:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        #: What must be free beside it: what it has just given up is no room for more.
+        self._beside = 0
 
     def hold(self, held: int) -> None:
         """Have room for writing over copies of so many bytes in all. Raises OSError when there is none.
@@ -34,7 +36,7 @@ class Reserve:
             return
         # Nobody else should find the disk full because this was tried.
         found = os.statvfs(self.path.parent)
-        if found.f_bavail * found.f_frsize < size:
+        if found.f_bavail * found.f_frsize < size + self._beside:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
@@ -44,11 +46,13 @@ class Reserve:
             raise
         finally:
             os.close(descriptor)
+        self._beside = 0
 
     def give_up(self) -> None:
         """Make room, if it is not given up yet."""
         with suppress(OSError):
             self.path.unlink()
+            self._beside = LEAST
 
     def _size(self) -> int:
         try:

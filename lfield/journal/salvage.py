@@ -2,7 +2,8 @@
 
 SQLite refuses a file that is shorter than its first page says, or whose first page is damaged. The first is
 made longer, with nothing in it; the second gets the first page of a new journal, for the tables of all
-journals begin at the same places. What is read is believed only where its checksum fits.
+journals begin at the same places. A log that is damaged is worked in frame by frame. What is read is believed
+only where its checksum fits.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from lfield.journal.log import is_missing, log_file, read_log, rebuilt
 from lfield.journal.pages import Entry
 from lfield.journal.store import Head, Store
 
@@ -27,10 +29,15 @@ _PAGE = 4096
 
 
 class Readable(NamedTuple):
-    """What was read: whose journal it is, if that is known, and entries by their places."""
+    """What was read: whose journal it is, if that is known, and entries by their places.
+
+    `whole`: only its log was damaged, and nothing is missing. `outrun`: entries may be older than the newest.
+    """
 
     head: Head | None
     entries: dict[int, Entry]
+    whole: bool = False
+    outrun: bool = False
 
 
 @contextmanager
@@ -40,20 +47,23 @@ def copied(path: Path) -> Iterator[Path]:
         copy = Path(folder) / path.name
         shutil.copyfile(path, copy)
         with suppress(FileNotFoundError):
-            shutil.copyfile(path.with_name(f"{path.name}-wal"), copy.with_name(f"{path.name}-wal"))
+            shutil.copyfile(log_file(path), log_file(copy))
         yield copy
 
 
 def readable(path: Path) -> Readable:
     """All that can be read of a database. Raises OSError."""
     with copied(path) as copy:
+        mended = _work_in(copy)
         _lengthen(copy)
         found = _read(copy)
-    if found.entries:
-        return found
-    with copied(path) as copy:
-        _give_first_page(copy)
-        return _read(copy)
+    if not found.entries:
+        with copied(path) as copy:
+            mended = _work_in(copy)
+            _give_first_page(copy)
+            found = _read(copy)
+    outrun = mended is False or is_missing(path)
+    return found._replace(whole=bool(mended) and found.whole, outrun=outrun)
 
 
 def read_through(store: Store) -> dict[int, Entry]:
@@ -66,11 +76,23 @@ def read_through(store: Store) -> dict[int, Entry]:
 
 
 def _read(copy: Path) -> Readable:
-    head, entries = None, {}
+    head, entries, whole = None, {}, False
     with suppress(sqlite3.Error), closing(Store.open(copy)) as store:
         entries = read_through(store)
         head = store.head()
-    return Readable(head, entries)
+        whole = head is not None and not store.fault()
+    return Readable(head, entries, whole)
+
+
+def _work_in(copy: Path) -> bool | None:
+    """Work a damaged log into a copy: whether nothing of it is missing, None where it is not damaged."""
+    log = read_log(copy)
+    if not log.fault:
+        return None
+    image, whole = rebuilt(copy.read_bytes(), log)
+    copy.write_bytes(image)
+    log_file(copy).unlink()
+    return whole
 
 
 def _lengthen(copy: Path) -> None:

@@ -1,7 +1,8 @@
 """Deployment files (`mission.dL`): which agent lives on which host, with which arguments (chapter IV).
 
 A line is `//Type:id@host[:port][?argument&argument]`; `pitp:` may stand before the slashes and the slashes
-may be left out. A `#` at the start of a line or after a space begins a comment.
+may be left out. `//@host[:port]` is a witness: a host without agents, which only counts when the team decides
+that a host is lost (appendix I). A `#` at the start of a line or after a space begins a comment.
 """
 
 from __future__ import annotations
@@ -40,17 +41,30 @@ class DeployedAgent:
     span: Span
 
 
+@dataclass(frozen=True, slots=True)
+class Witness:
+    """A host without agents. `port` is the TCP port written there, if any."""
+
+    host: str
+    port: int | None
+
+
 @dataclass(frozen=True)
 class Deployment:
     """A whole deployment; `agents` in the order of the file, which is the order proxies count in."""
 
     name: str
     agents: tuple[DeployedAgent, ...]
+    witnesses: tuple[Witness, ...] = ()
 
     @cached_property
     def hosts(self) -> tuple[str, ...]:
-        """The names of the hosts in order of first appearance."""
-        return tuple(dict.fromkeys(agent.host for agent in self.agents))
+        """The names of the hosts in order of first appearance; witnesses come last."""
+        return tuple(dict.fromkeys(line.host for line in self._lines))
+
+    @property
+    def _lines(self) -> tuple[DeployedAgent | Witness, ...]:
+        return (*self.agents, *self.witnesses)
 
     @cached_property
     def hash(self) -> str:
@@ -62,8 +76,9 @@ class Deployment:
 
     @property
     def rows(self) -> list[tuple[str, str, str, tuple[str, ...]]]:
-        """Type, id, host and arguments of each agent: what makes the team."""
-        return [(a.type, a.id, a.host, a.arguments) for a in self.agents]
+        """Type, id, host and arguments of each agent, which make the team; of a witness only the host."""
+        agents = [(a.type, a.id, a.host, a.arguments) for a in self.agents]
+        return [*agents, *(("", "", witness.host, ()) for witness in self.witnesses)]
 
     @property
     def kinds(self) -> dict[str, AgentKind]:
@@ -73,7 +88,7 @@ class Deployment:
     @property
     def ports(self) -> dict[str, int]:
         """The port of each host that has one written."""
-        return {a.host: a.port for a in self.agents if a.port is not None}
+        return {line.host: line.port for line in self._lines if line.port is not None}
 
     @cached_property
     def _indexes(self) -> dict[str, int]:
@@ -93,7 +108,7 @@ class Deployment:
 
     def port(self, host: str) -> int | None:
         """The port written for a host on any of its lines, or None."""
-        return next((agent.port for agent in self.on(host) if agent.port is not None), None)
+        return self.ports.get(host)
 
 
 def parse_deployment(
@@ -107,7 +122,7 @@ def parse_deployment(
     found = Diagnostics()
     entries = _entries(source, found)
     _Checks(found, units).check(entries)
-    if not entries and not found.found:
+    if all(entry.witness for entry in entries) and not found.found:
         found.add(messages.DEPLOY_EMPTY.at(Span(source, 0, 0)))
     if found.errors:
         return None, found.in_order()
@@ -117,8 +132,10 @@ def parse_deployment(
             e.type.text, e.id.text, _kind(kinds, e.type.text), e.host.text, e.port, e.arguments, e.span
         )
         for e in entries
+        if not e.witness
     ]
-    return Deployment(name, tuple(agents)), found.in_order()
+    witnesses = tuple(Witness(e.host.text, e.port) for e in entries if e.witness)
+    return Deployment(name, tuple(agents), witnesses), found.in_order()
 
 
 def read_deployment(path: Path, units: Mapping[str, UnitKind] | None) -> Deployment:
@@ -164,14 +181,17 @@ class _Checks:
 
     def check(self, entries: list[Entry]) -> None:
         """Check all lines; without anything to deploy in the program only the first one is told."""
-        if self.units is not None and not self.deployable and entries:
-            self.found.add(messages.DEPLOY_NO_PROGRAM.at(entries[0].type, name=entries[0].type.text))
-        for entry in entries:
+        agents = [entry for entry in entries if not entry.witness]
+        if self.units is not None and not self.deployable and agents:
+            self.found.add(messages.DEPLOY_NO_PROGRAM.at(agents[0].type, name=agents[0].type.text))
+        for entry in agents:
             if self.deployable:
                 self.type(entry.type)
             self.id(entry.id)
+        for entry in entries:
             self.host(entry.host)
             self.port(entry)
+        self.witnesses(entries)
 
     def type(self, span: Span) -> None:
         name = span.text
@@ -194,6 +214,15 @@ class _Checks:
             self.found.add(
                 messages.DEPLOY_HOST_CASE.at(span, host=span.text, first=first.text, line=first.line)
             )
+
+    def witnesses(self, entries: list[Entry]) -> None:
+        """A witness has one line."""
+        lines: dict[str, Entry] = {}
+        for entry in sorted(entries, key=lambda entry: entry.witness):
+            first = lines.setdefault(entry.host.text.lower(), entry)
+            if entry.witness and first is not entry:
+                host, line = entry.host.text, first.host.line
+                self.found.add(messages.DEPLOY_WITNESS.at(entry.host, host=host, line=line))
 
     def port(self, entry: Entry) -> None:
         if entry.port is None:

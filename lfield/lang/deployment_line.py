@@ -1,9 +1,10 @@
-"""One line of a deployment file: `//Type:id@host[:port][?argument&argument]`."""
+"""One line of a deployment file: `//Type:id@host[:port][?argument&argument]`, or `//@host[:port]`."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from ipaddress import IPv6Address
 from urllib.parse import unquote_to_bytes
 
 from lfield.lang import messages
@@ -20,7 +21,10 @@ _HIGHEST_PORT = 65535
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The parts of a line and where they stand; `port_span` is the port, or the host without one."""
+    """The parts of a line and where they stand; `port_span` is the port, or the host without one.
+
+    The line of a witness, a host without agents, has an empty type and id.
+    """
 
     span: Span
     type: Span
@@ -29,6 +33,20 @@ class Entry:
     port: int | None
     port_span: Span
     arguments: tuple[str, ...]
+
+    @property
+    def witness(self) -> bool:
+        """Whether it only names a host."""
+        return not self.type.text
+
+
+def _is_ipv6(host: str) -> bool:
+    """`[::1]`: the brackets keep its colons apart from that of the port."""
+    try:
+        IPv6Address(host[1:-1])
+    except ValueError:
+        return False
+    return host[0] + host[-1] == "[]" and "%" not in host
 
 
 class _Shapeless(Exception):
@@ -62,6 +80,8 @@ class _Reader:
             self.wrong(messages.DEPLOY_SPACE, _part(whole, space.start(), space.end()))
             raise _Shapeless
         body = self.without_scheme(whole)
+        if body.text.startswith("@"):
+            return self.witness(whole, body)
         place, _, _ = body.text.partition("?")
         agent = _part(body, 0, len(place))
         kind, rest = self.split(agent, ":", "no ':' after the type")
@@ -75,6 +95,15 @@ class _Reader:
         host, port_span, port = self.address(address)
         arguments = self.arguments(_part(body, len(place) + 1, len(body.text)))
         return Entry(whole, kind, name, host, port, port_span, arguments)
+
+    def witness(self, whole: Span, body: Span) -> Entry:
+        """The line of a host without agents."""
+        nothing = _part(body, 0, 0)
+        place, mark, _ = body.text.partition("?")
+        if mark:
+            self.problem(_part(body, len(place), len(body.text)), "arguments are for an agent")
+        host, port_span, port = self.address(_part(body, 1, len(place)))
+        return Entry(whole, nothing, nothing, host, port, port_span, ())
 
     def without_scheme(self, whole: Span) -> Span:
         """The line behind `pitp://` or `//`."""
@@ -99,9 +128,11 @@ class _Reader:
 
     def address(self, span: Span) -> tuple[Span, Span, int | None]:
         """Host, the place of the port, and the port."""
-        at = span.text.find(":")
+        # The colons of an IPv6 address stand before its bracket.
+        bracket = span.text.find("]") if span.text.startswith("[") else 0
+        at = span.text.find(":", bracket) if bracket >= 0 else -1
         host = _part(span, 0, len(span.text) if at < 0 else at)
-        if not _NAME.fullmatch(host.text) or len(host.text) > _LONGEST_HOST:
+        if not (_NAME.fullmatch(host.text) or _is_ipv6(host.text)) or len(host.text) > _LONGEST_HOST:
             self.wrong(messages.DEPLOY_HOST, host, host=host.text[:60])
         if at < 0:
             return host, host, None

@@ -39,6 +39,14 @@ FUNCTIONS: tuple[Function, ...] = (
     Function("sleep", (REAL,), VOID, "sleep", "any", "pauses this thread for seconds"),
     Function("now", (), REAL, "now", "any", "seconds since 1970 on the clock of the host it runs on"),
     Function("hops", (), INT, "hops", "coordinator", "how often this coordinator has migrated"),
+    Function(
+        "heartbeatInterval",
+        (REAL,),
+        VOID,
+        "heartbeat_interval",
+        "coordinator",
+        "seconds without a sign of this coordinator until it is recovered, -1: never; ArithmeticException",
+    ),
     Function("s2i", (STRING,), INT, "s2i", "any", "text to int; ConversionException"),
     Function("s2f", (STRING,), REAL, "s2f", "any", "text to real; ConversionException"),
     Function("i2f", (INT,), REAL, "i2f", "any", "int to real"),
@@ -50,9 +58,9 @@ FUNCTIONS: tuple[Function, ...] = (
     Function("abs", (INT,), INT, "abs_int", "any", "magnitude"),
     Function("abs", (REAL,), REAL, "abs_float", "any", "magnitude"),
     Function("min", (INT, INT), INT, "min_int", "any", "the smaller"),
-    Function("min", (REAL, REAL), REAL, "min_float", "any", "the smaller"),
+    Function("min", (REAL, REAL), REAL, "min_float", "any", "the smaller; NaN if one is"),
     Function("max", (INT, INT), INT, "max_int", "any", "the larger"),
-    Function("max", (REAL, REAL), REAL, "max_float", "any", "the larger"),
+    Function("max", (REAL, REAL), REAL, "max_float", "any", "the larger; NaN if one is"),
     Function("sqrt", (REAL,), REAL, "sqrt", "any", "square root; ArithmeticException below 0"),
     Function("sin", (REAL,), REAL, "sin", "any", "sine of radians"),
     Function("cos", (REAL,), REAL, "cos", "any", "cosine of radians"),
@@ -82,6 +90,12 @@ EXCEPTION_METHODS: tuple[Function, ...] = (
     Function("message", (), STRING, "exc_message", meaning="what went wrong, one sentence"),
     Function("type", (), STRING, "exc_type", meaning="the name of the class that was thrown"),
     Function("source", (), STRING, "exc_source", meaning="the agent or device it is about, or ''"),
+)
+
+#: Methods of every proxy, answered where the coordinator is. A portal of that name is meant before them.
+PROXY_METHODS: tuple[Function, ...] = (
+    Function("agent", (), STRING, "agent", "coordinator", "the id of the resource"),
+    Function("host", (), STRING, "host", "coordinator", "the name of its host"),
 )
 
 #: `a.length()` of any array.

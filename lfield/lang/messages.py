@@ -70,9 +70,7 @@ MISSING_CLOSE = _message("L208", "missing {symbol} after this", "the {opening} i
 UNCLOSED_BRACE = _message("L209", "this {{ is never closed", "add the missing }}")
 EXTRA_BRACE = _message("L210", "this }} closes nothing", "remove it, or look for a }} too many above it")
 TOO_DEEP = _message(
-    "L211",
-    "this is nested more than {limit} levels deep",
-    "move the inner part into a method of its own",
+    "L211", "this is nested more than {limit} levels deep", "move the inner part into a method of its own"
 )
 ELSE_WITHOUT_IF = _message(
     "L212", "else without an if before it", "an if takes one statement or a block in {{ }}"
@@ -91,7 +89,9 @@ CAST = _message(
     "a type cannot stand inside an expression",
     "L converts with functions: i2f, f2i, i2s, f2s, b2s, s2i, s2f",
 )
-ARRAY_LENGTH_MISSING = _message("L221", "a new array needs its length", "write new {type}[10]")
+ARRAY_LENGTH_MISSING = _message(
+    "L221", "a new array needs its length or its elements", "write new {type}[10] or new {type}[] {{a, b}}"
+)
 NEW_NEEDS = _message(
     "L222", "after new {type} come arguments or a length", "write new {type}(...) or new {type}[10]"
 )
@@ -101,9 +101,6 @@ NEEDS_BODY = _message("L225", "{what} needs a body", "write {{ ... }} after it")
 LOOP_ONLY = _message("L226", "'{word}' outside a loop", "it leaves or continues the innermost while or for")
 INIT_CALLED = _message(
     "L227", "init cannot be called", "the machine calls it once; move the code into a method"
-)
-FOR_EACH = _message(
-    "L228", "L has no for-each loop", "write for (int i = 0; i < a.length(); i = i + 1) {{ ... a[i] ... }}"
 )
 MISSPELT_KEYWORD = _message("L229", "'{word}' is no word of the language", "did you mean '{close}'?")
 VOID_VALUE_TYPE = _message(
@@ -168,7 +165,7 @@ INCOMPARABLE = _message("L408", "{left} and {right} cannot be compared")
 VOID_VALUE = _message("L409", "{call} gives no value", "call it as a statement of its own")
 NOT_AN_ARRAY = _message("L410", "only arrays are indexed, this is {given}")
 NOT_ASSIGNABLE = _message(
-    "L411", "this cannot be assigned to", "the left side of = is a variable, a field or an element"
+    "L411", "this cannot be assigned to", "what is assigned to is a variable, a field or an element"
 )
 ASSIGNMENT_HERE = _message(
     "L412", "an assignment cannot stand here", "did you mean == ? An assignment is a statement of its own"
@@ -187,6 +184,14 @@ CATCH_TYPE = _message("L419", "only classes can be caught, {given} is none", "ca
 NO_MEMBERS = _message("L420", "{given} has no members", "only objects, arrays, strings and proxies have them")
 NEW_TYPE = _message(
     "L421", "{given} has no constructor", "new makes objects of classes and arrays: new {given}[10]"
+)
+EACH_ARRAY = _message("L423", "for goes through an array, this is {given}")
+EACH_ELEMENT = _message(
+    "L424", "the array holds {given}, the variable is {wanted}", "declare the variable with that type"
+)
+ELEMENTS = _message("L425", "{{ }} makes an array, {wanted} expected")
+ELEMENTS_TYPE = _message(
+    "L426", "it is not known what array this is", "write its type before the elements: new int[] {{1, 2}}"
 )
 CONSTRAINT = _message("L422", "{problem}")
 
@@ -249,13 +254,11 @@ PORTAL_EXCEPTION = _message(
 )
 DEVICE_PLACE = _message(
     "L512",
-    "the device type '{name}' stands only at a field of a resource",
-    "declare {name} fc; in the resource and write methods that use fc",
+    "the device type '{name}' stands only at a field of a resource, or of a class that is given it",
+    "declare {name} fc; in the resource; a resource specific class gets it by its constructor",
 )
 DEVICE_USE = _message(
-    "L513",
-    "the device '{name}' is not a value",
-    "call its instructions: {name}.{instruction}(...)",
+    "L513", "the device '{name}' is not a value", "call its instructions: {name}.{instruction}(...)"
 )
 GLOBAL_NAMES_RESOURCE = _message(
     "L514",
@@ -288,9 +291,7 @@ COORDINATOR_CLASS_OUTSIDE = _message(
     "use a class without a usage clause for what coordinators and resources share",
 )
 NEW_AGENT = _message(
-    "L520",
-    "the {kind} '{name}' cannot be made with new",
-    "the deployment says which ones there are{find}",
+    "L520", "the {kind} '{name}' cannot be made with new", "the deployment says which ones there are{find}"
 )
 PORTAL_PLACE = _message("L521", "{unit} cannot have portals", "only resources have them; write a method")
 PRIVATE_MEMBER = _message(
@@ -303,13 +304,16 @@ FIND_PLACE = _message(
 )
 COORDINATOR_FUNCTION = _message(
     "L524",
-    "{viewer} cannot call {name}: only coordinators migrate",
-    "call it in the coordinator and pass the value on",
+    "{viewer} cannot call {name}: only coordinators migrate and are recovered",
+    "call it in the coordinator or a coordinator specific class; pass a result on as a value",
 )
 THIS_VALUE = _message(
-    "L525",
-    "'this' of {unit} is not a value",
-    "use it to reach its own members: this.name or this.method()",
+    "L525", "'this' of {unit} is not a value", "use it to reach its own members: this.name or this.method()"
+)
+DEVICE_THROWN = _message(
+    "L527",
+    "{type} is no exception: it has the device '{device}', which stays with its resource",
+    "throw an object that says what went wrong",
 )
 CAPABILITY_OUTSIDE = _message(
     "L526",
@@ -336,7 +340,9 @@ NOT_UTF8 = _message("L605", "the file is not UTF-8 here (byte {byte})", "save it
 # --- L7xx: deployments ----------------------------------------------------------------------------------
 
 DEPLOY_SYNTAX = _message(
-    "L701", "{problem}", "a line is //Type:id@host or //Type:id@host:port?argument&argument"
+    "L701",
+    "{problem}",
+    "a line is //Type:id@host or //Type:id@host:port?argument&argument, or //@host for one without agents",
 )
 DEPLOY_TYPE = _message("L702", "the program has no resource or coordinator '{name}'", "it has {known}")
 DEPLOY_CLASS = _message(
@@ -349,7 +355,7 @@ DEPLOY_DUPLICATE = _message(
 DEPLOY_HOST = _message(
     "L706",
     "the host '{host}' is not good",
-    "a host is a name or an address of letters, digits, '.', '_' and '-', at most 253 of them",
+    "a host is a name or an address of letters, digits, '.', '_' and '-', at most 253 of them, or [::1]",
 )
 DEPLOY_PORT = _message("L707", "the port '{port}' is not good", "a port is a number from 1 to 65535")
 DEPLOY_TWO_PORTS = _message(
@@ -375,15 +381,18 @@ DEPLOY_NO_PROGRAM = _message(
 DEPLOY_NOT_TEXT = _message(
     "L714", "the deployment is not UTF-8 text here (byte {byte})", "save it as UTF-8 text"
 )
+DEPLOY_WITNESS = _message(
+    "L715", "{host} is on line {line} already", "a line without an agent is for a host that has no other line"
+)
 
 # --- L9xx: warnings -------------------------------------------------------------------------------------
 
 FALLS_OFF = _message(
     "L901",
     "{method} can end without a return",
-    "it then returns {default}; add a return if that is not meant",
+    "it then throws MissingReturnException; write a return or a throw at its end",
 )
 UNREACHABLE = _message("L902", "this statement is never reached", "remove it, or the {cause} before it")
 UNREACHABLE_CATCH = _message(
-    "L903", "this catch is never reached: {earlier} above takes it", "put catches of single classes first"
+    "L903", "this catch is never reached: {earlier} above takes it", "put catches of special classes first"
 )

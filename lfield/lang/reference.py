@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from lfield.lang.library import EXCEPTION_METHODS, FUNCTIONS, STRING_METHODS, Function
+from lfield.lang.library import EXCEPTION_METHODS, FUNCTIONS, PROXY_METHODS, STRING_METHODS, Function
 from lfield.lang.messages import TABLE
 
 _WHERE = {"any": "everywhere", "resource": "resources", "coordinator": "coordinators"}
@@ -30,6 +30,7 @@ def library_table() -> str:
         ("array", (length,)),
         ("string", STRING_METHODS),
         ("exception", EXCEPTION_METHODS),
+        ("proxy", PROXY_METHODS),
     ):
         rows += [(f"{receiver}.{_heading(f)}", f"{f.result}", _WHERE[f.scope], f.meaning) for f in methods]
     return _table(("call", "result", "where", "meaning"), [(f"`{c}`", r, w, m) for c, r, w, m in rows])

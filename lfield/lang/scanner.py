@@ -23,7 +23,7 @@ KEYWORDS = frozenset(
 #: Operators of C and Java that L does not have; they are tokens, so that the parser can say so.
 FOREIGN_OPERATORS = frozenset(
     (
-        *("++", "--", "+=", "-=", "*=", "/=", "%=", "&=", "|=", "^="),
+        *("++", "--", "&=", "|=", "^="),
         *("===", "!==", "<<", ">>", "&", "|", "^", "~", "->", "=>", "::"),
     )
 )

@@ -32,7 +32,7 @@ class TypeName:
 
 @dataclass(slots=True, eq=False)
 class Expr:
-    """An expression; `height` is the height of its tree, which the parser limits."""
+    """An expression; `height` is how deep it nests, which the parser limits. Links of a chain do not nest."""
 
     span: Span
     height: int
@@ -82,8 +82,9 @@ class Binary(Expr):
 
 @dataclass(slots=True, eq=False)
 class Assign(Expr):
-    """`target = value`; `sign` is where the `=` stands."""
+    """`target = value` or `target += value`; `sign` is where the operator stands."""
 
+    operator: str
     sign: Span
     target: Expr
     value: Expr
@@ -128,6 +129,14 @@ class NewArray(Expr):
 
     type: TypeName
     lengths: list[Expr]
+
+
+@dataclass(slots=True, eq=False)
+class Elements(Expr):
+    """`new T[] {a, b}` with the whole array type, or `{a, b}` (None) where the type is known."""
+
+    type: TypeName | None
+    elements: list[Expr]
 
 
 # --- statements ---------------------------------------------------------------------------------------
@@ -198,6 +207,17 @@ class For(Stmt):
     start: Stmt | None
     condition: Expr | None
     step: Stmt | None
+    body: Stmt
+
+
+@dataclass(slots=True, eq=False)
+class Each(Stmt):
+    """`for (T name : array) body`; `place` is where the name stands."""
+
+    type: TypeName
+    name: str
+    place: Span
+    array: Expr
     body: Stmt
 
 

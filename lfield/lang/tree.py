@@ -1,7 +1,7 @@
 """The checked tree: what the front end hands to the compiler.
 
 Every name is resolved to the thing it means, every expression has its type, every conversion is a node,
-every overload is chosen. What was sugar in the source (`for`, field initialisers, implicit `this`,
+every overload is chosen. What was sugar in the source (`for`, `+=`, field initialisers, implicit `this`,
 default constructors) is spelled out, so the compiler has one way to read each idea.
 Nodes are compared by identity.
 """
@@ -26,7 +26,7 @@ MethodKind = Literal["method", "constructor", "init", "portal"]
 
 @dataclass(slots=True, eq=False)
 class Local:
-    """A parameter or local variable. Starts as 0, false or null."""
+    """A parameter or local variable. Starts as 0, false or null. One without a name is the checker's own."""
 
     name: str
     type: Type
@@ -35,7 +35,7 @@ class Local:
 
 @dataclass(slots=True, eq=False)
 class Field:
-    """A field; `index` counts from 0 within its unit. A device field has a DeviceType and no storage use."""
+    """A field; `index` counts from 0 within its unit. One of a DeviceType says which one it is."""
 
     name: str
     type: Type
@@ -271,38 +271,22 @@ class Library(Expr):
 
 @dataclass(slots=True, eq=False)
 class DeviceCall(Expr):
-    """An instruction of a device: `fc.takeoff(10.0)`. Arguments have exactly the manifest's types."""
+    """An instruction of a device: `fc.takeoff(10.0)`. Arguments have exactly the manifest's types.
 
-    device: Field
+    The device is a field of the resource itself, or what an expression gives: one that an object was given.
+    """
+
+    device: Field | Expr
     manifest: DeviceManifest
     instruction: Instruction
     arguments: list[Expr]
 
 
-def parts(expr: Expr) -> list[Expr]:
-    """The expressions directly inside one."""
-    match expr:
-        case Assign():
-            return [expr.target, expr.value]
-        case Binary() | Logical():
-            return [expr.left, expr.right]
-        case Not() | Negate() | ToReal():
-            return [expr.operand]
-        case FieldGet():
-            return [expr.object]
-        case Element():
-            return [expr.array, expr.index]
-        case Call():
-            return [expr.object, *expr.arguments]
-        case PortalCall():
-            return [expr.proxy, *expr.arguments]
-        case New() | Library() | DeviceCall():
-            return expr.arguments
-        case NewArray():
-            return expr.lengths
-        case Find(id=Expr() as argument) | Query(constraint=Expr() as argument):
-            return [argument]
-    return []
+@dataclass(slots=True, eq=False)
+class Elements(Expr):
+    """A new array of these values, `new T[] {a, b}`; `type` is the whole ArrayType."""
+
+    elements: list[Expr]
 
 
 # --- statements ---------------------------------------------------------------------------------------

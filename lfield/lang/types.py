@@ -48,20 +48,23 @@ UNKNOWN = Type("unknown")
 #: `Exception`: what `catch (Exception e)` binds; every object fits it, only throw and three methods take it.
 EXCEPTION = ClassType("Exception")
 
-#: The built-in exception classes (appendix I names the first two), besides `Exception` itself.
-BUILTIN_EXCEPTIONS = (
-    "UnreachableResourceException",
-    "RestartException",
-    "UnknownResourceException",
-    "NullException",
-    "IndexException",
-    "ArithmeticException",
-    "ConversionException",
-    "LimitException",
-    "DeviceException",
-    "DeviceTimeoutException",
-    "ConstraintException",
-)
+#: The built-in exception classes (appendix I names the first two), besides `Exception` itself, and what each
+#: is a kind of: whoever takes that takes both. A robot in trouble with its hardware is one case, however
+#: the hardware failed; the others have nothing in common that one handler could do about them.
+BUILTIN_EXCEPTIONS = {
+    "UnreachableResourceException": "Exception",
+    "RestartException": "Exception",
+    "UnknownResourceException": "Exception",
+    "NullException": "Exception",
+    "IndexException": "Exception",
+    "ArithmeticException": "Exception",
+    "ConversionException": "Exception",
+    "LimitException": "Exception",
+    "DeviceException": "Exception",
+    "DeviceTimeoutException": "DeviceException",
+    "ConstraintException": "Exception",
+    "MissingReturnException": "Exception",
+}
 
 
 def array_of(element: Type) -> ArrayType:
@@ -72,6 +75,20 @@ def array_of(element: Type) -> ArrayType:
 def is_reference(kind: Type) -> bool:
     """Whether values of the type are references into the block (null is one of them)."""
     return kind not in (BOOLEAN, INT, REAL, VOID)
+
+
+def distance(given: Type, wanted: Type) -> int | None:
+    """How many steps up a class is a kind of another one: 0 for itself; None when it is none.
+
+    Every class is a kind of `Exception`, since its objects can be thrown.
+    """
+    steps = 0
+    while given != wanted:
+        if not isinstance(given, ClassType) or given == EXCEPTION:
+            return None
+        given = ClassType(BUILTIN_EXCEPTIONS.get(given.name, EXCEPTION.name))
+        steps += 1
+    return steps
 
 
 def is_numeric(kind: Type) -> bool:

@@ -15,6 +15,7 @@ from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers, KnownDriver
 from lfield.errors import BindingError
 from lfield.guard.core import SILENCE
+from lfield.text.suggest import listed
 from lfield.vm.contract import Limits
 
 #: A heap is addressed by 32-bit offsets; below a page not even an empty agent fits.
@@ -24,8 +25,41 @@ MIN_HEAP, MAX_HEAP = 1 << 12, 1 << 31
 #: devices file says is for the field.
 SIM_SILENCE = 2.0
 
+#: How long a lease of a fenced coordinator's host may last, in seconds, and what it is unless it is chosen.
+SHORTEST_LEASE, LONGEST_LEASE, USUAL_LEASE = 0.2, 60.0, 2.0
+
+#: More hosts than these do not decide that another one is lost: each of them talks to all others.
+MOST_MEMBERS = 9
+
 #: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
 Needed = Mapping[str, Mapping[str, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """Who decides that a coordinator is lost (appendix I), and how long a host may run one unheard (s).
+
+    `members` are hosts; more than half of them decide. In a devices file none means all.
+    """
+
+    lease: float = USUAL_LEASE
+    members: tuple[str, ...] = ()
+
+    def among(self, hosts: Collection[str]) -> Recovery:
+        """The same with its members in the order of the team. Raises BindingError when nobody has chosen them
+        among too many."""
+        if not self.members and len(hosts) > MOST_MEMBERS:
+            raise BindingError(
+                [
+                    f"a team of {len(hosts)} hosts with a coordinator that calls heartbeatInterval needs the "
+                    f"names of at most {MOST_MEMBERS} that decide: add 'recovery: {{members: [...]}}' to the "
+                    "devices file"
+                ]
+            )
+        return replace(self, members=tuple(h for h in hosts if not self.members or h in self.members))
+
+    def __str__(self) -> str:
+        return f"a lease of {self.lease:g} s among {listed(self.members)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +71,7 @@ class Bindings:
     defaults: Limits = field(default_factory=Limits)
     unreachable_after: float = 10.0
     silence: float = SILENCE
+    recovery: Recovery = field(default_factory=Recovery)
 
     def limits(self, agent: str) -> Limits:
         """The limits of an agent: its own, then the defaults of the file, then the machine's."""

@@ -19,6 +19,8 @@ agents:
 defaults: {heap: 1 MiB, call_depth: 500}   # limits of every agent
 unreachable_after: 10                      # seconds until UnreachableResourceException
 silence: 0.2                               # seconds without the host before its devices go safe (fakes: 2)
+recovery: {lease: 2, members: [a, b, c]}   # of coordinators that call heartbeatInterval: who
+                                           # decides that one is lost, and the seconds it may run unheard
 ```
 
 The keys of a device that every driver has are `driver`, `endpoint`, `ttl`, `safe_state`, `rest_within`,
@@ -29,6 +31,7 @@ options. What fits no agent, device, driver or type is an error, all of them at 
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 
 from lfield.driver.binding import LEAST_AFTER, DeviceBinding, OptionValue, WithoutPolicy
@@ -36,8 +39,22 @@ from lfield.driver.contract import Manifest, Option
 from lfield.driver.known import Drivers
 from lfield.errors import BindingError
 from lfield.guard.core import SILENCE
-from lfield.mission.bindings import MAX_HEAP, MIN_HEAP, Bindings, Needed, each_needed, maker_of, on_fakes
+from lfield.mission.bindings import (
+    LONGEST_LEASE,
+    MAX_HEAP,
+    MIN_HEAP,
+    MOST_MEMBERS,
+    SHORTEST_LEASE,
+    USUAL_LEASE,
+    Bindings,
+    Needed,
+    Recovery,
+    each_needed,
+    maker_of,
+    on_fakes,
+)
 from lfield.text.source import Diagnostics
+from lfield.text.suggest import did_you_mean
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Node, Scalar, describe, read
 from lfield.vm.contract import Limits
@@ -53,25 +70,27 @@ def read_bindings(
     *,
     simulate: bool = False,
     resources: dict[str, str] | None = None,
+    hosts: Collection[str] | None = None,
 ) -> Bindings:
     """The bindings in a file (None: there is no file), checked against what the mission needs.
 
     With `simulate`, needed devices that are not bound get what is usual for their agent's resource type (of
-    `resources`), and every endpoint is SIMULATED.
+    `resources`), and every endpoint is SIMULATED. `hosts` are those of the team, None where it is not known.
     Raises BindingError with all problems, InputFileError when the file cannot be read.
     """
     found = Diagnostics()
     node = read(str(path), found) if path is not None else None
     bindings = Bindings()
     if path is not None and node is not None:
-        bindings = BindingsReader(needed, drivers, found, path.parent, simulate=simulate).bindings(node)
+        reader = BindingsReader(needed, drivers, found, path.parent, simulate=simulate, hosts=hosts)
+        bindings = reader.bindings(node)
     problems = [diagnostic.render() for diagnostic in found.errors]
     problems += _without_driver(needed, drivers)
     # What is written wrong is not missing: the file's own errors are told first, and alone.
     if not simulate and not found.errors:
         problems += _unbound(bindings, needed, drivers, path)
     if problems:
-        raise BindingError(problems)
+        raise BindingError(problems, found.errors)
     return on_fakes(bindings, needed, drivers, resources) if simulate else bindings
 
 
@@ -99,10 +118,17 @@ class BindingsReader:
     """One pass over a devices file; findings go to `found`."""
 
     def __init__(
-        self, needed: Needed, drivers: Drivers, found: Diagnostics, folder: Path, *, simulate: bool
+        self,
+        needed: Needed,
+        drivers: Drivers,
+        found: Diagnostics,
+        folder: Path,
+        *,
+        simulate: bool,
+        hosts: Collection[str] | None = None,
     ) -> None:
         self._needed, self._drivers, self._found = needed, drivers, found
-        self._folder, self._simulate = folder, simulate
+        self._folder, self._simulate, self._hosts = folder, simulate, hosts
 
     def bindings(self, node: Node) -> Bindings:
         """The whole file; findings go to the diagnostics."""
@@ -112,6 +138,7 @@ class BindingsReader:
         section.done()
         unreachable_after = top.number("unreachable_after", 10.0, minimum=0.1, maximum=86400.0)
         silence = top.number("silence", SILENCE, minimum=0.1, maximum=10.0)
+        recovery = self._recovery(top.section("recovery"))
         agents: dict[str, Limits] = {}
         devices: dict[str, dict[str, DeviceBinding]] = {}
         for entry, fields in top.section("agents").entries():
@@ -123,7 +150,24 @@ class BindingsReader:
             devices[entry.key] = dict(self._devices(entry.key, fields))
             fields.done()
         top.done()
-        return Bindings(agents, devices, defaults, unreachable_after, silence)
+        return Bindings(agents, devices, defaults, unreachable_after, silence, recovery)
+
+    def _recovery(self, fields: Fields) -> Recovery:
+        lease = fields.number("lease", USUAL_LEASE, minimum=SHORTEST_LEASE, maximum=LONGEST_LEASE)
+        members = fields.texts("members")
+        texts = (n for n in fields.items("members") if isinstance(n, Scalar) and isinstance(n.value, str))
+        for number, (host, node) in enumerate(zip(members, texts, strict=True)):
+            if host in members[:number]:
+                fields.report("Y113", f"'{host}' is named twice", node.span, "each member counts once")
+            elif self._hosts is not None and host not in self._hosts:
+                hint = did_you_mean(host, self._hosts) or f"its hosts: {', '.join(self._hosts)}"
+                fields.report("Y113", f"the deployment has no host '{host}'", node.span, hint)
+        if "members" in fields and not 1 <= len(members) <= MOST_MEMBERS:
+            said = f"'members' must be 1 to {MOST_MEMBERS} hosts, not {len(members)}"
+            hint = "more than half of them decide that a coordinator is lost"
+            fields.report("Y113", said, fields.key_span("members"), hint)
+        fields.done()
+        return Recovery(lease, members)
 
     def _limits(self, fields: Fields, defaults: Limits) -> Limits:
         return Limits(

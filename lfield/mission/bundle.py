@@ -27,10 +27,10 @@ from typing import Any, NamedTuple
 import msgspec
 
 from lfield.bytecode import encoding
-from lfield.bytecode.program import BUILTIN_CLASSES, Debug, Program
+from lfield.bytecode.program import Debug, Program
 from lfield.capability.model import Registry
 from lfield.driver.known import KnownDriver, KnownDrivers
-from lfield.errors import BundleError, InputFileError, ProgramFileError
+from lfield.errors import BindingError, BundleError, InputFileError, ProgramFileError
 from lfield.mission.bindings import Bindings, with_files
 from lfield.mission.bundle_check import check_bindings, check_rows
 from lfield.mission.mission import Mission, needed_devices
@@ -155,10 +155,18 @@ def decode(data: bytes) -> Mission:
     bound: Bound = _decoded("bindings", _bound, parts)
     team = _team(_decoded("team", _rows, parts), program, bound.addresses)
     drivers = KnownDrivers(_decoded("drivers", _drivers, parts))
-    check_bindings(bound.bindings, needed_devices(program, team), drivers)
-    return Mission(
-        texts.name, program, team, bound.bindings, drivers, _registry(parts["registry"]), texts.warnings
-    )
+    check_bindings(bound.bindings, needed_devices(program, team), drivers, team.hosts)
+    registry = _registry(parts["registry"])
+    return _decided(Mission(texts.name, program, team, bound.bindings, drivers, registry, texts.warnings))
+
+
+def _decided(mission: Mission) -> Mission:
+    """The mission, if it says who decides that a coordinator is lost."""
+    try:
+        _ = mission.recovery
+    except BindingError as error:
+        raise BundleError(str(error)) from None
+    return mission
 
 
 def _decoded(name: str, decoder: msgspec.msgpack.Decoder[Any], parts: Mapping[str, memoryview]) -> Any:
@@ -169,9 +177,8 @@ def _decoded(name: str, decoder: msgspec.msgpack.Decoder[Any], parts: Mapping[st
 
 
 def _team(rows: list[Row], program: Program, addresses: Mapping[str, str]) -> Team:
-    kinds = {record.name: record.kind for record in program.core.classes[len(BUILTIN_CLASSES) :]}
-    check_rows(rows, kinds)
-    return team_of(rows, kinds, {}).at(addresses)
+    check_rows(rows, program.units)
+    return team_of(rows, program.units, {}).at(addresses)
 
 
 def _registry(data: memoryview) -> Registry | None:

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from lfield.driver.binding import LEAST_AFTER, DeviceBinding
 from lfield.driver.known import KnownDrivers
 from lfield.errors import BundleError
-from lfield.mission.bindings import MAX_HEAP, MIN_HEAP, Bindings, Needed, each_needed
+from lfield.mission.bindings import (
+    LONGEST_LEASE,
+    MAX_HEAP,
+    MIN_HEAP,
+    MOST_MEMBERS,
+    SHORTEST_LEASE,
+    Bindings,
+    Needed,
+    Recovery,
+    each_needed,
+)
 from lfield.mission.team import Row
 from lfield.vm.contract import Limits
 from lfield.wire.fields import MAX_NAME
@@ -18,25 +28,46 @@ MOST_AGENTS = 1 << 16
 
 
 def check_rows(rows: Sequence[Row], kinds: Mapping[str, str]) -> None:
-    """The agents of a team are resources and coordinators of the program, each with a name of its own.
+    """The agents of a team are resources and coordinators of the program, each with a name of its own; then
+    come witnesses, each a host that has no other row.
 
     Raises BundleError.
     """
-    if not 0 < len(rows) < MOST_AGENTS:
-        raise BundleError(f"its team has {len(rows)} agents")
-    if len({id for _, id, _, _ in rows}) < len(rows):
+    agents = [row for row in rows if row[0]]
+    homes, witnesses = {row[2] for row in agents}, [row for row in rows if not row[0]]
+    if not (agents and len(rows) < MOST_AGENTS):
+        raise BundleError(f"its team has {len(agents)} agents and {len(witnesses)} witnesses")
+    if len({id for _, id, _, _ in agents}) < len(agents):
         raise BundleError("two agents of its team have one name")
-    for type, id, host, _ in rows:
+    alone = {host for _, id, host, arguments in witnesses if not (id or arguments or host in homes)}
+    if list(rows) != [*agents, *witnesses] or len(alone) < len(witnesses):
+        raise BundleError("a witness of its team is none")
+    if not all(0 < len(host) <= MAX_NAME for host in alone):
+        raise BundleError("a name of its team is too long, or empty")
+    for type, id, host, _ in agents:
         if kinds.get(type) not in ("resource", "coordinator"):
             raise BundleError(f"'{id}' of its team is a '{type}', which its program does not have")
         if not (0 < len(id) <= MAX_NAME and 0 < len(host) <= MAX_NAME):
             raise BundleError("a name of its team is too long, or empty")
 
 
-def check_bindings(bindings: Bindings, needed: Needed, drivers: KnownDrivers) -> None:
+def check_bindings(bindings: Bindings, needed: Needed, drivers: KnownDrivers, hosts: Collection[str]) -> None:
     """Every device that is needed is bound, nothing else is, and all can be made. Raises BundleError."""
-    for problem in (*_devices(bindings, needed, drivers), *_limits(bindings)):
+    problems = (
+        *_devices(bindings, needed, drivers),
+        *_limits(bindings),
+        *_recovery(bindings.recovery, hosts),
+    )
+    for problem in problems:
         raise BundleError(problem)
+
+
+def _recovery(recovery: Recovery, hosts: Collection[str]) -> Iterator[str]:
+    if not SHORTEST_LEASE <= recovery.lease <= LONGEST_LEASE:
+        yield "the lease of its recovery makes no sense"
+    members = set(recovery.members)
+    if not (members <= set(hosts) and len(members) == len(recovery.members) <= MOST_MEMBERS):
+        yield "the members of its recovery are no hosts of its team, or too many"
 
 
 def _devices(bindings: Bindings, needed: Needed, drivers: KnownDrivers) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from lfield.bytecode.encoding import MAX_SIZE, decode
@@ -11,6 +12,7 @@ from lfield.capability.model import Registry
 from lfield.capability.reading.reader import is_shipped
 from lfield.capability.types.language import RegistryTypes
 from lfield.capability.types.live_units import settle_live
+from lfield.driver.known import KnownDrivers
 from lfield.driver.plugins import Plugins, discover
 from lfield.errors import (
     BindingError,
@@ -20,14 +22,15 @@ from lfield.errors import (
     ProgramError,
     ProgramFileError,
 )
-from lfield.lang.deployment import read_deployment
+from lfield.lang.deployment import Deployment, read_deployment
 from lfield.mission import bundle
-from lfield.mission.bindings import chosen_fakes
+from lfield.mission.bindings import Bindings, chosen_fakes
 from lfield.mission.bindings_file import read_bindings
 from lfield.mission.mission import Mission, makers_of, needed_devices
 from lfield.mission.team import parse_maps, team_of
 from lfield.text.files import look_at, read_head, reason
-from lfield.text.source import Diagnostic, Diagnostics
+from lfield.text.source import Diagnostic, Diagnostics, Remark
+from lfield.text.suggest import listed
 from lfield.vm.offers import ways
 
 #: Suffixes of the files of a mission that stand beside its deployment.
@@ -55,14 +58,34 @@ def load_mission(
     team = team_of(deployment.rows, deployment.kinds, deployment.ports)
     needed = needed_devices(loaded, team)
     bindings = read_bindings(
-        devices or beside(deploy, DEVICES), needed, plugins, simulate=simulate, resources=team.types
+        devices or beside(deploy, DEVICES),
+        needed,
+        plugins,
+        simulate=simulate,
+        resources=team.types,
+        hosts=team.hosts,
     )
     drivers = makers_of(plugins, {device.type for device in bindings.all})
     registry = _settled(types.registry, loaded, plugins) if ways(loaded) else None
     chosen = chosen_fakes(bindings, needed, plugins, team.types) if simulate else []
-    shown = (*(warning.render() for warning in warnings), *chosen)
-    mission = Mission(deploy.stem, loaded, team, bindings, drivers, registry, shown)
+    mission = _decided(Mission(deploy.stem, loaded, team, bindings, drivers, registry))
+    warnings += _doubts(deployment, mission)
+    mission = replace(mission, warnings=(*(warning.render() for warning in warnings), *chosen))
     return mission.at(team.at(parse_maps(maps, team))) if maps else mission
+
+
+def _doubts(deployment: Deployment, mission: Mission) -> list[Diagnostic]:
+    """More than half of two is both of them."""
+    members = mission.recovery.members
+    if len(members) != 2:
+        return []
+    first = next(agent for agent in deployment.agents if agent.id in mission.fenced)
+    message = (
+        f"{first.id} goes on nowhere when one of {listed(members)} is lost: the other is no more than half"
+    )
+    return [
+        Diagnostic("Y114", message, first.span, "add a witness, a host without agents: //@name", "warning")
+    ]
 
 
 def _check_deployment(path: Path) -> None:
@@ -86,9 +109,20 @@ def open_mission(path: Path, devices: Path | None = None) -> Mission:
 def rebound(mission: Mission, devices: Path, *, simulate: bool = False) -> Mission:
     """A mission with the bindings of another devices file. Raises BindingError, InputFileError."""
     bindings = read_bindings(
-        devices, mission.needed, mission.drivers, simulate=simulate, resources=mission.team.types
+        devices,
+        mission.needed,
+        mission.drivers,
+        simulate=simulate,
+        resources=mission.team.types,
+        hosts=mission.team.hosts,
     )
-    return mission.with_bindings(bindings)
+    return _decided(mission.with_bindings(bindings))
+
+
+def _decided(mission: Mission) -> Mission:
+    """The mission, if it says who decides that a coordinator is lost. Raises BindingError."""
+    _ = mission.recovery
+    return mission
 
 
 def beside(path: Path, suffix: str) -> Path | None:
@@ -185,18 +219,23 @@ def compile_file(
     return compile_program(checked.program), checked.diagnostics
 
 
-def device_problems(deploy: Path) -> Sequence[str]:
-    """What is wrong in the devices file beside a deployment that has no mistakes itself.
+def mission_problems(deploy: Path) -> list[Finding]:
+    """What is found between the files of a deployment that has no mistakes itself.
 
-    That a device is not bound there is none: it may be elsewhere, or simulated.
+    That a device is not bound is none: it may be elsewhere, or simulated.
     """
-    if beside(deploy, DEVICES) is None or beside(deploy, ".L") is None:
+    program = beside(deploy, ".L")
+    if program is None:
         return []
     try:
-        load_mission(deploy, simulate=True)
+        bound = load_mission(deploy, simulate=True).bindings if beside(deploy, DEVICES) else Bindings()
+        loaded = compile_file(program)[0]
+        deployment = read_deployment(deploy, loaded.units)
+        team = team_of(deployment.rows, deployment.kinds, deployment.ports)
+        mission = _decided(Mission(deploy.stem, loaded, team, bound, KnownDrivers({})))
     except BindingError as error:
-        return error.problems
-    return []
+        return [*error.findings, *(Remark(problem) for problem in error.problems[len(error.findings) :])]
+    return list(_doubts(deployment, mission))
 
 
 def check_file(path: Path) -> Sequence[Finding]:

@@ -9,11 +9,12 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from lfield.bytecode.acting import fenced_classes
 from lfield.bytecode.program import Program
 from lfield.capability.model import Registry
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.known import Drivers, KnownDrivers
-from lfield.mission.bindings import Bindings, Needed, chosen_fakes, on_fakes
+from lfield.mission.bindings import Bindings, Needed, Recovery, chosen_fakes, on_fakes
 from lfield.mission.team import Team
 
 #: What the devices of a team are. A team that has none is neither.
@@ -57,6 +58,21 @@ class Mission:
         if not endpoints:
             return ""
         return "fakes" if all(endpoint.startswith(SIMULATED) for endpoint in endpoints) else "hardware"
+
+    @property
+    def fenced(self) -> frozenset[str]:
+        """The ids of coordinators that may be recovered elsewhere: they run only under a lease."""
+        classes = fenced_classes(self.program)
+        return frozenset(member.id for member in self.team.coordinators if member.type in classes)
+
+    @property
+    def recovery(self) -> Recovery:
+        """Who decides that a fenced coordinator is lost; without one nobody does.
+
+        Raises BindingError when they must be named and are not: whoever makes a mission has looked.
+        """
+        chosen = self.bindings.recovery
+        return chosen.among(self.team.hosts) if self.fenced else replace(chosen, members=())
 
     def on_fakes(self) -> Mission:
         """The same mission with a fake for each device; which were chosen is added to its warnings."""

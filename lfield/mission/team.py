@@ -14,7 +14,8 @@ from lfield.net.transport import DEFAULT_PORT
 from lfield.text.suggest import did_you_mean, listed
 from lfield.vm.agent import Member
 
-#: What is said of an agent in a deployment: type, id, host, and arguments.
+#: What is said of an agent in a deployment: type, id, host, and arguments. Of a witness, a host without
+#: agents, there is only the host.
 Row = tuple[str, str, str, tuple[str, ...]]
 
 
@@ -29,6 +30,8 @@ class Deployed(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Team:
     """`members` in the order of the deployment; `addresses[n]` is the "host:port" of `hosts[n]`.
+
+    Hosts without members are witnesses: they take part when the team decides that a host is lost.
 
     `deployment` is the SHA-256 of `encode_rows`: types, ids, hosts and arguments. Addresses do not count.
     """
@@ -63,8 +66,10 @@ class Team:
 
     @property
     def rows(self) -> list[Row]:
-        """What the deployment says of its agents, in order."""
-        return [(m.type, m.id, self.hosts[m.host], m.arguments) for m in self.members]
+        """What the deployment says of its agents, in order, and of witnesses."""
+        agents = [(m.type, m.id, self.hosts[m.host], m.arguments) for m in self.members]
+        homes = {member.host for member in self.members}
+        return [*agents, *(("", "", host, ()) for n, host in enumerate(self.hosts) if n not in homes)]
 
     @property
     def reached(self) -> dict[str, str]:
@@ -95,7 +100,7 @@ def team_of(rows: Iterable[Row], kinds: Mapping[str, str], ports: Mapping[str, i
     numbers = {host: i for i, host in enumerate(dict.fromkeys(host for _, _, host, _ in said))}
     members = tuple(
         Member(i, id, type, kinds[type], numbers[host], arguments)
-        for i, (type, id, host, arguments) in enumerate(said)
+        for i, (type, id, host, arguments) in enumerate(row for row in said if row[0])
     )
     addresses = tuple(f"{host}:{ports.get(host, DEFAULT_PORT)}" for host in numbers)
     return Team(members, tuple(numbers), addresses, hashlib.sha256(encode_rows(said)).digest())

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from lfield.mobility.copies import MAX_STARTS, Copies, Copy
 from lfield.mobility.departures import LIMIT, UNREACHABLE
 from lfield.mobility.effects import Effect, Go, Note, Refusal, Send
+from lfield.wire.coordinators import NEVER_ARRIVED, SUPERSEDED, Accepted, Inquire, Refused, Transfer
 from lfield.wire.fields import clip
-from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Inquire, Refused, Transfer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -97,7 +97,7 @@ class Arrivals:
             effects += self._outrun(copy)
             copy.sequence, copy.refusal = header.sequence, refusal
         if restarted:
-            effects += self._endings.supersede_after(header.agent, header.generation, self._own.host)
+            effects += self._endings.supersede(header.agent, header.generation, self._own.host)
             effects += self._endings.replaced(copy) if refusal is None else []
         return effects
 
@@ -119,6 +119,12 @@ class Arrivals:
             return Refusal(
                 UNREACHABLE,
                 f"{self._own.host} knows no coordinator {header.agent}, or over {MAX_STARTS} starts of it",
+            )
+        if (header.agent, header.generation) in self._copies.parked:
+            return Refusal(
+                UNREACHABLE,
+                f"{self._own.host} keeps another start of {header.agent} under that number, for another "
+                f"program: 'lfield forget {header.agent}' ends it",
             )
         return None
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from lfield.journal.pages import CopyPage
 from lfield.mobility.effects import Effect, Persist, Refusal
-from lfield.wire.messages import Known, Outcome
+from lfield.wire.coordinators import Known, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
@@ -60,6 +60,11 @@ class Copy:
     def alive(self) -> bool:
         """Whether this copy, as far as is known, is the coordinator itself."""
         return self.state in LIVE and not self.doubt
+
+    @property
+    def is_here(self) -> bool:
+        """Whether it is alive and on no way: it runs, or waits to be sent."""
+        return self.alive and self.state in ("RUN", "FROZEN")
 
     def run(self, sequence: int, hops: int) -> None:
         """Become the running copy, whatever was here before."""
@@ -134,6 +139,8 @@ class Copies:
     def __init__(self, agents: Collection[str], mission: bytes = b"") -> None:
         self._starts: dict[str, dict[int, Copy]] = {agent: {} for agent in agents}
         self._mission = mission
+        #: The starts whose pages here belong to another mission: nothing but their end is written over them.
+        self.parked: dict[tuple[str, int], CopyPage] = {}
 
     @property
     def kept(self) -> bool:
@@ -142,11 +149,18 @@ class Copies:
 
     def keep(self, copy: Copy) -> list[Effect]:
         """Have what is known of it on disk before anything that comes after."""
-        return [Persist(copy.agent, copy.page(self._mission))] if self._mission else []
+        return self._persist(copy, soon=False)
 
     def keep_soon(self, copy: Copy) -> list[Effect]:
         """The same, but nothing waits for it: if it is lost, it is asked for again."""
-        return [Persist(copy.agent, copy.page(self._mission), soon=True)] if self._mission else []
+        return self._persist(copy, soon=True)
+
+    def _persist(self, copy: Copy, *, soon: bool) -> list[Effect]:
+        if copy.state == "EXITED":
+            self.parked.pop((copy.agent, copy.generation), None)
+        if not self._mission or (copy.agent, copy.generation) in self.parked:
+            return []
+        return [Persist(copy.agent, copy.page(self._mission), soon=soon)]
 
     def __iter__(self) -> Iterator[Copy]:
         return (copy for starts in self._starts.values() for copy in starts.values())

@@ -16,7 +16,9 @@ from lfield.mobility.copies import LIVE, Copies
 from lfield.mobility.departures import Departures
 from lfield.mobility.effects import Began, Go
 from lfield.mobility.endings import Endings
-from lfield.wire.messages import Accepted, Ended, EndedAck, Hello, Inquire, Known, Refused, Transfer
+from lfield.mobility.recoveries import Recoveries, bar, newest
+from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused, Transfer
+from lfield.wire.messages import Hello
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
@@ -25,8 +27,8 @@ if TYPE_CHECKING:
     from lfield.mobility.copies import Copy
     from lfield.mobility.effects import Effect, Refusal
     from lfield.mobility.fates import Fate
+    from lfield.wire.coordinators import Outcome
     from lfield.wire.framing import Buffer
-    from lfield.wire.messages import Outcome
 
 
 class Put(Protocol):
@@ -69,6 +71,7 @@ class Mobility:
         self._endings = Endings(own.host, frozenset(peers) - {own.host}, self._copies, self._links)
         self._departures = Departures(own, self._copies, self._links, self._endings, unreachable_after)
         self._arrivals = Arrivals(own, self._copies, self._departures, self._endings, inject)
+        self._recoveries = Recoveries(own.host, self._copies, self._endings)
 
     def start(self, agent: str, generation: int) -> list[Effect]:
         """A coordinator starts here. `generation` must be new, and greater than those of earlier starts."""
@@ -86,8 +89,12 @@ class Mobility:
                 return [*self._copies.keep(copy), Go(agent, copy.generation)]
         raise ValueError(f"{agent} does not run here")
 
-    def restore(self, pages: Iterable[CopyPage]) -> None:
-        """What the journal of this host has of the coordinators. Those that can go on here: see `wake`."""
+    def restore(self, pages: Iterable[CopyPage], parked: Iterable[CopyPage] = ()) -> None:
+        """What the journal of this host has of the coordinators. Those that can go on here: see `wake`.
+
+        `parked` are of another mission: others are told of them, and their numbers are not used again.
+        """
+        self._copies.parked = {(page.agent, page.generation): page for page in parked}
         for page in pages:
             copy = self._copies.enter(page.agent, page.generation)
             if copy is not None:
@@ -105,6 +112,9 @@ class Mobility:
             if not copy.restored:
                 continue
             runs = copy.state == "RUN"
+            if runs and copy.doubt:
+                copy.restored = False
+                continue
             copy.restored = not runs
             copy.seal = put(copy, runs=runs)
             if copy.seal is None:
@@ -140,6 +150,29 @@ class Mobility:
         gone = [c.generation for c in self._copies.of(agent) if c.state == "MOVED" or c.doubt]
         starts = sorted({*gone, *(number for number in others if self._copies.find(agent, number) is None)})
         return starts, self._endings.lose(agent, starts, detail)
+
+    def bar(self, agent: str, generation: int, reason: str) -> list[Effect]:
+        """No start of it before `generation` may run any more: those that are here stop."""
+        return bar(self._copies.of(agent), generation, reason)
+
+    def newest(self, agent: str) -> Copy | None:
+        """What it could go on from here, or the coordinator itself; None for neither."""
+        return newest(self._copies.of(agent))
+
+    def recoverable(self, agent: str) -> Known | None:
+        """What this host could go on with if the holder of a coordinator were gone; None if it runs here."""
+        copy = self._recoveries.newest(agent)
+        return None if copy is None else copy.known()
+
+    def recover(
+        self, agent: str, generation: int, put: Callable[[Copy], Callable[[int], Buffer] | None]
+    ) -> list[Effect]:
+        """The holder of a coordinator is gone for good: a new start of it, `generation`, goes on here.
+
+        That must be a recovery's number above all that are known, and `recoverable` must have something.
+        `put(copy)` has its block in the machine, frozen; None: it cannot be read, and nothing is changed.
+        """
+        return self._recoveries.recover(agent, generation, put)
 
     @property
     def memories(self) -> dict[str, int]:
@@ -215,14 +248,37 @@ class Mobility:
                 effects += self._departures.overdue(copy)
         return effects
 
+    def postpone(self, now: float) -> None:
+        """Time stood still until now: whatever waits has all its time again."""
+        self._departures.postpone(now)
+
     def next_deadline(self) -> float | None:
         """When `tick` has something to do next, or None."""
         waiting = (c.deadline for c in self._copies if c.alive and c.state != "RUN")
         return min(waiting, default=None)
 
     def knowledge(self) -> list[Known]:
-        """What this host knows of every coordinator, for greetings and `lfield ps`."""
+        """What this host knows of every coordinator of its mission, for greetings and `lfield ps`."""
         return [copy.known() for copy in self._copies if copy.state != "ABSENT"]
+
+    def greeting(self) -> list[Known]:
+        """The same, with what is parked here: its home may be another host now."""
+        return self.knowledge() + [
+            Known(
+                page.agent,
+                page.generation,
+                page.sequence,
+                page.hops,
+                "MOVED" if page.state == "MOVED" else "PARKED",
+                page.target if page.state == "MOVED" else "",
+            )
+            for page in self._copies.parked.values()
+        ]
+
+    @property
+    def parked(self) -> list[CopyPage]:
+        """What waits here for another mission."""
+        return list(self._copies.parked.values())
 
     @property
     def lost(self) -> bool:
@@ -262,7 +318,10 @@ class Mobility:
         if known.state == "EXITED":
             ended = Ended(known.agent, known.generation, known.outcome or "lost", known.detail, known.where)
             return self._endings.learn(ended)
+        if known.state == "PARKED":
+            return []
         effects = self._departures.learn(host, memory, known)
+        effects += self._endings.fence(known.agent, known.generation, host)
         if known.state in LIVE:
             effects += self._endings.compare(host, known)
         return effects

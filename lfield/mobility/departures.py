@@ -5,16 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lfield.mobility.effects import Departed, Effect, InDoubt, Resume, Send, SendTransfer
+from lfield.wire.coordinators import NEVER_ARRIVED, SUPERSEDED, Accepted, Inquire, Refused, Transfer
 from lfield.wire.fields import clip
-from lfield.wire.messages import NEVER_ARRIVED, SUPERSEDED, Accepted, Hello, Inquire, Refused, Transfer
+from lfield.wire.messages import Hello
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from lfield.mobility.copies import Copies, Copy
     from lfield.mobility.endings import Endings
+    from lfield.wire.coordinators import Known
     from lfield.wire.framing import Buffer
-    from lfield.wire.messages import Known
 
 #: The L exceptions a refused hop ends in (appendix I names the first and the last).
 UNREACHABLE = "UnreachableResourceException"
@@ -22,6 +23,8 @@ RESTARTED = "RestartException"
 #: What is known of a call that a restart has come between.
 UNBEGUN, PERHAPS = "this call has not begun", "this call may have begun"
 LIMIT = "LimitException"
+#: Why a host that somebody has paused takes nobody in.
+PAUSED = "the mission is paused there"
 
 
 class Departures:
@@ -111,8 +114,20 @@ class Departures:
         departed = Departed(copy.agent, copy.generation, copy.sequence, copy.target)
         return [departed, *self._copies.keep_soon(copy)]
 
+    def postpone(self, now: float) -> None:
+        """Whatever waits for a host or its answer has all its time again."""
+        for copy in self._copies:
+            if copy.state in ("FROZEN", "PREPARED"):
+                copy.deadline = now + self._unreachable_after
+
     def overdue(self, copy: Copy) -> list[Effect]:
-        """The time of a departure is over: nothing was sent, so resume; or something was, so doubt."""
+        """The time of a departure is over: nothing was sent, so resume; or something was, so doubt.
+
+        Who waits for a host that somebody has paused waits as long as that is linked and paused.
+        """
+        if copy.state == "FROZEN" and self._full.get(copy.target) == PAUSED and copy.target in self._links:
+            copy.deadline += self._unreachable_after
+            return []
         host, seconds = copy.target, f"{self._unreachable_after:g} s"
         if copy.state == "FROZEN":
             why = f"could not be reached within {seconds}; is it up?"

@@ -10,8 +10,9 @@ from __future__ import annotations
 from msgspec import Struct
 
 from lfield.journal.pages import Page
+from lfield.wire.coordinators import Outcome, Transfer
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Control, Outcome, Transfer
+from lfield.wire.messages import Control
 
 
 class Send(Struct, frozen=True):

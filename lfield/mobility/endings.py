@@ -2,7 +2,8 @@
 
 A host of which a coordinator came may restart while the coordinator is away, and start it again. Then
 there are two starts. The earlier one has done work and goes on; the later one is superseded wherever a
-host learns of both.
+host learns of both. A recovery is the exception: whoever knows of it, however it went on since, runs no
+earlier start any more.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from typing import TYPE_CHECKING
 
 from lfield.mobility.copies import LIVE, Copies, Copy
 from lfield.mobility.effects import Effect, Finished, Send, Supersede
+from lfield.mobility.generations import is_recovery, outranks, stops, why_stopped
+from lfield.wire.coordinators import Ended, EndedAck, Known, Outcome
 from lfield.wire.fields import clip
-from lfield.wire.messages import Ended, EndedAck, Hello, Known, Outcome
+from lfield.wire.messages import Hello
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
@@ -117,6 +120,12 @@ class Endings:
 
     def learn(self, ended: Ended) -> list[Effect]:
         """Take note of an ending elsewhere, unless the copy held here proves it wrong."""
+        return self.fence(ended.agent, ended.generation, ended.host) + self._learn(ended)
+
+    def _learn(self, ended: Ended) -> list[Effect]:
+        parked = self._copies.parked.get((ended.agent, ended.generation))
+        if parked is not None and parked.state == "RUN" and ended.outcome != "superseded":
+            return []
         copy = self._copies.enter(ended.agent, ended.generation)
         if copy is None or (copy.state == "EXITED" and (copy.outcome != "lost" or ended.outcome == "lost")):
             return []
@@ -139,26 +148,42 @@ class Endings:
         return bool(copy.doubt) and target is not None and target.remembers != copy.memory
 
     def stop(self, copy: Copy, reason: str, host: str) -> list[Effect]:
-        """End a copy because `host` said an earlier start is alive; no need to tell others."""
+        """End a copy because `host` said that another start goes on; no need to tell others."""
         held = copy.state in LIVE
         copy.end("superseded", reason, host)
         kept = self._copies.keep(copy)
         return [*kept, Supersede(copy.agent, copy.generation, reason)] if held else kept
 
     def compare(self, host: str, known: Known) -> list[Effect]:
-        """`host` holds a live copy of a start: supersede that start, or the later ones known here."""
-        for copy in self._copies.of(known.agent):
-            if copy.alive and copy.generation < known.generation:
-                later = self._copies.enter(known.agent, known.generation)
-                return [] if later is None else self._supersede(later, self._host)
-        return self.supersede_after(known.agent, known.generation, host)
+        """`host` holds a live copy of a start: supersede that start, or those known here that it outranks."""
+        by = self._outranking(known.agent, known.generation)
+        if by is not None:
+            beaten = self._copies.enter(known.agent, known.generation)
+            return [] if beaten is None else self._supersede(beaten, by, self._host)
+        return self.supersede(known.agent, known.generation, host)
 
-    def supersede_after(self, agent: str, generation: int, host: str) -> list[Effect]:
-        """A start is alive on `host`: supersede all later ones."""
-        effects: list[Effect] = []
+    def supersede(self, agent: str, generation: int, host: str) -> list[Effect]:
+        """A start is alive on `host`: supersede all that it outranks."""
+        effects = self.fence(agent, generation, host)
         for copy in self._copies.of(agent):
-            if copy.generation > generation:
-                effects += self._supersede(copy, host)
+            if copy.state != "EXITED" and outranks(generation, copy.generation):
+                effects += self._supersede(copy, generation, host)
+        return effects
+
+    def fence(self, agent: str, generation: int, host: str) -> list[Effect]:
+        """`host` knows of a start. If it is a recovery, no earlier one goes on, whatever became of it."""
+        effects: list[Effect] = []
+        for copy in self._copies.of(agent) if is_recovery(generation) else ():
+            if copy.state != "EXITED" and copy.generation < generation:
+                effects += self.stop(copy, why_stopped(agent, copy.generation, generation, host), host)
+        return effects
+
+    def outranked(self, recovery: Copy) -> list[Effect]:
+        """A recovery is made here: all other starts have ended, and every host is told until it confirms."""
+        effects: list[Effect] = []
+        for copy in self._copies.of(recovery.agent):
+            if copy.state != "EXITED" and copy is not recovery:
+                effects += self._supersede(copy, recovery.generation, self._host)
         return effects
 
     def replaced(self, arrived: Copy) -> list[Effect]:
@@ -176,14 +201,20 @@ class Endings:
         return effects
 
     def yields(self, copy: Copy) -> list[Effect]:
-        """Supersede a start that arrives where an earlier one is alive."""
-        if any(other.alive and other.generation < copy.generation for other in self._copies.of(copy.agent)):
-            return self._supersede(copy, self._host)
-        return []
+        """Supersede a start that arrives where one that outranks it is alive, or a recovery is known."""
+        by = self._outranking(copy.agent, copy.generation)
+        return [] if by is None else self._supersede(copy, by, self._host)
 
-    def _supersede(self, copy: Copy, host: str) -> list[Effect]:
-        if copy.state == "EXITED":
+    def _outranking(self, agent: str, generation: int) -> int | None:
+        """The start because of which this one does not go on, as far as is known here."""
+        starts = (
+            c.generation for c in self._copies.of(agent) if stops(c.generation, generation, alive=c.alive)
+        )
+        return next(starts, None)
+
+    def _supersede(self, copy: Copy, by: int, host: str) -> list[Effect]:
+        if copy.state == "EXITED" and copy.outcome != "lost":
             return []
-        reason = f"an earlier start of {copy.agent} is alive on {host}, so this later one was stopped"
+        reason = why_stopped(copy.agent, copy.generation, by, host)
         stop: list[Effect] = [Supersede(copy.agent, copy.generation, reason)] if copy.state in LIVE else []
         return stop + self.end(copy, "superseded", reason)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 from msgspec import structs
 
-from lfield.wire.messages import Known
+from lfield.wire.coordinators import Known
 
 _ALIVE = ("RUN", "FROZEN", "PREPARED")
 

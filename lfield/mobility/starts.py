@@ -1,8 +1,8 @@
 """When a host may start its coordinators, and as which generation. Pure.
 
 A generation tells a later start of a coordinator from an earlier one, so it must grow, whatever becomes of
-clocks and disks. It is a counter: one more than this host has on record and than any other host knows. One
-counter serves all coordinators of a host, since they are started together.
+clocks and disks. It is a counter (`generations`), above what this host has on record and what any other host
+knows. One counter serves all coordinators of a host, since they are started together.
 
 A host that has no record may have started them before all the same, with another disk. So it waits until it
 has heard every other host, or is told that there was no earlier start.
@@ -13,7 +13,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 
 from lfield.mobility.copies import LIVE
-from lfield.wire.messages import Known
+from lfield.mobility.generations import next_start
+from lfield.wire.coordinators import Known
 
 
 class Starts:
@@ -42,6 +43,10 @@ class Starts:
     def learn(self, known: Iterable[Known]) -> None:
         """Starts that anybody knows of."""
         self._newest = max(self._newest, *(k.generation for k in known if k.agent in self.agents), 0)
+
+    def beyond(self, generation: int) -> None:
+        """No start up to this number may be made."""
+        self._newest = max(self._newest, generation)
 
     def begin(self, record: int | None, *, first: bool) -> None:
         """The others had time to answer. `record` is the last start on record here, None without one.
@@ -82,7 +87,7 @@ class Starts:
     @property
     def next(self) -> int:
         """The generation of a start that is made now; no other host knows one as high."""
-        return max(self._record or 0, self._newest) + 1
+        return next_start(max(self._record or 0, self._newest))
 
     def why(self) -> str:
         """Why nothing is started yet, for the log: '' when there is nothing new to say."""
@@ -95,6 +100,22 @@ class Starts:
             "starts; `--first-start` says that there was none"
         )  # fmt: skip
         return "" if told == self._told else self._told
+
+    def parked(self, agent: str, known: Iterable[Known]) -> str:
+        """The linked host where a coordinator waits for another mission, as it said; '' for none."""
+        return self._where(agent, known, ("PARKED",))
+
+    def shadowed(self, agent: str, known: Iterable[Known]) -> str:
+        """The linked host where a coordinator has left its shadow, as it said; '' for none."""
+        return self._where(agent, known, ("MOVED", "IN DOUBT"))
+
+    def _where(self, agent: str, known: Iterable[Known], states: Collection[str]) -> str:
+        ended = {k.generation for k in known if k.agent == agent and k.state == "EXITED"}
+        for host, records in self._said.items():
+            for record in records:
+                if record.agent == agent and record.state in states and record.generation not in ended:
+                    return host
+        return ""
 
     def alive(self, agent: str, known: Iterable[Known]) -> bool:
         """Whether a coordinator is alive somewhere, by what is `known` here and what linked hosts said."""

@@ -19,8 +19,9 @@ from lfield.wire.codec import (
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
     from lfield.net.transport import LinkHandler
+    from lfield.wire.coordinators import Transfer
     from lfield.wire.framing import Buffer
-    from lfield.wire.messages import Message, Role, Transfer
+    from lfield.wire.messages import Message, Role
 
 # Up to here one copy is cheaper than a second system call; a larger block is written by itself.
 _ONE_WRITE = 64 * 1024

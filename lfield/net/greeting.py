@@ -9,16 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NoReturn
 
 from lfield.errors import GreetingError, WireError
-from lfield.wire.messages import (
-    PROTOCOL,
-    EmergencyStop,
-    ForeignHello,
-    Forget,
-    Hello,
-    Ping,
-    Refuse,
-    StatusRequest,
-)
+from lfield.wire.messages import PROTOCOL, ForeignHello, Hello, Ping, Refuse
+from lfield.wire.observing import EmergencyStop, Forget, Pause, Recover, StatusRequest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -28,7 +20,7 @@ if TYPE_CHECKING:
 
 #: What an observer may send: it looks, it may stop every device, as anybody should be able to, and it passes
 #: on a person's word about a coordinator that nobody knows to be alive.
-OBSERVERS = StatusRequest | Ping | EmergencyStop | Forget
+OBSERVERS = StatusRequest | Ping | EmergencyStop | Forget | Pause | Recover
 
 
 class Greeting:
@@ -77,6 +69,7 @@ class Greeting:
         self._check_hashes(message)
         self._check_devices(message)
         self._check_memory(message)
+        self._check_recovery(message)
         self.peer = message
         return message
 
@@ -151,6 +144,15 @@ class Greeting:
             f"{keeps} keeps its coordinators in a journal and {other} does not; start both with "
             "--volatile, or none; under --sim both with --state, or none"
         )
+
+    def _check_recovery(self, hello: Hello) -> None:
+        """Two majorities of different members need not meet."""
+        if "observer" not in (self.own.role, hello.role) and self.own.recovery != hello.recovery:
+            ours, theirs = self.own.recovery or "nobody", hello.recovery or "nobody"
+            self._refuse(
+                f"{self.own.host} recovers coordinators by {ours} and {hello.host} by {theirs}; give both "
+                "the same 'recovery' in their devices files"
+            )
 
     def _refuse(self, reason: str) -> NoReturn:
         self.refusal = Refuse(reason)

@@ -33,8 +33,8 @@ def own_host(hosts: Sequence[str]) -> str:
 def _is_own_address(host: str) -> bool:
     """Whether the name leads to an address that a socket of this machine can be bound to."""
     try:
-        candidates = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
-    except (OSError, UnicodeError):
+        candidates = socket.getaddrinfo(split_address(host)[0], 0, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError, AddressError):
         return False
     for family, kind, protocol, _, address in candidates:
         try:

@@ -22,8 +22,9 @@ from lfield.net.greeting import Greeting
 from lfield.net.guests import Guests
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
+from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Control, Hello, Ping, Pong, Transfer
+from lfield.wire.messages import Control, Hello, Ping, Pong
 
 #: Seconds between two attempts to reach a host: the first wait, and the longest.
 FIRST_RETRY, LAST_RETRY = 0.05, 1.0

@@ -8,7 +8,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
 
 from lfield.errors import AddressError, GreetingError, LfieldError
-from lfield.wire.messages import Control, Hello, Message, Ping, Refuse, Transfer
+from lfield.wire.coordinators import Transfer
+from lfield.wire.messages import Control, Hello, Message, Ping, Refuse
 
 if TYPE_CHECKING:
     from collections.abc import Callable

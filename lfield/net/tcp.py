@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfield.net.transport import Link, LinkHandler
+    from lfield.wire.coordinators import Transfer
     from lfield.wire.framing import Buffer
-    from lfield.wire.messages import Transfer
 
 _REASONS = {
     errno.EADDRINUSE: "the port is in use; stop the program that has it, or choose another port",

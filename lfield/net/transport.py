@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfield.errors import LfieldError
+    from lfield.wire.coordinators import Transfer
     from lfield.wire.framing import Buffer
-    from lfield.wire.messages import Message, Role, Transfer
+    from lfield.wire.messages import Message, Role
 
 #: The port of a host whose address gives none (chapter IV, figure 4.9).
 DEFAULT_PORT = 8181

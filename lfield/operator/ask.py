@@ -13,20 +13,22 @@ from lfield.net.greeting import Greeting
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link, Transport
 from lfield.operator.addressed import Party, Place
+from lfield.wire.coordinators import Transfer
 from lfield.wire.fields import clip
-from lfield.wire.messages import (
+from lfield.wire.messages import Hello, Message
+from lfield.wire.observing import (
     EmergencyStop,
     EmergencyStopped,
     Forget,
     Forgotten,
-    Hello,
-    Message,
+    Pause,
+    Recover,
+    Recovered,
     Status,
     StatusRequest,
-    Transfer,
 )
 
-T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten)
+T = TypeVar("T", bound=Status | EmergencyStopped | Forgotten | Recovered)
 K = TypeVar("K", bound=Hashable)
 
 #: For each host by its name what it answered, or the error that stood in the way.
@@ -40,7 +42,7 @@ _MAX_BLOCK = 1 << 20
 class Request(Generic[T]):
     """What can be asked: the message, what answers it, and the seconds that a host has for that."""
 
-    message: StatusRequest | EmergencyStop | Forget
+    message: StatusRequest | EmergencyStop | Forget | Pause | Recover
     answer: type[T]
     bound: float
 
@@ -55,7 +57,17 @@ def emergency_stop(reason: str, *, lift: bool = False) -> Request[EmergencyStopp
 
 def forget(agent: str) -> Request[Forgotten]:
     """A person's word that a coordinator is lost."""
-    return Request(Forget(agent), Forgotten, 2.0)
+    return Request(Forget(agent), Forgotten, 8.0)
+
+
+def pause(*, lift: bool = False) -> Request[EmergencyStopped]:
+    """Pause the mission, or let it go on. It takes as long as the devices take to confirm it."""
+    return Request(Pause(lift), EmergencyStopped, 8.0)
+
+
+def recover(word: Recover) -> Request[Recovered]:
+    """A person's word that the holder of a coordinator is gone for good."""
+    return Request(word, Recovered, 8.0)
 
 
 def ask_parties(parties: Sequence[Party], request: Request[T]) -> dict[Place, T | LfieldError]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from lfield.errors import LfieldError, NobodyListens
 from lfield.operator.addressed import Place
 from lfield.wire.fields import Telemetry
-from lfield.wire.messages import DeviceStatus, EmergencyStopped, Status
+from lfield.wire.observing import DeviceStatus, EmergencyStopped, Status
 
 #: What a device does is told again after so many seconds at the soonest.
 TOLD_EVERY = 1.0

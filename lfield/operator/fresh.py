@@ -14,7 +14,8 @@ from msgspec import structs
 from lfield.errors import LfieldError
 from lfield.journal.pages import CopyPage, Page, Run
 from lfield.operator.ask import Answers
-from lfield.wire.messages import Outcome, Status
+from lfield.wire.coordinators import Outcome
+from lfield.wire.observing import Status
 
 #: The word of the person, as every host is told it.
 WORD = "thrown away by 'lfield up --fresh'"

@@ -14,7 +14,7 @@ from lfield.mission import bundle
 from lfield.mission.load import CAPABILITIES, beside
 from lfield.mission.team import Team
 from lfield.operator.ask import Answers
-from lfield.wire.messages import Status, Told
+from lfield.wire.observing import Status, Told
 
 #: For each host, what its directory says of the agents.
 Views = Mapping[str, Mapping[str, Told]]

@@ -19,12 +19,12 @@ from lfield.errors import LfieldError, ProgramError
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet
 from lfield.simulate.seeds import run
-from lfield.simulate.stories.story import Story, drawn
+from lfield.simulate.stories.story import KINDS, Story, drawn
 from lfield.simulate.stories.trial import tell
 from lfield.simulate.weather import Weather
 
 #: What can go wrong.
-KINDS = [field.name for field in fields(Weather)]
+FAULTS = [field.name for field in fields(Weather)]
 
 
 def main() -> int:
@@ -50,22 +50,21 @@ def _parser() -> argparse.ArgumentParser:
     many.add_argument("--story", type=int, metavar="SEED", help="tell one again, as it is or smaller:")
     for name in ("hosts", "walkers", "arms"):
         many.add_argument(f"--{name}", type=int, metavar="N")
-    many.add_argument("--forget", action="store_true", help="hosts keep no journals in it")
+    many.add_argument("--as", choices=KINDS, dest="kind", help="what becomes of its coordinators")
     many.add_argument("--keep", type=_numbers, metavar="N,N", help="the faults of it that strike")
     one = parser.add_argument_group("a mission")
     one.add_argument("mission", metavar="MISSION.dL", type=Path, nargs="?", help="the deployment")
     one.add_argument("--seed", type=int, default=0, help="of everything that is left to chance")
     one.add_argument("--seconds", type=float, help="how long it runs, in virtual time")
-    kinds = f"mean seconds between two faults of a kind: {', '.join(KINDS)}"
+    kinds = f"mean seconds between two faults of a kind: {', '.join(FAULTS)}"
     one.add_argument("--faults", metavar="KIND=SECONDS", type=_fault, nargs="*", default=[], help=kinds)
     return parser
 
 
 def _story(args: argparse.Namespace) -> int:
     given = {name: getattr(args, name) for name in ("hosts", "walkers", "arms", "seconds", "keep")}
-    story: Story = replace(drawn(args.story), **{name: v for name, v in given.items() if v is not None})
-    if args.forget:
-        story = replace(story, journals=False)
+    draws = KINDS[args.kind] if args.kind else drawn
+    story: Story = replace(draws(args.story), **{name: v for name, v in given.items() if v is not None})
     verdict = tell(story, keep_log=True)
     if not args.quiet:
         _print(verdict.log, verdict.faults)
@@ -114,8 +113,8 @@ def _numbers(text: str) -> frozenset[int]:
 
 def _fault(text: str) -> tuple[str, float]:
     kind, _, mean = text.partition("=")
-    if kind not in KINDS:
-        raise argparse.ArgumentTypeError(f"there is no fault '{kind}'; there are {', '.join(KINDS)}")
+    if kind not in FAULTS:
+        raise argparse.ArgumentTypeError(f"there is no fault '{kind}'; there are {', '.join(FAULTS)}")
     try:
         seconds = float(mean)
     except ValueError:

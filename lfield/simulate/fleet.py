@@ -6,7 +6,6 @@ a host ends are what runs on a robot. One seed is one run, to the byte.
 
 from __future__ import annotations
 
-import gc
 import hashlib
 import io
 import random
@@ -18,12 +17,13 @@ from msgspec import structs
 
 from lfield import exits
 from lfield.driver.known import KnownDrivers
-from lfield.errors import LfieldError
+from lfield.errors import JournalError, LfieldError
 from lfield.host.core import HostCore
 from lfield.host.host import Host, Options
 from lfield.host.logbook import Logbook
 from lfield.host.process.run import live
 from lfield.host.process.stop_words import StopWords
+from lfield.journal.pages import Page
 from lfield.mission.mission import Mission
 from lfield.net.tcp import TcpTransport
 from lfield.simulate.computers.computer import Computer, Process
@@ -34,7 +34,7 @@ from lfield.simulate.disk import JournalDisk
 from lfield.simulate.hardware import REFERENCE, Hardware, guard
 
 #: By how much clocks run fast or slow at most.
-CLOCKS = 0.0005
+CLOCKS = 0.01
 #: Where every host listens on its machine.
 PORT = 8181
 
@@ -55,11 +55,6 @@ class Life:
     def core(self) -> HostCore:
         """What decides in it."""
         return self.host.core
-
-
-def _never_unwind() -> None:
-    """The collector leaves alone what exists now: what the killed would do at their end comes too late."""
-    gc.freeze()
 
 
 class Fleet:
@@ -92,7 +87,8 @@ class Fleet:
         programs = {"lfield.guard.process": guard}
         self.computers = {m.name: Computer(m, self.network, programs) for m in self.machines.values()}
         self.disks = {name: JournalDisk(random.Random(dice.random())) for name in names}
-        #: The hosts that were started before, as whoever set the team up knows.
+        #: The hosts that may have done something of which their disk has nothing. Whoever set the team up
+        #: says of any other that it is started for the first time, until it has kept something.
         self._known: set[str] = set()
         #: By the names of devices that share it.
         self.hardware: dict[str, Hardware] = {}
@@ -105,6 +101,8 @@ class Fleet:
         #: The hosts that ended because of a bug of ours; those whose disk was replaced.
         self.failed: set[str] = set()
         self.replaced: set[str] = set()
+        #: Those that never come back.
+        self.gone: set[str] = set()
         for name in names:
             self.boot(name)
 
@@ -147,7 +145,6 @@ class Fleet:
     def run(self, seconds: float) -> None:
         """Let time go on for so long."""
         self.timeline.run(seconds, partial(self._watch, self))
-        _never_unwind()
 
     @property
     def digest(self) -> str:
@@ -158,7 +155,12 @@ class Fleet:
     # --- hosts ----------------------------------------------------------------------------------------
 
     def boot(self, name: str) -> None:
-        """Start a host's process, and its computer if that is off; nothing is left of an earlier life."""
+        """Start a host's process, and its computer if that is off; nothing is left of an earlier life.
+
+        What is gone for good stays so.
+        """
+        if name in self.gone:
+            return
         computer = self.computers[name]
         if not computer.machine.on:
             computer.power_on()
@@ -179,6 +181,16 @@ class Fleet:
         self.computers[name].power_off()
         self.lives.pop(name, None)
 
+    def lose(self, name: str) -> None:
+        """Its computer is gone for good, and tells nobody."""
+        self.gone.add(name)
+        self.power_off(name)
+
+    @property
+    def pages_left(self) -> list[Page]:
+        """What is on the disks of those hosts that are not gone for good."""
+        return [page for name, disk in self.disks.items() if name not in self.gone for page in disk.pages()]
+
     def close(self) -> None:
         """End all that runs, at once: nothing is left of it."""
         for name in self.computers:
@@ -188,18 +200,26 @@ class Fleet:
         """Its disk is replaced by an empty one."""
         self.disks[name].replace()
         self.replaced.add(name)
+        self._known.add(name)
 
     def _begin(self, name: str, process: Process) -> None:
         machine, disk, book = self.machines[name], self.disks[name], Book(self, name, process)
+        try:
+            journal = disk.open(machine.clock, book.note) if self.keeps else None
+        except JournalError as error:
+            book.note(str(error))
+            process.exit(error.exit_status)
+            return
         options = Options(
             listen=f"{name}:{PORT}",
             clock=machine.clock,
             dice=random.Random(machine.dice.random()),
             unreachable_after=self._unreachable_after,
-            journal=disk.open(machine.clock, book.note) if self.keeps else None,
-            first_start=name not in self._known,
+            journal=journal,
+            first_start=name not in self._known and not disk.pages(),
         )
-        self._known.add(name)
+        if not self.keeps:
+            self._known.add(name)
         host = Host(self.mission, name, TcpTransport(self.mission.max_block), Logbook(book, book), options)
         life = self.lives[name] = Life(process, host, StopWords(host.clock))
         self._born(name, life)
@@ -213,23 +233,23 @@ class Fleet:
             life.host.note(str(error))
             life.process.exit(error.exit_status)
             return
-        # What is killed is closed, and whoever waits in it for a device's rest hears of that here.
-        if not life.process.loop.dead:
-            if life.host.failure is not None:
-                self.failed.add(name)
-            if not life.words.first.is_set():
-                self.left[name] = status
-            life.process.exit(status)
+        if life.host.failure is not None:
+            self.failed.add(name)
+        if not life.words.first.is_set():
+            self.left[name] = status
+        life.process.exit(status)
 
     def _ended(self, name: str, process: Process, _: int) -> None:
-        _never_unwind()
         if name in self.lives and self.lives[name].process is process:
             del self.lives[name]
 
-    def recall(self) -> None:
-        """Start those again that gave up and ended by themselves, as whoever looks after the team does."""
+    def recall(self, only: int | None = None) -> None:
+        """Start those again that gave up and ended by themselves, as whoever looks after the team does.
+
+        `only` those that ended with this status; without it all whose mission is not done.
+        """
         for name, status in list(self.left.items()):
-            if status != exits.DONE:
+            if status == only or (only is None and status != exits.DONE):
                 del self.left[name]
                 self.boot(name)
 

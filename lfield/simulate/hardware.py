@@ -59,7 +59,9 @@ class Hardware:
         self._fed = self._until = float("-inf")
 
     def feed(self, watchdog: float = 0.0) -> None:
-        """A sign of life; with a time, that is its watchdog's from now on."""
+        """A sign of life; with a time, that is its watchdog's from now on. Where it has stopped it stays."""
+        if not self.moving:
+            self._until = float("-inf")
         self._watchdog, self._fed = watchdog or self._watchdog, self._timeline.now
 
     def tell(self, owner: int, what: str, arguments: tuple[object, ...], seconds: float) -> None:

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from lfield.clock import Clock
     from lfield.errors import LfieldError
     from lfield.net.transport import Link, LinkHandler
+    from lfield.wire.coordinators import Transfer
     from lfield.wire.framing import Buffer
-    from lfield.wire.messages import Message, Transfer
+    from lfield.wire.messages import Message
 
 _FIRST_FREE_PORT = 40000
 

@@ -12,13 +12,13 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lfield.simulate.stories.shrink import command, smallest
-from lfield.simulate.stories.story import drawn
+from lfield.simulate.stories.story import Story, drawn
 from lfield.simulate.stories.trial import Verdict, tell
 
 #: Seeds that a process is given at a time, and after how many it makes room for a new one.
@@ -36,6 +36,7 @@ class Tally:
     faults: int = 0
     calls: int = 0
     restarts: int = 0
+    recovered: int = 0
     broken: list[Verdict] = field(default_factory=list)
     digests: dict[int, str] = field(default_factory=dict)
 
@@ -46,6 +47,7 @@ class Tally:
         self.faults += len(verdict.faults)
         self.calls += verdict.calls
         self.restarts += verdict.restarts
+        self.recovered += verdict.recovered
         self.digests[verdict.story.seed] = verdict.digest
         if verdict.breaches:
             self.broken.append(verdict)
@@ -57,15 +59,18 @@ class Tally:
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
-def told(seed: int, *, forget: bool = False) -> Verdict:
-    """The story of a seed; of hosts without journals if they are to `forget`."""
-    story = drawn(seed)
-    return tell(replace(story, journals=False) if forget else story)
+#: Draws the story of a seed.
+Draws = Callable[[int], Story]
 
 
-def first_broken(seeds: Iterable[int], *, forget: bool = False) -> Verdict | None:
+def told(seed: int, draws: Draws = drawn) -> Verdict:
+    """What came of the story of a seed."""
+    return tell(draws(seed))
+
+
+def first_broken(seeds: Iterable[int], draws: Draws = drawn) -> Verdict | None:
     """The first story of some, told one after another, in which a promise is broken."""
-    verdicts = (told(seed, forget=forget) for seed in seeds)
+    verdicts = (told(seed, draws) for seed in seeds)
     return next((verdict for verdict in verdicts if verdict.breaches), None)
 
 
@@ -109,7 +114,8 @@ def in_words(tally: Tally, took: float) -> str:
     of = f" ({', '.join(f'{name} {count}' for name, count in sorted(kinds.items()))})" if kinds else ""
     return (
         f"{tally.told:,} seeds, {len(tally.broken):,} breaches{of}; "
-        f"{tally.faults:,} faults, {tally.calls:,} calls, {tally.restarts:,} restarts told\n"
+        f"{tally.faults:,} faults, {tally.calls:,} calls, {tally.restarts:,} restarts told, "
+        f"{tally.recovered:,} recoveries\n"
         f"{tally.seconds:,.0f} virtual seconds in {took:,.1f} s: {tally.seconds / took:,.0f} per second; "
         f"digest {tally.digest[:16]}"
     )

@@ -21,8 +21,9 @@ LASTS = (0.05, 8.0)
 SLOW = (0.3, 2.0)
 #: Seconds that a process or a computer stands still for.
 STOPPED = (0.05, 6.0)
-#: How fast a clock runs that drifts, and by how many seconds a time of day jumps at most.
-DRIFT, JUMP = (0.9, 1.1), 1e7
+#: How fast a clock runs that drifts, as leases allow for; one that is broken; and by how many seconds a time
+#: of day jumps at most.
+DRIFT, RACE, JUMP = (0.99, 1.01), (0.9, 1.1), 1e7
 #: A forecast of no length reaches so far, in seconds.
 LONG = 300.0
 
@@ -45,6 +46,8 @@ class Weather:
 
     cut: float = 0.0
     one_way: float = 0.0
+    mute: float = 0.0
+    island: float = 0.0
     reset: float = 0.0
     half_open: float = 0.0
     slow: float = 0.0
@@ -52,10 +55,13 @@ class Weather:
     restart: float = 0.0
     stop: float = 0.0
     power: float = 0.0
+    gone: float = 0.0
     suspend: float = 0.0
     drift: float = 0.0
+    race: float = 0.0
     clock: float = 0.0
     disk_full: float = 0.0
+    disk_fail: float = 0.0
     disk_new: float = 0.0
     guard_kill: float = 0.0
     guard_stop: float = 0.0
@@ -87,10 +93,13 @@ class Storm:
         self.faults: list[tuple[float, str]] = []
         self._over = False
         kinds: Mapping[str, Callable[[Fault], None]] = {
-            "cut": self._cut, "one_way": self._one_way, "reset": self._reset, "half_open": self._half_open,
+            "cut": self._cut, "one_way": self._one_way, "mute": self._mute, "island": self._island,
+            "reset": self._reset, "half_open": self._half_open,
             "slow": self._slow, "kill": self._kill, "restart": self._restart, "stop": self._stop,
-            "power": self._power, "suspend": self._suspend, "drift": self._drift, "clock": self._clock,
-            "disk_full": self._disk_full, "disk_new": self._disk_new,
+            "power": self._power, "gone": self._gone, "suspend": self._suspend,
+            "drift": self._drift, "race": self._race,
+            "clock": self._clock, "disk_full": self._disk_full, "disk_fail": self._disk_fail,
+            "disk_new": self._disk_new,
             "guard_kill": self._guard_kill, "guard_stop": self._guard_stop,
         }  # fmt: skip
         for fault in forecast:
@@ -100,7 +109,7 @@ class Storm:
         """The sun comes out: all ways speak, all computers are on, all hosts run."""
         self._over = True
         for disk in self.fleet.disks.values():
-            disk.full = False
+            disk.full = disk.broken = False
         self.fleet.heal_all()
 
     def _strike(self, strike: Callable[[Fault], None], fault: Fault) -> None:
@@ -123,6 +132,21 @@ class Storm:
     def _one_way(self, fault: Fault) -> None:
         self._note(f"silence {fault.one} > {fault.other}")
         self._silence(fault.one, fault.other, fault.lasts)
+
+    def _mute(self, fault: Fault) -> None:
+        """Nobody hears it, and it hears all."""
+        self._note(f"{fault.one} is mute")
+        for other in self._others(fault.one):
+            self._silence(fault.one, other, fault.lasts)
+
+    def _island(self, fault: Fault) -> None:
+        self._note(f"{fault.one} is cut off from all")
+        for other in self._others(fault.one):
+            self._silence(fault.one, other, fault.lasts)
+            self._silence(other, fault.one, fault.lasts)
+
+    def _others(self, name: str) -> list[str]:
+        return [other for other in self.fleet.mission.team.hosts if other != name]
 
     def _silence(self, near: str, far: str, lasts: float) -> None:
         self.fleet.network.silence(near, far)
@@ -167,6 +191,13 @@ class Storm:
             self.fleet.power_off(fault.one)
             self._after(fault.lasts, partial(self._start, fault.one))
 
+    def _gone(self, fault: Fault) -> None:
+        """It never comes back, if the others can go on without it."""
+        members, gone = self.fleet.mission.recovery.members, self.fleet.gone
+        if len(gone) < (len(members) - 1) // 2 and fault.one not in gone:
+            self._note(f"{fault.one} is gone for good")
+            self.fleet.lose(fault.one)
+
     def _disk_new(self, fault: Fault) -> None:
         if self._runs(fault, "new disk for"):
             self.fleet.power_off(fault.one)
@@ -191,19 +222,24 @@ class Storm:
 
     def _suspend(self, fault: Fault) -> None:
         """Its monotonic clock stands still, its time of day does not; nothing comes in or goes out."""
-        if not self._runs(fault, "suspend"):
-            return
         computer, clock = self.fleet.computers[fault.one], self.fleet.machines[fault.one].clock
+        if clock.suspended or not self._runs(fault, "suspend"):
+            return
         for process in list(computer.processes):
             self._freeze(process, fault)
-        for other in self.fleet.mission.team.hosts:
-            if other != fault.one:
-                self._silence(fault.one, other, fault.lasts)
-                self._silence(other, fault.one, fault.lasts)
+        for other in self._others(fault.one):
+            self._silence(fault.one, other, fault.lasts)
+            self._silence(other, fault.one, fault.lasts)
         clock.stands_still(fault.lasts)
 
     def _drift(self, fault: Fault) -> None:
-        rate = DRIFT[0] + (DRIFT[1] - DRIFT[0]) * fault.size
+        self._runs_at(fault, DRIFT)
+
+    def _race(self, fault: Fault) -> None:
+        self._runs_at(fault, RACE)
+
+    def _runs_at(self, fault: Fault, rates: tuple[float, float]) -> None:
+        rate = rates[0] + (rates[1] - rates[0]) * fault.size
         self._note(f"clock of {fault.one} at {rate:.3f}")
         usual = self.fleet.machines[fault.one].rate
         self._pace(fault.one, rate)
@@ -224,6 +260,12 @@ class Storm:
         disk = self.fleet.disks[fault.one]
         disk.full = True
         self._after(fault.lasts, partial(setattr, disk, "full", False))
+
+    def _disk_fail(self, fault: Fault) -> None:
+        self._note(f"disk fails on {fault.one}")
+        disk = self.fleet.disks[fault.one]
+        disk.broken = True
+        self._after(fault.lasts, partial(setattr, disk, "broken", False))
 
     # --- guards ---------------------------------------------------------------------------------------
 

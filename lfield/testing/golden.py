@@ -72,13 +72,17 @@ class Desk:
         """Note who wants to leave; a test lets it."""
         self.departures.append((agent, resource))
 
-    def keep(self, agent: Agent) -> bool:
-        """There is no disk."""
+    def may_begin(self, agent: Agent, acts: bool) -> bool:
+        """There is no disk, and no team."""
         return True
 
     def superseded(self, agent: str, generation: int) -> bool:
         """There is one start of each."""
         return False
+
+    def host_of(self, member: Member) -> str:
+        """There is one host."""
+        return "desk"
 
     def device(
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]

@@ -18,21 +18,11 @@ import pytest
 
 from lfield.errors import AddressError, GreetingError, LfieldError, WireError
 from lfield.wire.codec import CONTROL, GREETING_LIMITS, HELLO, TRANSFER, encode, encode_transfer
+from lfield.wire.coordinators import Ended, Transfer
 from lfield.wire.fields import MAX_TEXT
 from lfield.wire.framing import frame_header
-from lfield.wire.messages import (
-    EmergencyStop,
-    Ended,
-    Hello,
-    Message,
-    Ping,
-    Pong,
-    Refuse,
-    Role,
-    Status,
-    Told,
-    Transfer,
-)
+from lfield.wire.messages import Hello, Message, Ping, Pong, Refuse, Role
+from lfield.wire.observing import EmergencyStop, Status, Told
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine

@@ -9,6 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lfield.text.source import Diagnostic, Span
+from lfield.text.visible import clipped
+
+#: So much of a name, a list, a text of the reader is repeated to them.
+LONGEST_WORD = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +26,9 @@ class Message:
 
     def at(self, span: Span, *, hint: str | None = None, **values: object) -> Diagnostic:
         """The finding at a place; `hint`, when given, replaces the table's hint."""
-        advice = self.hint.format(**values) if hint is None else hint
-        return Diagnostic(self.code, self.sentence.format(**values), span, advice, self.severity)
+        said = {name: clipped(str(value), LONGEST_WORD) for name, value in values.items()}
+        advice = self.hint.format(**said) if hint is None else hint
+        return Diagnostic(self.code, self.sentence.format(**said), span, advice, self.severity)
 
 
 class Table(dict[str, Message]):

@@ -6,6 +6,8 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from lfield.text.visible import in_one_line
+
 #: The most characters of a line that a diagnostic shows.
 MAX_SHOWN = 160
 
@@ -83,19 +85,53 @@ class Diagnostic:
         """`file:line:col: error[LNNN]: sentence`, the source line, a caret, and the hint."""
         line, column = self.span.source.line_column(self.span.start)
         text, before = _window(self.span.source, line, column - 1)
-        # A file may hold anything: what a terminal would obey is shown as a dot, one for one.
+        # What a terminal would obey is shown as a dot, one for one.
         shown = "".join(ch if ch.isprintable() or ch == "\t" else "·" for ch in text)
         # Tabs are kept in the margin so that the caret stands under the character it means.
         margin = "".join("\t" if ch == "\t" else " " for ch in text[:before])
         width = max(1, min(self.span.end - self.span.start, len(text) - before))
+        where = f"{self.span.source.name}:{line}:{column}"
         lines = [
-            f"{self.span.source.name}:{line}:{column}: {self.severity}[{self.code}]: {self.message}",
+            in_one_line(f"{where}: {self.severity}[{self.code}]: {self.message}"),
             f"    {shown}",
             f"    {margin}^{'~' * (width - 1)}",
         ]
         if self.hint:
-            lines.append(f"    hint: {self.hint}")
+            lines.append(in_one_line(f"    hint: {self.hint}"))
         return "\n".join(lines)
+
+    def as_data(self) -> dict[str, object]:
+        """The finding for a program: file, range (lines and columns from 1, the end exclusive), and words."""
+        line, column = self.span.source.line_column(self.span.start)
+        end_line, end_column = self.span.source.line_column(self.span.end)
+        return {
+            "file": self.span.source.name,
+            "range": {
+                "start": {"line": line, "column": column},
+                "end": {"line": end_line, "column": end_column},
+            },
+            "severity": self.severity,
+            "code": self.code,
+            "message": self.message,
+            "hint": self.hint,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """A finding that is about no place in a text."""
+
+    message: str
+    severity: str = "error"
+
+    def render(self) -> str:
+        """The sentence."""
+        return self.message
+
+    def as_data(self) -> dict[str, object]:
+        """As of a diagnostic, without file, range and code."""
+        empty = dict.fromkeys(("file", "range", "code"))
+        return {**empty, "severity": self.severity, "message": self.message, "hint": ""}
 
 
 def _window(source: Source, line: int, place: int) -> tuple[str, int]:

@@ -72,7 +72,7 @@ FOREIGN_STATEMENTS = {
     "do": "write while (true) { ... if (...) break; }",
     "finally": "repeat the statements after the try and in each catch",
     "goto": "use while, for, break and continue",
-    "foreach": "write for (int i = 0; i < a.length(); i = i + 1) { ... a[i] ... }",
+    "foreach": "write for (T x : array) { ... }",
     "elif": "write else if",
     "elsif": "write else if",
     "var": "write the type: int x = 1;",

@@ -31,7 +31,8 @@ class Agent:
     thread has run since; `asked` are those that looked beyond the block; `pollers` are parked. `readings` are
     the telemetry that the host keeps for it, by device call; a coordinator names no device and has none.
 
-    `kept` is true while a coordinator stands at a portal call that its host has been asked about already.
+    `kept` is true while a coordinator stands at a portal call and its host has its block on the disk as it is
+    there. A `fenced` one begins no portal unless its host allows it.
     `callers` has, by the id of each coordinator that a resource has served, the newest copy of it: its
     generation and sequence.
     """
@@ -54,6 +55,7 @@ class Agent:
     asked: set[int] = field(default_factory=set)
     pollers: set[int] = field(default_factory=set)
     kept: bool = False
+    fenced: bool = False
     callers: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @property

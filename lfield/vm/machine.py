@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import random
 import traceback as python_traceback
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from itertools import count
 
-from lfield.bytecode.program import Program
+from lfield.bytecode.program import DEVICE, Program
 from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
@@ -48,8 +49,9 @@ class Machine:
     """The agents of one host.
 
     `team` is every agent of the deployment in its order, `here` this host's number in it, `life` a number
-    that tells this life of the host from all others. An exception that is none of L's, a bug of ours, ends
-    the agent in whose turn it happened, with a report.
+    that tells this life of the host from all others; `fenced` are the coordinators that begin no portal
+    unasked. An exception that is none of L's, a bug of ours, ends the agent in whose turn it happened, with a
+    report.
     """
 
     def __init__(
@@ -61,10 +63,11 @@ class Machine:
         world: World,
         clock: Clock,
         dice: random.Random,
+        fenced: Collection[str] = (),
     ) -> None:
         self.program = program
         self.team = team
-        self._here, self._world = here, world
+        self._here, self._world, self._fenced = here, world, fenced
         self._scheduler = scheduler = Scheduler(
             program, 1 + life % (layout.START_LIMIT - 1), world, clock, self._portal_failed
         )
@@ -83,6 +86,7 @@ class Machine:
         block = Block.empty(self.program.digest, limits.heap // 8)
         readings: list[Reading | None] = [None] * len(self.program.core.device_calls)
         agent = Agent(member, block, limits, readings, open=member.kind == "coordinator")
+        agent.fenced = member.id in self._fenced
         w = block.w
         w[layout.W_CLASS] = record
         w[layout.W_GENERATION] = generation
@@ -100,6 +104,10 @@ class Machine:
         block, core = agent.block, self.program.core
         w = block.w
         w[layout.W_SELF] = block.allocate(OBJECT, record, self.layouts.class_words[record])
+        numbers = count(1)
+        for i, field in enumerate(core.classes[record].fields, w[layout.W_SELF] + 1):
+            if field.type == DEVICE:
+                w[i] = next(numbers)
         w[layout.W_ID] = block.new_string(agent.id)
         texts = (agent.id, *agent.member.arguments)
         init = core.classes[record].init
@@ -125,13 +133,14 @@ class Machine:
         """As `admit`, of a block that was packed on this very host: it has made no hop since."""
         block = self._soundness.check(image, limits.heap // 8)
         agent = Agent(member, block, limits, [], open=True, frozen=True, kept=True)
+        agent.fenced = member.id in self._fenced
         if (other := self.agents.get(member.id)) is not None:
             other.ended = "dropped"
         self.agents[member.id] = agent
         return agent
 
     def go(self, agent: Agent) -> None:
-        """Let a frozen coordinator call its portal, about which the host is not asked (again)."""
+        """Let a frozen coordinator call its portal; the host may be asked again (`World.may_begin`)."""
         if agent.frozen:
             agent.frozen = False
             self._turns.next(agent, _only_thread(agent))
@@ -163,11 +172,29 @@ class Machine:
         agent.frozen = False
         self.refuse(agent, _only_thread(agent), kind, message, source)
 
-    def caller(self, resource: Agent, thread: int) -> str:
-        """The coordinator whose portal call a thread serves; '' for a thread of the resource's own."""
+    def abandon(self, agent: Agent, kind: str, message: str) -> bool:
+        """Throw a built-in exception in a coordinator that waits for a portal of this host.
+
+        The portal goes on alone, and what it gives is dropped.
+
+        False, and nothing happens, when it waits for none: when it runs, sleeps, or is frozen.
+        """
+        if agent.ended or not portals.abandon(self._scheduler, agent):
+            return False
+        called = self.calling(agent)
+        self.refuse(agent, _only_thread(agent), kind, message, called[0].id if called else "")
+        return True
+
+    def caller(self, resource: Agent, thread: int) -> Agent | None:
+        """The coordinator whose portal call a thread serves; None for a thread of the resource's own."""
         number = resource.block.w[place_of(resource.block, thread) + THREAD_CALL]
         found = self._scheduler.calls.get(number)
-        return found[0].id if found is not None else ""
+        return found[0] if found is not None else None
+
+    def is_left(self, resource: Agent, thread: int) -> bool:
+        """Whether a thread serves a portal call that was taken from its caller: nobody waits for it."""
+        number = resource.block.w[place_of(resource.block, thread) + THREAD_CALL]
+        return bool(number) and number not in self._scheduler.calls
 
     # --- answers from the world -----------------------------------------------------------------------
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Sequence
 
+from msgspec import structs
+
 from lfield.bytecode.opcodes import BY_CODE
-from lfield.bytecode.program import ARRAY, PROXY
+from lfield.bytecode.program import ARRAY, HELD, PROXY, DeviceCall
 from lfield.errors import ConstraintError, DeviceError
 from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
@@ -44,6 +46,8 @@ class Outsiders:
             "findall": self._find_all,
             "offers": self._offers,
             "explain": self._explain,
+            "agent": self._agent,
+            "host": self._host,
             "device": self._device,
         }
         self._by_code: dict[int, Handler] = {
@@ -60,7 +64,7 @@ class Outsiders:
         """Anything but asking and yielding shows that a thread does more than poll."""
         if name in ("now", "device", "offers", "explain"):
             agent.asked.add(thread)
-        elif name != "yield":
+        elif name not in ("yield", "agent", "host"):
             agent.polls.pop(thread, None)
 
     def _go_on(self, agent: Agent, thread: int, word: int = 0) -> None:
@@ -156,7 +160,7 @@ class Outsiders:
     # --- the team -------------------------------------------------------------------------------------
 
     def _pcall(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        member = self._team[agent.block.w[words[0] + PROXY_MEMBER]]
+        member = self._behind(agent, words[0])
         if member.host == self._here:
             portals.call(self._scheduler, member, agent, thread, operand, words)
             return
@@ -216,9 +220,24 @@ class Outsiders:
             return
         scheduler.complete(agent, thread, lambda: agent.block.new_string(text))
 
+    def _agent(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        self._tell(agent, thread, self._behind(agent, words[0]).id)
+
+    def _host(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        self._tell(agent, thread, self._scheduler.world.host_of(self._behind(agent, words[0])))
+
+    def _behind(self, agent: Agent, proxy: int) -> Member:
+        return self._team[agent.block.w[proxy + PROXY_MEMBER]]
+
+    def _tell(self, agent: Agent, thread: int, text: str) -> None:
+        self._scheduler.complete(agent, thread, lambda: agent.block.new_string(text))
+
     def _device(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         scheduler = self._scheduler
         call = scheduler.program.core.device_calls[operand]
+        if held := call.field == HELD:
+            number, *words = words
+            call = self._on(agent, call, number)
         values = [
             plain(agent.block, scheduler.program, kind, word)
             for kind, word in zip(call.parameters, words, strict=True)
@@ -228,7 +247,8 @@ class Outsiders:
             value = scheduler.world.device(agent, thread, call, values)
             if isinstance(value, Pending):
                 return
-            agent.readings[operand] = scheduler.world.reading(agent, call)
+            # Objects may have been given different devices: each time it is asked which one.
+            agent.readings[operand] = None if held else scheduler.world.reading(agent, call)
             scheduler.complete(
                 agent,
                 thread,
@@ -236,6 +256,14 @@ class Outsiders:
             )
         except DeviceError as error:
             scheduler.refuse(agent, thread, error.kind, f"{error.device}: {error.reason}", error.device)
+
+    def _on(self, agent: Agent, call: DeviceCall, number: int) -> DeviceCall:
+        """The call of a device that an object was given, as one of the resource's own field."""
+        core = self._scheduler.program.core
+        owner = self._scheduler.program.class_index[agent.member.type]
+        device = core.classes[owner].devices[number - 1]
+        assert device.type == call.device, "the compiler lets no other device in"
+        return structs.replace(call, owner=owner, field=device.name)
 
 
 def _proxy(agent: Agent, record: int, number: int) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lfield.bytecode.program import BUILTIN_CLASSES, REFERENCES, TRACE
+from lfield.bytecode.program import REFERENCES, TRACE
 from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
@@ -44,7 +44,7 @@ def call(
     if not resource.open:
         resource.waiting.append((caller, thread))
         return
-    if method in scheduler.acting and not caller.kept and not _keep(scheduler, caller):
+    if not _may_begin(scheduler, caller, method in scheduler.acting):
         return
     try:
         served = begin(scheduler, resource, caller, thread, method, words)
@@ -69,10 +69,12 @@ def _outdated(scheduler: Scheduler, resource: Agent, caller: Agent, copy: tuple[
     return f"a later {what} of {caller.id} has called {resource.id}: this one is not served any more"
 
 
-def _keep(scheduler: Scheduler, caller: Agent) -> bool:
-    """Whether the portal may begin at once; else its caller is frozen until its host lets it call again."""
-    caller.kept = caller.frozen = True
-    if not scheduler.world.keep(caller):
+def _may_begin(scheduler: Scheduler, caller: Agent, acts: bool) -> bool:
+    """Whether the portal may begin now; else its caller is frozen until its host lets it call again."""
+    if not caller.fenced and (caller.kept or not acts):
+        return True
+    caller.frozen = True
+    if not scheduler.world.may_begin(caller, acts):
         return False
     caller.frozen = False
     return True
@@ -106,9 +108,12 @@ def begin(
 
 
 def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word: int) -> None:
-    """A portal returned: its caller goes on with a copy of the result."""
-    caller, waiter = scheduler.calls[number]
+    """A portal returned: its caller goes on with a copy of the result, if it still waits."""
     resource.served += 1
+    if number not in scheduler.calls:
+        scheduler.forget(resource, thread)
+        return
+    caller, waiter = scheduler.calls[number]
     place = place_of(caller.block, waiter)
     group = scheduler.engine.group(caller.block.w[place + THREAD_PC])
     if group.kind in REFERENCES and word:
@@ -124,15 +129,22 @@ def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word
 
 
 def fail(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:
-    """A portal threw: its caller gets a copy of the object, with the lines it came from."""
-    caller, waiter = scheduler.calls[number]
+    """A portal threw: its caller gets a copy of the object, with the lines it came from, if it waits."""
     resource.served += 1
+    if number in scheduler.calls:
+        _throw(scheduler, resource, thread, number, thrown)
+    scheduler.forget(resource, thread)
+    scheduler.give_back(resource, thread)
+
+
+def _throw(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:
+    caller, waiter = scheduler.calls[number]
     lines = traceback.lines(resource.block, scheduler.program, place_of(resource.block, thread))
 
     def work() -> int:
         block = caller.block
         copy = deep_copy(resource.block, [thrown], block, scheduler.layouts)[0]
-        if block.w[copy] >> 8 & 0xFFFFFF < len(BUILTIN_CLASSES):
+        if block.w[copy] >> 8 & 0xFFFFFF < scheduler.program.builtins:
             text = block.text(block.w[copy + 1 + TRACE])
             here = "\n".join(f"    {line} in {resource.id}" for line in lines)
             block.w[copy + 1 + TRACE] = block.new_string(f"{text}\n{here}" if text else here)
@@ -145,5 +157,17 @@ def fail(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown
     else:
         scheduler.throw(caller, waiter, copied)
     del scheduler.calls[number]
-    scheduler.forget(resource, thread)
-    scheduler.give_back(resource, thread)
+
+
+def abandon(scheduler: Scheduler, caller: Agent) -> bool:
+    """Nobody waits any more for the portal that this coordinator has called; false when there is none.
+
+    A portal that has begun goes on to its end, and what it gives or throws is dropped.
+    """
+    for resource in scheduler.agents.values():
+        left = [(waiting, thread) for waiting, thread in resource.waiting if waiting is not caller]
+        if len(left) < len(resource.waiting):
+            resource.waiting = left
+            return True
+    number = next((n for n, (waiting, _) in scheduler.calls.items() if waiting is caller), 0)
+    return scheduler.calls.pop(number, None) is not None

@@ -32,16 +32,24 @@ class World(Protocol):
         """The frozen coordinator must get to the host of the resource. Answer by `Machine.release` when it
         has left, or by `Machine.resume` with the reason why it could not."""
 
-    def keep(self, agent: Agent) -> bool:
-        """The frozen coordinator stands at a call of a portal of this host that may change something.
+    def may_begin(self, agent: Agent, acts: bool) -> bool:
+        """Whether the portal of this host that the frozen coordinator calls may begin now.
 
-        True: it goes on at once, with its block as it was. False: the call has not begun; it does after
-        `Machine.go`, unless `Machine.resume` says why it must not. Not asked about the call for which a
-        coordinator came, since its block was told then.
+        `acts` says whether it may change something.
+
+        True: it begins at once, and the block is as it was. False: it has not begun. After `Machine.go` this
+        is asked again, unless `Machine.resume` says why the call must not begin.
+
+        Of a fenced coordinator it is asked before every portal, of another one only before a portal that acts
+        and while it is not `agent.kept`: whoever implements this sets that when the block is on the disk as
+        it stands at this call. It is set when a coordinator comes, since its block was told then.
         """
 
     def superseded(self, agent: str, generation: int) -> bool:
         """Whether that start of a coordinator was stopped because an earlier one goes on."""
+
+    def host_of(self, member: Member) -> str:
+        """The name of the host where an agent of the team lives."""
 
     def device(
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]

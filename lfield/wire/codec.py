@@ -29,9 +29,10 @@ import msgspec
 from msgspec.structs import replace
 
 from lfield.errors import WireError
+from lfield.wire.coordinators import Transfer
 from lfield.wire.fields import MAX_TEXT
 from lfield.wire.framing import Buffer, FrameDecoder, frame, frame_header
-from lfield.wire.messages import PROTOCOL, Control, ForeignHello, Hello, Message, Refuse, Role, Transfer
+from lfield.wire.messages import PROTOCOL, Control, ForeignHello, Hello, Message, Refuse, Role
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -29,6 +29,8 @@ FIGURES = {
     "compositions": "capability.compositions",
     "directory": "capability.directory",
     "traffic": "team.traffic",
+    "leases": "team.leases",
+    "recovery": "team.recovery",
 }
 
 if __name__ == "__main__":

@@ -39,8 +39,11 @@ from lfield.bytecode.opcodes import TABLE
 from lfield.bytecode.program import (
     ANY,
     ARRAY,
+    BOOLEAN,
     BUILTIN_CLASSES,
+    BUILTIN_PARENTS,
     DEVICE,
+    HELD,
     INT,
     NULL,
     OBJECT,
@@ -49,6 +52,7 @@ from lfield.bytecode.program import (
     STRING,
     VOID,
     Core,
+    DeviceCall,
     DeviceField,
     FieldRecord,
     Handler,
@@ -57,6 +61,7 @@ from lfield.bytecode.program import (
 )
 from lfield.bytecode.verify import verify
 from lfield.errors import ProgramFileError
+from lfield.lang.types import BUILTIN_EXCEPTIONS
 
 Change = Callable[[Draft], object]
 
@@ -131,7 +136,7 @@ def test_types(change: Change, reason: str) -> None:
             lambda d: d.change_class(
                 TOOL, fields=(FieldRecord("a", DEVICE),), devices=(DeviceField("a", "Gripper"),)
             ),
-            "no resource",
+            "not its device fields",
         ),
         (lambda d: d.change_class(BOX, init=BOX_SUM), "has an init"),
         (lambda d: d.change_class(GUIDE, init=-1), "not the init that its class names"),
@@ -303,7 +308,7 @@ def test_debug_information(change: Change, reason: str) -> None:
         (put(BOX_SUM, 6, "getf", 5, 0, 2), "no field 2"),
         (put(BOX_SUM, 6, "getf", 5, 0, -1), "no field -1"),
         (put(BOX_SUM, 6, "getf", 5, 6, 1), "wrong type"),
-        (put(ARM_INIT, 2, "putf", 0, 1, 2), "no field 1"),
+        (put(ARM_INIT, 2, "putf", 0, 1, 2), "does not fit the field"),
         (put(ARM_INIT, 2, "putf", 0, 0, 3), "does not fit the field"),
         (put(BOX_SUM, 2, "move", 2, TRUE), "does not fit the slot"),
         (put(BOX_SUM, 2, "move", 5, 6), "does not fit the slot"),
@@ -409,9 +414,13 @@ def core_parts(core: Core) -> list[object]:
         (put(ARM_INIT, 4, "find", ARM), "only coordinators find"),
         (put(ARM_INIT, 11, "findall", ARM), "only coordinators find"),
         (put(BOX_SUM, 2, "findall", ARM), "only coordinators find"),
+        (put(GUIDE_INIT, 3, "agent"), "not what is taken"),
+        (put(ARM_INIT, 4, "agent"), "only coordinators have proxies"),
+        (put(BOX_SUM, 2, "host"), "only coordinators have proxies"),
         (put(GUIDE_INIT, 3, "write_str"), "only resources write"),
         (put(BOX_SUM, 2, "write_int"), "only resources write"),
         (put(ARM_INIT, 11, "hops"), "only coordinators have hops"),
+        (put(ARM_INIT, 11, "heartbeat_interval"), "only coordinators have a heartbeat"),
         (put(GUIDE_INIT, 3, "device"), "its own resource"),
         (put(TOOL_SHOW, 2, "device"), "its own resource"),
         (put(ARM_LIFT, 2, "device", 1), "leads nowhere"),
@@ -487,6 +496,65 @@ def test_null_fits_every_reference_and_an_object_fits_any() -> None:
     verify(draft.program())
 
 
+def _holds(method: int) -> Draft:
+    """A class of the resource that has a device, and a method with a slot for one."""
+    draft = Draft()
+    draft.change_class(TOOL, fields=(FieldRecord("grip", DEVICE),))
+    draft.change_method(method, slots=(*draft.methods[method].slots, DEVICE))
+    return draft
+
+
+def test_a_class_of_a_resource_may_have_a_device() -> None:
+    draft = _holds(TOOL_SHOW)
+    draft.put(TOOL_SHOW, 3, "getf", 3, 0, 0)
+    verify(draft.program())
+    draft.put(TOOL_SHOW, 3, "putf", 0, 0, 3)
+    verify(draft.program())
+    draft.device_calls.append(DeviceCall(TOOL, HELD, "Gripper", "grip", (), VOID, "actuate"))
+    draft.code[TOOL_SHOW][1:3] = [("push", 3, 0, 0), ("device", 1, 0, 0)]
+    verify(draft.program())
+
+
+def test_a_device_stays_with_its_resource() -> None:
+    for change, reason in [
+        (
+            lambda d: d.change_class(BOX, fields=(FieldRecord("a", DEVICE),)),
+            "Box has a device",
+        ),
+        (lambda d: d.change_method(BOX_NEW, slots=(T_BOX, INT, DEVICE)), "a type no variable can have"),
+        (
+            lambda d: d.change_method(GUIDE_INIT, slots=(*d.methods[GUIDE_INIT].slots, DEVICE)),
+            "no variable can",
+        ),
+        (lambda d: d.change_device_call(owner=BOX, field=HELD), "of a class that has no resource"),
+        (lambda d: d.change_device_call(owner=GUIDE, field=HELD), "of a class that has no resource"),
+        (lambda d: d.change_device_call(owner=99, field=HELD), "of a class that has no resource"),
+        (lambda d: d.change_device_call(owner=ARM, field=HELD), "1 values are pushed where 2 are taken"),
+        (put(ARM_INIT, 2, "putf", 0, 1, 4), "does not fit the field"),
+        (put(ARM_INIT, 2, "move", 4, NOTHING), "does not fit the slot"),
+        (put(ARM_INIT, 2, "eqnull", 4, 4), "wrong type"),
+    ]:
+        draft = _holds(ARM_INIT)
+        change(draft)
+        with pytest.raises(ProgramFileError, match=reason):
+            verify(draft.program())
+
+
+def _compares_a_proxy_with(operand: int) -> Draft:
+    draft = Draft()
+    draft.change_method(GUIDE_INIT, slots=(*draft.methods[GUIDE_INIT].slots, BOOLEAN))
+    draft.put(GUIDE_INIT, 18, "eqr", 7, 2, operand)
+    return draft
+
+
+def test_a_proxy_is_compared_with_proxies_only() -> None:
+    for operand in (2, NOTHING):
+        verify(_compares_a_proxy_with(operand).program())
+    for operand in (3, 4, 6):
+        with pytest.raises(ProgramFileError, match="a proxy is compared with something else"):
+            verify(_compares_a_proxy_with(operand).program())
+
+
 def test_the_table_is_consistent() -> None:
     """What the rest relies on: at most three operands, known words, one number and name per row."""
     kinds = {"boolean", "int", "real", "string", "object", "array", "ref", "same", "any", ""}
@@ -497,3 +565,9 @@ def test_the_table_is_consistent() -> None:
         assert {operand.role for operand in row.operands} <= set("DSVLCTMFKI")
         assert {*(row.takes or ()), row.gives} <= kinds
     assert BUILTIN_CLASSES[EXCEPTION] == "Exception"
+
+
+def test_language_and_machine_have_the_same_exceptions() -> None:
+    assert ("Exception", *BUILTIN_EXCEPTIONS) == BUILTIN_CLASSES
+    special = {name: kind for name, kind in BUILTIN_EXCEPTIONS.items() if kind != "Exception"}
+    assert special == BUILTIN_PARENTS

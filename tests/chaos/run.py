@@ -2,10 +2,11 @@
 
     make chaos SECONDS=120            python tests/chaos/run.py --seconds 120 --seed 7
 
-Rounds, each a team of four hosts with a journal each and two walkers (walkers.L). Hosts are killed, stopped
-and cut off, and their disks are full; then everything heals, and every walker must complete within a bound.
-Ends with 1 when a call was served twice, or skipped without a word, or a mission is not complete; the folder
-with all that the hosts have said is named. A seed gives the same faults, though not the same run.
+Rounds, each a team of four hosts with a journal each and four walkers (walkers.L), two of which go on without
+their host when a majority agrees. Hosts are killed, stopped and cut off, some for longer than that takes, and
+their disks are full; then everything heals, and every walker must complete within a bound. Ends with 1 when a
+call was served twice, for a walker that is outdated, or skipped without a word, or a mission is not complete;
+the folder with all that the hosts have said is named. A seed gives the same faults, though not the same run.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from disks import Disk
@@ -31,7 +33,11 @@ from storm import Storm
 from verdict import Verdict
 
 PROGRAM = Path(__file__).with_name("walkers.L")
-HOSTS, WALKERS, NUMBERS = 4, 2, 150
+HOSTS, NUMBERS = 4, 150
+#: Those that wait for their host, and those that go on without it; each begins on another host.
+WALKERS, FENCED = ("w0", "w1"), ("f2", "f3")
+#: A walker that is cut off calls where it is soon again, and must not while it has no lease.
+IMPATIENT = ("--unreachable-after", "2")
 #: A round's faults end after so many seconds; then all must be complete within the bound.
 STORM, BOUND = 30.0, 60.0
 
@@ -41,7 +47,7 @@ class Round:
 
     def __init__(self, bundle: Path, folder: Path, seed: int) -> None:
         self._bundle, self._folder = bundle, folder
-        self.verdict = Verdict({f"w{number}": NUMBERS for number in range(WALKERS)})
+        self.verdict = Verdict(dict.fromkeys((*WALKERS, *FENCED), NUMBERS))
         self._dice = random.Random(seed)
         self.disks = [Disk(folder / f"disk{number}") for number in range(HOSTS)]
         self.hosts: list[HostProcess] = []
@@ -57,7 +63,7 @@ class Round:
         links = {pair: Link(ports[pair[1]]) for pair in pairs}
         calls = {pair: await link.open() for pair, link in links.items()}
         self.hosts = [self._host(number, ports[number], calls) for number in range(HOSTS)]
-        storm = Storm(self._dice, self.hosts, self.disks, links)
+        storm = Storm(self._dice, self.hosts, self.disks, links, self._holder)
         try:
             for host in self.hosts:
                 host.start()
@@ -76,8 +82,20 @@ class Round:
         maps = [f"--map={name}=127.0.0.1:{port}"]
         maps += [f"--map=h{b}=127.0.0.1:{at}" for (a, b), at in calls.items() if a == number]
         state = str(self.disks[number].folder)
-        words = ("up", str(self._bundle), "--host", name, *maps, "--state", state)
-        return HostProcess(name, words, self._folder / f"{name}.log", self.verdict.hear)
+        words = ("up", str(self._bundle), "--host", name, *maps, "--state", state, *IMPATIENT)
+        hear = partial(self._hear, name)
+        return HostProcess(name, words, self._folder / f"{name}.log", hear)
+
+    def _hear(self, host: str, line: str) -> None:
+        self.verdict.hear(line, host, time.monotonic())
+
+    def _holder(self) -> int:
+        """The host of a walker that others may go on with, and that is not complete."""
+        under_way = [who for who in FENCED if who not in self.verdict.walked and who in self.verdict.where]
+        if not under_way:
+            return -1
+        where = self.verdict.where[self._dice.choice(under_way)]
+        return next(number for number, host in enumerate(self.hosts) if host.name == where)
 
     async def _weather(self, storm: Storm) -> None:
         await self._fulfilled(lambda: self.verdict.under_way, BOUND)
@@ -101,6 +119,7 @@ class Round:
         verdict = self.verdict
         missing = sorted(verdict.walkers.keys() - verdict.walked.keys())
         self.wrong += [f"{who} {number} was served twice" for who, number in verdict.twice]
+        self.wrong += [f"{who} {number} began after a later start of it" for who, number in verdict.outdated]
         self.wrong += [f"{who} {number} was skipped without a word" for who, number in verdict.skipped]
         self.wrong += [f"{who} is not complete {BOUND:.0f} s after the last fault" for who in missing]
         self.wrong += [f"{host} did not end with 0 when it was told to" for host in unruly]
@@ -122,7 +141,8 @@ def built(folder: Path) -> Path:
     """The mission of all rounds, as one file."""
     deployment = folder / "walkers.dL"
     rows = [f"//Post:p{number}@h{number}" for number in range(HOSTS)]
-    rows += [f"//Walker:w{number}@h{number}?{NUMBERS}" for number in range(WALKERS)]
+    rows += [f"//Walker:{who}@h{who[1]}?{NUMBERS}" for who in WALKERS]
+    rows += [f"//Fenced:{who}@h{who[1]}?{NUMBERS}" for who in FENCED]
     deployment.write_text("\n".join(rows) + "\n")
     (folder / "walkers.L").write_text(PROGRAM.read_text())
     command = [sys.executable, "-m", "lfield", "build", str(deployment)]
@@ -145,18 +165,27 @@ def report(rounds: list[Round], folder: Path) -> int:
         print("            no disk was full: nothing may be mounted here")
     perhaps = sum(len(each.verdict.perhaps) for each in rounds)
     print(f"calls       {calls} made, {perhaps} told as perhaps made")
-    print(f"twice       {sum(len(each.verdict.twice) for each in rounds)}")
+    repeated = sum(each.verdict.repeated for each in rounds)
+    print(f"twice       {sum(len(each.verdict.twice) for each in rounds)}, {repeated} again knowingly")
+    print(f"outdated    {sum(len(each.verdict.outdated) for each in rounds)}")
     print(f"skipped     {sum(len(each.verdict.skipped) for each in rounds)} without a word")
     print(f"complete    {done} of {begun} missions, in {len(rounds)} rounds")
     print(f"after heal  complete within {max(each.healed_after for each in rounds):.1f} s")
-    if recoveries:
-        median, worst = statistics.median(recoveries), max(recoveries)
-        print(f"recovery    {len(recoveries)} after a kill, median {median:.2f} s, at most {worst:.2f} s")
+    say_times("recovery   ", "by its host, from the start of its process", recoveries)
+    elsewhere = [seconds for each in rounds for seconds in each.verdict.recoveries]
+    say_times("           ", "by a majority, from its last call", elsewhere)
     if gave_up:
         print(f"ended alone {', '.join(f'{n} with status {s}' for s, n in sorted(gave_up.items()))}")
     wrong = [f"round {number}: {what}" for number, each in enumerate(rounds) for what in each.wrong]
     print(*(f"BROKEN      {what}" for what in wrong), f"logs        {folder}", sep="\n")
     return 1 if wrong else 0
+
+
+def say_times(title: str, what: str, seconds: Sequence[float]) -> None:
+    """How many there were, and how long they took."""
+    if seconds:
+        told = f"median {statistics.median(seconds):.2f} s, at most {max(seconds):.2f} s"
+        print(f"{title} {len(seconds)} {what}: {told}")
 
 
 async def rounds_for(seconds: float, seed: int, folder: Path) -> list[Round]:

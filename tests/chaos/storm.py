@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from disks import Disk
 from hosts import HostProcess
@@ -13,12 +13,19 @@ from links import Link
 
 #: Seconds between two faults, and for how long each lasts.
 BETWEEN, LASTS = (0.3, 2.5), (0.1, 4.0)
+#: How long others are so long that somebody goes on without that host.
+LONG = (4.0, 12.0)
 #: How often each kind is drawn.
-KINDS = {"kill": 6, "kill all": 1, "stop": 3, "cut": 4, "silent": 2, "full disk": 2}
+SHORT_KINDS = {"kill": 6, "kill all": 1, "stop": 3, "cut": 4, "silent": 2, "full disk": 2}
+LONG_KINDS = {"kill for good": 2, "stop the holder": 2, "cut off": 2}
+KINDS = {**SHORT_KINDS, **LONG_KINDS}
 
 
 class Storm:
-    """Faults on these hosts, their disks, and the links of each pair."""
+    """Faults on these hosts, their disks, and the links of each pair.
+
+    `holder` is the host that has a coordinator that others may go on with; -1 while nobody knows.
+    """
 
     def __init__(
         self,
@@ -26,8 +33,10 @@ class Storm:
         hosts: Sequence[HostProcess],
         disks: Sequence[Disk],
         links: Mapping[tuple[int, int], Link],
+        holder: Callable[[], int],
     ) -> None:
         self._dice, self._hosts, self._disks, self._links = dice, hosts, disks, links
+        self._holder = holder
         self.faults: Counter[str] = Counter()
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -37,7 +46,10 @@ class Storm:
             await asyncio.sleep(self._dice.uniform(*BETWEEN))
             kind = self._dice.choices(list(KINDS), list(KINDS.values()))[0]
             first, second = self._dice.sample(range(len(self._hosts)), 2)
-            fault = self._happen(kind, first, second, self._dice.uniform(*LASTS))
+            seconds = self._dice.uniform(*(LONG if kind in LONG_KINDS else LASTS))
+            if kind in LONG_KINDS:
+                first = max(self._holder(), 0)
+            fault = self._happen(kind, first, second, seconds)
             task = asyncio.ensure_future(fault)
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
@@ -62,24 +74,31 @@ class Storm:
             case "kill all":
                 await self._kill(self._hosts, seconds / 2)
             case "stop":
-                await self._stop(self._hosts[first], seconds)
+                await self._stop(self._hosts[first], kind, seconds)
+            case "kill for good":
+                await self._kill([self._hosts[first]], seconds, kind)
+            case "stop the holder":
+                await self._stop(self._hosts[first], kind, seconds)
+            case "cut off":
+                theirs = [link for pair, link in self._links.items() if first in pair]
+                await self._sever(theirs, kind, seconds)
             case "full disk":
                 await self._fill(self._disks[first], seconds)
             case "cut" | "silent":
                 both = [self._links[first, second], self._links[second, first]]
-                await self._sever(both, kind, seconds)
+                await self._sever(both, f"link {kind}", seconds)
 
-    async def _kill(self, hosts: Sequence[HostProcess], seconds: float) -> None:
+    async def _kill(self, hosts: Sequence[HostProcess], seconds: float, kind: str = "kill") -> None:
         killed = [host for host in hosts if host.runs]
-        self.faults["SIGKILL"] += len(killed)
+        self.faults[kind] += len(killed)
         await asyncio.gather(*(host.kill() for host in killed))
         await asyncio.sleep(seconds)
         for host in killed:
             host.start()
 
-    async def _stop(self, host: HostProcess, seconds: float) -> None:
+    async def _stop(self, host: HostProcess, kind: str, seconds: float) -> None:
         if host.runs:
-            self.faults["SIGSTOP"] += 1
+            self.faults[kind] += 1
             host.stop()
             await asyncio.sleep(seconds)
             host.go_on()
@@ -92,12 +111,12 @@ class Storm:
             disk.free()
 
     async def _sever(self, links: Sequence[Link], kind: str, seconds: float) -> None:
-        self.faults["link cut" if kind == "cut" else "link silent"] += 1
+        self.faults[kind] += 1
         for link in links:
-            if kind == "cut":
-                link.cut()
-            else:
+            if kind == "link silent":
                 link.silence()
+            else:
+                link.cut()
         await asyncio.sleep(seconds)
         for link in links:
             link.heal()

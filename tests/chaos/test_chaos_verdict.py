@@ -4,22 +4,53 @@ from __future__ import annotations
 
 from verdict import Verdict
 
+RECOVERED = "w0 was recovered on h1 from where it left for h2; this call may have begun"
+
 
 def verdict_of(*lines: str) -> Verdict:
     verdict = Verdict({"w0": 3})
-    for line in lines:
-        verdict.hear(line)
+    for now, line in enumerate(lines):
+        verdict.hear(line, "h0", float(now))
     return verdict
 
 
+def wrong(verdict: Verdict) -> tuple[object, ...]:
+    return verdict.twice, verdict.outdated, verdict.skipped
+
+
 def test_a_call_that_may_have_been_made_is_no_breach():
-    verdict = verdict_of("stamped w0 0", "stamped w0 1", "w0: perhaps 1", "w0: perhaps 2", "w0: walked 3")
-    assert (verdict.complete, verdict.twice, verdict.skipped) == (True, [], [])
+    verdict = verdict_of(
+        "stamped w0 0 0",
+        "stamped w0 0 1",
+        "w0: perhaps 1 7 h0 was started again; this call may have begun",
+        "w0: perhaps 2 8 h0 was started again; this call may have begun",
+        "w0: walked 3",
+    )
+    assert (verdict.complete, *wrong(verdict)) == (True, [], [], [])
 
 
 def test_what_was_served_twice_and_what_nobody_served_is_told():
-    verdict = verdict_of("stamped w0 0", "stamped w0 0", "stamped w0 2")
-    assert (verdict.complete, verdict.twice, verdict.skipped) == (False, [("w0", 0)], [("w0", 1)])
+    verdict = verdict_of("stamped w0 0 0", "stamped w0 0 0", "stamped w0 0 2")
+    assert (verdict.complete, *wrong(verdict)) == (False, [("w0", 0)], [], [("w0", 1)])
     verdict.hear("w0: walked 3")
     assert verdict.skipped == [("w0", 1)]
     assert verdict_of("w0: walked 3").skipped == [("w0", 0), ("w0", 1), ("w0", 2)]
+
+
+def test_a_restart_is_no_reason_to_make_a_call_again():
+    again = "w0: perhaps 0 7 h0 was started again; this call may have begun"
+    assert verdict_of("stamped w0 0 0", "stamped w0 0 1", again, "stamped w0 7 1").twice == [("w0", 1)]
+
+
+def test_what_is_behind_a_recovered_state_may_be_made_again_but_once():
+    told = ("stamped w0 0 0", "stamped w0 0 1", f"w0: perhaps 0 7 {RECOVERED}", "stamped w0 7 1")
+    verdict = verdict_of(*told)
+    assert (verdict.repeated, verdict.recoveries, verdict.where) == (1, [1.0], {"w0": "h0"})
+    assert wrong(verdict) == ([], [], [])
+    assert verdict_of(*told, "stamped w0 7 1").twice == [("w0", 1)]
+    assert verdict_of(*told, "stamped w0 7 0").twice == [("w0", 0)]
+
+
+def test_nobody_is_served_any_more_who_was_recovered_elsewhere():
+    verdict = verdict_of("stamped w0 0 0", f"w0: perhaps 0 7 {RECOVERED}", "stamped w0 0 1")
+    assert verdict.outdated == [("w0", 1)]

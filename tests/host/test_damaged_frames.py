@@ -10,8 +10,8 @@ import pytest
 from lfield.errors import LfieldError
 from lfield.simulate.network import MemoryLink
 from lfield.wire.codec import CONTROL, TRANSFER, decode
+from lfield.wire.coordinators import Accepted
 from lfield.wire.framing import HEADER_SIZE
-from lfield.wire.messages import Accepted
 
 WALK = """
 resource Post {

@@ -6,7 +6,8 @@ import asyncio
 
 import msgspec
 
-from lfield.wire.messages import Hello, Refuse, Status, StatusRequest
+from lfield.wire.messages import Hello, Refuse
+from lfield.wire.observing import Status, StatusRequest
 
 PROGRAM = """
 resource Echo {

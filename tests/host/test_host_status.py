@@ -13,7 +13,7 @@ from lfield.operator.ask import STATUS, ask, ask_all
 from lfield.wire.codec import decode, encode
 from lfield.wire.fields import MAX_NUMBERS, MAX_TEXT, OLDEST
 from lfield.wire.framing import HEADER_SIZE
-from lfield.wire.messages import LinkStatus
+from lfield.wire.observing import LinkStatus
 
 PROGRAM = """
 resource Post {

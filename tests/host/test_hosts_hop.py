@@ -58,6 +58,33 @@ def test_agents_on_one_host_need_no_messages(fleet):
     fleet(story)
 
 
+def test_a_proxy_says_where_its_resource_lives_from_any_host(fleet):
+    program = (
+        ECHO
+        + """
+coordinator Visitor {
+    init(string[] arg) {
+        Echo far = findEcho("far");
+        print(far.agent() + " on " + far.host());
+        far.say("a");
+        print(far.host() + " and " + findEcho("near").host());
+        print(far == findEcho()[1]);
+    }
+}
+"""
+    )
+
+    async def story(team):
+        alpha, bravo = await team.up(team.mission(program, TWO_HOSTS))
+        assert await team.ended("visitor") == "done"
+        assert "visitor: far on bravo" in alpha.log
+        assert "visitor: bravo and alpha" in bravo.log
+        assert "visitor: true" in bravo.log
+        assert team.network.sent["Transfer"] == 1
+
+    fleet(story)
+
+
 AGREE = (
     ECHO
     + """

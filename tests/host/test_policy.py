@@ -11,7 +11,8 @@ from lfield.host.effects import MakeSafe
 from lfield.host.team.policy import ASKED_AT_ONCE, Policies
 from lfield.mobility.effects import Send
 from lfield.mobility.fates import Absent
-from lfield.wire.messages import Known, StatusRequest
+from lfield.wire.coordinators import Known
+from lfield.wire.observing import StatusRequest
 
 AFTER = 20.0
 

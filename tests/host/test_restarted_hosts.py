@@ -212,10 +212,40 @@ def test_the_loader_of_the_language_document_goes_on_after_a_restart(fleet):
         await asyncio.sleep(1.0)
         await away.host.stop()
         (again,) = await team.up(mission, "away", keeps=True)
-        assert "loader: away was started again; this call may have begun" in again.log
+        assert "loader: away was started again; this call may have begun (winch.lower)" in again.log
         assert await team.ended("loader") == "done"
         assert "loader: lowered to 1.5" in again.log
         assert not home.holds("loader")
+
+    fleet(story)
+
+
+def test_the_exception_of_a_restart_names_what_was_called(fleet):
+    program = """
+resource Post {
+    int n;
+    init(string[] arg) { }
+    portal mark() { n = 1; sleep(9.0); }
+    portal done() { write("marked\\n"); }
+}
+coordinator Guest {
+    init(string[] arg) {
+        Post post = findPost("post");
+        try { post.mark(); }
+        catch (RestartException e) { print(e.message() + " from " + e.source()); }
+        findPost("post").done();
+    }
+}
+"""
+
+    async def story(team):
+        mission = team.mission(program, "//Post:post@away\n//Guest:guest@away\n")
+        (away,) = await team.up(mission, "away", keeps=True)
+        await asyncio.sleep(1.0)
+        await away.host.stop()
+        (again,) = await team.up(mission, "away", keeps=True)
+        assert "away was started again; this call may have begun (post.mark) from post" in again.log
+        assert await team.ended("guest") == "done"
 
     fleet(story)
 

@@ -11,12 +11,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from journal_bench import OWNER, FileBench
 
 from lfield.clock import ManualClock
-from lfield.errors import ForeignJournal, JournalError, JournalInUse
+from lfield.errors import ForeignJournal, InputFileError, JournalError, JournalInUse
 from lfield.journal.file import FileJournal
 from lfield.journal.journal import journal_file
 from lfield.journal.owner import machine_identity
@@ -96,9 +97,21 @@ def test_a_newer_version_is_refused_and_stays_as_it_is(
     data = bench.path.read_bytes()
     with pytest.raises(ForeignJournal, match="install the version of lfield that wrote it"):
         bench.open()
-    with pytest.raises(ForeignJournal):
-        see(bench.path)
+    if statement is not None:
+        with pytest.raises(ForeignJournal):
+            see(bench.path)
+    else:
+        # Whoever only looks sees all the rest.
+        seen = see(bench.path)
+        assert len(seen.pages) == len(PAGES)
+        assert [one.why for one in seen.damaged] == ["it is of version 2: install the lfield that wrote it"]
     assert bench.path.read_bytes() == data
+
+
+def test_a_pipe_in_its_place_holds_nobody_up(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "host.journal")
+    with pytest.raises(InputFileError, match="it is no file"):
+        see(tmp_path / "host.journal")
 
 
 def test_a_board_is_told_from_its_copy_by_its_serial_number(tmp_path: Path) -> None:
@@ -199,6 +212,28 @@ def test_space_that_was_kept_is_given_up_when_the_disk_is_full(
     assert reserve.exists()
     assert journal.trouble == ""
     assert Starts(5) in bench.open().pages()
+
+
+def test_the_space_that_it_gave_up_is_not_taken_for_room(
+    bench: FileBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = bench.open()
+    statvfs, free = os.statvfs, [LEAST]
+
+    def left(path: Path) -> object:
+        found = statvfs(path)
+        return SimpleNamespace(f_bavail=free[0] // 512, f_frsize=512, f_namemax=found.f_namemax)
+
+    monkeypatch.setattr(os, "statvfs", left)
+    store = journal._store
+    store.commit = failing(sqlite3.SQLITE_FULL, 1, store.commit)  # type: ignore
+    for count in range(3):
+        bench.run(journal.keep([Starts(count)]))
+        assert journal.trouble == "its disk is full: it writes into the space that was kept in advance"
+    free[0] = 2 * LEAST
+    bench.run(journal.keep([]))
+    assert journal.trouble == ""
+    assert bench.path.with_name("host.reserve").exists()
 
 
 def failing_fallocate(descriptor: int, offset: int, size: int) -> None:

@@ -25,7 +25,7 @@ from lfield.journal.pages import (
     key_of,
     page_of,
 )
-from lfield.wire.messages import Outcome
+from lfield.wire.coordinators import Outcome
 
 COUNTS = st.integers(0, 2**63 - 1)
 WORDS = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)

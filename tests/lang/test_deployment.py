@@ -25,8 +25,13 @@ def test_every_form_of_a_line() -> None:
         ("Arm", "arm-2", "resource", "10.0.0.7", None, ()),
         ("Boss", "boss_1", "coordinator", "olive.example.org", None, ("arm1", "", "x=#y")),
         ("Boss", "boss.2", "coordinator", "10.0.0.7", None, ()),
+        ("Arm", "arm3", "resource", "[::1]", 8181, ()),
+        ("Arm", "arm4", "resource", "[2001:db8::12]", None, ("a:b",)),
     ]
-    assert mission.hosts == ("olive.example.org", "10.0.0.7")
+    agents, witnesses = ("olive.example.org", "10.0.0.7", "[::1]", "[2001:db8::12]"), mission.hosts[4:]
+    assert (mission.hosts[:4], witnesses) == (agents, ("witness.example.org", "10.0.0.8"))
+    assert mission.port("10.0.0.8") == 9000
+    assert mission.on("10.0.0.8") == ()
     assert [a.id for a in mission.on("10.0.0.7")] == ["arm-2", "boss.2"]
     assert (mission.index("boss_1"), mission.agent("boss_1").type) == (2, "Boss")
     assert (mission.port("olive.example.org"), mission.port("10.0.0.7")) == (8200, None)
@@ -40,6 +45,23 @@ def test_hash_is_of_what_is_deployed_and_not_of_how_it_is_written() -> None:
     for other in ("//Boss:b@y\n//Arm:a@x?1&2", "//Arm:a@x?1\n//Boss:b@y", "//Arm:a@y?1&2\n//Boss:b@y"):
         assert deployment(other).hash != plain
     assert deployment("//Arm:a@x?12").hash != deployment("//Arm:a@x?1&2").hash
+
+
+def test_witnesses_come_last_and_count_for_the_hash() -> None:
+    said = deployment("//@w\n//Arm:a@x\n//@v:9\n//Boss:b@y\n")
+    assert said.hosts == ("x", "y", "w", "v")
+    assert said.hash == deployment("//Arm:a@x\n//Boss:b@y\n@w\n//@v").hash
+    for other in (
+        "//Arm:a@x\n//Boss:b@y\n//@v\n//@w",
+        "//Arm:a@x\n//Boss:b@y\n//@w",
+        "//Arm:a@x\n//Boss:b@y",
+    ):
+        assert deployment(other).hash != said.hash
+
+
+def test_a_team_of_witnesses_only_is_none() -> None:
+    _, (found,) = parse_deployment("//@w\n//@v", "mission.dL", UNITS)
+    assert (found.code, found.message) == ("L712", "the deployment is empty")
 
 
 def test_without_the_program_types_are_not_checked() -> None:

@@ -136,8 +136,13 @@ def test_tokens_cover_the_text(text: str) -> None:
 def test_deep_nesting_is_an_error_and_no_crash() -> None:
     depth = 5_000
     inits = ["x = " + "(" * depth, "{" * depth, "if (true) " * depth, "x = " + "-" * 3 + "!" * depth + "x;"]
-    inits += ["x = " + "1 + " * depth + "1;", "x" + ".y" * depth + ";", "x = " * depth + "1;", "f(" * depth]
-    inits += ["x" + "[0" * depth, "if (x) y(); else " * depth, "x" + "[0]" * depth, "new A(" * depth]
+    inits += [
+        "x = " + "1 + (" * depth + "1;",
+        "x" + ".y(x" * depth + ";",
+        "x = " * depth + "1;",
+        "f(" * depth,
+    ]
+    inits += ["x" + "[0" * depth, "if (x) y(); else { " * depth, "new A(" * depth]
     inits += [
         "int" + "[]" * depth + " x;",
         "x = new int" + "[1]" * depth + ";",
@@ -149,10 +154,20 @@ def test_deep_nesting_is_an_error_and_no_crash() -> None:
         assert "L211" in {d.code for d in checked.diagnostics}, text[:40]
 
 
+def test_a_chain_with_mistakes_is_as_long_as_it_likes() -> None:
+    length = 5_000
+    inits = ["x = " + "1 + " * length + "1;", "x" + ".y" * length + ";", "x" + "[0]" * length + ";"]
+    inits += ["if (x) y(); " + "else if (x) y(); " * length, "x" + ".y()" * length + ";"]
+    for text in inits:
+        checked = check_text(f"resource Arm {{ init(string[] arg) {{ {text} }} }}")
+        assert "L211" not in {d.code for d in checked.diagnostics}, text[:40]
+        assert "L301" in {d.code for d in checked.diagnostics}, text[:40]
+
+
 def test_the_deepest_program_allowed_checks() -> None:
     for text in [
         "print(" + "(" * 90 + "1" + ")" * 90 + ");",
-        "print(" + "1 + " * 90 + "1);",
+        "print(" + "1 + (" * 48 + "1" + ")" * 48 + ");",
         "if (true) " * 90 + ";",
     ]:
         assert check_text(f"resource Arm {{ init(string[] arg) {{ {text} }} }}").program is not None

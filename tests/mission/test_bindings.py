@@ -11,7 +11,7 @@ from lfield.driver.plugins import Plugins
 from lfield.errors import BindingError, InputFileError
 from lfield.mission.bindings import SIM_SILENCE, on_fakes
 from lfield.mission.bindings_file import read_bindings
-from lfield.mission.load import device_problems
+from lfield.mission.load import mission_problems
 
 NEEDED = {"alpha": {"fc": "Mavlink"}, "beta": {"fc": "Mavlink"}, "tour": {}}
 
@@ -229,10 +229,11 @@ def test_what_makes_no_sense_without_a_policy_is_drawn_at_its_place(written, plu
 def test_a_deployment_is_checked_with_the_devices_file_beside_it(tmp_path):
     (tmp_path / "m.L").write_text("resource Copter { Mavlink fc; init(string[] arg) { } }\n")
     (tmp_path / "m.dL").write_text("//Copter:alpha@host\n//Copter:beta@host\n")
-    assert device_problems(tmp_path / "m.dL") == []
+    assert mission_problems(tmp_path / "m.dL") == []
     devices = tmp_path / "m.devices.yaml"
     devices.write_text(WITHOUT_POLICY.format("{after: 30, do: land}"))
-    assert device_problems(tmp_path / "m.dL") == []
+    assert mission_problems(tmp_path / "m.dL") == []
     devices.write_text(WITHOUT_POLICY.format("{after: 30, do: lnd}"))
-    (problem,) = device_problems(tmp_path / "m.dL")
+    (found,) = mission_problems(tmp_path / "m.dL")
+    problem = found.render()
     assert "did you mean 'land'?" in problem

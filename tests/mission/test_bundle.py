@@ -206,6 +206,13 @@ def test_parts_of_different_missions_do_not_fit(rich: Mission, plain: Mission, d
         ([("Echo", "", "x", ())], "a name of its team is too long, or empty"),
         ([("Echo", "a", "x" * 200, ())], "a name of its team is too long, or empty"),
         ([("Echo", "a", "x")], "its team cannot be read"),
+        ([("", "", "x", ())], "has 0 agents and 1 witnesses"),
+        ([("", "", "y", ()), ("Echo", "a", "x", ())], "a witness of its team is none"),
+        ([("Echo", "a", "x", ()), ("", "", "x", ())], "a witness of its team is none"),
+        ([("Echo", "a", "x", ()), ("", "", "y", ()), ("", "", "y", ())], "a witness of its team is none"),
+        ([("Echo", "a", "x", ()), ("", "w", "y", ())], "a witness of its team is none"),
+        ([("Echo", "a", "x", ()), ("", "", "y", ("1",))], "a witness of its team is none"),
+        ([("Echo", "a", "x", ()), ("", "", "", ())], "a name of its team is too long, or empty"),
     ],
 )
 def test_a_team_that_cannot_be(plain: Mission, rows: list[object], told: str) -> None:

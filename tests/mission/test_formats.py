@@ -6,6 +6,7 @@ import asyncio
 import io
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from lfield.bytecode import encoding
@@ -97,7 +98,8 @@ def test_a_dump_with_one_bit_flipped_is_refused_wherever_the_bit_is() -> None:
     members = enumerate(zip(record.members, record.types, strict=True))
     team = [Member(number, name, type_, "resource", 0) for number, (name, type_) in members]
     data = dump.encode(record.host, record.reason, record.limit, team, record.hosts, program, block)
-    assert dump.decode(data)[0] == record
+    # The program of an older release is written as a file of this one.
+    assert msgspec.structs.replace(dump.decode(data)[0], program=record.program) == record
     for bit in range(8 * len(data)):
         damaged = bytearray(data)
         damaged[bit // 8] ^= 1 << bit % 8

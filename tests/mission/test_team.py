@@ -28,6 +28,15 @@ def test_addresses_of_hosts() -> None:
     assert moved.deployment == made.deployment
 
 
+def test_a_witness_is_a_host_without_agents() -> None:
+    made = team("//@elm:9000\n//Arm:a@olive\n//Arm:b@ficus\n//@oak")
+    assert made.hosts == ("olive", "ficus", "elm", "oak")
+    assert made.reached["elm"] == "elm:9000"
+    assert [(m.id, m.number, m.host) for m in made.members] == [("a", 0, 0), ("b", 1, 1)]
+    assert made.on(made.number("elm")) == []
+    assert team_of(made.rows, {"Arm": "resource"}, {}).deployment == made.deployment
+
+
 def test_maps() -> None:
     made = team("//Arm:a@olive")
     assert parse_maps(["olive=10.0.0.1:1"], made) == {"olive": "10.0.0.1:1"}

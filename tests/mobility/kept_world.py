@@ -8,12 +8,13 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from mobility_world import PROGRAM, SimHost, Start, World
+from mobility_world import PROGRAM, Packet, SimHost, Start, World
 
 from lfield.host.team.keeping import Keeping
 from lfield.journal.pages import CopyPage, Key, Page, key_of
 from lfield.mobility.copies import Copy
-from lfield.mobility.effects import Began, Go, Refusal
+from lfield.mobility.effects import Began, Go, Refusal, Resume, SendTransfer
+from lfield.mobility.generations import is_recovery, next_recovery
 from lfield.wire.messages import Hello
 
 
@@ -34,6 +35,7 @@ class KeptWorld(World):
 
     def __init__(self, *args) -> None:
         self.disks: dict[str, dict[Key, Page]] = {}
+        self.gone: set[str] = set()
         super().__init__(*args)
 
     def boot(self, name: str) -> None:
@@ -48,6 +50,20 @@ class KeptWorld(World):
             if home == name and first:
                 self.apply(host, host.mobility.start(agent, 1))
                 self.sync(name)
+
+    def come_back(self, name: str) -> None:
+        """A host that was said to be gone for good is up again, and hears all others before it goes on."""
+        self.lives += 1
+        host = KeptHost(name, self.lives)
+        self.enter(host)
+        host.mobility.restore(page for page in self.disks[name].values() if isinstance(page, CopyPage))
+        for other in [other for other in self.hosts.values() if other is not host]:
+            self.apply(host, host.mobility.linked(self.hello(other)))
+            host.mobility.unlinked(other.name)
+        # Should it be killed before that is on its disk, it has to hear it again.
+        self.sync(name)
+        self.apply(host, host.mobility.wake(lambda copy, runs: self.put(host, copy, runs), self.now))
+        self.gone.discard(name)
 
     def put(self, host: KeptHost, copy: Copy, runs: bool):
         """A copy from the disk is in the machine again."""
@@ -96,13 +112,76 @@ class KeptWorld(World):
                         host.running[agent, generation] = host.waiting.pop((agent, generation))
                 case Began(agent, generation):
                     host.running[agent, generation] = self.count[agent, generation] = 0
+                case Resume(agent, generation) if (
+                    is_recovery(generation) and (agent, generation) not in self.count
+                ):
+                    self.count[agent, generation] = host.frozen[agent, generation]
+                    self.dead |= {
+                        start for start in self.count if start[0] == agent and start[1] < generation
+                    }
+                    super().apply(host, [effect])
                 case _:
                     super().apply(host, [effect])
 
+    def recoverable(self, host: KeptHost, agent: str) -> bool:
+        """Whether this host could go on with an agent of whose newest start it has a shadow."""
+        left, newest = host.mobility.recoverable(agent), max(g for a, g in self.count if a == agent)
+        return left is not None and left.generation == newest and left.state in ("MOVED", "IN DOUBT")
+
+    def bury(self, host: KeptHost, agent: str) -> bool:
+        """All that have more of an agent than this host are gone for good; whether one may truly say so."""
+        left = host.mobility.recoverable(agent)
+        here = left.generation, left.sequence
+        for name in self.names:
+            if name != host.name and name not in self.gone and self._has_more(name, agent, here):
+                self.gone.add(name)
+                if name in self.hosts:
+                    self.kill(name)
+        return not any(self._under_way(packet, agent) for packet in self.packets)
+
+    def _has_more(self, name: str, agent: str, here: tuple[int, int]) -> bool:
+        if name not in self.hosts:
+            pages = [
+                page
+                for page in self.disks[name].values()
+                if isinstance(page, CopyPage) and page.agent == agent
+            ]
+            return any(page.state == "RUN" or (page.generation, page.sequence) > here for page in pages)
+        known = [known for known in self.hosts[name].mobility.knowledge() if known.agent == agent]
+        live = any(known.state in ("RUN", "FROZEN", "PREPARED") for known in known)
+        return live or any((known.generation, known.sequence) > here for known in known)
+
+    def _under_way(self, packet: Packet, agent: str) -> bool:
+        target, sent = self.hosts.get(packet.target), packet.content
+        return (
+            isinstance(sent, SendTransfer)
+            and sent.header.agent == agent
+            and target is not None
+            and target.incarnation == packet.incarnation
+            and not any(
+                (known.agent, known.generation) == (agent, sent.header.generation)
+                and known.sequence >= sent.header.sequence
+                for known in target.mobility.knowledge()
+            )
+        )
+
+    def recover(self, host: KeptHost, agent: str) -> None:
+        newest = max(known.generation for known in host.mobility.knowledge() if known.agent == agent)
+        number = next_recovery(newest, self.names.index(host.name))
+
+        def put(copy: Copy):
+            start = copy.agent, copy.generation
+            host.frozen[start] = int(bytes(copy.block).decode().split()[3]) if copy.block else 0
+            return self.sealer(start, host.frozen[start])
+
+        self.apply(host, host.mobility.recover(agent, number, put))
+
     def heal(self) -> None:
         for name in self.names:
-            if name not in self.hosts:
+            if name not in self.hosts and name not in self.gone:
                 self.boot(name)
+        for name in sorted(self.gone):
+            self.come_back(name)
         for _ in range(4):
             super().heal()
             for name in self.names:
@@ -116,6 +195,9 @@ class KeptWorld(World):
         live = Counter(start for host in self.hosts.values() for start in host.running)
         for start, copies in live.items():
             assert copies == 1, f"{copies} live copies of {start}"
+        for agent in self.homes:
+            starts = [start for start in live if start[0] == agent]
+            assert len(starts) <= 1, f"{starts} run side by side"
         for identity, times in self.injected.items():
             assert times == 1 or self.forgotten(identity), f"{identity} was injected {times} times"
         for start in self.count:

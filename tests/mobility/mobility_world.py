@@ -21,6 +21,7 @@ from lfield.mobility.effects import (
     SendTransfer,
     Supersede,
 )
+from lfield.mobility.generations import outranks
 from lfield.wire.messages import Hello
 
 PROGRAM = b"p" * 32
@@ -247,7 +248,8 @@ class World:
         for start in self.count:
             assert start in held or start in self.excused, f"{start} has vanished"
         for agent, generation in self.superseded:
-            assert any(a == agent and g < generation for a, g in self.count), "the first start was stopped"
+            better = any(a == agent and outranks(g, generation) for a, g in self.count)
+            assert better, f"{agent} was stopped for nothing"
 
     def check_healed(self) -> None:
         """What must be so after `heal`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lfield.mobility.fates import Absent, Fate, Judge, fates, known_fates
-from lfield.wire.messages import Known
+from lfield.wire.coordinators import Known
 
 HOMES = {"tom": "alpha"}
 

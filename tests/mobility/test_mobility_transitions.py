@@ -17,19 +17,19 @@ from lfield.mobility.effects import (
     SendTransfer,
     Supersede,
 )
-from lfield.wire.fields import MAX_TEXT
-from lfield.wire.messages import (
+from lfield.wire.coordinators import (
     NEVER_ARRIVED,
     SUPERSEDED,
     Accepted,
     Ended,
     EndedAck,
-    Hello,
     Inquire,
     Known,
     Refused,
     Transfer,
 )
+from lfield.wire.fields import MAX_TEXT
+from lfield.wire.messages import Hello
 
 PROGRAM = b"p" * 32
 TOUR = "Tour:one"

@@ -10,7 +10,7 @@ from mobility_world import PATIENCE, World
 
 from lfield.mobility.core import Mobility
 from lfield.mobility.effects import Send
-from lfield.wire.messages import NEVER_ARRIVED, Inquire, Refused
+from lfield.wire.coordinators import NEVER_ARRIVED, Inquire, Refused
 
 
 def walk(machine: type[Mobility], seed: int, steps: int = 150) -> World:

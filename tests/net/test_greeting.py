@@ -4,14 +4,9 @@ import pytest
 
 from lfield.errors import GreetingError, WireError
 from lfield.net.greeting import Greeting
-from lfield.wire.messages import (
-    Accepted,
-    ForeignHello,
-    Hello,
-    Ping,
-    Refuse,
-    StatusRequest,
-)
+from lfield.wire.coordinators import Accepted
+from lfield.wire.messages import ForeignHello, Hello, Ping, Refuse
+from lfield.wire.observing import StatusRequest
 
 PROGRAM, DEPLOYMENT, REGISTRY = b"p" * 32, b"d" * 32, b"r" * 32
 HOSTS = ("a", "b", "c")
@@ -98,6 +93,21 @@ def test_a_team_without_devices_and_an_observer_join_either(theirs):
     observer = hello("ps", role="observer", program=b"", deployment=b"", registry=b"")
     Greeting(hello("a", devices=theirs), hosts=HOSTS).receive(observer)
     Greeting(observer).receive(hello(devices=theirs))
+
+
+def test_two_majorities_of_different_members_need_not_meet():
+    ours, theirs = "a lease of 2 s among a, b and c", "a lease of 2 s among a, b and d"
+    for mine, yours in ((ours, theirs), (ours, ""), ("", theirs)):
+        machine = Greeting(hello("a", recovery=mine), hosts=HOSTS)
+        with pytest.raises(
+            GreetingError, match="give both the same 'recovery' in their devices files"
+        ) as told:
+            machine.receive(hello(recovery=yours))
+        assert f"a recovers coordinators by {mine or 'nobody'}" in str(told.value)
+        assert f"b by {yours or 'nobody'}" in str(told.value)
+    Greeting(hello("a", recovery=ours), hosts=HOSTS).receive(hello(recovery=ours))
+    Greeting(hello("a", recovery=ours), hosts=HOSTS).receive(hello("ps", role="observer"))
+    Greeting(hello("ps", role="observer")).receive(hello(recovery=theirs))
 
 
 def test_a_second_host_of_a_name_is_refused_while_the_first_is_linked():

@@ -7,7 +7,7 @@ import pytest
 from lfield.errors import AddressError, NobodyListens
 from lfield.operator.addressed import Place
 from lfield.operator.descent import Descent
-from lfield.wire.messages import DeviceStatus, EmergencyStopped, Status
+from lfield.wire.observing import DeviceStatus, EmergencyStopped, Status
 
 ALPHA, BRAVO = Place("tour-1", "alpha"), Place("tour-1", "bravo")
 

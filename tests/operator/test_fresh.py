@@ -16,7 +16,8 @@ from lfield.journal.file import FileJournal
 from lfield.journal.opening import Owner
 from lfield.journal.pages import CopyPage, Fence, Run, Starts
 from lfield.operator.fresh import WORD, anew
-from lfield.wire.messages import JournalStatus, Known, ParkedStatus, Status
+from lfield.wire.coordinators import Known
+from lfield.wire.observing import JournalStatus, ParkedStatus, Status
 
 HERE = CopyPage("pilot", 3, "RUN", 4, 2, program=b"p" * 32, block=b"block")
 AWAY = CopyPage("scout", 2, "MOVED", 7, 5, target="bravo", memory=9, program=b"p" * 32, block=b"block")

@@ -13,7 +13,7 @@ from lfield.capability.reading.reader import check_files, shipped
 from lfield.errors import AddressError, WireError
 from lfield.operator.ask import silent
 from lfield.operator.query import from_files, from_hosts, views_of
-from lfield.wire.messages import Status, Told, ToldFact
+from lfield.wire.observing import Status, Told, ToldFact
 
 REGISTRY = """
 registry: 1

@@ -127,7 +127,7 @@ def test_in_any_weather_a_device_has_one_owner_and_none_moves_for_nobody(mission
                 assert fleet.now - since < 1.01, f"{name} moves though nobody has had it since {since:.3f} s"
 
     fleet = Fleet(mission, seed, watch)
-    weather = Weather(cut=5.0, kill=10.0, stop=8.0, power=20.0, guard_kill=6.0, guard_stop=6.0)
+    weather = Weather(cut=5.0, kill=10.0, stop=8.0, power=10.0, guard_kill=6.0, guard_stop=6.0)
     storm = weather.over(fleet, random.Random(seed))
     fleet.run(60.0)
     assert {what.split()[0] for _, what in storm.faults} == {"cut", "kill", "stop", "power"}

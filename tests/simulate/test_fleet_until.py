@@ -88,7 +88,9 @@ def test_a_call_that_lay_in_the_pipe_of_a_guard_that_stood_still_is_not_carried_
     fleet.run(0.1)
     assert 1.0 in called_at(fleet)
     assert 1.0 not in begun_at(fleet)
-    assert "takeoff() was to begin within 0.5 s, and its guard got to it after 0.8" in refusals(fleet)
+    # By the clock of its computer, which may be slow or fast.
+    told = r"takeoff\(\) was to begin within 0\.5 s, and its guard got to it after 0\.(79|80)\d? s"
+    assert re.search(told, refusals(fleet))
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -16,28 +16,30 @@ from lfield.journal.pages import CopyPage, Starts
 from lfield.mobility.copies import Copy
 from lfield.mobility.departures import Departures
 from lfield.mobility.effects import Effect
+from lfield.mobility.generations import STRIDE
 from lfield.simulate.fleet import Fleet
-from lfield.simulate.judge import Judge
-from lfield.simulate.saved import nowhere
+from lfield.simulate.judging.judge import Judge
+from lfield.simulate.judging.saved import nowhere
 from lfield.simulate.seeds import run, told
 from lfield.simulate.stories.shrink import command, smallest
-from lfield.simulate.stories.story import drawn
+from lfield.simulate.stories.story import FOR_EVER, drawn, fenced
 from lfield.simulate.stories.trial import tell
 from lfield.simulate.weather import Weather
+from lfield.vm.memory.layout import W_GENERATION
 
 
-@pytest.mark.parametrize("first", range(0, 160, 40))
+@pytest.mark.parametrize("first", range(0, 96, 24))
 def test_stories_of_all_kinds_of_weather_keep_every_promise(first: int) -> None:
     struck: Counter[str] = Counter()
     calls = restarts = 0
-    for seed in range(first, first + 40):
+    for seed in range(first, first + 24):
         verdict = told(seed)
         assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
         struck.update(fault.kind for fault in verdict.story.forecast)
         calls += verdict.calls
         restarts += verdict.restarts
-    assert calls > 300
-    assert restarts > 10
+    assert calls > 200
+    assert restarts > 5
     assert set(struck) >= Weather.__dataclass_fields__.keys() - {"guard_kill", "guard_stop"}
 
 
@@ -49,7 +51,30 @@ def test_a_judge_sees_what_it_judges() -> None:
     judge.look()
     assert not judge.breaches
     assert judge.seen["starts"] == story.walkers
-    assert min(judge.seen["injections"], judge.seen["calls"]) > 10
+    assert min(judge.seen["injections"], judge.calls) > 10
+    judge.fleet.close()
+
+
+def test_a_judge_sees_a_call_for_a_copy_that_has_a_successor() -> None:
+    """Two hosts that go on with one coordinator, which no host does: the judge need not ask it."""
+    judge = Judge()
+    story = replace(fenced(1), keep=frozenset(), hosts=3, walkers=1, arms=0, calls=FOR_EVER, stay=0.04)
+    judge.fleet = Fleet(story.mission, 1, born=judge.born)
+    judge.fleet.run(3.0)
+    shadow = next(page for page in judge.fleet.pages_left if isinstance(page, CopyPage) and page.block)
+    while not (
+        holders := [life for life in judge.fleet.lives.values() if life.core.machine.agents.get("w0")]
+    ):
+        judge.fleet.run(0.05)
+    copy = holders[0].core.machine.agents["w0"]
+    other = next(life for life in judge.fleet.lives.values() if life not in holders)
+    assert not judge.breaches
+    successor = other.core.machine.restore(copy.member, shadow.block, copy.limits)
+    successor.block.w[W_GENERATION] = STRIDE + 1
+    other.core.machine.resume(successor, "RestartException", "told so")
+    judge.fleet.run(2.0)
+    assert [breach.name for breach in judge.breaches][:1] == ["I1"]
+    assert "began for start 1; 65537 had gone on" in judge.breaches[0].sentence
     judge.fleet.close()
 
 
@@ -69,16 +94,16 @@ def test_a_breach_is_told_with_the_command_that_repeats_it_and_made_smaller(
         return self._resume(copy, "UnreachableResourceException", "it took too long")
 
     monkeypatch.setattr(Departures, "overdue", overdue)
-    found = told(5)
+    found = told(6)
     breach = found.breaches[0]
     assert (breach.name, len(breach.hosts)) == ("I1", 2)
     small = smallest(found, most=40)
     assert small.breaches[0].name == "I1"
     assert len(small.faults) < len(found.faults)
     assert tell(small.story).digest == small.digest
-    assert command(small.story).startswith("python -m lfield.simulate --story 5 --")
+    assert command(small.story).startswith("python -m lfield.simulate --story 6 --")
     said = Console(file=io.StringIO(), width=200)
-    tally = run(range(5, 6), processes=1, console=said)
+    tally = run(range(6, 7), processes=1, console=said)
     assert [verdict.digest for verdict in tally.broken] == [found.digest]
     assert "1 seeds, 1 breaches (I1 1)" in said.file.getvalue()
 

@@ -27,7 +27,7 @@ resource Post {
     card.text = card.text + name + i2s(stamps);
     return card;
   }
-  portal refuse() { throw new DeviceException("jammed"); }
+  portal refuse() { throw new DeviceTimeoutException("jammed"); }
 }
 class Card { public string text; public Card self; public Card() { text = ""; self = this; } }
 coordinator Walker {
@@ -38,7 +38,8 @@ coordinator Walker {
     int[] garbage = new int[5000];
     for (int i = 0; i < 3; i = i + 1) { card = lap(card, i); }
     print(card.text + " " + b2s(card.self == card));
-    try { there.refuse(); } catch (DeviceException e) { print(e.type() + " " + e.message()); }
+    try { there.refuse(); }
+    catch (DeviceException e) { here.stamp(card); print(e.type() + " " + e.message()); }
     print("hops " + i2s(hops()));
   }
   private Card lap(Card c, int i) {
@@ -106,7 +107,7 @@ def test_a_coordinator_keeps_its_state_and_identity_across_hops() -> None:
     hosts = TwoHosts()
     hosts.run()
     assert sorted(hosts.printed) == sorted(
-        ["there1here10.0there2here20.5there3here31.0 true", "DeviceException jammed", "hops 7"]
+        ["there1here10.0there2here20.5there3here31.0 true", "DeviceTimeoutException jammed", "hops 8"]
     )
 
 
@@ -126,7 +127,7 @@ def test_a_resumed_coordinator_gets_the_exception_at_its_portal_call() -> None:
     settle(hosts.machines[0], hosts.clock)
     assert agent.ended == "died"
     assert agent.report.splitlines()[0] == "UnreachableResourceException: nobody there"
-    assert "at Walker.lap (golden.L:26)" in agent.report
+    assert "at Walker.lap (golden.L:27)" in agent.report
 
 
 @cache
@@ -177,6 +178,9 @@ def with_word(image: bytes, word: int, value: int) -> bytes:
         (lambda image: image[:8] + b"\0" * 32 + image[40:], "it belongs to another program"),
         (lambda image: image[: 8 * layout.W_SELF] + b"\x01" + image[8 * layout.W_SELF + 1 :], "roots"),
         (lambda image: with_word(image, layout.W_HOPS, (1 << 63) - 1), "its header is not sound"),
+        (lambda image: with_word(image, layout.W_INTERVAL, -1), "its heartbeat interval is not sound"),
+        (lambda image: with_word(image, layout.W_INTERVAL, 86_400_001), "its heartbeat interval"),
+        (lambda image: with_word(image[:256], layout.W_TOP, 32), "its size is not what it says"),
     ],
 )
 def test_unsound_blocks_say_why(change, reason) -> None:  # type: ignore[no-untyped-def]

@@ -53,11 +53,14 @@ class Disk(Desk):
         self.kept: list[tuple[Agent, bytes]] = []
         self.stopped: set[int] = set()
 
-    def keep(self, agent: Agent) -> bool:
+    def may_begin(self, agent: Agent, acts: bool) -> bool:
+        assert acts
+        assert not agent.kept
         self.asked += 1
         if not self.volatile:
             assert agent.frozen
             self.kept.append((agent, bytes(self.machine.pack(agent))))
+            agent.kept = True
         return self.volatile
 
     def superseded(self, agent: str, generation: int) -> bool:

@@ -23,35 +23,22 @@ from lfield.wire.codec import (
     frame_decoder,
     limits,
 )
+from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused, Transfer
 from lfield.wire.fields import MAX_LABEL, MAX_NAME, MAX_NUMBERS, MAX_TEXT, clip
 from lfield.wire.framing import HEADER_SIZE
-from lfield.wire.messages import (
-    Accepted,
-    AgentReport,
+from lfield.wire.messages import AgentReport, FactReport, ForeignHello, Hello, Ping, Pong, Refuse, Report
+from lfield.wire.observing import (
     AgentStatus,
     DeviceStatus,
-    Ended,
-    EndedAck,
-    FactReport,
-    ForeignHello,
     Forget,
     Forgotten,
-    Hello,
-    Inquire,
     JournalStatus,
-    Known,
     LinkStatus,
     ParkedStatus,
-    Ping,
-    Pong,
-    Refuse,
-    Refused,
-    Report,
     Status,
     StatusRequest,
     Told,
     ToldFact,
-    Transfer,
 )
 
 HASH = b"h" * 32

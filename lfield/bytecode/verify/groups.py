@@ -13,6 +13,8 @@ from lfield.bytecode.program import (
     ANY,
     ARRAY,
     BOOLEAN,
+    DEVICE,
+    HELD,
     INT,
     OBJECT,
     PROXY,
@@ -26,6 +28,9 @@ from lfield.bytecode.verify.operands import MethodView
 
 _PUSH, _POP = BY_NAME["push"], BY_NAME["pop"]
 _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
+
+#: What resources and plain classes do not have, by the instruction that is about it.
+_OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat"}
 
 #: Whether a type index is what a head takes or gives.
 Test = Callable[[MethodView, int], bool]
@@ -81,8 +86,8 @@ def _signature(view: MethodView, pc: int, row: Opcode, quad: Quad) -> Signature:
         return special(view, pc, quad)
     if row.name.startswith("write_") and view.scope != "resource":
         raise view.refused(pc, "only resources write")
-    if row.name == "hops" and view.scope != "coordinator":
-        raise view.refused(pc, "only coordinators have hops")
+    if row.name in _OF_COORDINATORS and view.scope != "coordinator":
+        raise view.refused(pc, f"only coordinators have {_OF_COORDINATORS[row.name]}")
     gives = _accepts(_EXACT[row.gives]) if row.gives else None
     return Signature([_taken(kind) for kind in row.takes or ()], gives)
 
@@ -146,6 +151,12 @@ def _explain(view: MethodView, pc: int, quad: Quad) -> Signature:
     return Signature([_accepts(STRING)], _accepts(STRING))
 
 
+def _about(view: MethodView, pc: int, quad: Quad) -> Signature:
+    if view.scope != "coordinator":
+        raise view.refused(pc, "only coordinators have proxies")
+    return Signature([lambda view, index: view.types.kind(index) == PROXY], _accepts(STRING))
+
+
 def _check_query(view: MethodView, pc: int, quad: Quad) -> None:
     if view.scope != "coordinator":
         raise view.refused(pc, "only coordinators ask for capabilities")
@@ -157,7 +168,8 @@ def _device(view: MethodView, pc: int, quad: Quad) -> Signature:
     call = view.core.device_calls[quad.a]
     if call.owner != view.method.owner:
         raise view.refused(pc, "a device is used by its own resource only")
-    return Signature([_accepts(kind) for kind in call.parameters], _given(call.result))
+    held = [_accepts(DEVICE)] if call.field == HELD else []
+    return Signature([*held, *map(_accepts, call.parameters)], _given(call.result))
 
 
 _SPECIAL: dict[str, Callable[[MethodView, int, Quad], Signature]] = {
@@ -167,6 +179,8 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], Signature]] = {
     "findall": _findall,
     "offers": _offers,
     "explain": _explain,
+    "agent": _about,
+    "host": _about,
     "device": _device,
 }
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from lfield.bytecode.program import (
     ANY,
     ARRAY,
-    BUILTIN_CLASSES,
     DEVICE,
     OBJECT,
     PROXY,
@@ -17,7 +16,7 @@ from lfield.bytecode.program import (
     Program,
     TypeRecord,
 )
-from lfield.bytecode.verify.types import TypeTable
+from lfield.bytecode.verify.types import TypeTable, scope_of
 from lfield.errors import ProgramFileError
 
 #: The most slots an activation record may have: parameters, locals and temporaries together.
@@ -52,7 +51,7 @@ def check_methods(core: Core) -> None:
 def _check_shape(core: Core, table: TypeTable, method: MethodRecord) -> None:
     if not method.name.isidentifier():
         raise ProgramFileError(f"a method has the name {method.name!r}, which no source can give it")
-    if not len(BUILTIN_CLASSES) <= method.owner < len(core.classes):
+    if not core.builtins <= method.owner < len(core.classes):
         raise _refused(method, "it belongs to no class of the program")
     if core.classes[method.owner].kind not in _OWNERS.get(method.kind, ()):
         raise _refused(method, f"its class cannot have a method of kind {method.kind!r}")
@@ -62,7 +61,8 @@ def _check_shape(core: Core, table: TypeTable, method: MethodRecord) -> None:
         raise _refused(method, "it uses a type that does not exist")
     if table.record(method.slots[0]) != TypeRecord(OBJECT, method.owner):
         raise _refused(method, "its slot 0 is not the object it runs on")
-    if not all(map(table.is_value, method.slots[1:])):
+    holds_devices = scope_of(core.classes[method.owner]) == "resource"
+    if not all(table.is_value(i) or (holds_devices and i == DEVICE) for i in method.slots[1:]):
         raise _refused(method, "a slot has a type no variable can have")
     if method.result != VOID and not table.is_value(method.result):
         raise _refused(method, "it has a result of a type no value can have")
@@ -80,7 +80,7 @@ def _check_inits(core: Core) -> None:
         arguments = [core.types[slot] for slot in method.slots[1 : method.parameters + 1]]
         if arguments != [TypeRecord(ARRAY, STRING)] or method.result != VOID:
             raise _refused(method, "it is an init and does not take string[] to nothing")
-    for record in core.classes[len(BUILTIN_CLASSES) :]:
+    for record in core.classes[core.builtins :]:
         if record.kind == "class":
             if record.init != -1:
                 raise ProgramFileError(f"class {record.name} has an init")

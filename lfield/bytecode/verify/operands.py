@@ -126,6 +126,7 @@ class MethodView:
     def field_type(self, pc: int, holder: int, number: int) -> int:
         """The type of a field of the object in a slot."""
         fields = self.core.classes[self.types.record(self.slot(holder, pc)).of].fields
-        if not 0 <= number < len(fields) or fields[number].type == DEVICE:
+        devices = self.scope == "resource"
+        if not 0 <= number < len(fields) or (fields[number].type == DEVICE and not devices):
             raise self.refused(pc, f"there is no field {number} to read or write")
         return fields[number].type

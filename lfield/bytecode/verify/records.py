@@ -8,8 +8,10 @@ from lfield.bytecode.program import (
     DEVICE,
     FACT_FIELDS,
     FACTS,
+    HELD,
     INT,
     OBJECT,
+    OLDEST_BUILTINS,
     PROXY,
     REAL,
     STRING,
@@ -20,7 +22,7 @@ from lfield.bytecode.program import (
     FieldRecord,
     TypeRecord,
 )
-from lfield.bytecode.verify.types import TypeTable
+from lfield.bytecode.verify.types import TypeTable, scope_of
 from lfield.errors import ProgramFileError
 
 #: The eight types without parts that every program begins with.
@@ -47,7 +49,8 @@ def check_types(core: Core) -> None:
         raise ProgramFileError("its first eight types are not those of every program")
     if len(set(core.types)) != len(core.types):
         raise ProgramFileError("a type is in its table twice")
-    if core.classes[: len(BUILTIN_RECORDS)] != BUILTIN_RECORDS:
+    known = core.builtins
+    if known < OLDEST_BUILTINS or core.classes[:known] != BUILTIN_RECORDS[:known]:
         raise ProgramFileError("its first classes are not the built-in exceptions")
     table = TypeTable(core)
     for index in range(len(FIXED_TYPES), len(core.types)):
@@ -75,7 +78,7 @@ def check_classes(core: Core) -> None:
     if len(set(names)) != len(names):
         raise ProgramFileError("two of its classes have one name")
     table = TypeTable(core)
-    for record in core.classes[len(BUILTIN_RECORDS) :]:
+    for record in core.classes[core.builtins :]:
         if not record.name.isidentifier():
             raise ProgramFileError(f"a class has the name {record.name!r}, which no source can give it")
         if record.kind not in _KINDS or record.usage not in _USAGES:
@@ -92,9 +95,10 @@ def _check_fields(record: ClassRecord, table: TypeTable) -> None:
     if record.capability:
         _check_capability(record, table)
     devices = [field.name for field in record.fields if field.type == DEVICE]
-    if devices != [device.name for device in record.devices]:
+    known = devices if record.kind == "resource" else []
+    if known != [device.name for device in record.devices]:
         raise ProgramFileError(f"the devices of {record.name} are not its device fields")
-    if devices and record.kind != "resource":
+    if devices and scope_of(record) != "resource":
         raise ProgramFileError(f"{record.name} has a device and is no resource")
 
 
@@ -121,7 +125,10 @@ def check_device_calls(core: Core) -> None:
     results = {VOID, *values}
     devices = {(i, device) for i, record in enumerate(core.classes) for device in record.devices}
     for number, call in enumerate(core.device_calls):
-        if (call.owner, DeviceField(call.field, call.device)) not in devices:
+        if call.field == HELD:
+            if not 0 <= call.owner < len(core.classes) or scope_of(core.classes[call.owner]) != "resource":
+                raise ProgramFileError(f"device call {number} is of a class that has no resource")
+        elif (call.owner, DeviceField(call.field, call.device)) not in devices:
             raise ProgramFileError(f"device call {number} names a device its resource does not have")
         if call.effect not in _EFFECTS:
             raise ProgramFileError(f"device call {number} has the unknown effect {call.effect!r}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from lfield.bytecode.program import ANY, ARRAY, OBJECT, VOID, Quad, TypeRecord
+from lfield.bytecode.program import ANY, ARRAY, DEVICE, NULL, OBJECT, PROXY, VOID, Quad, TypeRecord
 from lfield.bytecode.verify.operands import MethodView
 
 Rule = Callable[[MethodView, int, Quad], bool]
@@ -19,6 +19,9 @@ def _getf(view: MethodView, pc: int, quad: Quad) -> bool:
 
 
 def _putf(view: MethodView, pc: int, quad: Quad) -> bool:
+    holder = view.core.classes[view.types.record(view.slot(quad.a, pc)).of]
+    if view.field_type(pc, quad.a, quad.b) == DEVICE and holder.kind == "resource":
+        return False  # A resource has its devices from the deployment.
     return view.types.fits(view.source(quad.c, pc), view.field_type(pc, quad.a, quad.b))
 
 
@@ -53,6 +56,11 @@ def _rtn(view: MethodView, pc: int, quad: Quad) -> bool:
     return view.method.result == VOID
 
 
+def _same(view: MethodView, pc: int, quad: Quad) -> bool:
+    kinds = {view.types.kind(view.source(operand, pc)) for operand in quad[2:]}
+    return PROXY not in kinds or kinds <= {PROXY, NULL}
+
+
 def _throw(view: MethodView, pc: int, quad: Quad) -> bool:
     return view.types.fits(view.slot(quad.a, pc), ANY)
 
@@ -67,6 +75,8 @@ RULES: dict[str, tuple[Rule, str]] = {
     "lds": (_lds, "the constant is no string"),
     "new": (_new, "the object cannot be created here, or does not fit the slot"),
     "newarray": (_newarray, "the type is no array, or not that of the slot"),
+    "eqr": (_same, "a proxy is compared with something else"),
+    "sner": (_same, "a proxy is compared with something else"),
     "return": (_return, "the value is not the result of this method"),
     "rtn": (_rtn, "the method must return a result"),
     "throw": (_throw, "only objects of classes can be thrown"),

@@ -6,6 +6,7 @@ from lfield.bytecode.program import (
     ANY,
     ARRAY,
     BOOLEAN,
+    BUILTIN_PARENTS,
     INT,
     NULL,
     OBJECT,
@@ -69,10 +70,19 @@ class TypeTable:
     def fits(self, given: int, wanted: int) -> bool:
         """Whether a value of one type may be put where another is wanted.
 
-        Null fits every reference, an object of a class fits ANY, otherwise the types are equal.
+        Null fits every reference, an object of a class fits ANY and what that class is a kind of, otherwise
+        the types are equal.
         """
         if given == wanted:
             return True
         if given == NULL:
             return self.is_reference(wanted)
-        return wanted == ANY and self.is_object(given)
+        if not self.is_object(given):
+            return False
+        return wanted == ANY or (self.is_object(wanted) and self._parent(given) == self._name(wanted))
+
+    def _name(self, index: int) -> str:
+        return self._classes[self._records[index].of].name
+
+    def _parent(self, index: int) -> str:
+        return BUILTIN_PARENTS.get(self._name(index), "")

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from lfield import exits
+
+if TYPE_CHECKING:
+    from lfield.errors import Finding
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,32 +23,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="programs, deployments (.dL) and bundles (.lfm)",
     )
+    parser.add_argument("--json", action="store_true", help="print an array with an object for each finding")
 
 
 def run(args: argparse.Namespace) -> int:
     """0 when there are no errors, else 65."""
     # A deployment leads to its program, which may be named beside it: what is wrong there is told once.
-    found = list(dict.fromkeys(finding for path in args.files for finding in _findings(path)))
-    for shown, _ in found:
-        print(shown, file=sys.stderr)
-    errors = sum(is_error for _, is_error in found)
-    warnings = len(found) - errors
-    if found:
-        print(f"lfield: {errors} error(s), {warnings} warning(s)", file=sys.stderr)
+    found = {finding.render(): finding for path in args.files for finding in _findings(path)}
+    errors = sum(finding.severity == "error" for finding in found.values())
+    if args.json:
+        print(json.dumps([finding.as_data() for finding in found.values()], indent=2))
+    elif found:
+        print("\n".join(found), file=sys.stderr)
+        print(f"lfield: {errors} error(s), {len(found) - errors} warning(s)", file=sys.stderr)
     return exits.DATA if errors else exits.DONE
 
 
-def _findings(path: Path) -> list[tuple[str, bool]]:
-    """What is found in a file, drawn, and whether it is an error.
+def _findings(path: Path) -> list[Finding]:
+    """What is found in a file.
 
     A bundle has the warnings with which it was built. Raises BundleError for one that is not sound.
     """
     from lfield.mission import bundle
-    from lfield.mission.load import check_file, device_problems
+    from lfield.mission.load import check_file, mission_problems
+    from lfield.text.source import Remark
 
     if path.suffix == bundle.SUFFIX:
-        return [(warning, False) for warning in bundle.read(path).warnings]
-    found = [(found.render(), found.severity == "error") for found in check_file(path)]
-    if path.suffix == ".dL" and not any(is_error for _, is_error in found):
-        found += [(problem, True) for problem in device_problems(path)]
+        return [Remark(warning, "warning") for warning in bundle.read(path).warnings]
+    found = list(check_file(path))
+    if path.suffix == ".dL" and not any(finding.severity == "error" for finding in found):
+        found += mission_problems(path)
     return found

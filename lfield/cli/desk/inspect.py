@@ -35,9 +35,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show_dump(file: Path) -> int:
-    from lfield.cli.views.journal_view import thread_lines
+    from lfield.cli.views.journal_view import interval_line, thread_lines
     from lfield.errors import BlockError
     from lfield.text.files import read_bytes
+    from lfield.text.visible import visible
     from lfield.vm.inspect import dump
     from lfield.vm.inspect.decode import view
 
@@ -49,9 +50,11 @@ def _show_dump(file: Path) -> int:
     trail = " → ".join(record.hosts[n] if 0 <= n < len(record.hosts) else str(n) for n in shown.trail)
     print(f"agent     {shown.id} ({shown.kind} {shown.type})")
     print(f"on        {record.host}, after {shown.hops} hop(s): {trail}")
+    if shown.interval:
+        print(interval_line(shown.interval))
     print(f"program   {program.digest.hex()[:16]}")
     if record.reason:
-        print("why       " + record.reason.replace("\n", "\n          "))
+        print("why       " + visible(record.reason).replace("\n", "\n          "))
     for thread in shown.threads:
         print("\n" + "\n".join(thread_lines(thread)))
     _print_state(shown, record.limit)
@@ -72,10 +75,11 @@ def _show_journal(file: Path) -> int:
     from lfield.cli.views.journal_view import journal_lines
     from lfield.errors import DamagedFileError
     from lfield.journal.reading import see
+    from lfield.text.visible import visible
 
     seen = see(file)
     for line in journal_lines(seen):
-        print(line)
+        print(visible(line))
     if seen.fault:
         raise DamagedFileError(str(file), f"it is damaged, this is what is left of it: {seen.fault}")
     if seen.damaged:
@@ -88,6 +92,7 @@ def _show_mission(file: Path) -> int:
     """What is in a bundle, or would be in that of a deployment."""
     from lfield.mission import bundle
     from lfield.mission.load import load_mission
+    from lfield.text.suggest import listed
 
     if file.suffix == bundle.SUFFIX:
         data = bundle.read_file(file)
@@ -100,11 +105,14 @@ def _show_mission(file: Path) -> int:
     for part in found.table:
         print(f"          {part.name:<9}{part.size:>9} bytes  {part.digest.hex()[:16]}")
     for number, host in enumerate(mission.team.hosts):
-        print(f"\nhost {host} at {mission.team.addresses[number]}")
-        for member in mission.team.on(number):
+        agents = mission.team.on(number)
+        print(f"\nhost {host} at {mission.team.addresses[number]}{'' if agents else ', a witness'}")
+        for member in agents:
             print(f"  {member.kind} {member.id} ({member.type})")
             for device in mission.bindings.of([member.id]):
                 print(f"    {device.field} = {device.type} by {device.driver} at {device.endpoint}")
+    if mission.fenced:
+        print(f"\nrecovery of {listed(sorted(mission.fenced))} by {mission.recovery}")
     for name, driver in mission.drivers.by_driver.items():
         print(f"\ndriver {name} of {driver.to_install}")
     return 0

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from lfield import exits
 from lfield.cli.robot.device_argument import add_devices, named_devices, named_driver, setup_command
+from lfield.cli.yes import says_yes
 from lfield.errors import DevicesError
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def _agreed(checks: Iterable[Check], devices: Iterable[DeviceBinding]) -> bool:
     if not (names and sys.stdin.isatty()):
         return not names
     print(f"These checks MOVE {names}: {'; '.join(check.name for check in checks if check.moves)}.")
-    return input("Type 'yes' if everybody is at a safe distance: ").strip().lower() == "yes"
+    return says_yes("Type 'yes' if everybody is at a safe distance: ")
 
 
 def _printer(as_json: bool) -> Callable[[Finding], None]:

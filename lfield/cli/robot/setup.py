@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from lfield import exits
 from lfield.cli.robot.device_argument import add_devices, named_devices, named_driver
+from lfield.cli.yes import says_yes
 from lfield.errors import DevicesError, UsageError
 
 if TYPE_CHECKING:
@@ -158,7 +159,7 @@ def _agreed() -> bool:
     """Ask; whoever cannot be asked has not agreed. Raises UsageError then."""
     if not sys.stdin.isatty():
         raise UsageError("nothing was written: nobody can be asked here; add --yes if that is to be written")
-    return input("Type 'yes' to write that: ").strip().lower() == "yes"
+    return says_yes("Type 'yes' to write that: ")
 
 
 def _tell(line: str) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield.cli.yes import says_yes
 from lfield.errors import CoordinatorAlive, UsageError
 
 if TYPE_CHECKING:
@@ -66,4 +67,4 @@ def _agreed(host: str, thrown: Sequence[CopyPage], *, yes: bool) -> bool:
         return True
     if not sys.stdin.isatty():
         raise UsageError("nothing was thrown away: nobody can be asked here; add --yes if that is wanted")
-    return input("Type 'yes' to throw that away: ").strip().lower() == "yes"
+    return says_yes("Type 'yes' to throw that away: ")

@@ -134,6 +134,8 @@ def _run(file: Path, args: argparse.Namespace, *, warn: bool = False) -> int:
             print(warning, file=sys.stderr)
     if args.dump is not None and not args.leash:
         _look_at_dumps(args.dump)
+    if args.volatile and args.state is not None:
+        raise UsageError("--volatile keeps nothing, and --state says where: leave one of them out")
     if args.all:
         if args.first_start:
             raise UsageError("--first-start is for a host on its own: with --all every host is heard first")

@@ -14,7 +14,7 @@ from lfield.errors import AddressError
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
     from lfield.operator.addressed import Party, Place
-    from lfield.wire.messages import EmergencyStopped
+    from lfield.wire.observing import EmergencyStopped
 
     Stopped = Mapping[Place, EmergencyStopped | LfieldError]
 
@@ -49,13 +49,13 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         _tell("interrupted: not every host has answered; press it again")
         return exits.UNSAFE
-    confirmed = _confirmed(answers, names, "may be released" if args.lift else "safe")
-    everybody = _reached(answers, names)
+    confirmed = all_confirmed(answers, names, "may be released" if args.lift else "safe")
+    everybody = all_reached(answers, names)
     if not (parties[0].runs or any(reached(answer) for answer in answers.values())):
         return AddressError.exit_status
     if args.lift or args.no_wait:
         return exits.DONE if confirmed and everybody else exits.UNSAFE
-    return exits.worst((exits.DONE if everybody else exits.UNSAFE, _way_down(parties, answers, names)))
+    return exits.worst((exits.DONE if everybody else exits.UNSAFE, way_down(parties, answers, names)))
 
 
 def _tell_whom(parties: Sequence[Party], doing: str) -> None:
@@ -67,7 +67,7 @@ def _tell_whom(parties: Sequence[Party], doing: str) -> None:
         _tell(f"lfield: {unseen()}")
 
 
-def _reached(answers: Stopped, names: Mapping[Place, str]) -> bool:
+def all_reached(answers: Stopped, names: Mapping[Place, str]) -> bool:
     """Whether every host has answered; a line on stderr for each that has not."""
     from lfield.operator.ask import silent, tell_silent
 
@@ -76,7 +76,7 @@ def _reached(answers: Stopped, names: Mapping[Place, str]) -> bool:
     return not unreached
 
 
-def _confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> bool:
+def all_confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> bool:
     """A line for each device of the hosts that answered, on stderr what is wrong; whether all is well."""
     well = True
     for place, answer in answers.items():
@@ -91,7 +91,7 @@ def _confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> bool:
     return well
 
 
-def _way_down(parties: Sequence[Party], answers: Stopped, names: Mapping[Place, str]) -> int:
+def way_down(parties: Sequence[Party], answers: Stopped, names: Mapping[Place, str]) -> int:
     """Look at the devices until they are at rest, and name those that are not; the status it comes to."""
     from lfield.cli.views.way_down import watch
     from lfield.clock import SystemClock
@@ -106,7 +106,7 @@ def _way_down(parties: Sequence[Party], answers: Stopped, names: Mapping[Place, 
         watch(descent, {place: at for party in parties for place, at in party.places.items()}, names)
         interrupted = False
     except KeyboardInterrupt:
-        _tell("no longer looking: the stop goes on; 'lfield ps' shows how the devices are")
+        _tell("no longer looking, and nothing else has changed: 'lfield ps' shows how the devices are")
         interrupted = True
     wrong = descent.verdicts()
     for device, sentence in wrong:

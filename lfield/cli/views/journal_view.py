@@ -6,11 +6,11 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from lfield.journal.opening import lost, moment
-from lfield.journal.pages import CopyPage, Fence, ProgramPage, Run, Starts
+from lfield.journal.pages import CopyPage, Fence, Paused, ProgramPage, Run, Starts
 
 if TYPE_CHECKING:
     from lfield.journal.reading import Seen
-    from lfield.vm.inspect.decode import ThreadView
+    from lfield.vm.inspect.decode import FrameView, ThreadView
 
 #: For people, by what is kept.
 _STATES = {
@@ -36,6 +36,8 @@ def journal_lines(seen: Seen) -> Iterator[str]:
                 yield f"starts    {page.count}"
             case Run():
                 yield f"run       {'goes on' if page.open else 'has ended'}"
+            case Paused() if page.on:
+                yield "paused    until 'lfield resume'"
             case Fence():
                 yield f"fence     {page.agent}: no start before {page.generation}"
             case ProgramPage():
@@ -79,16 +81,35 @@ def _stack(page: CopyPage, programs: Mapping[bytes, ProgramPage]) -> Iterator[st
     except (BlockError, ProgramFileError) as error:
         yield str(error)
         return
-    for thread in view(block, program, explains.members).threads:
+    shown = view(block, program, explains.members)
+    if shown.interval:
+        yield interval_line(shown.interval)
+    for thread in shown.threads:
         yield from thread_lines(thread)
+
+
+def interval_line(seconds: float) -> str:
+    """What a coordinator's heartbeat interval means."""
+    return f"heartbeat recovered {seconds:g} s after the last sign of it"
 
 
 def thread_lines(thread: ThreadView) -> Iterator[str]:
     """A thread and its stack, innermost first, with what its variables hold."""
+    from lfield.vm.inspect.traceback import ends
+
     serves = f", serves portal call {thread.call}" if thread.call else ""
     yield f"thread {thread.id}: {thread.state}{serves}"
-    for frame in thread.frames:
-        where = f"{frame.file}:{frame.line}" if frame.line else "?"
-        yield f"  at {frame.method} ({where})    {frame.text}"
-        for name, value in frame.locals:
-            yield f"       {name} = {value}"
+    inner, between, outer = ends(thread.frames)
+    for frame in inner:
+        yield from _frame_lines(frame)
+    if between:
+        yield f"  ... {between} more calls ..."
+    for frame in outer:
+        yield from _frame_lines(frame)
+
+
+def _frame_lines(frame: FrameView) -> Iterator[str]:
+    where = f"{frame.file}:{frame.line}" if frame.line else "?"
+    yield f"  at {frame.method} ({where})    {frame.text}"
+    for name, value in frame.locals:
+        yield f"       {name} = {value}"

@@ -19,7 +19,9 @@ class LiveView:
 
     def __init__(self, addresses: Mapping[str, str]) -> None:
         self._addresses = addresses
-        self._live = Live(console=Console(stderr=True), auto_refresh=False, transient=True)
+        self._live = Live(
+            console=Console(stderr=True, markup=False, emoji=False), auto_refresh=False, transient=True
+        )
         self._task: asyncio.Task[None] | None = None
 
     def start(self) -> None:

@@ -3,43 +3,61 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import asdict
-from rich.console import Console, Group
+from rich.console import Group
 from rich.table import Table
 
+from lfield.cli.views.trees import plain_console
 from lfield.errors import LfieldError
 from lfield.operator.ask import Answers
 from lfield.operator.descent import SILENT
+from lfield.operator.whereabouts import what_can_be_done
 from lfield.text.values import telemetry_in_words
-from lfield.wire.messages import DeviceStatus, JournalStatus, Known, ParkedStatus, Status, Told
+from lfield.text.visible import in_one_line
+from lfield.wire.coordinators import Known
+from lfield.wire.observing import DeviceStatus, JournalStatus, ParkedStatus, Status, Told
 
 
 def show(answers: Answers[Status]) -> None:
     """Print the table."""
-    Console().print(picture(answers))
+    plain_console().print(picture(answers))
 
 
 def picture(answers: Answers[Status]) -> Group:
-    """The agents of all hosts with the coordinators that have ended or are in doubt, then the devices.
+    """The agents of all hosts with the coordinators that have ended or are in doubt, what can be done about
+    those that nobody has, then the devices.
 
     Last are the hosts: how late each was, how long it may be silent, and what it keeps.
     """
-    further = (table for table in (_devices(answers), _hosts(answers)) if table.row_count)
-    return Group(_agents(answers), *(part for table in further for part in ("", table)))
+    further = [table for table in (_devices(answers), _hosts(answers)) if table.row_count]
+    hints = map(in_one_line, [*_paused(answers), *what_can_be_done(answers)])
+    return Group(_agents(answers), *hints, *(part for table in further for part in ("", table)))
+
+
+def _paused(answers: Answers[Status]) -> list[str]:
+    hosts = [host for host, told in answers.items() if not isinstance(told, LfieldError) and told.paused]
+    return [f"paused: {', '.join(hosts)}; 'lfield resume' lets the mission go on"] if hosts else []
+
+
+def _add(shown: Table, *cells: str) -> None:
+    """A row of what hosts say of programs, devices and themselves; a terminal obeys none of it."""
+    shown.add_row(*map(in_one_line, cells))
 
 
 def _hosts(answers: Answers[Status]) -> Table:
     shown = Table(box=None, pad_edge=False)
-    for column in ("HOST", "LATE", "SILENCE", "JOURNAL"):
-        shown.add_column(column, justify="right" if column in ("LATE", "SILENCE") else "left")
+    for column in ("HOST", "LATE", "SILENCE", "LEASE", "JOURNAL"):
+        shown.add_column(column, justify="left" if column in ("HOST", "JOURNAL") else "right")
     for host, answer in answers.items():
         if not isinstance(answer, LfieldError):
             late = f"{answer.late:.3f} s" if answer.late is not None else ""
             silence = f"{answer.silence:g} s" if answer.silence is not None else ""
-            shown.add_row(host, late, silence, _journal(answer.journal))
+            lease = "" if answer.lease is None else f"{answer.lease:.1f} s" if answer.lease else "none"
+            _add(shown, host, late, silence, lease, _journal(answer.journal))
     return shown
 
 
@@ -60,7 +78,7 @@ def _devices(answers: Answers[Status]) -> Table:
             continue
         for device in answer.devices:
             words = telemetry_in_words(device.telemetry)
-            shown.add_row(host, device.name, _device_state(device), words)
+            _add(shown, host, device.name, _device_state(device), words)
     return shown
 
 
@@ -76,31 +94,45 @@ def _agents(answers: Answers[Status]) -> Table:
     shown = Table(box=None, pad_edge=False)
     for column in ("HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED", "HEAP"):
         shown.add_column(column, justify="right" if column in ("HOPS", "SERVED", "HEAP") else "left")
+    newest = _newest(answers)
     for host, answer in answers.items():
         if isinstance(answer, LfieldError):
-            shown.add_row(host, "-", "", "no answer", "", "", "")
+            _add(shown, host, "-", "", "no answer", "", "", "")
             continue
+        before = shown.row_count
         for agent in answer.agents:
             hops = str(agent.hops) if agent.kind == "coordinator" else ""
             served = str(agent.served) if agent.kind == "resource" else ""
-            shown.add_row(host, agent.id, agent.type, agent.state, hops, served, _size(agent.heap))
+            _add(shown, host, agent.id, agent.type, agent.state, hops, served, _size(agent.heap))
         for known in answer.coordinators:
-            if known.state == "IN DOUBT" or (known.state == "EXITED" and known.where == host):
+            is_past = known.generation < newest[known.agent]
+            over = known.state == "EXITED" and known.where == host and not is_past
+            if known.state == "IN DOUBT" or over:
                 state = f"{known.outcome or 'in doubt'}: {known.detail}".splitlines()[0].rstrip(": ")
-                if known.state == "IN DOUBT":
-                    state += f"; 'lfield forget {known.agent}' ends it by your word"
-                shown.add_row(host, known.agent, "", state, str(known.hops), "", "")
+                _add(shown, host, known.agent, "", state, str(known.hops), "", "")
         for parked in answer.journal.parked if answer.journal is not None else ():
             if parked.state != "MOVED":
-                shown.add_row(host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
+                _add(shown, host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
+        if shown.row_count == before:
+            _add(shown, host, "-", "", "up, nobody here", "", "", "")
     return shown
+
+
+def _newest(answers: Answers[Status]) -> Mapping[str, int]:
+    """The newest start of each coordinator that gave way to no earlier one: how others ended is past."""
+    newest: dict[str, int] = defaultdict(int)
+    for answer in answers.values():
+        for known in () if isinstance(answer, LfieldError) else answer.coordinators:
+            if known.outcome != "superseded":
+                newest[known.agent] = max(newest[known.agent], known.generation)
+    return newest
 
 
 def _parked(parked: ParkedStatus) -> str:
     left = f" and may have left for {parked.where}" if parked.state == "PREPARED" else ""
     return (
         f"parked: it is of another mission ({parked.program.hex()[:16]}){left}, and goes on when that is "
-        f"started here; 'lfield forget {parked.agent}' ends it by your word"
+        "started here"
     )
 
 
@@ -140,6 +172,8 @@ def _status(status: Status) -> dict[str, Any]:
         "latched": {device.name: device.latched for device in status.devices if device.latched},
         "late": status.late,
         "silence": status.silence,
+        "paused": status.paused,
+        "lease": status.lease,
         "journal": _journal_data(status.journal),
         "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),

@@ -15,7 +15,7 @@ from lfield.errors import LfieldError
 from lfield.operator.addressed import Party, Place
 from lfield.operator.ask import by_host
 from lfield.operator.runs import Run
-from lfield.wire.messages import Status
+from lfield.wire.observing import Status
 
 
 def show(runs: Sequence[Run]) -> None:

@@ -16,7 +16,8 @@ from dataclasses import replace
 from lfield.host.host import Host
 from lfield.journal.pages import CopyPage
 from lfield.mobility.fates import Absent, Fate, Judge, known_fates
-from lfield.wire.messages import Known, StatusRequest
+from lfield.wire.coordinators import Known
+from lfield.wire.observing import StatusRequest
 
 #: How often the other hosts are asked while one is missing, how long they have to answer, and how long an
 #: ending is passed on before this host goes (all in seconds).

@@ -7,6 +7,7 @@ nothing waits. Pure, as the core that it is a part of.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from lfield.bytecode.encoding import encode
 from lfield.clock import Clock
@@ -18,12 +19,14 @@ from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
 from lfield.mobility.copies import Copy
 from lfield.mobility.core import Mobility
-from lfield.mobility.departures import LIMIT, PERHAPS, RESTARTED, UNREACHABLE
+from lfield.mobility.departures import LIMIT, PAUSED, PERHAPS, RESTARTED, UNREACHABLE
 from lfield.vm.agent import Agent, Member
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
+from lfield.wire.coordinators import Accepted, Outcome, Transfer
+from lfield.wire.fields import clip
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Accepted, Hello, Outcome, Transfer
+from lfield.wire.messages import Hello, Room
 
 
 class Coordinators:
@@ -54,20 +57,27 @@ class Coordinators:
         )
         self.recovery = Recovery(pages, own.mission)
         self.keeping = Keeping([] if self.recovery.explained else [_explanation(mission, own.mission)])
-        self.mobility.restore(self.recovery.copies)
+        self.mobility.restore(self.recovery.copies, self.recovery.parked)
+        #: Somebody has paused the mission: time stands still for what waits here.
+        self.paused = self.recovery.paused
+        #: Why the disk should take nothing more in, '' when it may.
+        self.full = ""
+        #: Whether the number of a start is on record here.
+        self._counted = self.recovery.starts is not None
         #: Why nothing can be kept now, '' while all is well.
         self.trouble = ""
         #: Those that wait at a portal call here until they are kept.
         self._saving: set[str] = set()
+        #: Whether a start of a coordinator must not run any more.
+        self.barred: Callable[[str, int], bool] = lambda agent, generation: False
         #: No coordinator is taken in any more.
         self.halted = False
         #: Answers to arrivals, until those that arrived have run.
         self._answers: list[tuple[str, mobile.Send]] = []
         #: Coordinators that came before the resources here were started; None once they are.
         self._early: dict[tuple[str, int], tuple[str, Transfer, memoryview]] | None = {}
-        #: Where each coordinator was last sent, and the resource that it last wanted to get to.
+        #: Where each coordinator was last sent.
         self._sent_to: dict[str, str] = {}
-        self._wanted: dict[str, str] = {}
         #: When mobility may have something to give up. A new deadline is later than those before, so one that
         #: is set stays until it has come.
         self._due: float | None = None
@@ -77,15 +87,22 @@ class Coordinators:
     @property
     def due(self) -> float | None:
         """When `tick` or `batch` has something to do next, None for never."""
-        if self._due is None or self.keeping.due is None:
+        if self._due is None or self.paused:
+            return self.keeping.due
+        if self.keeping.due is None:
             return self._due if self.keeping.due is None else self.keeping.due
         return min(self._due, self.keeping.due)
 
     def tick(self, now: float) -> None:
         """Time has passed."""
-        if self._due is not None and now >= self._due:
+        if self._due is not None and now >= self._due and not self.paused:
             self.carry_out(self.mobility.tick(now))
             self._due = self.mobility.next_deadline()
+
+    @property
+    def room(self) -> Room:
+        """Whether a coordinator may come here, as other hosts are told."""
+        return Room(clip(PAUSED if self.paused else self.full))
 
     def batch(self) -> list[Keep]:
         """What is to be kept now."""
@@ -95,7 +112,7 @@ class Coordinators:
     def not_kept(self, why: str) -> None:
         """The disk takes nothing now: coordinators stay where they are, and begin no call that acts."""
         if not self.trouble:
-            self._say(f"coordinators wait, since nothing can be kept: {why}")
+            self.say(f"coordinators wait, since nothing can be kept: {why}")
         self.trouble = why
         for identity in sorted(self._saving & self._machine.agents.keys()):
             self._stays(self._machine.agents[identity])
@@ -104,7 +121,7 @@ class Coordinators:
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
         if self.trouble:
-            self._say("what happens can be kept again")
+            self.say("what happens can be kept again")
         for effect in self.keeping.kept(number):
             self._effect(effect)
         # Only now: what has waited since must not be taken for what is on the disk.
@@ -128,6 +145,8 @@ class Coordinators:
 
     def wake(self) -> None:
         """Go on with the coordinators that the journal has."""
+        if self.paused:
+            self.say("the mission is still paused: no agent runs here until 'lfield resume'")
         now = self._clock.monotonic()
         self.carry_out(self.mobility.wake(self._put, now))
         self._due = self.mobility.next_deadline()
@@ -136,7 +155,13 @@ class Coordinators:
         """Keep that a start has this number, in a run that goes on from here; the number of the batch."""
         now = self._clock.monotonic()
         self.keeping.page(Run(open=True), now)
+        self._counted = True
         return self.keeping.page(Starts(generation), now)
+
+    def remember(self) -> None:
+        """Keep that there is a record here now, though no start may have been made."""
+        if not self._counted:
+            self.keeping.page(Starts(0), self._clock.monotonic())
 
     def park(self) -> None:
         """The host stops in order. Unless a coordinator of its own may go on, the next start is a new run.
@@ -160,20 +185,18 @@ class Coordinators:
         self._sent_to.pop(header.agent, None)
         self.carry_out(self.mobility.arrive(host, header, block))
 
-    def forget(self, agent: str) -> list[int]:
-        """A person says that this coordinator is lost; the starts of it that end here."""
-        parked = [page for page in self.recovery.parked if page.agent == agent]
-        detail = "given up by 'lfield forget'"
-        starts, effects = self.mobility.forget(agent, [page.generation for page in parked], detail)
-        self.recovery.parked = [page for page in self.recovery.parked if page not in parked]
-        if starts:
-            self._say(f"{agent} is given up as lost: somebody ran 'lfield forget'")
+    def recover(self, agent: str, generation: int) -> bool:
+        """The holder of a coordinator is gone for good: it goes on here, as start `generation`, once that is
+        on the disk. False: what is left of it here cannot be read, and nothing was done.
+        """
+        effects = self.mobility.recover(agent, generation, partial(self._put, runs=False))
+        if effects:
+            self.say(f"{agent} is recovered here, as start {generation}")
         self.carry_out(effects)
-        return starts
+        return bool(effects)
 
     def depart(self, agent: Agent, resource: Member) -> None:
         """A frozen coordinator wants to the host of a resource."""
-        self._wanted[agent.id] = resource.id
         if self._stays(agent):
             return
         target = self._mission.team.hosts[resource.host]
@@ -196,12 +219,16 @@ class Coordinators:
         """What a frozen coordinator waits for, in a word or two: it is only kept, or it leaves."""
         if self.trouble and self.keeping.holds_back(agent.id):
             return "waits for its disk"
-        return "leaving" if self.mobility.leaves(agent.id, agent.generation) else "being kept"
+        return "leaving" if self.is_leaving(agent) else "being kept"
+
+    def is_leaving(self, agent: Agent) -> bool:
+        """Whether a frozen coordinator wants to another host, or may be there."""
+        return self.mobility.leaves(agent.id, agent.generation)
 
     def _stays(self, agent: Agent) -> bool:
         """Whether a call must not begin, since where it stands cannot be kept; its caller is told."""
         if self.trouble:
-            self._machine.resume(agent, LIMIT, f"{self._own.host} can keep nothing: {self.trouble}")
+            self._resume(agent, LIMIT, f"{self._own.host} can keep nothing: {self.trouble}")
         return bool(self.trouble)
 
     def ended(self, agent: Agent) -> None:
@@ -221,13 +248,16 @@ class Coordinators:
     def _inject(self, header: Transfer, block: Buffer) -> mobile.Refusal | None:
         if self.halted:
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} is stopping")
+        if self.barred(header.agent, header.generation):
+            why = f"on {self._own.host} no start of {header.agent} as early as this one may run any more"
+            return mobile.Refusal(UNREACHABLE, why)
         member = self._members.get(header.agent)
         if member is None:
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} knows no coordinator {header.agent}")
         try:
             self._admit(member, block)
         except BlockError as error:
-            self._say(f"refused {header.agent}: {error}")
+            self.say(f"refused {header.agent}: {error}")
             return mobile.Refusal(UNREACHABLE, f"{self._own.host} refused the coordinator: {error}")
         return None
 
@@ -240,21 +270,21 @@ class Coordinators:
         if copy.block is None:
             # It never came to a portal call that acts: nothing that it did was seen from outside.
             self._start(copy.agent, copy.generation)
-            self._say(f"{copy.agent} begins again: {self._own.host} stopped before its first call that acts")
+            self.say(f"{copy.agent} begins again: {self._own.host} stopped before its first call that acts")
             return _nothing
         member = self._members[copy.agent]
         try:
             limits = self._mission.bindings.limits(member.id)
             agent = self._machine.restore(member, memoryview(copy.block), limits)
         except BlockError as error:
-            self._say(f"{copy.agent} cannot go on: what was kept of it cannot be read: {error}")
+            self.say(f"{copy.agent} cannot go on: what was kept of it cannot be read: {error}")
             return None
-        # It may have been kept as it came, before its arrival was counted.
-        agent.block.w[layout.W_HOPS] = copy.hops
+        # It may have been kept as it came, before its arrival was counted; or as another start.
+        agent.block.w[layout.W_HOPS], agent.block.w[layout.W_GENERATION] = copy.hops, copy.generation
         seal = self._sealer(agent)
         if runs:
-            self._say(f"{copy.agent} goes on where it was kept")
-            self._machine.resume(agent, RESTARTED, f"{self._own.host} was started again; {PERHAPS}")
+            self.say(f"{copy.agent} goes on where it was kept")
+            self._resume(agent, RESTARTED, f"{self._own.host} was started again; {PERHAPS}")
         return seal
 
     def _start(self, agent: str, generation: int) -> None:
@@ -282,6 +312,7 @@ class Coordinators:
             case mobile.Go():
                 self._saving.discard(effect.agent)
                 if agent := self._held(effect.agent, effect.generation):
+                    agent.kept = True
                     self._machine.go(agent)
             case mobile.Departed():
                 if agent := self._held(effect.agent, effect.generation):
@@ -289,18 +320,27 @@ class Coordinators:
             case mobile.Resume():
                 if agent := self._held(effect.agent, effect.generation):
                     agent.block.w[layout.W_SEQUENCE] = effect.sequence
-                    wanted = self._wanted.get(effect.agent, "")
-                    self._machine.resume(agent, effect.kind, effect.reason, wanted)
+                    self._resume(agent, effect.kind, effect.reason)
             case mobile.InDoubt():
-                self._say(f"{effect.agent} is in doubt: {effect.reason}")
+                self.say(f"{effect.agent} is in doubt: {effect.reason}")
                 self._out(CHANGED)
             case mobile.Supersede():
-                self._say(f"{effect.agent} stopped: {effect.reason}")
+                self.say(f"{effect.agent} stopped: {effect.reason}")
                 self._drop(effect.agent, effect.generation)
             case mobile.Finished():
                 self._drop(effect.agent, effect.generation)
             case mobile.Note():
-                self._say(effect.reason)
+                self.say(effect.reason)
+
+    def _resume(self, agent: Agent, kind: str, reason: str) -> None:
+        """Let a frozen coordinator go on with an exception, which names the resource that it has called."""
+        resource, portal = self._machine.calling(agent) or (None, "")
+        if resource is None:
+            self._machine.resume(agent, kind, reason)
+            return
+        # Who has forgotten what it was about needs the portal too.
+        told = f"{reason} ({resource.id}.{portal})" if kind == RESTARTED else reason
+        self._machine.resume(agent, kind, told, resource.id)
 
     def _held(self, identity: str, generation: int) -> Agent | None:
         """The frozen copy of a coordinator that is here, if it is of that start."""
@@ -315,7 +355,8 @@ class Coordinators:
             self._machine.release(agent)
         self._out(CHANGED)
 
-    def _say(self, text: str) -> None:
+    def say(self, text: str) -> None:
+        """A line for the log."""
         self._out(Say(text))
 
 

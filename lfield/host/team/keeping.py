@@ -9,9 +9,22 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from lfield.journal.pages import CopyPage, Key, Page, ProgramPage, Run, Starts, key_of
-from lfield.mobility.effects import Effect, Note, Persist, Send, SendTransfer
-from lfield.wire.messages import Known
+from lfield.journal.pages import CopyPage, Key, Page, Paused, ProgramPage, Run, Starts, key_of
+from lfield.mobility.effects import (
+    Began,
+    Departed,
+    Effect,
+    Finished,
+    Go,
+    InDoubt,
+    Note,
+    Persist,
+    Resume,
+    Send,
+    SendTransfer,
+    Supersede,
+)
+from lfield.wire.coordinators import Known
 
 #: The longest that a page waits for company, in seconds.
 SOON = 1.0
@@ -41,11 +54,21 @@ class Keeping:
                 self.page(effect.page, now, soon=effect.soon)
                 if not effect.soon:
                     self._behind.setdefault(effect.agent, deque()).append((self._number, effect))
+            elif isinstance(effect, Supersede | Finished):
+                # What stops a copy needs no disk: until then it would run on, though it has ended here.
+                self._forget(effect.agent, effect.generation)
+                ready.append(effect)
             elif waiting := self._behind.get(_agent(effect)):
                 waiting.append((waiting[-1][0], effect))
             else:
                 ready.append(effect)
         return ready
+
+    def _forget(self, agent: str, generation: int) -> None:
+        """A start is stopped: nothing that waits lets it go on, or go. What is told of it is told."""
+        if waiting := self._behind.get(agent):
+            told = (entry for entry in waiting if _generation(entry[1]) != generation)
+            self._behind[agent] = deque(told)
 
     def holds_back(self, agent: str) -> bool:
         """Whether something that a coordinator has to do waits for the disk."""
@@ -90,9 +113,14 @@ class Recovery:
     def __init__(self, pages: Iterable[Page], mission: bytes) -> None:
         pages = list(pages)
         copies = [page for page in pages if isinstance(page, CopyPage)]
-        #: Starts that ended so long ago that nobody asks any more.
-        self.outdated = _outdated(copies)
-        old = {key_of(page) for page in self.outdated}
+        ended = _outdated(copies)
+        old = {key_of(page) for page in ended}
+        needed = {mission, *(page.program for page in copies)}
+        #: Starts that ended so long ago that nobody asks any more, and programs of which no block is left.
+        self.outdated: list[Page] = [
+            *ended,
+            *(page for page in pages if isinstance(page, ProgramPage) and page.digest not in needed),
+        ]
         self.copies = [
             page for page in copies if key_of(page) not in old and (not page.block or page.program == mission)
         ]
@@ -100,6 +128,8 @@ class Recovery:
         self.parked = [page for page in copies if page.block and page.program != mission]
         #: Whether there is what explains the blocks of this mission.
         self.explained = any(isinstance(page, ProgramPage) and page.digest == mission for page in pages)
+        #: Whether somebody has paused this host.
+        self.paused = any(page.on for page in pages if isinstance(page, Paused))
         #: The last start that was made here, None when none is on record.
         self.starts = next((page.count for page in pages if isinstance(page, Starts)), None)
         #: Whether the run that was begun here earlier goes on.
@@ -112,7 +142,7 @@ class Recovery:
             return "waits for the program and deployment that it belongs to"
         for row in rows:
             if row.state in ("FROZEN", "PREPARED", "IN DOUBT", "MOVED"):
-                return f"went to {row.where}"
+                return f"went to {row.where}" if row.where else "waits for whoever goes on with it"
             if row.state == "RUN":
                 return "goes on"
         last = max(rows, key=lambda row: row.generation, default=None)
@@ -133,6 +163,17 @@ def _outdated(copies: Iterable[CopyPage]) -> list[CopyPage]:
         for pages in found.values()
         for page in sorted(pages, key=lambda page: page.generation)[:-ENDINGS]
     ]
+
+
+def _generation(effect: Effect) -> int | None:
+    """The start of which an effect needs the copy in the machine; None for any other effect."""
+    match effect:
+        case SendTransfer():
+            return effect.header.generation
+        case Began() | Go() | Resume() | Departed() | InDoubt():
+            return effect.generation
+        case _:
+            return None
 
 
 def _agent(effect: Effect) -> str:

@@ -24,7 +24,8 @@ from lfield.mobility.copies import LIVE
 from lfield.mobility.effects import Send
 from lfield.mobility.fates import Absent
 from lfield.mobility.hearsay import LEAST
-from lfield.wire.messages import Known, StatusRequest
+from lfield.wire.coordinators import Known
+from lfield.wire.observing import StatusRequest
 
 #: Seconds between two looks, while anything depends on them.
 LOOK_EVERY = 1.0

@@ -12,7 +12,14 @@ from lfield.lang.checker.names import method_names
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import BUILTIN_TYPES, EXCEPTION_NAMES, LIBRARY_NAMES, describe
 from lfield.lang.checker.visibility import visible_type
-from lfield.lang.library import ARRAY_LENGTH, EXCEPTION_METHODS, FUNCTIONS, STRING_METHODS, Function
+from lfield.lang.library import (
+    ARRAY_LENGTH,
+    EXCEPTION_METHODS,
+    FUNCTIONS,
+    PROXY_METHODS,
+    STRING_METHODS,
+    Function,
+)
 from lfield.lang.types import (
     INT,
     STRING,
@@ -59,10 +66,9 @@ def member(
         methods = unit.overloads(name, "portal" if isinstance(kind, ResourceType) else "method")
         if methods:
             return _method(body, raw, place, owner, methods, given)
-    else:
-        functions = _functions_of(kind, name)
-        if functions:
-            return _operation(body, raw, place, functions, given, owner)
+    functions = _functions_of(kind, name) if unit is None or isinstance(kind, ResourceType) else []
+    if functions:
+        return _operation(body, raw, place, functions, given, owner)
     _unknown_member(body, function, kind, unit)
     return unknown(raw.span)
 
@@ -160,6 +166,8 @@ def _functions_of(kind: Type, name: str) -> list[Function]:
         methods: tuple[Function, ...] = (Function("length", (), INT, ARRAY_LENGTH),)
     elif kind == STRING:
         methods = STRING_METHODS
+    elif isinstance(kind, ResourceType):
+        methods = PROXY_METHODS
     else:
         methods = EXCEPTION_METHODS if isinstance(kind, ClassType) else ()
     return [f for f in methods if f.name == name]
@@ -168,8 +176,7 @@ def _functions_of(kind: Type, name: str) -> list[Function]:
 def _device(
     body: Body, raw: syntax.Call, function: syntax.Member, owner: tree.Expr, given: list[tree.Expr]
 ) -> tree.Expr:
-    """`fc.instruction(arguments)`; only fields are of a device type."""
-    assert isinstance(owner, tree.FieldGet)
+    """`fc.instruction(arguments)`: of the resource's own device, or of one that an object was given."""
     manifest = body.symbols.devices[owner.type.name]
     instruction = manifest.instruction(function.name)
     if instruction is None:
@@ -181,7 +188,13 @@ def _device(
     if chosen is None:
         return unknown(raw.span)
     result = _manifest_type(instruction.result)
-    return tree.DeviceCall(raw.span, result, owner.field, manifest, instruction, chosen[1])
+    own = body.unit.kind == "resource" and isinstance(owner, tree.FieldGet) and _is_own(owner)
+    field = owner.field if isinstance(owner, tree.FieldGet) and own else None
+    return tree.DeviceCall(raw.span, result, field or owner, manifest, instruction, chosen[1])
+
+
+def _is_own(device: tree.FieldGet) -> bool:
+    return isinstance(device.object, tree.This)
 
 
 def _manifest_type(name: str) -> Type:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from lfield.lang import messages, syntax
 from lfield.lang.capabilities import asked_of
 from lfield.lang.checker.symbols import BUILTIN_TYPES, LIBRARY_NAMES, Symbols, describe
-from lfield.lang.checker.visibility import check_portal_contents, visible_type
+from lfield.lang.checker.visibility import Place, check_portal_contents, visible_type
 from lfield.lang.tree import Field, Local, Method, Unit
 from lfield.lang.types import STRING, UNKNOWN, VOID, DeviceType, Type, array_of
 
@@ -140,7 +140,8 @@ class _Methods:
     def type(self, written: syntax.Method, name: syntax.TypeName) -> Type:
         """The type of a parameter or result; what passes through a portal has rules of its own."""
         if written.kind != "portal":
-            return visible_type(self.symbols, self.unit, name)
+            place: Place = "constructor" if written.kind == "constructor" else "elsewhere"
+            return visible_type(self.symbols, self.unit, name, place)
         kind = visible_type(self.symbols, self.unit, name, "portal")
         check_portal_contents(self.symbols, kind, name.span)
         return kind

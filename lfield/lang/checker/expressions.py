@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from lfield.lang import messages, syntax, tree
+from lfield.lang.chains import chain, first_written
 from lfield.lang.checker import calls, names, operators
 from lfield.lang.checker.declarations import first_instruction
 from lfield.lang.checker.fitting import expect, shown, unknown
@@ -41,6 +42,14 @@ def value(body: Body, raw: syntax.Expr) -> tree.Expr:
 
 def evaluated(body: Body, raw: syntax.Expr) -> tree.Expr:
     """Any expression: a call without a value, a device, and the `this` of a resource are allowed too."""
+    if raw in body.checked:
+        return body.checked.pop(raw)
+    for one in chain(raw, first_written):
+        body.checked[one] = _evaluated(body, one)
+    return _evaluated(body, raw)
+
+
+def _evaluated(body: Body, raw: syntax.Expr) -> tree.Expr:
     match raw:
         case syntax.Name():
             return names.variable(body, raw)
@@ -59,12 +68,26 @@ def evaluated(body: Body, raw: syntax.Expr) -> tree.Expr:
         case syntax.This():
             return body.this(raw.span)
         case syntax.New():
-            return calls.new(body, raw, [value(body, argument) for argument in raw.arguments])
+            return calls.new(body, raw, [_given(body, argument) for argument in raw.arguments])
         case syntax.NewArray():
             return _new_array(body, raw)
+        case syntax.Elements():
+            if raw.type is None:
+                body.report(messages.ELEMENTS_TYPE, raw.span)
+            return elements(body, raw, UNKNOWN)
         case syntax.Assign():
-            body.report(messages.ASSIGNMENT_HERE, raw.sign)
+            hint = None if raw.operator == "=" else "it is a statement of its own"
+            body.report(messages.ASSIGNMENT_HERE, raw.sign, hint=hint)
     return unknown(raw.span)
+
+
+def _given(body: Body, raw: syntax.Expr) -> tree.Expr:
+    """What a new object is given: a value, or a device."""
+    found = evaluated(body, raw)
+    if isinstance(found.type, DeviceType):
+        return found
+    body.checked[raw] = found
+    return value(body, raw)
 
 
 def condition(body: Body, raw: syntax.Expr) -> tree.Expr:
@@ -74,28 +97,57 @@ def condition(body: Body, raw: syntax.Expr) -> tree.Expr:
 
 def assignment(body: Body, raw: syntax.Assign) -> tree.Expr:
     """`target = value`, where a statement or another assignment allows it."""
-    target = _target(body, raw.target)
-    wanted = UNKNOWN if target is None else target.type
-    given = assigned(body, raw.value, wanted)
-    if target is None:
-        return unknown(raw.span)
-    return tree.Assign(raw.span, target.type, target, given)
+    place = target(body, raw.target)
+    given = assigned(body, raw.value, UNKNOWN if place is None else place.type)
+    return unknown(raw.span) if place is None else tree.Assign(raw.span, place.type, place, given)
 
 
 def assigned(body: Body, raw: syntax.Expr, wanted: Type) -> tree.Expr:
     """The right side of an assignment as the type of the left."""
-    given = assignment(body, raw) if isinstance(raw, syntax.Assign) else value(body, raw)
+    if isinstance(raw, syntax.Elements) and raw.type is None:
+        return elements(body, raw, wanted)
+    plain = isinstance(raw, syntax.Assign) and raw.operator == "="
+    if isinstance(raw, syntax.Assign) and plain:
+        return expect(body.symbols, assignment(body, raw), wanted)
+    given = _given(body, raw) if isinstance(wanted, DeviceType) else value(body, raw)
     return expect(body.symbols, given, wanted)
 
 
-def _target(body: Body, raw: syntax.Expr) -> tree.LocalGet | tree.FieldGet | tree.Element | None:
+def elements(body: Body, raw: syntax.Elements, wanted: Type) -> tree.Expr:
+    """An array of the elements written, of the type written with them or else of the one wanted."""
+    kind = wanted if raw.type is None else visible_type(body.symbols, body.unit, raw.type)
+    if not isinstance(kind, ArrayType) and kind is not UNKNOWN:
+        body.report(messages.ELEMENTS, raw.span, wanted=shown(kind))
+        return unknown(raw.span)
+    of = kind.element if isinstance(kind, ArrayType) else UNKNOWN
+    return tree.Elements(raw.span, kind, [_element(body, one, of) for one in raw.elements])
+
+
+def _element(body: Body, raw: syntax.Expr, wanted: Type) -> tree.Expr:
+    if isinstance(raw, syntax.Elements) and raw.type is None:
+        return elements(body, raw, wanted)
+    return expect(body.symbols, value(body, raw), wanted)
+
+
+def target(body: Body, raw: syntax.Expr) -> tree.LocalGet | tree.FieldGet | tree.Element | None:
     """The left side of an assignment; None after a report."""
+    found = evaluated(body, raw)
+    if _takes_device(body, found):
+        assert isinstance(found, tree.FieldGet)
+        return found
+    body.checked[raw] = found
     found = value(body, raw)
     if isinstance(found, tree.LocalGet | tree.FieldGet | tree.Element):
         return found
     if found.type is not UNKNOWN:
         body.report(messages.NOT_ASSIGNABLE, raw.span)
     return None
+
+
+def _takes_device(body: Body, found: tree.Expr) -> bool:
+    """Whether it is an own field for a device, in the constructor that is given the device."""
+    own = isinstance(found, tree.FieldGet) and isinstance(found.object, tree.This)
+    return own and isinstance(found.type, DeviceType) and body.method.kind == "constructor"
 
 
 def _called(raw: syntax.Expr) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from lfield.lang import messages
-from lfield.lang.checker.symbols import Symbols
+from lfield.lang.checker.symbols import Symbols, device_in
 from lfield.lang.tree import Expr, Literal_, Method, ToReal
 from lfield.lang.types import (
     BOOLEAN,
@@ -21,9 +21,9 @@ from lfield.lang.types import (
     REAL,
     STRING,
     UNKNOWN,
-    ClassType,
     DeviceType,
     Type,
+    distance,
     is_reference,
 )
 from lfield.text.findings import Message
@@ -42,13 +42,12 @@ _FUNCTIONS = {
 
 
 def cost(given: Type, wanted: Type) -> int | None:
-    """0 when a value fits as it is, 1 when widened (int to real, a class to Exception), None when not."""
+    """0 when a value fits as it is, more when it is widened (int to real, a class to its kind), else None."""
     if UNKNOWN in (given, wanted) or given == wanted:
         return 0
     if given == NULL:
         return 0 if is_reference(wanted) and not isinstance(wanted, DeviceType) else None
-    widened = (given, wanted) == (INT, REAL) or (wanted == EXCEPTION and isinstance(given, ClassType))
-    return 1 if widened else None
+    return 1 if (given, wanted) == (INT, REAL) else distance(given, wanted)
 
 
 def converted(value: Expr, wanted: Type) -> Expr:
@@ -63,10 +62,17 @@ def expect(
 ) -> Expr:
     """The value as the wanted type; when it does not fit, `message` is reported with {wanted} and {given}."""
     if cost(value.type, wanted) is not None:
+        _check_devices(symbols, value, wanted)
         return converted(value, wanted)
     hint = conversion_hint(value.type, wanted) or None
     symbols.report(message, value.span, hint=hint, wanted=shown(wanted), given=shown(value.type), **values)
     return unknown(value.span)
+
+
+def _check_devices(symbols: Symbols, value: Expr, wanted: Type) -> None:
+    """Report an object with a device where an Exception is wanted: that could pass through portals."""
+    if wanted == EXCEPTION and (device := device_in(symbols, value.type)):
+        symbols.report(messages.DEVICE_THROWN, value.span, type=shown(value.type), device=device)
 
 
 def unknown(span: Span) -> Expr:
@@ -144,6 +150,8 @@ def choose(
             )
         return None
     chosen = best[0]
+    for value, wanted in zip(given, chosen.types, strict=True):
+        _check_devices(symbols, value, wanted)
     return chosen.what, [converted(v, wanted) for v, wanted in zip(given, chosen.types, strict=True)]
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from lfield.lang import messages
+from lfield.lang.chains import chain, further
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.tree import (
     Block,
@@ -20,7 +21,7 @@ from lfield.lang.tree import (
     Throw,
     Try,
 )
-from lfield.lang.types import BOOLEAN, EXCEPTION, INT, REAL, UNKNOWN, VOID, Type
+from lfield.lang.types import UNKNOWN, VOID, Type, distance
 
 _CAUSES: dict[type[Stmt], str] = {
     Return: "return",
@@ -29,16 +30,13 @@ _CAUSES: dict[type[Stmt], str] = {
     Throw: "throw",
     Loop: "endless loop",
 }
-_DEFAULTS: dict[Type, str] = {INT: "0", REAL: "0.0", BOOLEAN: "false"}
 
 
 def check_flow(symbols: Symbols, method: Method) -> None:
     """Report the warnings of a method without errors. Falling off the end is legal (appendix D does it)."""
     falls_off = _Flow(symbols).ends(method.body)
     if falls_off and method.result not in (VOID, UNKNOWN):
-        default = _DEFAULTS.get(method.result, "null")
-        name = f"{method.kind} {method.name}"
-        symbols.report(messages.FALLS_OFF, method.end, method=name, default=default)
+        symbols.report(messages.FALLS_OFF, method.end, method=f"{method.kind} {method.name}")
 
 
 class _Flow:
@@ -69,12 +67,13 @@ class _Flow:
             case Block():
                 return self.ends(one.body)
             case If():
-                ends = [self.ends(one.then), self.ends(one.otherwise)]
-                return any(ends)
+                ladder = [one, *reversed(chain(one, further))]
+                ends = [self.ends(rung.then) for rung in ladder]
+                return any([*ends, self.ends(ladder[-1].otherwise)])
             case Loop():
                 self.ends(one.body)
                 endless = isinstance(one.condition, Literal_) and one.condition.value is True
-                return not endless or any(_breaks(one.body))
+                return not endless or _has_break(one.body)
             case Try():
                 self.catches(one.catches)
                 ends = [self.ends(one.body), *(self.ends(clause.body) for clause in one.catches)]
@@ -86,23 +85,25 @@ class _Flow:
         earlier: list[Type] = []
         for clause in clauses:
             kind = clause.local.type
-            taker = next((e for e in earlier if e in (EXCEPTION, kind)), None)
+            taker = next((e for e in earlier if distance(kind, e) is not None), None)
             if taker is not None:
                 self.symbols.report(messages.UNREACHABLE_CATCH, clause.local.span, earlier=f"catch ({taker})")
             earlier.append(kind)
 
 
-def _breaks(body: Sequence[Stmt]) -> Iterator[bool]:
-    """True for every break in a loop's body that leaves this loop."""
-    for one in body:
-        match one:
+def _has_break(body: Sequence[Stmt]) -> bool:
+    """Whether a break in a loop's body leaves this loop."""
+    waiting = list(body)
+    while waiting:
+        match waiting.pop():
             case Break():
-                yield True
-            case Block():
-                yield from _breaks(one.body)
-            case If():
-                yield from _breaks([*one.then, *one.otherwise])
-            case Try():
-                yield from _breaks(one.body)
+                return True
+            case Block() as one:
+                waiting += one.body
+            case If() as one:
+                waiting += [*one.then, *one.otherwise]
+            case Try() as one:
+                waiting += one.body
                 for clause in one.catches:
-                    yield from _breaks(clause.body)
+                    waiting += clause.body
+    return False

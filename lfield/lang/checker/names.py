@@ -6,7 +6,7 @@ from lfield.lang import messages, syntax, tree
 from lfield.lang.checker.fitting import shown, unknown
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import LIBRARY_NAMES
-from lfield.lang.library import EXCEPTION_METHODS, STRING_METHODS
+from lfield.lang.library import EXCEPTION_METHODS, PROXY_METHODS, STRING_METHODS
 from lfield.lang.types import STRING, UNKNOWN, ArrayType, ClassType, DeviceType, ResourceType, Type
 from lfield.text.suggest import FOREIGN_VALUES, did_you_mean, listed
 
@@ -98,7 +98,8 @@ def method_names(body: Body, kind: Type, unit: tree.Unit | None) -> list[str]:
     """The names that can be called on a value of the type."""
     if unit is not None:
         wanted = "portal" if isinstance(kind, ResourceType) else "method"
-        return list(dict.fromkeys(m.name for m in unit.methods if m.kind == wanted))
+        own = dict.fromkeys(m.name for m in unit.methods if m.kind == wanted)
+        return [*own, *(f.name for f in PROXY_METHODS if wanted == "portal" and f.name not in own)]
     if isinstance(kind, ArrayType):
         return ["length"]
     if isinstance(kind, DeviceType):

@@ -9,14 +9,13 @@ from lfield.lang.checker.fitting import converted, cost, unknown
 from lfield.lang.checker.scope import Body
 from lfield.lang.types import (
     BOOLEAN,
-    EXCEPTION,
     INT,
     NULL,
     REAL,
     STRING,
     UNKNOWN,
-    ClassType,
     Type,
+    distance,
     is_numeric,
     is_reference,
 )
@@ -79,8 +78,7 @@ def _equality(body: Body, raw: syntax.Binary, left: tree.Expr, right: tree.Expr)
 def _comparable(left: Type, right: Type) -> bool:
     if right == NULL:
         return is_reference(left)
-    exceptions = EXCEPTION in (left, right) and isinstance(left, ClassType) and isinstance(right, ClassType)
-    return left == right or exceptions
+    return distance(left, right) is not None or distance(right, left) is not None
 
 
 def _widened(left: tree.Expr, right: tree.Expr) -> tuple[tree.Expr, tree.Expr]:

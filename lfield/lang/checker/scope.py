@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from lfield.lang import messages
+from lfield.lang import messages, syntax
 from lfield.lang.checker.symbols import Symbols
-from lfield.lang.tree import Field, Local, Method, This, Unit
+from lfield.lang.tree import Expr, Field, Local, Method, This, Unit
 from lfield.lang.types import UNKNOWN, ClassType, Type
 from lfield.text.findings import Message
 from lfield.text.source import Span
@@ -54,6 +54,8 @@ class Body:
     method: Method
     scope: Scope
     loops: int = 0
+    #: Expressions that are checked already, before those which begin with them (chains.py).
+    checked: dict[syntax.Expr, Expr] = field(default_factory=dict)
 
     def report(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
         """Keep a finding."""

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from copy import copy
 
 from lfield.lang import messages, syntax, tree
-from lfield.lang.checker.expressions import assigned, assignment, condition, evaluated, value
-from lfield.lang.checker.fitting import expect, shown, unknown
+from lfield.lang.chains import chain
+from lfield.lang.checker.expressions import assigned, assignment, condition, evaluated, target, value
+from lfield.lang.checker.fitting import converted, cost, expect, shown, unknown
+from lfield.lang.checker.operators import binary
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.visibility import visible_type
-from lfield.lang.types import BOOLEAN, NULL, UNKNOWN, VOID, ClassType
+from lfield.lang.library import ARRAY_LENGTH
+from lfield.lang.types import BOOLEAN, EXCEPTION, INT, NULL, UNKNOWN, VOID, ArrayType, ClassType
 from lfield.text.source import Span
 
 _NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
@@ -32,8 +36,7 @@ def _statement(body: Body, raw: syntax.Stmt) -> tree.Stmt | None:
         case syntax.Declare():
             return _declare(body, raw)
         case syntax.If():
-            test = condition(body, raw.condition)
-            return tree.If(raw.span, test, _branch(body, raw.then), _branch(body, raw.otherwise))
+            return _if(body, raw)
         case syntax.Block():
             return tree.Block(raw.span, _branch(body, raw))
         case syntax.Return():
@@ -42,6 +45,8 @@ def _statement(body: Body, raw: syntax.Stmt) -> tree.Stmt | None:
             return tree.Loop(raw.span, condition(body, raw.condition), _loop_body(body, raw.body), [])
         case syntax.For():
             return _for(body, raw)
+        case syntax.Each():
+            return _each(body, raw)
         case syntax.Break():
             _in_loop(body, raw.span, "break")
             return tree.Break(raw.span)
@@ -57,6 +62,17 @@ def _statement(body: Body, raw: syntax.Stmt) -> tree.Stmt | None:
         case syntax.BadStmt():
             body.scope.uncertain = True
     return None
+
+
+def _if(body: Body, raw: syntax.If) -> tree.If:
+    """An `if` whose `otherwise` is the next one, as often as `else if` follows."""
+    ladder = [*chain(raw, lambda one: one.otherwise if isinstance(one.otherwise, syntax.If) else None), raw]
+    made: list[tree.Stmt] = _branch(body, ladder[0].otherwise)
+    for one in ladder:
+        made = [tree.If(one.span, condition(body, one.condition), _branch(body, one.then), made)]
+    (first,) = made
+    assert isinstance(first, tree.If)
+    return first
 
 
 def _branch(body: Body, raw: syntax.Stmt | None) -> list[tree.Stmt]:
@@ -86,6 +102,8 @@ def _declare(body: Body, raw: syntax.Declare) -> tree.Stmt:
 
 def _evaluate(body: Body, raw: syntax.Evaluate) -> tree.Stmt:
     """A call, an assignment or `new`; anything else does nothing."""
+    if isinstance(raw.value, syntax.Assign) and raw.value.operator != "=":
+        return _update(body, raw.value)
     if isinstance(raw.value, syntax.Assign):
         return tree.Evaluate(raw.span, assignment(body, raw.value))
     found = evaluated(body, raw.value)
@@ -93,6 +111,62 @@ def _evaluate(body: Body, raw: syntax.Evaluate) -> tree.Stmt:
         compares = isinstance(raw.value, syntax.Binary) and raw.value.operator == "=="
         body.report(messages.NO_EFFECT, raw.span, hint="did you mean = ?" if compares else None)
     return tree.Evaluate(raw.span, found)
+
+
+def _update(body: Body, raw: syntax.Assign) -> tree.Stmt:
+    """`target += value`: `target = target + value`, with all that stands in the target evaluated once."""
+    place = target(body, raw.target)
+    given = value(body, raw.value)
+    if place is None:
+        return tree.Evaluate(raw.span, unknown(raw.span))
+    held: list[tree.Stmt] = []
+    match place:
+        case tree.FieldGet():
+            place.object = _held(held, place.object)
+        case tree.Element():
+            place.array, place.index = _held(held, place.array), _held(held, place.index)
+    written = syntax.Binary(raw.span, raw.height, raw.operator[0], raw.sign, raw.target, raw.value)
+    result = expect(body.symbols, binary(body, written, copy(place), given), place.type)
+    held.append(tree.Evaluate(raw.span, tree.Assign(raw.span, place.type, place, result)))
+    return tree.Block(raw.span, held)
+
+
+def _held(before: list[tree.Stmt], expr: tree.Expr) -> tree.Expr:
+    """The value of an expression for several uses in one statement, which changes no local meanwhile."""
+    return expr if isinstance(expr, tree.This | tree.LocalGet | tree.Literal_) else _kept(before, expr)
+
+
+def _kept(before: list[tree.Stmt], expr: tree.Expr) -> tree.Expr:
+    """The value of an expression in a local of its own, which no name of the program leads to."""
+    local = tree.Local("", expr.type, expr.span)
+    before.append(tree.Declare(expr.span, local, expr))
+    return tree.LocalGet(expr.span, expr.type, local)
+
+
+def _each(body: Body, raw: syntax.Each) -> tree.Stmt:
+    """`for (T x : array)`: the array and its length are asked once, then a loop counts through it."""
+    span = raw.array.span
+    array = value(body, raw.array)
+    kind = visible_type(body.symbols, body.unit, raw.type)
+    of = array.type.element if isinstance(array.type, ArrayType) else UNKNOWN
+    if of is UNKNOWN and array.type is not UNKNOWN:
+        body.report(messages.EACH_ARRAY, span, given=shown(array.type))
+    elif cost(of, kind) is None:
+        body.report(messages.EACH_ELEMENT, raw.type.span, given=of, wanted=shown(kind))
+    made: list[tree.Stmt] = []
+    items = _kept(made, array)
+    count = _kept(made, tree.Library(span, INT, ARRAY_LENGTH, [items]))
+    index = tree.LocalGet(span, INT, tree.Local("", INT, span))
+    made.append(tree.Declare(span, index.local, tree.Literal_(span, INT, 0)))
+    following = tree.Binary(span, INT, "+", index, tree.Literal_(span, INT, 1))
+    body.enter()
+    local = body.declare(raw.name, kind, raw.place)
+    element = converted(tree.Element(span, of, items, index), kind)
+    inner = [tree.Declare(raw.place, local, element), *_loop_body(body, raw.body)]
+    body.leave()
+    step: list[tree.Stmt] = [tree.Evaluate(span, tree.Assign(span, INT, index, following))]
+    made.append(tree.Loop(raw.span, tree.Binary(span, BOOLEAN, "<", index, count), inner, step))
+    return tree.Block(raw.span, made)
 
 
 def _for(body: Body, raw: syntax.For) -> tree.Stmt:
@@ -134,7 +208,7 @@ def _throw(body: Body, raw: syntax.Throw) -> tree.Stmt:
     if not isinstance(thrown.type, ClassType) and thrown.type not in (NULL, UNKNOWN):
         body.report(messages.THROW_TYPE, raw.value.span, given=shown(thrown.type))
         thrown = unknown(raw.span)
-    return tree.Throw(raw.span, thrown)
+    return tree.Throw(raw.span, expect(body.symbols, thrown, EXCEPTION))
 
 
 def _catch(body: Body, raw: syntax.Catch) -> tree.Catch:

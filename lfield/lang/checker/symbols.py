@@ -116,6 +116,21 @@ class Symbols:
         return f"did you mean '{close}'?" if close else None
 
 
+def device_in(symbols: Symbols, kind: Type) -> str:
+    """A device that objects of the type have, in a field or in what a field leads to; '' without one."""
+    seen: set[str] = set()
+    waiting = [(innermost(kind), "")]
+    while waiting:
+        held, path = waiting.pop()
+        if isinstance(held, DeviceType):
+            return path[1:]
+        unit = symbols.named(held)
+        if unit is not None and unit.kind == "class" and unit.name not in seen:
+            seen.add(unit.name)
+            waiting.extend((innermost(field.type), f"{path}.{field.name}") for field in unit.fields)
+    return ""
+
+
 def describe(unit: tree.Unit) -> str:
     """A unit as the scope rules speak of it: `the resource specific class 'CacheTree'`."""
     if unit.kind != "class":

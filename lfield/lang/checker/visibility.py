@@ -15,8 +15,9 @@ from lfield.lang.types import EXCEPTION, UNKNOWN, DeviceType, Type
 from lfield.text.findings import Message
 from lfield.text.source import Span
 
-#: Where a type is written. A device type fits only a field, a portal is stricter than anything else.
-Place = Literal["field", "portal", "elsewhere"]
+#: Where a type is written. A device type fits a field, and the constructor of a resource specific class; a
+#: portal is stricter than anything else.
+Place = Literal["field", "constructor", "portal", "elsewhere"]
 
 
 _COORDINATOR_RULES: dict[tree.Usage, Message] = {
@@ -73,13 +74,14 @@ def _rule(viewer: tree.Unit, target: tree.Unit) -> Message | None:
 
 
 def _device_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: Place) -> Type:
-    """A device type stands only at a plain field of a resource."""
+    """A device type stands only at a plain field of a resource, and where its own classes are given it."""
     if viewer.usage == "coordinator":
         symbols.report(
             messages.COORDINATOR_NAMES_DEVICE, written.span, viewer=describe(viewer), name=written.name
         )
         return UNKNOWN
-    if viewer.kind != "resource" or place != "field" or written.dimensions:
+    places = ("field",) if viewer.kind == "resource" else ("field", "constructor")
+    if viewer.usage != "resource" or place not in places or written.dimensions:
         symbols.report(messages.DEVICE_PLACE, written.span, name=written.name)
         return UNKNOWN
     return DeviceType(written.name)

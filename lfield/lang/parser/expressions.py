@@ -13,6 +13,7 @@ from lfield.lang.syntax import (
     Bad,
     Binary,
     Call,
+    Elements,
     Expr,
     Index,
     Literal_,
@@ -47,8 +48,6 @@ INT_LIMIT = 2**63
 
 #: What to write instead of an operator that L does not have.
 INSTEAD = {
-    "++": "write i = i + 1",
-    "--": "write i = i - 1",
     "===": "write ==",
     "!==": "write !=",
     "&": "write && for a condition; L has no bit operators",
@@ -57,23 +56,36 @@ INSTEAD = {
     "->": "members are reached with a point: object.name",
     "::": "members are reached with a point: object.name",
 }
-_UPDATES = ("+=", "-=", "*=", "/=", "%=")
+#: `=`, and what calculates with the old value.
+ASSIGNMENTS = ("=", "+=", "-=", "*=", "/=", "%=")
 
 
 def expression(s: TokenStream) -> Expr:
     """Any expression, assignments included; the checker says where those may stand."""
     with s.nested():
         left = _binary(s, 1)
-        if s.at("="):
-            sign = s.advance().span
+        if s.at(*ASSIGNMENTS):
+            sign = s.advance()
             value = expression(s)
             height = 1 + max(left.height, value.height)
-            return s.bounded(Assign(left.span.to(value.span), height, sign, left, value))
+            return s.bounded(Assign(left.span.to(value.span), height, sign.text, sign.span, left, value))
         if s.at("?"):
             return _ternary(s, left)
         if s.at(*FOREIGN_OPERATORS):
             return _foreign(s, left)
         return left
+
+
+def _elements(s: TokenStream, start: Span, made: TypeName | None) -> Expr:
+    """`{a, {b, c}}`."""
+    opening = s.advance()
+    found: list[Expr] = []
+    with s.nested():
+        while not s.at("}") and (not found or s.accept(",")):
+            found.append(expression(s))
+    s.close("}", opening)
+    height = 1 + max((one.height for one in found), default=0)
+    return s.bounded(Elements(start.to(s.previous.span), height, made, found))
 
 
 def parenthesised(s: TokenStream) -> Expr:
@@ -112,7 +124,7 @@ def _binary(s: TokenStream, weakest: int) -> Expr:
         sign = s.advance()
         with s.nested():
             right = _binary(s, strength + 1)
-        height = 1 + max(left.height, right.height)
+        height = max(left.height, 1 + right.height)
         span = left.span.to(right.span)
         left = s.bounded(Binary(span, height, sign.text, sign.span, left, right))
     return left
@@ -139,14 +151,14 @@ def _postfix(s: TokenStream) -> Expr:
         if s.at("."):
             s.advance()
             name = s.expect_name("the name of a member")
-            found = Member(found.span.to(name.span), found.height + 1, found, name.text, name.span)
+            found = Member(found.span.to(name.span), found.height, found, name.text, name.span)
         elif s.at("("):
             found = _call(s, found)
         elif s.at("["):
             opening = s.advance()
             index = expression(s)
             s.close("]", opening)
-            height = 1 + max(found.height, index.height)
+            height = max(found.height, 1 + index.height)
             found = Index(found.span.to(s.previous.span), height, found, index)
         else:
             return found
@@ -159,7 +171,7 @@ def _call(s: TokenStream, function: Expr) -> Expr:
     if isinstance(function, Name):
         s.called.add(function.name)
     given = arguments(s)
-    height = 1 + max([function.height, *(a.height for a in given)])
+    height = max([function.height, *(1 + a.height for a in given)])
     return Call(function.span.to(s.previous.span), height, function, given)
 
 
@@ -182,6 +194,8 @@ def _primary(s: TokenStream) -> Expr:
             return _new(s)
         case _, "(":
             return _group(s)
+        case _, "{":
+            return _elements(s, token.span, None)
         case _, "init":
             raise s.fail(messages.INIT_CALLED)
     if s.at(*PRIMITIVES, "void"):
@@ -232,7 +246,10 @@ def _new(s: TokenStream) -> Expr:
 
 def _new_array(s: TokenStream, start: Span, made: TypeName) -> Expr:
     if s.ahead(1).text == "]":
-        raise s.fail(messages.ARRAY_LENGTH_MISSING, type=made)
+        brackets(s, made)
+        if s.at("{"):
+            return _elements(s, start, made)
+        raise s.fail(messages.ARRAY_LENGTH_MISSING, type=made.name)
     lengths: list[Expr] = []
     while s.at("[") and s.ahead(1).text != "]":
         opening = s.advance()
@@ -258,10 +275,8 @@ def _foreign(s: TokenStream, left: Expr) -> Expr:
     sign = s.advance()
     target = left.span.text if isinstance(left, Name) else "x"
     instead = INSTEAD.get(sign.text, "L has no bit operators")
-    if sign.text in _UPDATES:
-        instead = f"write {target} = {target} {sign.text[0]} ...;"
-    elif sign.text in ("++", "--"):
-        instead = f"write {target} = {target} {sign.text[0]} 1;"
+    if sign.text in ("++", "--"):
+        instead = f"write {target} {sign.text[0]}= 1;"
     s.report(messages.FOREIGN_OPERATOR, sign.span, operator=sign.text, instead=instead)
     if sign.text not in ("++", "--") or isinstance(left, Bad):
         expression(s)

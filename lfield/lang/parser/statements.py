@@ -16,6 +16,7 @@ from lfield.lang.syntax import (
     Catch,
     Continue,
     Declare,
+    Each,
     Empty,
     Evaluate,
     For,
@@ -26,9 +27,11 @@ from lfield.lang.syntax import (
     Try,
     While,
 )
+from lfield.text.source import Span
 from lfield.text.suggest import FOREIGN_STATEMENTS, closest
 
 #: Words before `{` or `(...) {` that a typing mistake may hide.
+_EACH = "write for (T x : array) { ... }"
 _HEADS = ("if", "else", "while", "for", "try", "catch")
 
 
@@ -90,15 +93,30 @@ def _empty(s: TokenStream) -> Stmt:
 
 
 def _if(s: TokenStream) -> Stmt:
-    start = s.advance().span
-    condition = parenthesised(s)
-    then = statement(s)
-    if s.at_name() and s.at("elif", "elsif"):
-        word = s.current.text
-        s.report(messages.FOREIGN_WORD, s.current.span, word=word, instead=FOREIGN_STATEMENTS[word])
-        return If(start, condition, then, _if(s))
+    """`if` with all its `else if`; they do not nest, however many there are."""
+    found: list[If] = []
+    while not found or _at_further(s):
+        start = s.advance().span
+        condition = parenthesised(s)
+        found.append(If(start, condition, statement(s), None))
     otherwise = statement(s) if s.accept("else") else None
-    return If(start, condition, then, otherwise)
+    while found:
+        found[-1].otherwise = otherwise
+        otherwise = found.pop()
+    assert otherwise is not None
+    return otherwise
+
+
+def _at_further(s: TokenStream) -> bool:
+    """Whether an `else if` follows; the stream is then at its `if`. That of another language is reported."""
+    word = s.current.text
+    if s.at_name() and word in ("elif", "elsif"):
+        s.report(messages.FOREIGN_WORD, s.current.span, word=word, instead=FOREIGN_STATEMENTS[word])
+        return True
+    if s.at("else") and s.ahead(1).text == "if":
+        s.advance()
+        return True
+    return False
 
 
 def _else(s: TokenStream) -> Stmt:
@@ -116,17 +134,15 @@ def _while(s: TokenStream) -> Stmt:
 
 
 def _for(s: TokenStream) -> Stmt:
-    """`for (start; condition; step) body`; a mistake in the head is skipped with the head."""
+    """Both forms of `for`; a mistake in the head is skipped with the head."""
     where = s.advance().span
-    loop = For(where, None, None, None, Empty(where))
+    loop: For | Each = For(where, None, None, None, Empty(where))
 
     def head() -> None:
+        nonlocal loop
         opening = s.expect("(")
-        loop.start = _for_start(s)
-        s.expect(";")
-        loop.condition = None if s.at(";") else expression(s)
-        s.expect(";")
-        loop.step = None if s.at(")") else _evaluate(s)
+        start = _for_start(s)
+        loop = _each(s, where, start) if s.at(":", "in", "of") else _rounds(s, where, start)
         s.close(")", opening)
 
     def skip() -> None:
@@ -139,13 +155,29 @@ def _for(s: TokenStream) -> Stmt:
     return loop if well else BadStmt(where)
 
 
+def _rounds(s: TokenStream, where: Span, start: Stmt | None) -> For:
+    """`start; condition; step`, behind the start."""
+    s.expect(";")
+    condition = None if s.at(";") else expression(s)
+    s.expect(";")
+    return For(where, start, condition, None if s.at(")") else _evaluate(s), Empty(where))
+
+
+def _each(s: TokenStream, where: Span, start: Stmt | None) -> Each:
+    """`T name : array`, behind the name."""
+    if not s.at(":"):
+        raise s.fail(messages.FOREIGN_WORD, word=s.current.text, instead=_EACH)
+    if not isinstance(start, Declare) or start.value is not None:
+        raise s.fail(messages.EXPECTED_SYMBOL, hint=_EACH, what="';'", found=s.current)
+    s.advance()
+    return Each(where, start.type, start.name, start.place, expression(s), Empty(where))
+
+
 def _for_start(s: TokenStream) -> Stmt | None:
     if s.at(";"):
         return None
     if not at_declaration(s):
         return _evaluate(s)
-    if s.ahead(2).text == ":":
-        raise s.fail(messages.FOR_EACH)
     return _declaration(s)
 
 

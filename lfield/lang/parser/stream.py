@@ -16,6 +16,7 @@ from lfield.text.findings import Message
 from lfield.text.source import Diagnostic, Diagnostics, Span
 
 #: How deep statements and expressions may nest together; the checker and the compiler walk them recursively.
+#: Chains (chains.py) are no nesting.
 MAX_NESTING = 100
 
 PRIMITIVES = ("boolean", "int", "real", "string")

@@ -7,22 +7,26 @@ is under way in a process that is frozen, as by SIGSTOP, waits; of one that is d
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import math
-import warnings
 from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.timeline import Planned
 
-#: Rounds of one loop that may follow one another at the same moment: more, and it spins.
-MOST_ROUNDS = 100_000
+#: So many rounds of a loop take no time; then the others have their turn, as many seconds later as they took.
+ROUNDS, TOOK = 100, 0.001
+#: No timer is exacter: who looks too early by less than a clock can tell would look for ever.
+TICK = 1e-9
 #: Seconds that work in a thread takes.
 IN_A_THREAD = 0.002
 
 
-#: What would not end when its process was killed. It is kept, since it would go on when it is forgotten.
-_NOT_ENDED: list[object] = []
+#: One reference more, or less, than anybody holds. What is pinned no collector frees, also not at the end.
+_pin, _unpin = ctypes.pythonapi.Py_IncRef, ctypes.pythonapi.Py_DecRef
+_pin.argtypes = _unpin.argtypes = (ctypes.py_object,)
+_pin.restype = _unpin.restype = None
 
 
 class _Nothing:
@@ -48,12 +52,11 @@ class ProcessLoop(asyncio.BaseEventLoop):
         self._wake: Planned | None = None
         self._woken_at = math.inf
         self._rounds = 0
-        self._tasks: list[asyncio.Task[Any]] = []
-        self.set_task_factory(_remembered)  # type: ignore[arg-type]
+        self.set_task_factory(_pinned)  # type: ignore[arg-type]
 
     def time(self) -> float:
-        """Its machine's monotonic clock."""
-        return self.clock.monotonic()
+        """Its machine's clock for timers."""
+        return self.clock.awake()
 
     def __del__(self) -> None:
         """It holds nothing of the real computer: nobody need close it."""
@@ -88,20 +91,11 @@ class ProcessLoop(asyncio.BaseEventLoop):
             self._run()
 
     def die(self) -> None:
-        """As SIGKILL. Its coroutines are closed; what stands in their `finally` runs, and leads nowhere."""
+        """As SIGKILL: none of its coroutines goes on, and none is unwound (`_pinned`)."""
         self.dead = True
         self._backlog.clear()
         if self._wake is not None:
             self._wake.call_off()
-        with warnings.catch_warnings():
-            # What they begin at their end is awaited by nobody.
-            warnings.simplefilter("ignore", RuntimeWarning)
-            for task in list(self._tasks):
-                try:
-                    task.get_coro().close()
-                except (RuntimeError, ValueError):
-                    _NOT_ENDED.append(task)
-        self._tasks.clear()
 
     # --- the loop -------------------------------------------------------------------------------------
 
@@ -112,13 +106,12 @@ class ProcessLoop(asyncio.BaseEventLoop):
     def would_wait(self, timeout: float | None) -> None:
         """There is nothing more to do for so many seconds of its clock, None for ever."""
         self._rounds += 1
-        if self._rounds > MOST_ROUNDS:
-            raise AssertionError(f"a process spins at {self._timeline.now:.6f} s")
-        if timeout == 0:
+        if timeout == 0 and self._rounds < ROUNDS:
             return
         self.stop()
         if timeout is not None:
-            self._wake_at(self.clock.true(self.time() + timeout))
+            due = self.clock.true(self.time() + (timeout or TOOK))
+            self._wake_at(max(due, self._timeline.now + TICK))
 
     def _wake_at(self, when: float) -> None:
         if self._wake is not None:
@@ -144,11 +137,6 @@ class ProcessLoop(asyncio.BaseEventLoop):
     def _write_to_self(self) -> None:
         """There are no threads."""
 
-    def call_exception_handler(self, context: dict[str, Any]) -> None:
-        """What a dead process complains of nobody hears."""
-        if not self.dead:
-            super().call_exception_handler(context)
-
     def run_in_executor(self, _: object, func: Callable[..., Any], *args: Any) -> Any:  # type: ignore[override]
         """What others do in a thread, a disk for the most part: it takes its time, and others go on."""
         future = self.create_future()
@@ -165,14 +153,17 @@ class ProcessLoop(asyncio.BaseEventLoop):
         return future
 
 
-def _remembered(
+def _pinned(
     loop: asyncio.AbstractEventLoop, coro: Coroutine[Any, Any, Any], **more: Any
 ) -> asyncio.Task[Any]:
-    """All tasks of a loop are known, so that none goes on when its process is dead."""
-    assert isinstance(loop, ProcessLoop)
+    """A task that stays where it is until it has ended by itself.
+
+    A coroutine that is freed is unwound: its `finally` runs. What SIGKILL ended does nothing of the kind, so
+    nobody may free it. Its memory is gone until the process that simulates ends, some MB for each story.
+    """
     task: asyncio.Task[Any] = asyncio.Task(coro, loop=loop, **more)
-    loop._tasks.append(task)
-    task.add_done_callback(loop._tasks.remove)
+    _pin(task)
+    task.add_done_callback(_unpin)
     return task
 
 

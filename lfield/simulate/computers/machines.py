@@ -17,17 +17,22 @@ Way = tuple[str, str]
 
 
 class MachineClock:
-    """The clock of one machine in seconds: it begins anywhere, and runs fast or slow."""
+    """The clocks of one machine in seconds: they begin anywhere, and run fast or slow."""
 
     def __init__(self, timeline: Timeline, *, began: float = 0.0, rate: float = 1.0) -> None:
         self._timeline, self.rate = timeline, rate
         self._began, self._since = began, timeline.now
+        self._suspended, self._wakes = 0.0, timeline.now
         #: How far the time of day is ahead of the time since it was switched on.
         self.ahead = 0.0
 
-    def monotonic(self) -> float:
-        """Since it was switched on, more or less."""
+    def awake(self) -> float:
+        """Since it was switched on, more or less, without the time in which it was suspended."""
         return self._began + (self._timeline.now - self._since) * self.rate
+
+    def monotonic(self) -> float:
+        """The same, and that time with it: boot time."""
+        return self.awake() + self._suspended
 
     def time(self) -> float:
         """What it takes for the time of day."""
@@ -35,16 +40,22 @@ class MachineClock:
 
     def run_at(self, rate: float) -> None:
         """Run so fast from now on. Who waits for it must look again."""
-        self._began, self._since, self.rate = self.monotonic(), self._timeline.now, rate
+        self._began, self._since, self.rate = self.awake(), self._timeline.now, rate
 
     def stands_still(self, seconds: float) -> None:
-        """The machine is suspended for so long: nobody on it runs, and only its time of day goes on."""
+        """The machine is suspended for so long from now on: nobody on it runs, and timers stand still."""
+        self._wakes = self._timeline.now + seconds
         self._began -= seconds * self.rate
-        self.ahead += seconds * self.rate
+        self._suspended += seconds * self.rate
 
-    def true(self, monotonic: float) -> float:
-        """When its monotonic time will be that, in true time."""
-        return self._since + (monotonic - self._began) / self.rate
+    @property
+    def suspended(self) -> bool:
+        """Whether it stands still now."""
+        return self._timeline.now < self._wakes
+
+    def true(self, awake: float) -> float:
+        """When it will have been awake for so long, in true time."""
+        return self._since + (awake - self._began) / self.rate
 
 
 class Machine:

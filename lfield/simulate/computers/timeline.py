@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Callable
+
+
+class Endless(AssertionError):
+    """More happens than may, and time hardly goes on."""
 
 
 class Planned:
@@ -24,8 +29,8 @@ class Timeline:
 
     def __init__(self) -> None:
         self.now = 0.0
-        #: How many things have happened.
-        self.events = 0
+        #: How many things have happened, and how many may.
+        self.events, self.most = 0, math.inf
         self._queue: list[tuple[float, int, Planned]] = []
         self._asked = 0
 
@@ -41,11 +46,13 @@ class Timeline:
         return self.at(self.now + seconds, event)
 
     def run(self, seconds: float, watch: Callable[[], None] = lambda: None) -> None:
-        """Let time go on for so long. `watch` is called after each event."""
+        """Let time go on for so long. `watch` is called after each event. Raises Endless."""
         end = self.now + seconds
         while self._queue and self._queue[0][0] <= end:
             self.now, _, planned = heapq.heappop(self._queue)
             if planned.event is not None:
+                if self.events >= self.most:
+                    raise Endless(f"{self.events:,} events, and it goes on at {self.now:.6f} s")
                 self.events += 1
                 planned.event()
                 watch()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from lfield.simulate.stories.story import Story, drawn
+from lfield.simulate.stories.story import KINDS, Story, drawn
 from lfield.simulate.stories.trial import Verdict, tell
 
 #: So many smaller stories are tried at most.
@@ -40,7 +40,10 @@ def _smaller(verdict: Verdict) -> Iterator[Story]:
     if size < len(story.numbered):
         yield replace(story, keep=frozenset(struck))
     if story.hosts > 2:
-        yield replace(story, hosts=story.hosts - 1, arms=min(story.arms, story.hosts - 1))
+        witnesses = max(0, story.witnesses - 1)
+        yield replace(
+            story, hosts=story.hosts - 1, arms=min(story.arms, story.hosts - 1), witnesses=witnesses
+        )
     if story.walkers > 1:
         yield replace(story, walkers=story.walkers - 1)
     if story.arms:
@@ -56,12 +59,13 @@ def _smaller(verdict: Verdict) -> Iterator[Story]:
 def command(story: Story) -> str:
     """The one command that tells this story again."""
     usual, words = drawn(story.seed), [f"python -m lfield.simulate --story {story.seed}"]
+    if usual.kind != story.kind:
+        usual = KINDS[story.kind](story.seed)
+        words.append(f"--as {story.kind}")
     for name in ("hosts", "walkers", "arms", "seconds"):
         value = getattr(story, name)
         if value != getattr(usual, name):
             words.append(f"--{name} {value}")
-    if usual.journals and not story.journals:
-        words.append("--forget")
     if story.keep is not None:
         words.append(f"--keep {','.join(str(number) for number in sorted(story.keep))}")
     return " ".join(words)

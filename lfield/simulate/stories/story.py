@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import random
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from lfield.bytecode.program import Program
+from lfield.mission.bindings import USUAL_LEASE, Recovery
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 from lfield.simulate.weather import Fault, Weather
@@ -37,8 +38,10 @@ resource Arm {
     portal drive(string life, int drawn, int number) {
         write("begin " + life + " " + i2s(number) + "\\n");
         fc.release();
-        fc.setVelocity(i2f(drawn), i2f(number), 0.0);
-        sleep(0.2);
+        for (int n = 0; n < 3; n = n + 1) {
+            fc.setVelocity(i2f(drawn), i2f(number), i2f(n));
+            sleep(0.1);
+        }
         fc.hold();
         write("end " + life + " " + i2s(number) + "\\n");
     }
@@ -47,6 +50,7 @@ coordinator Walker {
     init(string[] arg) {
         int drawn = random(1000000000);
         string life = arg[0] + "." + i2s(drawn);
+        //recovered
         print("born " + life);
         Post[] posts = findPost();
         Arm[] arms = findArm();
@@ -54,7 +58,7 @@ coordinator Walker {
         int at = 0;
         int number = 0;
         while (number != s2i(arg[1])) {
-            if (random(4) != 0) at = random(all);
+            if (random(32) >= s2i(arg[3])) at = random(all);
             number = number + 1;
             try {
                 if (at < posts.length()) {
@@ -71,7 +75,7 @@ coordinator Walker {
                 print("threw " + life + " " + i2s(number));
             }
             try {
-                if (random(4) == 0) posts[random(posts.length())].look();
+                if (random(32) >= s2i(arg[3]) && random(3) == 0) posts[random(posts.length())].look();
             } catch (Exception other) { }
             sleep(0.02 + 0.1 * random());
         }
@@ -79,6 +83,8 @@ coordinator Walker {
     }
 }
 """
+#: What makes it a coordinator that a majority may recover.
+RECOVERED = "heartbeatInterval(s2f(arg[4]));"
 _PROGRAMS: dict[bytes, Program] = {}
 #: What a walker does that never ends.
 FOR_EVER = -1
@@ -86,6 +92,18 @@ FOR_EVER = -1
 BETWEEN, LIKELY = (0.7, 6.0), 0.35
 #: So many stories are of hosts that keep journals; the others forget, as many a trial does.
 KEEP = 0.75
+#: So many of 32 times a walker calls where it has called before: one that may be recovered mostly, so that it
+#: works on where it is cut off.
+STAYS, STAYS_ON = 8, (26, 31, 31)
+#: Of what kinds stories of hosts with journals are. Of coordinators that a majority may recover they have
+#: nothing that leases do not hold under, and more time, in seconds.
+KEPT, NOT_FENCED, LONGER = ("plain", "plain", "fenced", "doubted"), ("disk_new", "race"), 6.0
+#: What lets a host doubt another one that goes on; how likely each is then.
+DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
+#: Seconds between two of them, and of such a story, where there are many.
+OFTEN, DOUBTED = (2.0, 8.0), 8.0
+#: Seconds without a sign until a coordinator is recovered; how long a lease lasts.
+INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
 #: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
 DISKS = (0.002, 0.002, 0.05)
 
@@ -97,7 +115,9 @@ class Story:
     Walkers make so many `calls`, FOR_EVER for no end, each of which lets them `stay` so long. Hosts keep
     `journals`, on disks that take `sync` to keep anything, or forget. The forecast is drawn for a team of
     `cast` hosts and `weather` seconds; `keep` has the numbers of its faults that strike, None for all.
-    `hosts` and `seconds` are what is left when a story is made smaller.
+    `hosts` and `seconds` are what is left when a story is made smaller. With an `interval` a majority of the
+    hosts may recover walkers, under leases of `lease`; then the last of them, `witnesses`, have no agents. A
+    walker `stays` where it is so many of 32 times.
     """
 
     seed: int
@@ -114,12 +134,21 @@ class Story:
     means: Mapping[str, float]
     journals: bool
     sync: float
+    interval: float = 0.0
+    lease: float = USUAL_LEASE
+    kind: str = "plain"
+    witnesses: int = 0
+    stays: int = STAYS
     keep: frozenset[int] | None = None
 
     @property
     def mission(self) -> Mission:
         """Its mission; stories of one shape share it."""
-        return _mission(self.hosts, self.walkers, self.arms, self.calls, self.stay)
+        words = [str(self.calls), str(self.stay), str(self.stays)]
+        if self.interval:
+            words.append(f"{self.interval:g}")
+        posts = max(1, self.hosts - self.witnesses)
+        return _mission(self.hosts, posts, self.walkers, self.arms, "&".join(words), self.lease)
 
     @property
     def forecast(self) -> list[Fault]:
@@ -139,6 +168,14 @@ class Story:
 
 def drawn(seed: int) -> Story:
     """The story of a seed."""
+    story = plain(seed)
+    if not story.journals:
+        return forgetful(seed)
+    return KINDS[random.Random(f"kind {seed}").choice(KEPT)](seed)
+
+
+def plain(seed: int) -> Story:
+    """One of coordinators that wait for their hosts, or are forgotten with them."""
     dice = random.Random(f"story {seed}")
     hosts = dice.choice((3, 3, 3, 4, 4, 5, 6, 7))
     ends = dice.random() < 0.25
@@ -167,15 +204,77 @@ def drawn(seed: int) -> Story:
     )
 
 
+def forgetful(seed: int) -> Story:
+    """One of hosts that keep no journals."""
+    return replace(plain(seed), kind="forgetful", journals=False)
+
+
+def fenced(seed: int) -> Story:
+    """One of coordinators that a majority may recover."""
+    story, dice = replace(plain(seed), journals=True), random.Random(f"recovered {seed}")
+    means = {kind: mean for kind, mean in story.means.items() if kind not in NOT_FENCED}
+    means |= {kind: dice.uniform(*BETWEEN) for kind in DOUBTS if dice.random() < LIKELY_DOUBT}
+    lease = dice.choice(LEASES)
+    seconds = story.weather + LONGER + lease
+    return replace(
+        story,
+        kind="fenced",
+        means=means,
+        weather=seconds,
+        seconds=seconds,
+        lost_after=None,
+        stay=dice.choice((0.04, 0.04, 0.04, 1.0)),
+        interval=dice.choice(INTERVALS),
+        stays=dice.choice(STAYS_ON),
+        lease=lease,
+        witnesses=dice.choice((0, 1)),
+    )
+
+
+def doubted(seed: int) -> Story:
+    """One of a small team in which hosts often take others for gone, and coordinators work on meanwhile."""
+    story, dice = fenced(seed), random.Random(f"doubted {seed}")
+    seconds = DOUBTED + 2.0 * story.lease
+    return replace(
+        story,
+        kind="doubted",
+        cast=3,
+        hosts=3,
+        arms=min(story.arms, 1),
+        witnesses=0,
+        calls=FOR_EVER,
+        stay=0.04,
+        interval=1.0,
+        stays=STAYS_ON[-1],
+        means={kind: dice.uniform(*OFTEN) for kind in DOUBTS},
+        weather=seconds,
+        seconds=seconds,
+    )
+
+
+#: Stories by what becomes of their coordinators.
+KINDS: Mapping[str, Callable[[int], Story]] = {
+    "plain": plain,
+    "forgetful": forgetful,
+    "fenced": fenced,
+    "doubted": doubted,
+}
+
+
 @lru_cache(maxsize=256)
-def _mission(hosts: int, walkers: int, arms: int, calls: int, stay: float) -> Mission:
-    lines = [f"//Post:p{n}@h{n}" for n in range(hosts)]
-    lines += [f"//Arm:a{n}@h{hosts - 1 - n}" for n in range(arms)]
-    lines += [f"//Walker:w{n}@h{n % hosts}?{calls}&{stay}" for n in range(walkers)]
+def _mission(hosts: int, posts: int, walkers: int, arms: int, words: str, lease: float) -> Mission:
+    lines = [f"//Post:p{n}@h{n}" for n in range(posts)]
+    lines += [f"//@h{n}" for n in range(posts, hosts)]
+    lines += [f"//Arm:a{n}@h{posts - 1 - n}" for n in range(min(arms, posts))]
+    lines += [f"//Walker:w{n}@h{n % posts}?{words}" for n in range(walkers)]
+    program = PROGRAM.replace("//recovered", RECOVERED) if words.count("&") > 2 else PROGRAM
     with tempfile.TemporaryDirectory(prefix="lfield-story-") as folder:
         deployment = Path(folder) / "story.dL"
-        deployment.with_suffix(".L").write_text(PROGRAM, encoding="utf-8")
+        deployment.with_suffix(".L").write_text(program, encoding="utf-8")
         deployment.write_text("\n".join([*lines, ""]), encoding="utf-8")
         mission = load_mission(deployment, simulate=True)
     # What hosts prepare of a program is as large as they are: one program is enough.
-    return replace(mission, program=_PROGRAMS.setdefault(mission.program.digest, mission.program))
+    bindings = replace(mission.bindings, recovery=Recovery(lease))
+    return replace(
+        mission, bindings=bindings, program=_PROGRAMS.setdefault(mission.program.digest, mission.program)
+    )

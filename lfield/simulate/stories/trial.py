@@ -8,13 +8,18 @@ import hashlib
 import io
 from dataclasses import dataclass
 
+from lfield import exits
+from lfield.simulate.computers.timeline import Endless
 from lfield.simulate.fleet import Fleet
-from lfield.simulate.judge import Breach, Judge
+from lfield.simulate.judging.breaches import Breach
+from lfield.simulate.judging.judge import Judge
 from lfield.simulate.stories.story import Story
 from lfield.simulate.weather import Storm
 
 #: Seconds between two looks at devices and logs.
 LOOK = 0.25
+#: So much may happen in one story: ten times of what happens in the longest that were ever told.
+MOST_EVENTS = 200_000
 #: Seconds after the weather in which whoever may go on must have done so, beside those that a call waits: a
 #: greeting that nobody answered is given up after 10 s.
 PATIENCE = 25.0
@@ -24,7 +29,7 @@ PATIENCE = 25.0
 class Verdict:
     """What came of a story. `seconds` of virtual time; `faults` as they struck.
 
-    `calls` that began, `restarts` that a walker was told of.
+    `calls` that began, `restarts` that a walker was told of, starts that a majority has `recovered`.
     """
 
     story: Story
@@ -34,6 +39,7 @@ class Verdict:
     faults: tuple[tuple[float, str], ...]
     calls: int
     restarts: int
+    recovered: int
     log: tuple[tuple[float, str, str], ...] = ()
 
 
@@ -60,6 +66,7 @@ def _told(story: Story, *, keep_log: bool) -> Verdict:
     )
     for disk in fleet.disks.values():
         disk.sync = story.sync
+    fleet.timeline.most = MOST_EVENTS
     storm = Storm(fleet, story.forecast)
     # A guard whose host is gone tells the terminal.
     with contextlib.redirect_stderr(io.StringIO()):
@@ -67,10 +74,9 @@ def _told(story: Story, *, keep_log: bool) -> Verdict:
         fleet.close()
     said = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
     log = tuple(fleet.log) if keep_log else ()
-    seen, faults = judge.seen, tuple(storm.faults)
-    return Verdict(
-        story, tuple(judge.breaches), said, fleet.now, faults, seen["calls"], seen["restarts"], log
-    )
+    recovered, faults = judge.seen["recoveries"], tuple(storm.faults)
+    breaches = tuple(judge.breaches)
+    return Verdict(story, breaches, said, fleet.now, faults, judge.calls, judge.restarts, recovered, log)
 
 
 def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
@@ -81,14 +87,21 @@ def _happen(fleet: Fleet, storm: Storm, judge: Judge, story: Story) -> None:
     if story.journals:
         fleet.recall()
     judge.healed()
-    end = fleet.now + PATIENCE + story.unreachable_after
+    end = fleet.now + PATIENCE + story.unreachable_after + story.interval
     while judge.waits_for() and fleet.now < end and not judge.breaches:
+        # One that stood still may end in order, or give the others up, just when all is well again.
+        fleet.heal_all()
+        if story.journals:
+            fleet.recall(exits.UNHEARD)
         _until(fleet, judge, fleet.now + 1.0)
     if not judge.breaches:
         judge.end()
 
 
 def _until(fleet: Fleet, judge: Judge, when: float) -> None:
-    while fleet.now < when and not judge.breaches:
-        fleet.run(min(LOOK, when - fleet.now))
-        judge.look()
+    try:
+        while fleet.now < when and not judge.breaches:
+            fleet.run(min(LOOK, when - fleet.now))
+            judge.look()
+    except Endless as error:
+        judge.endless(str(error))

@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lfield.bytecode.program import ANY, BOOLEAN, INT, PROXY, REAL, REFERENCES, STRING, Program
+from lfield.bytecode.program import ANY, BOOLEAN, DEVICE, INT, PROXY, REAL, REFERENCES, STRING, Program
+from lfield.text.visible import clipped, in_one_line
 from lfield.vm.inspect.traceback import stack
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import (
     FRAME_SLOTS,
-    HEADER_WORDS,
     STATE_NAMES,
     THREAD_CALL,
     THREAD_ID,
@@ -49,13 +49,17 @@ class ThreadView:
 
 @dataclass(frozen=True, slots=True)
 class BlockView:
-    """A block in words. `heap` has, for each kind of thing, how many there are and their bytes."""
+    """A block in words. `heap` has, for each kind of thing, how many there are and their bytes.
+
+    `interval` is the heartbeat interval in seconds, 0 for none.
+    """
 
     id: str
     type: str
     kind: str
     hops: int
     trail: tuple[int, ...]
+    interval: float
     used: int
     fields: tuple[tuple[str, str], ...]
     threads: tuple[ThreadView, ...]
@@ -84,6 +88,7 @@ class _Decoder:
             record.kind,
             w[layout.W_HOPS],
             tuple(self.block.trail()),
+            self.block.interval,
             8 * self.block.top,
             fields,
             tuple(self.thread(place) for place in threads(self.block)),
@@ -117,7 +122,7 @@ class _Decoder:
         if not line:
             return ""
         text = self.program.debug.sources[self.program.debug.methods[method].source].text.splitlines()
-        return text[line - 1].strip() if line <= len(text) else ""
+        return in_one_line(text[line - 1].strip()) if line <= len(text) else ""
 
     def shown(self, kind: int, word: int, inner: bool = False) -> str:
         """A value of a type (by index), one level deep."""
@@ -126,18 +131,25 @@ class _Decoder:
             return "true" if word else "false"
         if record.kind == REAL:
             return real_text(real_of(word))
+        if record.kind == DEVICE:
+            return self.device(word)
         if record.kind == INT or record.kind not in REFERENCES:
             return str(word)
         if not word:
             return "null"
         if record.kind == STRING:
             text = self.block.string(word)
-            return f'"{text[:SHOWN_CHARACTERS]}…"' if len(text) > SHOWN_CHARACTERS else f'"{text}"'
+            return f'"{in_one_line(clipped(text, SHOWN_CHARACTERS + 1))}"'
         if record.kind == PROXY:
             number = self.block.w[word + layout.PROXY_MEMBER]
             name = self.members[number] if number < len(self.members) else number
             return f"proxy of {name}{'' if self.called(word) else ', not called yet'}"
         return self.composite(record.kind, word, inner)
+
+    def device(self, number: int) -> str:
+        """The name of a device of the resource."""
+        devices = self.program.core.classes[self.block.w[layout.W_CLASS]].devices
+        return f"device {devices[number - 1].name}" if 0 < number <= len(devices) else "no device"
 
     def called(self, proxy: int) -> bool:
         """Whether a proxy was called; of one of the version before that is not known."""
@@ -166,7 +178,7 @@ class _Decoder:
     def heap(self) -> tuple[tuple[str, int, int], ...]:
         count: Counter[str] = Counter()
         size: Counter[str] = Counter()
-        place, w = HEADER_WORDS, self.block.w
+        place, w = self.block.heap, self.block.w
         while place < self.block.top:
             head = w[place]
             name = self.kind_name(head)

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
-from lfield.bytecode.program import BUILTIN_CLASSES, MESSAGE, TRACE, Program
+from lfield.bytecode.program import MESSAGE, TRACE, Program
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, THREAD_FRAME, THREAD_PC
+
+#: Of a deep stack so many frames are shown.
+INNERMOST, OUTERMOST = 10, 6
+
+Frame = TypeVar("Frame")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,20 +41,33 @@ def stack(block: Block, program: Program, thread: int) -> list[Place]:
 
 
 def lines(block: Block, program: Program, thread: int) -> list[str]:
-    """`at Server.fib (cs.L:52)` for each frame, innermost first."""
-    return [
-        f"at {program.method_name(p.method)} ({p.file}:{p.line})"
-        if p.line
-        else f"at {program.method_name(p.method)}"
-        for p in stack(block, program, thread)
-    ]
+    """`at Server.fib (cs.L:52)` for each frame, innermost first; of a deep stack both ends."""
+    inner, between, outer = ends(stack(block, program, thread))
+    left_out = [f"... {between} more calls ..."] if between else []
+    return [*(_line(program, p) for p in inner), *left_out, *(_line(program, p) for p in outer)]
+
+
+def _line(program: Program, place: Place) -> str:
+    where = f" ({place.file}:{place.line})" if place.line else ""
+    return f"at {program.method_name(place.method)}{where}"
+
+
+def ends(frames: Sequence[Frame]) -> tuple[Sequence[Frame], int, Sequence[Frame]]:
+    """The innermost frames of a stack, how many are left out behind them, and the outermost ones.
+
+    The ends tell how a recursion was entered and what it does; a thousand frames between say the same again.
+    """
+    between = len(frames) - INNERMOST - OUTERMOST
+    if between <= 1:
+        return frames, 0, ()
+    return frames[:INNERMOST], between, frames[-OUTERMOST:]
 
 
 def describe(block: Block, program: Program, thrown: int) -> tuple[str, str, str]:
     """Class name, message and trace of a thrown object ('' where it has none)."""
     record = block.w[thrown] >> 8 & 0xFFFFFF
     name = program.core.classes[record].name
-    if record >= len(BUILTIN_CLASSES):
+    if record >= program.builtins:
         return name, "", ""
     w = block.w
     return name, block.text(w[thrown + 1 + MESSAGE]), block.text(w[thrown + 1 + TRACE])

@@ -62,6 +62,17 @@ class Block:
         self.r = view.cast("d")
         self.end = min(len(self.w), self.limit)
 
+    @property
+    def heap(self) -> int:
+        """The first word of the heap."""
+        old = self.w[layout.W_MAGIC] >> 32 == layout.OLD_VERSION
+        return layout.OLD_HEADER_WORDS if old else HEADER_WORDS
+
+    @property
+    def interval(self) -> float:
+        """The heartbeat interval of an agent's shadows in seconds, 0 for none (appendix I)."""
+        return self.w[layout.W_INTERVAL] / 1000 if self.heap > layout.W_INTERVAL else 0.0
+
     @contextmanager
     def reserve(self) -> Iterator[None]:
         """Allow what is above the limit too, for as long as it takes to say that the limit is reached."""

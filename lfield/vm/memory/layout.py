@@ -39,7 +39,13 @@ W_SEQUENCE = 14  # number of the last attempt to migrate
 W_HOPS = 15  # migrations made
 W_TRAIL = 16  # the last hosts, as numbers from 1 in the order of the deployment; a ring
 TRAIL_LENGTH = 16
-HEADER_WORDS = W_TRAIL + TRAIL_LENGTH
+W_INTERVAL = W_TRAIL + TRAIL_LENGTH  # heartbeat interval of its shadows in ms, 0 for none (appendix I)
+HEADER_WORDS = W_INTERVAL + 1
+#: Blocks of the version before have no interval.
+OLD_HEADER_WORDS = W_INTERVAL
+
+#: The longest heartbeat interval: a day, in milliseconds.
+MOST_INTERVAL = 86_400_000
 
 #: Header words that hold references: the collector's roots.
 ROOTS = (W_SELF, W_ID, W_THREADS)

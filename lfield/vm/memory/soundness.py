@@ -21,8 +21,8 @@ from lfield.vm.memory.layout import (
     FRAME_DEPTH,
     FRAME_RETURN,
     FRAME_SLOTS,
-    HEADER_WORDS,
     OBJECT,
+    OLD_HEADER_WORDS,
     PROXY_MEMBER,
     PROXY_START,
     PROXY_WORDS,
@@ -108,7 +108,8 @@ class Soundness:
     def check_heap(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """Any agent's block from its bytes, sound enough to be read; raises BlockError.
 
-        Blocks of the version before are read too: they only lack the second word of a proxy.
+        Blocks of the version before are read too: they only lack the last word of the header and the second
+        one of a proxy.
         """
         block = self._adopt(image, limit)
         sizes = self._sizes
@@ -151,7 +152,7 @@ class Soundness:
 
     def _adopt(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         size = len(image)
-        if size % 8 or size < 8 * HEADER_WORDS:
+        if size % 8 or size < 8 * OLD_HEADER_WORDS:
             raise BlockError(f"{size} bytes are no whole block")
         if size > 8 * limit:
             raise BlockError(f"{size} bytes are over the limit of {8 * limit}")
@@ -163,15 +164,17 @@ class Soundness:
         w = block.w
         if block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] != self.program.digest:
             raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
-        if w[layout.W_TOP] != size // 8:
+        if w[layout.W_TOP] != size // 8 or block.top < block.heap:
             raise BlockError("its size is not what it says", word=layout.W_TOP)
+        if not 0 <= block.interval <= layout.MOST_INTERVAL / 1000:
+            raise BlockError("its heartbeat interval is not sound", word=layout.W_INTERVAL)
         return block
 
     def _walk(self, block: Block, sizes: dict[int, int]) -> dict[int, int]:
         """The places of all things, each with the low half of its header."""
         w, top = block.w, block.top
         starts: dict[int, int] = {}
-        place = HEADER_WORDS
+        place = block.heap
         while place < top:
             head = w[place]
             half, words = head & 0xFFFFFFFF, head >> 32
@@ -218,8 +221,16 @@ class Soundness:
                 if not target:
                     continue
                 found = starts.get(target, 0)
-                if found != expected and (expected != ANY_OBJECT or found & 0xFF != OBJECT):
+                if found != expected and not self._is_kind(found, expected):
                     raise BlockError("a reference leads to no thing of its type", word=place + offset)
+
+    def _is_kind(self, found: int, expected: int) -> bool:
+        """Whether what a reference leads to is an object of a class that is a kind of the one expected."""
+        if found & 0xFF != OBJECT:
+            return False
+        return expected == ANY_OBJECT or (
+            expected & 0xFF == OBJECT and expected >> 8 in self.program.kinds[found >> 8]
+        )
 
     def _of_array(self, half: int, words: int) -> Expected:
         """What the elements of an array of references must lead to."""

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 from lfield.vm.contract import Trap
+from lfield.vm.memory.layout import PROXY_MEMBER
 from lfield.vm.reference.registers import Registers, Step
 
 Int2 = Callable[[int, int], int]
@@ -145,6 +146,20 @@ def string_compare(function: Compare, a: int, b: int, c: int | None, after: int)
         if ordered and not (left and right):
             raise Trap("NullException", "comparison with a null string")
         w[slots + a] = function(block.string(left) if left else None, block.string(right) if right else None)
+        return after
+
+    return step
+
+
+def proxy_compare(same: bool, a: int, b: int, c: int | None, after: int) -> Step:
+    """`a = whether b and c are for the same agent` (or not), whichever find they came from."""
+
+    def step(m: Registers) -> int:
+        w, slots = m.w, m.slots
+        left, right = w[slots + b], 0 if c is None else w[slots + c]
+        if left and right:
+            left, right = w[left + PROXY_MEMBER], w[right + PROXY_MEMBER]
+        w[slots + a] = (left == right) == same
         return after
 
     return step

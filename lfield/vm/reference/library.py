@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from lfield.bytecode.program import BUILTIN_CLASSES, MESSAGE, SOURCE
+from lfield.bytecode.program import MESSAGE, SOURCE
 from lfield.vm.contract import Trap
 from lfield.vm.memory import layout
 from lfield.vm.memory.values import real_text
@@ -92,6 +92,13 @@ def _round(m: Registers, value: float) -> float:
     return math.copysign(whole + (abs(value) - whole >= 0.5), value)
 
 
+def _smaller(a: float, b: float) -> float:
+    """The same in either order: not a number when one of them is none, and -0.0 is smaller than 0.0."""
+    if math.isnan(a) or math.isnan(b):
+        return math.nan
+    return math.copysign(a, min(math.copysign(1, a), math.copysign(1, b))) if a == b else min(a, b)
+
+
 def _whole(function: Callable[[float], int]) -> Function:
     return lambda m, value: value if math.isnan(value) or math.isinf(value) else float(function(value))
 
@@ -115,7 +122,7 @@ def _exception_text(field: int) -> Function:
     def get(m: Registers, place: int) -> int:
         if not place:
             raise null_use("exception")
-        if m.w[place] >> 8 & 0xFFFFFF < len(BUILTIN_CLASSES):
+        if m.w[place] >> 8 & 0xFFFFFF < m.builtins:
             return m.w[place + 1 + field] or m.block.new_string("")
         # An object of the program's own class: its name is all that is known of it.
         return m.block.new_string(_class_name(m, place) if field == MESSAGE else "")
@@ -127,6 +134,19 @@ def _exception_type(m: Registers, place: int) -> int:
     if not place:
         raise null_use("exception")
     return m.block.new_string(_class_name(m, place))
+
+
+def _heartbeat_interval(m: Registers, seconds: float) -> None:
+    if seconds == -1:
+        m.w[layout.W_INTERVAL] = 0
+    elif 0 < seconds <= layout.MOST_INTERVAL / 1000:
+        m.w[layout.W_INTERVAL] = max(1, round(1000 * seconds))
+    else:
+        raise Trap(
+            "ArithmeticException",
+            f"heartbeatInterval({real_text(seconds)}) is no interval: more than 0 and up to 86400 seconds, "
+            "or -1 for none",
+        )
 
 
 FUNCTIONS: dict[str, Function] = {
@@ -144,12 +164,13 @@ FUNCTIONS: dict[str, Function] = {
     "f2s_digits": _digits,
     "b2s": lambda m, value: _made(m, "true" if value else "false"),
     "hops": lambda m: m.w[layout.W_HOPS],
+    "heartbeat_interval": _heartbeat_interval,
     "abs_int": lambda m, value: abs(value),
     "abs_float": lambda m, value: abs(value),
     "min_int": lambda m, a, b: min(a, b),
-    "min_float": lambda m, a, b: min(a, b),
+    "min_float": lambda m, a, b: _smaller(a, b),
     "max_int": lambda m, a, b: max(a, b),
-    "max_float": lambda m, a, b: max(a, b),
+    "max_float": lambda m, a, b: -_smaller(-a, -b),
     "sqrt": _maths("sqrt", math.sqrt),
     "sin": _maths("sin", math.sin),
     "cos": _maths("cos", math.cos),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
-from lfield.bytecode.program import REAL, VOID, DeviceCall, MethodRecord, Program, Quad
+from lfield.bytecode.program import HELD, PROXY, REAL, VOID, DeviceCall, MethodRecord, Program, Quad
 from lfield.vm.contract import PLAIN, Trap
 from lfield.vm.memory.layout import Layouts
 from lfield.vm.reference import arithmetic, calls, memory
@@ -102,6 +102,8 @@ class _Preparer:
     def plain(self, pc: int, row: Opcode, method: MethodRecord) -> Step:
         _, a, b, c = self.quads[pc]
         name, after = row.name, pc + 1
+        if name in ("eqr", "sner") and self.core.types[method.slots[b]].kind == PROXY:
+            return arithmetic.proxy_compare(name == "eqr", a, b, c if c >= 0 else None, after)
         if name in arithmetic.INT:
             return arithmetic.int_binary(arithmetic.INT[name], a, b, *self.source(c), after)
         if name in arithmetic.REAL:
@@ -156,7 +158,16 @@ class _Preparer:
                 return _throw(a)
             case _:
                 assert name == "noreturn", name
-                return _no_return(method.name)
+                return self.no_return(method, after - 1)
+
+    def no_return(self, method: MethodRecord, pc: int) -> Step:
+        """The trap where a method with a result ends; a program of 0.3 has no class of its own for it."""
+        kind = "MissingReturnException"
+        known = kind in (record.name for record in self.core.classes[: self.core.builtins])
+        file, line = self.program.line(self.quads[method.entry].a, pc)
+        where = f" ({file}:{line})" if line else ""
+        message = f"'{method.name}' came to its end without a return{where}"
+        return _trap(kind if known else "Exception", message)
 
     def field_name(self, method: MethodRecord, slot: int, field: int) -> str:
         record = self.core.types[method.slots[slot]]
@@ -197,8 +208,10 @@ class _Preparer:
             checked = ""
             if row.name == "pcall":
                 checked = f"portal '{self.core.methods[head.a].name}'"
-            elif row.name in ("write_str", "print_str", "find"):
+            elif row.name in ("write_str", "print_str", "find", "agent", "host"):
                 checked = f"'{row.name.partition('_')[0]}'"
+            elif row.name == "device" and self.core.device_calls[head.a].field == HELD:
+                checked = f"device of '{self.core.device_calls[head.a].instruction}'"
             ask = calls.outside(arguments, head.op, head.a, checked)
             if row.name == "device" and not arguments and self.device_result(head.a) in PLAIN:
                 return calls.reading(ask, head.a, into, after)
@@ -240,7 +253,7 @@ _KINDS = {"int": 2, "string": 4, "ref": 5, "boolean": 1}
 def _pure(
     function: Function, getters: list[tuple[bool, int | None, Any]], into: int, real: bool, after: int
 ) -> Step:
-    """A head that the engine does itself."""
+    """A head that the engine does itself; `into` is below 0 for one without a result."""
     if len(getters) == 1 and getters[0][1] is not None and not getters[0][0] and not real:
         slot = getters[0][1]
 
@@ -258,6 +271,8 @@ def _pure(
             for is_real, slot, constant in getters
         ]
         result = function(m, *values)
+        if into < 0:
+            return after
         if real:
             m.r[slots + into] = result
         else:
@@ -277,9 +292,9 @@ def _throw(slot: int) -> Step:
     return step
 
 
-def _no_return(name: str) -> Step:
+def _trap(kind: str, message: str) -> Step:
     def step(m: Registers) -> int:
-        raise Trap("Exception", f"'{name}' came to its end without a return")
+        raise Trap(kind, message)
 
     return step
 

@@ -17,6 +17,7 @@ class Registers:
     __slots__ = (
         "asked",
         "block",
+        "builtins",
         "class_names",
         "exit",
         "frame",
@@ -42,6 +43,8 @@ class Registers:
     exit: Exit
     limits: Limits
     class_names: list[str]
+    #: How many of the first classes are built in.
+    builtins: int
     #: The agent's readings by device call, None where the host has to be asked; the time that judges them.
     readings: Sequence[Reading | None]
     now: Callable[[], float]

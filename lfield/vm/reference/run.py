@@ -28,6 +28,7 @@ class Engine:
         self.prepared: Prepared = prepare(program)
         self._registers = Registers()
         self._registers.now = now
+        self._registers.builtins = program.builtins
 
     @property
     def layouts(self) -> Layouts:

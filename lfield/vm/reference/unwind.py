@@ -14,11 +14,11 @@ def find_handler(
     """The frame and handler that catch the object at `thrown`, or None. Changes nothing."""
     w = block.w
     head = w[thrown]
-    record = head >> 8 & 0xFFFFFF if head & 0xFF == OBJECT else 0
+    kinds = program.kinds[head >> 8 & 0xFFFFFF if head & 0xFF == OBJECT else 0]
     while frame:
         method = program.core.methods[w[frame] >> 8 & 0xFFFFFF]
         for handler in method.handlers:
-            if handler.start <= pc < handler.end and handler.catches in (0, record):
+            if handler.start <= pc < handler.end and handler.catches in kinds:
                 return frame, handler
         # A caller stands behind its call; the call itself is the instruction before.
         pc = w[frame + FRAME_RETURN] - 1

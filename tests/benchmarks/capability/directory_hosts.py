@@ -35,7 +35,8 @@ from lfield.net.framed import FramedLink
 from lfield.net.peers import Peers
 from lfield.net.tcp import TcpTransport
 from lfield.net.transport import Link
-from lfield.wire.messages import Control, Hello, Message, Transfer
+from lfield.wire.coordinators import Transfer
+from lfield.wire.messages import Control, Hello, Message
 
 #: Seconds between the last link and the measurement.
 SETTLE = 3.0

@@ -126,9 +126,12 @@ class Mission:
 
     def up(self, checkout: Checkout, processes: Processes) -> list[Child]:
         """Start a process for each host."""
+        return [self.host(checkout, processes, host) for host in self.addresses]
+
+    def host(self, checkout: Checkout, processes: Processes, host: str, *, merged: bool = False) -> Child:
+        """Start the process of one; with `merged` its log is read, too."""
         memory = ("--state", str(self.folder / "state")) if self.kept else checkout.keeping_nothing
-        words = ("up", *self.words, *memory, "--host")
-        return [checkout.lfield(processes, *words, host) for host in self.addresses]
+        return checkout.lfield(processes, "up", *self.words, *memory, "--host", host, merged=merged)
 
 
 def paced_mission(

@@ -26,10 +26,22 @@ _HERE = Path(__file__).parent
 
 def hops(checkout: Checkout, processes: Processes, *, kept_on_disk: bool = False) -> Contender:
     """The coordinator of hop.L, on two hosts."""
+    return paced_mission(checkout, processes, _HERE / "hop.L", _agents(), kept=kept_on_disk)
+
+
+def leased_hops(checkout: Checkout, processes: Processes) -> Contender:
+    """The same, and other hosts may go on with it; so there is a third, without agents."""
+    first = "        near = findPost"
+    text = (_HERE / "hop.L").read_text(encoding="utf-8")
+    program = processes.folder() / "hop.L"
+    program.write_text(text.replace(first, f"        heartbeatInterval(3.0);\n{first}"), encoding="utf-8")
+    return paced_mission(checkout, processes, program, (*_agents(), "//@c"), kept=True)
+
+
+def _agents() -> tuple[str, ...]:
     words = "&".join(str(word) for word in (CALLS, WARM_UP, *SIZES))
     kept = CALLS // 2
-    agents = f"//Post:near@a?{kept}", f"//Post:far@b?{kept}", f"//Traveller:traveller@a?{words}"
-    return paced_mission(checkout, processes, _HERE / "hop.L", agents, kept=kept_on_disk)
+    return f"//Post:near@a?{kept}", f"//Post:far@b?{kept}", f"//Traveller:traveller@a?{words}"
 
 
 def calls(library: str, share: float = 1.0) -> Opener:
@@ -60,6 +72,7 @@ FIGURE = Figure(
     {
         "lfield: a hop": hops,
         "lfield: a hop, kept on disk": partial(hops, kept_on_disk=True),
+        "lfield: a hop, kept, under leases": leased_hops,
         "TCP, one way (half an echo)": calls("TCP", 0.5),
         "Pyro5, method call": calls("Pyro5"),
         "RPyC, method call": calls("RPyC"),

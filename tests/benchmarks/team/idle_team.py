@@ -1,9 +1,10 @@
 """A team in which nothing happens, on simulated computers, for the figure `traffic`.
 
-    idle_team.py HOSTS SECONDS
+    idle_team.py HOSTS SECONDS [fenced]
 
 prints what a host sends each second (messages, bytes), and the seconds of a processor that starting the team
-took, and then each second of virtual time.
+took, and then each second of virtual time. With `fenced` there is a coordinator that waits, and that a
+majority of the hosts, of nine of them where there are more, may recover.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import time
 from pathlib import Path
 from unittest import mock
 
+from lfield.mission.bindings import MOST_MEMBERS
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 from lfield.net import framed
@@ -23,21 +25,34 @@ from lfield.wire.messages import Message
 #: Seconds of virtual time in which a team comes up.
 SETTLE = 10.0
 _PROGRAM = "resource Post { init(string[] arg) { } portal stay() { } }\n"
+_MEMBERS = [f"host{n}" for n in range(MOST_MEMBERS)]
+_FENCED = """coordinator Waits {
+    init(string[] arg) {
+        heartbeatInterval(3.0);
+        Post post = findPost()[0];
+        while (true) { post.stay(); sleep(60.0); }
+    }
+}
+"""
 
 
-def mission(hosts: int) -> Mission:
-    """A team of so many, with a resource on each."""
+def mission(hosts: int, *, fenced: bool = False) -> Mission:
+    """A team of so many, with a resource on each; `fenced`: with a coordinator under leases."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "idle.L").write_text(_PROGRAM)
-        (folder / "idle.dL").write_text("".join(f"//Post:post{n}@host{n}\n" for n in range(hosts)))
+        (folder / "idle.L").write_text(_PROGRAM + _FENCED * fenced)
+        posts = "".join(f"//Post:post{n}@host{n}\n" for n in range(hosts))
+        (folder / "idle.dL").write_text(posts + "//Waits:w@host0\n" * fenced)
+        if fenced:
+            members = f"recovery: {{members: [{', '.join(_MEMBERS[:hosts])}]}}\n"
+            (folder / "idle.devices.yaml").write_text(members)
         return load_mission(folder / "idle.dL")
 
 
 def main() -> None:
     """Measure one team."""
     hosts, seconds = int(sys.argv[1]), float(sys.argv[2])
-    team = mission(hosts)
+    team = mission(hosts, fenced="fenced" in sys.argv[3:])
     messages = sent = 0
     encoded = framed.encode
 

@@ -139,7 +139,7 @@ def test_both_readers_agree(text: str) -> None:
         ('note == "open', "this text is not closed", 'close it with "'),
         ("note == 'one'", "text stands in straight double quotes", ""),
         ("payload > 2kg", "'2kg' is not a number", "write 12 or 1.5 or 1e3"),
-        ("payload & ready", "L has no operator &", "write &&"),
+        ("payload & ready", "a condition has no operator &", "write &&"),
         ("payload > 1e999", "the number 1e999 does not fit into 64 bits", ""),
         ("(payload > 1", "missing ) after this", "it closes the ("),
         ('note == "\\q"', "\\q is not an escape", r"the escapes are \n \t \r \0 \" \\ and \u{...}"),

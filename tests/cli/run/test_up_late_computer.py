@@ -84,7 +84,7 @@ def test_ps_and_doctor_show_how_late_it_is(lfield):
     assert 0.0 <= told["alpha"]["late"] < 2.0
     assert (told["bravo"]["late"], told["bravo"]["silence"]) == (None, None)
     shown = lfield("ps", "--deploy", deployment).out
-    assert any(line.split() == ["HOST", "LATE", "SILENCE", "JOURNAL"] for line in shown)
+    assert any(line.split() == ["HOST", "LATE", "SILENCE", "LEASE", "JOURNAL"] for line in shown)
     doctor = lfield("doctor")
     said = ("ok      this computer was late by", "warning this computer cannot keep 'silence: 0.2'")
     assert any(line.startswith(said) for line in doctor.out), doctor.said

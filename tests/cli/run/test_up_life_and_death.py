@@ -213,7 +213,7 @@ def test_all_listens_where_map_says_and_elsewhere_on_free_ports(lfield):
     words = ("up", "--deploy", deployment, "--all", "--until-done", "--map")
     done = lfield(*words, f"bravo=127.0.0.1:{port}")
     assert lfield.status(done) == 0, done.said
-    assert f"bravo | bravo is up on 127.0.0.1:{port}" in done.err
+    assert f"bravo | bravo is up on 127.0.0.1:{port}, and keeps nothing" in done.err
     assert any(line.startswith("alpha | alpha is up on 127.0.0.1:") for line in done.err)
 
 

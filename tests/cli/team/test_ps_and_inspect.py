@@ -10,7 +10,8 @@ from msgspec.structs import replace
 
 from lfield.cli.views import picture
 from lfield.errors import AddressError
-from lfield.wire.messages import AgentStatus, DeviceStatus, Known, LinkStatus, Status, Told, ToldFact
+from lfield.wire.coordinators import Known
+from lfield.wire.observing import AgentStatus, DeviceStatus, LinkStatus, Status, Told, ToldFact
 
 pytestmark = pytest.mark.process
 
@@ -127,6 +128,8 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "latched": {"near.arm": "lost", "near.eye": "lost"},
             "late": None,
             "silence": None,
+            "lease": None,
+            "paused": False,
             "journal": None,
             "moving": {"near.arm": "4 m up"},
             "directory": {
@@ -156,7 +159,12 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
 def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
     idle = Status("carol", "127.0.0.1:3", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [])
     flying = replace(
-        idle, host="alpha", devices=[DeviceStatus("near.fc", {}, 0.25, "")], late=0.0312, silence=0.2
+        idle,
+        host="alpha",
+        devices=[DeviceStatus("near.fc", {}, 0.25, "")],
+        late=0.0312,
+        silence=0.2,
+        lease=1.46,
     )
     answers = {"alpha": flying, "bravo": AddressError("127.0.0.1:2", "nobody listens there"), "carol": idle}
     told = json.loads(picture.as_json(answers))
@@ -165,8 +173,8 @@ def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
     picture.show(answers)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert rows[-3:] == [
-        ["HOST", "LATE", "SILENCE", "JOURNAL"],
-        ["alpha", "0.031", "s", "0.2", "s", "keeps", "nothing"],
+        ["HOST", "LATE", "SILENCE", "LEASE", "JOURNAL"],
+        ["alpha", "0.031", "s", "0.2", "s", "1.5", "s", "keeps", "nothing"],
         ["carol", "keeps", "nothing"],
     ]
 

@@ -9,7 +9,7 @@ import pytest
 
 from lfield.cli.main import main
 from lfield.errors import AddressError, GreetingError
-from lfield.wire.messages import Status, Told, ToldFact
+from lfield.wire.observing import Status, Told, ToldFact
 
 CAPABILITIES = """\
 registry: 1

@@ -110,3 +110,16 @@ def test_a_host_that_keeps_nothing_says_so(fleet):
         assert "keeps nothing" in shown(home)
 
     fleet(story)
+
+
+def test_how_earlier_starts_ended_is_past(fleet):
+    async def story(team):
+        mission = team.mission("coordinator Guest { init(string[] arg) { } }", "//Guest:guest@home\n")
+        for run in range(1, 4):
+            (home,) = await team.up(mission, keeps=True)
+            await team.until(lambda host=home.host, run=run: len(host.status().coordinators) == run)
+            await home.host.stop()
+        assert [known.outcome for known in home.host.status().coordinators] == ["done"] * 3
+        assert shown(home).count("done") == 1
+
+    fleet(story)

@@ -6,16 +6,17 @@ import os
 
 import pytest
 from planted_bugs import BUGS, Bug
+from planted_quorum_bugs import QUORUM_BUGS
 
 from lfield.simulate.seeds import first_broken, told
 
-by_name = pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name)
+by_name = pytest.mark.parametrize("bug", [*BUGS, *QUORUM_BUGS], ids=lambda bug: bug.name)
 
 
 @by_name
 def test_a_planted_bug_is_found(bug: Bug, monkeypatch: pytest.MonkeyPatch) -> None:
     bug.plant(monkeypatch)
-    found = told(bug.seed, forget=bug.forget).breaches
+    found = told(bug.seed, bug.draws).breaches
     assert found, bug.why
     assert found[0].name in bug.breaches
 
@@ -24,7 +25,7 @@ def test_a_planted_bug_is_found(bug: Bug, monkeypatch: pytest.MonkeyPatch) -> No
 @by_name
 def test_a_planted_bug_is_found_within_a_thousand_seeds(bug: Bug, monkeypatch: pytest.MonkeyPatch) -> None:
     bug.plant(monkeypatch)
-    found = first_broken(range(1000), forget=bug.forget)
+    found = first_broken(range(1000), bug.draws)
     assert found is not None, bug.why
     print(f"{bug.name}: {found.story.seed + 1} seeds; {found.breaches[0]}")
     assert found.breaches[0].name in bug.breaches

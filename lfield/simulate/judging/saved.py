@@ -23,3 +23,9 @@ def nowhere(pages: Iterable[Page], starts: Iterable[tuple[str, int]]) -> list[tu
     """The starts of coordinators of which no disk holds a state; `pages` are those of all disks."""
     held = {(page.agent, page.generation) for page in pages if isinstance(page, CopyPage) and saved(page)}
     return [start for start in starts if start not in held]
+
+
+def shadowed(agent: str, pages: Iterable[Page]) -> bool:
+    """Whether any of these pages is enough for a majority to go on with a coordinator."""
+    own = [page for page in pages if isinstance(page, CopyPage) and page.agent == agent]
+    return any(page.state != "EXITED" and (page.block or page.state == "RUN") for page in own)

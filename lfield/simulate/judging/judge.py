@@ -6,53 +6,36 @@ I3  no resource starts a portal for an older copy than the newest that it has se
 I4  no portal call is started twice, and none is skipped without being told
 I5  at every moment some disk holds a state to go on from (`saved.py`)
 
-Beside them: no start has the number of an earlier one, nobody is called lost who lives, no device moves for
-nobody or has two owners, no host fails, and whoever may go on after the weather does.
+Of a coordinator that a majority may recover a copy may stand beside its successor, as long as it begins no
+call and commands no device once that one goes on (`calls.py`, `devices.py`). Beside them: no start has the
+number of an earlier one, nobody is called lost who lives, no device moves for nobody or has two owners, no
+host fails, and whoever may go on after the weather does.
 """
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass, field
 
-from lfield.journal.pages import CopyPage
-from lfield.mobility.departures import RESTARTED
+from lfield.journal.pages import CopyPage, Page
+from lfield.mobility.generations import is_recovery
 from lfield.simulate.fleet import Fleet, Life
-from lfield.simulate.saved import nowhere
-from lfield.simulate.witness import tap
+from lfield.simulate.judging.breaches import Breach, Breaches
+from lfield.simulate.judging.calls import Calls
+from lfield.simulate.judging.devices import Devices
+from lfield.simulate.judging.saved import nowhere, shadowed
+from lfield.simulate.judging.witness import tap
 from lfield.vm.agent import Agent
-from lfield.wire.messages import Transfer
+from lfield.wire.coordinators import Transfer
 
 #: A coordinator and one start of it.
 Start = tuple[str, int]
 
 #: A start that is younger than so many seconds may not be known yet to whoever says lost.
 YOUNG = 3.0
-#: So many seconds a device may move after its last command: an act, or a silence and the way to rest.
-MOVES = 6.0
 #: So many calls must come to an end after the weather.
 ENOUGH = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Breach:
-    """A promise that was broken: its name, when in true time, on which hosts, and a sentence."""
-
-    name: str
-    at: float
-    hosts: tuple[str, ...]
-    sentence: str
-
-    def __str__(self) -> str:
-        return f"{self.name} at {self.at:.3f} s on {', '.join(self.hosts) or 'no host'}: {self.sentence}"
-
-
-@dataclass(slots=True, eq=False)
-class _Call:
-    """What is known of one call: how often it began, and what its caller said of it."""
-
-    begun: int = 0
-    told: str = ""
 
 
 @dataclass(slots=True, eq=False)
@@ -62,9 +45,12 @@ class _Seen:
     first: float
     holders: set[Life] = field(default_factory=set)
     running: set[Life] = field(default_factory=set)
-    #: The hosts that may have it, each with the memory that would tell; and the lives that it has drawn.
+    #: Who has ever had it.
+    knew: set[Life] = field(default_factory=set)
+    #: The hosts that may have it, each with the memory that would tell; that to which it has come, until it
+    #: is seen on the disk there.
     places: dict[str, int] = field(default_factory=dict)
-    lives: set[str] = field(default_factory=set)
+    unsaved: str = ""
     #: Its last copy that was in a machine.
     copy: Agent | None = None
 
@@ -75,40 +61,53 @@ class _Seen:
 
 
 class Judge:
-    """Watches one team. `breaches` has what was found, each kind once.
+    """Watches one team: `fleet` must be set before anything happens. `breaches` has what was found.
 
     Where hosts have journals no coordinator may be lost, whoever dies.
     """
 
     def __init__(self) -> None:
-        self.breaches: list[Breach] = []
         self.fleet: Fleet
+        self.breaches: list[Breach] = Breaches(lambda: self.fleet.now)
+        self._breach = self.breaches.add
+        self._calls = Calls(self.breaches, lambda agent: self._newest_at(agent, math.inf))
+        self._devices = Devices(self.breaches, self._calls.made_for, self._newest_at)
         #: How much was seen: a judge who sees nothing finds nothing.
-        self.seen = dict.fromkeys(("injections", "calls", "starts", "restarts"), 0)
+        self.seen = dict.fromkeys(("injections", "starts", "recoveries"), 0)
+        #: When which recovery of each agent was the first to go on.
+        self._gone_on: defaultdict[str, dict[int, float]] = defaultdict(dict)
         self._starts: dict[Start, _Seen] = {}
         self._newest: dict[str, int] = {}
         #: The starts whose number was given twice, by a host that had lost its disk.
         self._void: set[Start] = set()
         self._injected: set[tuple[str, int, int]] = set()
+        #: The starts that a life has found on its disk, and that have not gone on from there.
+        self._kept: set[tuple[Life, Start]] = set()
         self._agents: defaultdict[Life, list[Agent]] = defaultdict(list)
         self._lives: dict[int, Life] = {}
-        self._calls: dict[str, dict[int, _Call]] = defaultdict(dict)
-        self._served: dict[tuple[str, str], int] = {}
-        self._ended: defaultdict[str, int] = defaultdict(int)
-        self._over: set[str] = set()
+        #: The disk that each life has begun with, should somebody take the life for what remembers.
+        self._memories: dict[int, int] = {}
         self._told = 0
-        self._commands: dict[str, int] = {}
-        self._actuated: set[tuple[object, ...]] = set()
-        self._moves_since: dict[str, float] = {}
 
     def born(self, name: str, life: Life) -> None:
         """A host's process begins."""
         self._lives[life.core.incarnation] = life
+        self._memories[life.core.incarnation] = life.host.scribe.memory
         tap(life, self)
 
-    def _breach(self, name: str, hosts: tuple[str, ...], sentence: str) -> None:
-        if all(name != breach.name for breach in self.breaches):
-            self.breaches.append(Breach(name, self.fleet.now, hosts, sentence))
+    @property
+    def calls(self) -> int:
+        """How many calls began."""
+        return self._calls.begun
+
+    @property
+    def restarts(self) -> int:
+        """How many exceptions told a walker that it goes on elsewhere, or again."""
+        return self._calls.restarts
+
+    def _newest_at(self, agent: str, when: float) -> int:
+        """The last recovery of an agent that had gone on at that time, 0 for none."""
+        return max((start for start, at in self._gone_on[agent].items() if at < when), default=0)
 
     # --- what is seen: copies ---------------------------------------------------------------------------
 
@@ -124,13 +123,23 @@ class Judge:
     def _again(self, life: Life, agent: Agent, newest: int) -> None:
         """A number that is not new: of who had called nothing yet, or it tells nothing any more."""
         before = self._starts.get((agent.id, agent.generation))
-        calls = [call for who in before.lives for call in self._calls[who].values()] if before else []
-        if before and self.fleet.keeps and not any(call.begun for call in calls):
+        begun = self._calls.any_of(agent.id, agent.generation)
+        start = agent.id, agent.generation
+        moved = any(transfer[:2] == start for transfer in self._injected)
+        if before and self.fleet.keeps and not moved and not begun:
             return
-        if self._remembers(life.core.name):
+        if self._remembers(life.core.name) or self._known(agent, life.core.name):
             found = f"{agent.id} was started as {agent.generation}, which is not above {newest}"
             self._breach("start", (life.core.name,), found)
-        self._void.add((agent.id, agent.generation))
+        self._void.add(start)
+
+    def _known(self, agent: Agent, home: str) -> bool:
+        """Whether another host that lives has had this start, or one with a higher number."""
+        starts = (
+            s for start, s in self._starts.items() if start[0] == agent.id and start[1] >= agent.generation
+        )
+        knew = {life for seen in starts for life in seen.knew}
+        return any(not life.process.loop.dead and life.core.name != home for life in knew)
 
     def admitted(self, life: Life, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into a machine."""
@@ -140,33 +149,47 @@ class Judge:
             if transfer in self._injected and transfer[:2] not in self._void:
                 self._breach("I2", (life.core.name,), f"transfer {transfer} was injected twice")
             self._injected.add(transfer)
+        before = dict(self._starts[transfer[:2]].places) if transfer[:2] in self._starts else {}
         self._held(life, agent)
+        seen = self._starts[transfer[:2]]
+        seen.places, seen.unsaved = before | seen.places, life.core.name
 
-    def _went_back(self, agent: Agent) -> None:
-        """It goes on from a disk, and may not know any more of which calls it was told that they failed."""
-        seen = self._starts.get((agent.id, agent.generation))
-        for who in seen.lives if seen else ():
-            for call in self._calls[who].values():
-                if call.told == "failed":
-                    call.told = "forgotten"
+    def restored(self, life: Life, agent: Agent) -> None:
+        """A host has found a coordinator on its own disk."""
+        self._kept.add((life, (agent.id, agent.generation)))
+
+    def _goes_on_from_disk(self, life: Life, start: Start) -> None:
+        """It may not know any more of which calls it was told that they failed."""
+        if (life, start) not in self._kept:
+            return
+        self._kept.discard((life, start))
+        self._calls.goes_back(start[0])
 
     def may_run(self, life: Life, agent: Agent, kind: str) -> None:
         """A frozen coordinator may run again, with this exception: whoever it was sent to has it not."""
-        if kind == RESTARTED:
-            self._went_back(agent)
+        self._goes_on_from_disk(life, (agent.id, agent.generation))
         self._held(life, agent)
 
     def _held(self, life: Life, agent: Agent) -> None:
         seen = self._starts.setdefault((agent.id, agent.generation), _Seen(self.fleet.now))
+        self._goes_on(agent)
         seen.holders, seen.copy = {life}, agent
-        seen.places = {life.core.name: life.host.scribe.memory}
+        seen.knew.add(life)
+        seen.places, seen.unsaved = {life.core.name: life.host.scribe.memory}, ""
         if all(agent is not other for other in self._agents[life]):
             self._agents[life].append(agent)
         self._look(life)
 
+    def _goes_on(self, agent: Agent) -> None:
+        if is_recovery(agent.generation) and not agent.frozen:
+            gone_on = self._gone_on[agent.id]
+            self.seen["recoveries"] += agent.generation not in gone_on
+            gone_on.setdefault(agent.generation, self.fleet.now)
+
     def sent(self, life: Life, header: Transfer, target: str, incarnation: int) -> None:
         """A coordinator was sent: whoever gets it may have it now."""
         receiver, seen = self._lives.get(incarnation), self._starts.get((header.agent, header.generation))
+        self._goes_on_from_disk(life, (header.agent, header.generation))
         if seen is not None:
             seen.places[target] = header.receiver_memory
         if seen is not None and receiver is not None:
@@ -203,68 +226,16 @@ class Judge:
             hosts = tuple(sorted(other.core.name for other in running))
             self._breach("I1", hosts, f"{start[0]} of start {start[1]} can run on {len(hosts)} hosts")
 
-    # --- what is seen: calls ----------------------------------------------------------------------------
-
     def said(self, life: Life, agent: Agent, text: str) -> None:
-        """A program has written something: a word, a life of a coordinator, the number of a call."""
-        for line in text.splitlines():
-            word, who, *more = line.split()
-            if word == "over":
-                self._over.add(who.partition(".")[0])
-            elif word == "born":
-                self._starts[agent.id, agent.generation].lives.add(who)
-            elif word == "restarted":
-                self._restarted(life.core.name, who, int(more[0]), " ".join(more))
-            elif more:
-                self._call(life.core.name, agent.id, word, who, int(more[0]))
-
-    def _restarted(self, host: str, who: str, number: int, text: str) -> None:
-        """A call that may have begun, or has not; what came after it had not begun, and is forgotten."""
-        self.seen["restarts"] += 1
-        calls = self._calls[who]
-        later = sorted(n for n in calls if n > number)
-        for begun in (n for n in later if calls[n].begun):
-            found = f"{who} went back to call {number}, and call {begun} had begun"
-            self._breach("I4", (host,), found)
-        for n in later:
-            del calls[n]
-        self._call(host, "", "failed" if "has not begun" in text else "threw", who, number)
-
-    def _call(self, host: str, by: str, word: str, who: str, number: int) -> None:
-        call = self._calls[who].setdefault(number, _Call())
-        if word == "begin":
-            self._begin(host, by, who, number, call)
-        elif word in ("done", "failed", "threw"):
-            self._ended[who.partition(".")[0]] += 1
-            call.told = word
-            if word == "done" and call.begun != 1:
-                self._breach(
-                    "I4", (host,), f"call {number} of {who} is done, and it began {call.begun} times"
-                )
-            if word == "failed" and call.begun:
-                self._breach("I4", (host,), f"call {number} of {who} could not be made, and it has begun")
-
-    def _begin(self, host: str, resource: str, who: str, number: int, call: _Call) -> None:
-        self.seen["calls"] += 1
-        call.begun += 1
-        if call.begun > 1:
-            self._breach("I4", (host,), f"call {number} of {who} began again, on {resource}")
-        if call.told == "failed":
-            self._breach("I4", (host,), f"call {number} of {who} began after it could not be made")
-        before = self._calls[who].get(number - 1)
-        if number > 1 and (before is None or not before.told):
-            self._breach("I4", (host,), f"call {number} of {who} began, and call {number - 1} has no end")
-        newest = self._served.get((resource, who), 0)
-        if number < newest:
-            self._breach("I3", (host,), f"{resource} served call {number} of {who} after call {newest}")
-        self._served[resource, who] = max(newest, number)
+        """A program has written something."""
+        self._calls.said(life, agent, text)
 
     # --- what is seen: devices and logs -----------------------------------------------------------------
 
     def look(self) -> None:
         """Look at devices and logs; several times a second."""
-        for name in self.fleet.hardware:
-            self._device(name)
+        for name, hardware in self.fleet.hardware.items():
+            self._devices.look(name, hardware, self.fleet.now)
         for at, host, text in self.fleet.log[self._told :]:
             self._line(at, host, text)
         self._told = len(self.fleet.log)
@@ -272,13 +243,22 @@ class Judge:
             self._disks()
 
     def _disks(self) -> None:
-        going = [(agent, self._goes_on(agent)) for agent in self._newest if agent not in self._over]
-        pages = (page for disk in self.fleet.disks.values() for page in disk.pages())
+        going = [(agent, self._latest(agent)) for agent in self._newest if agent not in self._calls.over]
+        kept = [(name, page) for name, disk in self.fleet.disks.items() for page in disk.pages()]
+        for name, page in kept:
+            self._is_saved(name, page)
+        pages = (page for _, page in kept)
         for agent, start in nowhere(pages, [(agent, start) for agent, start in going if start]):
             if not self._doubtful((agent, start)):
                 self._breach("I5", (), f"no disk holds {agent} of start {start}, and it has not ended")
 
-    def _goes_on(self, agent: str) -> int:
+    def _is_saved(self, name: str, page: Page) -> None:
+        """Whoever sent it need keep nothing any more, once it is on the disk where it has come to."""
+        seen = self._starts.get((page.agent, page.generation)) if isinstance(page, CopyPage) else None
+        if seen and seen.unsaved == name and isinstance(page, CopyPage) and page.state == "RUN":
+            seen.places, seen.unsaved = {name: seen.places[name]}, ""
+
+    def _latest(self, agent: str) -> int:
         """The latest start that has not given way to another, 0 if all have."""
         starts = (s for s, seen in self._starts.items() if s[0] == agent and not seen.gave_way)
         return max((generation for _, generation in starts), default=0)
@@ -298,23 +278,7 @@ class Judge:
         return not runs and any(self._is_gone(page.target, page.memory) for page in sent)
 
     def _is_gone(self, name: str, memory: int) -> bool:
-        return self.fleet.disks[name].identity != memory
-
-    def _device(self, name: str) -> None:
-        hardware, now = self.fleet.hardware[name], self.fleet.now
-        if len(hardware.owners) > 1:
-            self._breach("device", (), f"{name} has {len(hardware.owners)} owners")
-        for told in hardware.record[self._commands.get(name, 0) :]:
-            self._moves_since[name] = told.at
-            if told.what == "setVelocity" and told.arguments in self._actuated:
-                self._breach("I4", (), f"{name} was commanded twice for call {told.arguments[:2]}")
-            if told.what == "setVelocity":
-                self._actuated.add(told.arguments)
-        self._commands[name] = len(hardware.record)
-        if not hardware.moving:
-            self._moves_since[name] = now
-        elif now - self._moves_since.get(name, now) > MOVES:
-            self._breach("device", (), f"{name} moves, and nobody has commanded it for {MOVES:g} s")
+        return self.fleet.disks[name].identity != self._memories.get(memory, memory)
 
     def _line(self, at: float, host: str, text: str) -> None:
         if "bug in lfield" in text:
@@ -328,11 +292,15 @@ class Judge:
                     hosts = (host, *sorted(life.core.name for life in running))
                     self._breach("lost", hosts, f"{text.strip()}, while start {start[1]} lives")
 
+    def endless(self, sentence: str) -> None:
+        """More happens than may."""
+        self._breach("endless", (), sentence)
+
     # --- after the weather ------------------------------------------------------------------------------
 
     def healed(self) -> None:
         """The weather is over: from now on everybody must get on."""
-        self._ended.clear()
+        self._calls.ended.clear()
 
     def waits_for(self) -> list[str]:
         """The coordinators that may go on, and have not done so enough."""
@@ -344,9 +312,11 @@ class Judge:
         return {member.id: team.hosts[member.host] for member in team.coordinators}
 
     def _owed(self, agent: str) -> bool:
-        if agent in self._over or self._ended[agent] >= ENOUGH:
+        if agent in self._calls.over or self._calls.ended[agent] >= ENOUGH:
             return False
-        if generation := self._goes_on(agent):
+        if agent in self.fleet.mission.fenced:
+            return shadowed(agent, self.fleet.pages_left)
+        if generation := self._latest(agent):
             start = agent, generation
             if self.fleet.keeps:
                 return not self._doubtful(start)

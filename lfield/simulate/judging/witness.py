@@ -10,8 +10,8 @@ from typing import Any, Protocol
 
 from lfield.simulate.fleet import Life
 from lfield.vm.agent import Agent, Member
+from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Transfer
 
 
 class Sees(Protocol):
@@ -22,6 +22,9 @@ class Sees(Protocol):
 
     def admitted(self, life: Life, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into the machine; it `came` over a link, or else from the host's own disk."""
+
+    def restored(self, life: Life, agent: Agent) -> None:
+        """A coordinator was put into the machine as the host's own disk has it."""
 
     def may_run(self, life: Life, agent: Agent, kind: str) -> None:
         """A frozen coordinator may run again."""
@@ -59,6 +62,11 @@ def tap(life: Life, sees: Sees) -> None:
         sees.admitted(life, agent, came=bool(coming))
         return agent
 
+    def restore(go: Callable[..., Agent], *more: Any) -> Agent:
+        agent = go(*more)
+        sees.restored(life, agent)
+        return agent
+
     def resume(go: Callable[..., None], agent: Agent, kind: str, *more: Any) -> None:
         go(agent, kind, *more)
         sees.may_run(life, agent, kind)
@@ -81,8 +89,8 @@ def tap(life: Life, sees: Sees) -> None:
         go(agent, text)
 
     for place, wire in (
-        (machine, start), (machine, admit), (machine, resume), (core, arrived), (core, run),
-        (core, write), (core, log), (peers, send_transfer),
+        (machine, start), (machine, admit), (machine, restore), (machine, resume),
+        (core, arrived), (core, run), (core, write), (core, log), (peers, send_transfer),
     ):  # fmt: skip
         _tap(place, wire)
 

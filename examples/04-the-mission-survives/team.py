@@ -1,0 +1,121 @@
+"""The fakes and the hosts of one deployment as processes, and all that these hosts say."""
+
+from __future__ import annotations
+
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+#: Seconds within which a word of the mission must come.
+PATIENCE = 60.0
+#: What is shown of all that hosts say.
+SHOWN = re.compile(r"^(survivor|clearer|nobody was heard|no other host)|safe state|Traceback|problem")
+
+
+class Line(NamedTuple):
+    """What a host said, and when, in seconds of the monotonic clock."""
+
+    at: float
+    host: str
+    text: str
+
+
+class Failed(Exception):
+    """The mission does not go on: one sentence."""
+
+
+class Team:
+    """A deployment; `policy` is what its lines are marked with. Nothing is left running after `end`."""
+
+    def __init__(self, policy: str, deployment: Path, hosts: Sequence[str], folder: Path) -> None:
+        self._policy, self._deployment, self._folder = policy, deployment, folder
+        self._bundle = folder / deployment.with_suffix(".lfm").name
+        self._ports = {host: free_port() for host in hosts}
+        self._fakes: list[subprocess.Popen[str]] = []
+        self._hosts: dict[str, subprocess.Popen[str]] = {}
+        self.lines: list[Line] = []
+        self._said = threading.Condition()
+
+    def begin(self, fakes: Mapping[str, str]) -> None:
+        """Start a fake for each endpoint of the devices file, and the hosts, which have these endpoints."""
+        self._fakes = [popen("sim", *words.split(), "--until-stdin-closes") for words in fakes.values()]
+        bindings = self._deployment.with_suffix(".devices.yaml").read_text()
+        for endpoint, fake in zip(fakes, self._fakes, strict=True):
+            assert fake.stdout is not None
+            bindings = bindings.replace(endpoint, fake.stdout.readline().split()[1])
+        devices = self._folder / f"{self._bundle.stem}.devices.yaml"
+        devices.write_text(bindings)
+        words = ("build", str(self._deployment), "--devices", str(devices), "--output", str(self._bundle))
+        built = subprocess.run([sys.executable, "-m", "lfield", *words], capture_output=True, text=True)
+        if built.returncode:
+            raise Failed(built.stderr)
+        for host in self._ports:
+            self.start(host)
+
+    def start(self, host: str) -> None:
+        """Start a host, as systemd does; what it has kept is in the folder."""
+        maps = [f"--map={name}=127.0.0.1:{port}" for name, port in self._ports.items()]
+        words = ("up", str(self._bundle), "--host", host, "--state", str(self._folder), *maps)
+        process = self._hosts[host] = popen(*words)
+        threading.Thread(target=self._read, args=(host, process), daemon=True).start()
+
+    def kill(self, host: str, what: str) -> float:
+        """SIGKILL; says so, and returns when."""
+        self._hosts.pop(host).kill()
+        self._show("", f"({host} is killed: {what})\n")
+        return time.monotonic()
+
+    def wait_for(self, words: str, since: float = 0.0) -> Line:
+        """The first line with these words that came after a time. Raises Failed."""
+        end = time.monotonic() + PATIENCE
+        with self._said:
+            while not (found := [x for x in self.lines if words in x.text and x.at > since]):
+                ended = [host for host, process in self._hosts.items() if process.poll() is not None]
+                if ended or time.monotonic() > end:
+                    why = f"{ended[0]} has ended" if ended else f"it did not come within {PATIENCE:.0f} s"
+                    raise Failed(f"{self._policy}: no {words!r}: {why}")
+                self._said.wait(0.2)
+        return found[0]
+
+    def end(self) -> None:
+        """End the hosts, which bring their devices to rest, then the fakes."""
+        for host in self._hosts.values():
+            host.terminate()
+        for host in self._hosts.values():
+            host.wait()
+        for fake in self._fakes:
+            assert fake.stdin is not None
+            fake.stdin.close()
+            fake.wait()
+
+    def _read(self, host: str, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        for text in process.stdout:
+            with self._said:
+                self.lines.append(Line(time.monotonic(), host, text.rstrip("\n")))
+                self._said.notify_all()
+            if SHOWN.search(text):
+                self._show(host, text)
+
+    def _show(self, host: str, text: str) -> None:
+        print(f"{self._policy:6} {host:9} | {text}", end="", flush=True)
+
+
+def popen(*words: str) -> subprocess.Popen[str]:
+    """A command of lfield."""
+    pipe, merged = subprocess.PIPE, subprocess.STDOUT
+    command = [sys.executable, "-m", "lfield", *words]
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=merged, text=True)
+
+
+def free_port() -> int:
+    """A port of loopback that nobody has."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

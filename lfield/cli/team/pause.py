@@ -1,0 +1,34 @@
+"""`lfield pause`: no agent of a mission runs any more, and its devices go to rest, until `lfield resume`."""
+
+from __future__ import annotations
+
+import argparse
+
+from lfield import exits
+from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs
+from lfield.cli.team.estop import all_confirmed, all_reached, way_down
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    add_running_mission(parser)
+    parser.add_argument(
+        "--no-wait", action="store_true", help="end when all have confirmed, without looking at the way down"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when every host is paused and every device was seen at rest, else 3; 69 where nothing runs at all."""
+    from lfield.operator.addressed import names_of
+    from lfield.operator.ask import ask_parties, pause, reached
+
+    parties = meant_parties(args, meant_runs(args))
+    names = names_of(parties)
+    answers = ask_parties(parties, pause())
+    confirmed = all_confirmed(answers, names, "safe")
+    everybody = all_reached(answers, names)
+    if not (parties[0].runs or any(reached(answer) for answer in answers.values())):
+        return exits.UNAVAILABLE
+    if args.no_wait:
+        return exits.DONE if confirmed and everybody else exits.UNSAFE
+    return exits.worst((exits.DONE if everybody else exits.UNSAFE, way_down(parties, answers, names)))

@@ -1,0 +1,32 @@
+"""`lfield resume`: a mission that was paused goes on."""
+
+from __future__ import annotations
+
+import argparse
+
+from lfield import exits
+from lfield.cli.mission_argument import add_running_mission, meant_parties, meant_runs
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    add_running_mission(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when every host goes on, 69 when one did not answer."""
+    from lfield.operator.addressed import names_of
+    from lfield.operator.ask import ask_parties, pause, silent, tell_silent
+
+    parties = meant_parties(args, meant_runs(args))
+    names = names_of(parties)
+    answers = ask_parties(parties, pause(lift=True))
+    for place, answer in answers.items():
+        if not isinstance(answer, Exception):
+            print(f"{names[place]}: goes on")
+            for device, held in answer.devices.items():
+                if held:
+                    print(f"{names[place]}: {device}: {held}")
+    unheard = silent({names[place]: answer for place, answer in answers.items()})
+    tell_silent(unheard, "NOT REACHED, it stays as it is: ")
+    return exits.UNAVAILABLE if unheard else exits.DONE

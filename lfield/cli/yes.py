@@ -1,0 +1,12 @@
+"""A question that only 'yes' agrees to."""
+
+from __future__ import annotations
+
+
+def says_yes(question: str) -> bool:
+    """Ask in the terminal. Whoever leaves it without a word (Ctrl-D) has not agreed."""
+    try:
+        return input(question).strip().lower() == "yes"
+    except EOFError:
+        print()
+        return False

@@ -1,0 +1,245 @@
+"""What leases and fences mean for the coordinators of one host, and for the devices that they use. Pure.
+
+Of the coordinators that run under leases (`Mission.fenced`) none begins a portal call while this host holds
+no lease, and no device is actuated for one. When the lease ends, or a fence bars one that is here, the
+devices that it has used here go into their safe states.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Callable, Iterable
+
+from lfield.clock import Clock
+from lfield.errors import DeviceError
+from lfield.host.effects import Effect, MakeSafe, Say
+from lfield.host.team.coordinators import Coordinators
+from lfield.journal.pages import Fence, Page
+from lfield.mission.mission import Mission
+from lfield.mobility.departures import PERHAPS, RESTARTED
+from lfield.mobility.effects import Persist, Send
+from lfield.mobility.generations import next_recovery
+from lfield.quorum import effects as quorum
+from lfield.quorum.core import Quorum
+from lfield.quorum.effects import Saved
+from lfield.quorum.members import Members
+from lfield.vm.agent import Agent
+from lfield.vm.machine import Machine
+from lfield.vm.memory.layout import W_INTERVAL, W_SEQUENCE
+from lfield.wire.fields import age
+from lfield.wire.framing import Buffer
+from lfield.wire.messages import Hello
+from lfield.wire.quorum import Place, QuorumMessage
+
+#: Why a host lets no coordinator act.
+ENDED = "the lease of {0} has ended: no majority of the team can be heard"
+
+
+class Leases:
+    """The leases of one host. `pages` are those of its journal; without one there are no leases.
+
+    What is to be done outside is added to `effects`.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        own: Hello,
+        team: Coordinators,
+        machine: Machine,
+        clock: Clock,
+        effects: Callable[[Effect], None],
+        pages: Iterable[Page],
+        dice: random.Random,
+    ) -> None:
+        self._mission, self._own, self._team, self._machine = mission, own, team, machine
+        self._clock, self._out = clock, effects
+        #: The coordinators that run under leases.
+        self.fenced = mission.fenced if own.memory else frozenset()
+        self._kept = {page.agent: page.generation for page in pages if isinstance(page, Fence)}
+        others = [host for host in mission.team.hosts if host != own.host]
+        members = Members(mission.recovery.members, own.host, mission.recovery.lease)
+        #: Whether nothing is on record here that was made in earlier lives.
+        self._new = team.recovery.starts is None
+        self.quorum = Quorum(
+            members, others, self.fenced, own.incarnation, self, self._kept, dice, new=self._new
+        )
+        self._safe = {device.name: device.safe_state for device in mission.devices_of(own.host)}
+        #: The devices that were used here for coordinators that run under leases.
+        self._used: dict[str, set[Agent]] = {}
+        self._waiting: dict[str, Agent] = {}
+        self._held = False
+
+    # --- time -----------------------------------------------------------------------------------------
+
+    def begin(self, *, first: bool) -> None:
+        """The host is up. `first`: somebody says that it was never started before."""
+        if self.fenced:
+            self.quorum.begin(self._clock.monotonic(), first=first)
+            if not self.quorum.remembers:
+                told = "no lease is given before every member was heard: the journal here is new"
+                self._out(Say(f"{told}; --first-start says that this host has never run this deployment"))
+        elif self._mission.fenced:
+            self._out(Say(f"heartbeatInterval has no effect here: {self._own.host} keeps no journal"))
+
+    def wake(self) -> None:
+        """What was kept here is about to go on: not what is barred."""
+        for agent, generation in self._kept.items():
+            self._bar(agent, generation, "so its journal says")
+
+    @property
+    def due(self) -> float | None:
+        """When `tick` has something to do next."""
+        due = self.quorum.due
+        return min(due, self.quorum.lease.until) if due is not None and self._held else due
+
+    def tick(self, now: float) -> bool:
+        """Time has passed, or something has come; whether the lease was gained by it."""
+        if not self.fenced:
+            return False
+        self._carry_out(self.quorum.tick(now))
+        if self._new and self.quorum.remembers:
+            # In its next life it need not hear everybody again.
+            self._new = False
+            self._team.remember()
+        held, self._held = self._held, self.quorum.lease.holds(now)
+        if held and not self._held:
+            self._lost()
+        elif self._held and not held:
+            self._gained()
+        return self._held and not held
+
+    def _gained(self) -> None:
+        """Those that stand at a portal call may begin it; not who was told to go on and wants away by now."""
+        waiting, self._waiting = self._waiting, {}
+        for name, agent in sorted(waiting.items()):
+            if self._machine.agents.get(name) is agent and not self._team.is_leaving(agent):
+                self._machine.go(agent)
+
+    def _lost(self) -> None:
+        """Calls that run under the lease fail, and what they have used goes safe."""
+        reason = ENDED.format(self._own.host)
+        here = {agent for name, agent in self._machine.agents.items() if name in self.fenced}
+        used = {device: users & here for device, users in self._used.items()}
+        if here:
+            self._out(Say(reason))
+        for agent in sorted(here, key=lambda agent: agent.id):
+            self._machine.abandon(agent, RESTARTED, f"{reason}; {PERHAPS}")
+        for device, users in used.items():
+            if users:
+                names = ", ".join(sorted(agent.id for agent in users))
+                self._out(MakeSafe(device, self._safe[device], f"{reason}; it was used for {names}"))
+        self._used.clear()
+
+    @property
+    def wanted(self) -> set[str]:
+        """The hosts that links are needed with."""
+        return self.quorum.wanted if self.fenced else set()
+
+    # --- what coordinators may do ---------------------------------------------------------------------
+
+    @property
+    def waits(self) -> bool:
+        """Whether coordinators of this host are not begun before it has a lease."""
+        return bool(self.fenced) and not self.quorum.lease.holds(self._clock.monotonic())
+
+    @property
+    def left(self) -> float | None:
+        """For how many seconds yet the lease holds, None where nothing needs one."""
+        if not self.fenced:
+            return None
+        return age(self.quorum.lease.until - self._clock.monotonic())
+
+    def is_waiting(self, agent: Agent) -> bool:
+        """Whether a coordinator stands at a portal call until there is a lease."""
+        return self._waiting.get(agent.id) is agent
+
+    def may_begin(self, agent: Agent) -> bool:
+        """Whether a coordinator may begin a portal call now; else it is told when it may, or has stopped."""
+        if agent.id not in self.fenced:
+            return True
+        now = self._clock.monotonic()
+        if self.quorum.may_act(agent.id, agent.generation, now):
+            return True
+        if self.quorum.barred(agent.id, agent.generation):
+            self._bar(agent.id, self.quorum.fences.of(agent.id), "it came back after that")
+        else:
+            self._waiting[agent.id] = agent
+            self.quorum.hurry(now)
+        return False
+
+    def barred(self, agent: str, generation: int) -> bool:
+        """Whether a start of a coordinator is taken in no more."""
+        return self.quorum.barred(agent, generation)
+
+    def until(self, caller: Agent, device: str) -> float:
+        """Until when a device may be actuated for a coordinator, in seconds of this host's clock.
+
+        Raises DeviceError when the time is over.
+        """
+        if caller.id not in self.fenced:
+            return math.inf
+        now = self._clock.monotonic()
+        if caller.ended or not self.quorum.may_act(caller.id, caller.generation, now):
+            raise DeviceError(device.rpartition(".")[2], ENDED.format(self._own.host))
+        self._used.setdefault(device, set()).add(caller)
+        return self.quorum.lease.until
+
+    # --- messages -------------------------------------------------------------------------------------
+
+    def received(self, host: str, message: QuorumMessage) -> None:
+        """A host asks, answers or tells that it lives."""
+        self._carry_out(self.quorum.receive(host, message, self._clock.monotonic()))
+
+    def _carry_out(self, effects: Iterable[quorum.Effect]) -> None:
+        for effect in effects:
+            match effect:
+                case quorum.Tell():
+                    self._team.carry_out([Send(effect.host, effect.message)])
+                case quorum.Bar():
+                    self._bar(effect.agent, effect.generation, effect.reason)
+                    page = Fence(effect.agent, effect.generation)
+                    self._team.carry_out([Persist(effect.agent, page)])
+                case quorum.TakeOver() if self._team.mobility.recoverable(effect.agent):
+                    self._out(Say(effect.reason))
+                    self._team.recover(effect.agent, effect.generation)
+                case quorum.Explain():
+                    self._out(Say(effect.text))
+
+    def _bar(self, name: str, generation: int, reason: str) -> None:
+        """No start before this may run: what is here stops, and its devices go safe."""
+        agent = self._machine.agents.get(name)
+        self._team.carry_out(self._team.mobility.bar(name, generation, reason))
+        if agent is None or agent.generation >= generation:
+            return
+        self._waiting.pop(name, None)
+        for device, users in self._used.items():
+            if agent in users:
+                users.discard(agent)
+                why = f"{name}, which has used it, is barred: {reason}"
+                self._out(MakeSafe(device, self._safe[device], why))
+
+    # --- Copies of the quorum -------------------------------------------------------------------------
+
+    def saved(self, agent: str) -> Saved | None:
+        """The newest that is here of a coordinator."""
+        copy = self._team.mobility.newest(agent)
+        if copy is None:
+            return None
+        if copy.is_here:
+            return Saved(Place(copy.generation, copy.sequence, left=False), alive=True, interval=0.0)
+        block, left = copy.block, copy.state != "RUN"
+        sequence = _word(block, W_SEQUENCE) if block is not None else 0
+        interval = _word(block, W_INTERVAL) / 1000.0 if block is not None else 0.0
+        return Saved(Place(copy.generation, sequence, left), alive=False, interval=interval)
+
+    def mint(self, agent: str, above: int) -> int:
+        """A generation that no other host makes, greater than all that are known."""
+        known = (k.generation for k in self._team.mobility.knowledge() if k.agent == agent)
+        return next_recovery(max([above, *known]), self._mission.team.number(self._own.host))
+
+
+def _word(block: Buffer, index: int) -> int:
+    """A word of a block's header."""
+    return int.from_bytes(bytes(block[8 * index : 8 * index + 8]), "little")

@@ -1,0 +1,75 @@
+"""What a person's word does to the coordinators of one host: `lfield forget`, `recover`, `pause`. Pure.
+
+A person cannot see what this host has now, so its own knowledge comes first: what is alive here stays.
+"""
+
+from __future__ import annotations
+
+from lfield.host.team.coordinators import Coordinators
+from lfield.journal.pages import Paused
+from lfield.mobility.departures import PERHAPS, RESTARTED
+from lfield.mobility.generations import next_recovery
+from lfield.vm.machine import Machine
+from lfield.wire.fields import clip
+from lfield.wire.observing import Recover, Recovered
+
+
+def forget(team: Coordinators, agent: str) -> list[int]:
+    """A coordinator is lost; the starts of it that end here."""
+    parked = [page for page in team.mobility.parked if page.agent == agent]
+    detail = "given up by 'lfield forget'"
+    starts, effects = team.mobility.forget(agent, [page.generation for page in parked], detail)
+    if starts:
+        team.say(f"{agent} is given up as lost: somebody ran 'lfield forget'")
+    team.carry_out(effects)
+    return starts
+
+
+def recover(team: Coordinators, host: str, number: int, word: Recover, fence: int) -> Recovered:
+    """Whoever held a coordinator is gone for good: `host`, with this number in the team, goes on with it.
+
+    What the person was told of must still be so. No start up to `fence` may be made here.
+    """
+    if why := _why_not(team, host, word):
+        return Recovered(0, clip(why))
+    known = [row.generation for row in team.mobility.knowledge() if row.agent == word.agent]
+    generation = next_recovery(max(word.above, fence, *known), number)
+    if not team.recover(word.agent, generation):
+        return Recovered(0, f"what {host} has kept of {word.agent} cannot be read")
+    return Recovered(generation)
+
+
+def pause(team: Coordinators, machine: Machine, now: float, *, on: bool) -> None:
+    """No agent of this host runs any more, or all go on; again is nothing new, `now` is in seconds.
+
+    The vehicles come down, so a call that is under way does not go on as if nothing had been: its coordinator
+    is told. What waits for another host waits as long as if there had been no pause.
+    """
+    if team.paused == on:
+        return
+    team.paused = on
+    team.keeping.page(Paused(on), now)
+    team.say("the mission is paused: no agent runs here" if on else "the mission goes on")
+    if not on:
+        team.mobility.postpone(now)
+        return
+    for agent in list(machine.agents.values()):
+        if agent.member.kind == "coordinator":
+            machine.abandon(agent, RESTARTED, f"the mission was paused; {PERHAPS}")
+
+
+def _why_not(team: Coordinators, host: str, word: Recover) -> str:
+    if team.halted:
+        return f"{host} is stopping"
+    if team.trouble:
+        return f"{host} can keep nothing: {team.trouble}"
+    left = team.mobility.recoverable(word.agent)
+    if left is None:
+        return f"{host} has nothing of {word.agent} to go on with, or it is alive there"
+    if left.state == "RUN":
+        return f"{word.agent} goes on by itself: {host} was just started again"
+    if left.state == "PREPARED":
+        return f"{word.agent} is on its way from {host} to {left.where}"
+    if (left.generation, left.sequence) != (word.generation, word.sequence):
+        return f"what {host} has of {word.agent} has changed meanwhile; ask again"
+    return ""

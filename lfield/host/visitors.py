@@ -1,0 +1,113 @@
+"""What a host answers to its observers, and does at a person's word: `lfield ps`, `estop`, `forget`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+
+from lfield.clock import Clock
+from lfield.devices.guards import Guards
+from lfield.errors import AddressError
+from lfield.host.core import HostCore
+from lfield.loop import spawn
+from lfield.net.transport import Link
+from lfield.wire.messages import Control
+from lfield.wire.observing import (
+    EmergencyStop,
+    EmergencyStopped,
+    Forget,
+    Forgotten,
+    Pause,
+    Recover,
+    Status,
+    StatusRequest,
+)
+
+#: Why devices are held while the mission is paused.
+PAUSED = "the mission is paused"
+#: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
+LOOKING, LAST_LOOK = 3.0, 1.5
+
+
+class Visitors:
+    """The observers of one host.
+
+    `enter` hands an event to the core, which `status` describes; `all_kept` returns when all is on the disk,
+    or with False when it never will be.
+    """
+
+    def __init__(
+        self,
+        core: HostCore,
+        guards: Guards,
+        clock: Clock,
+        enter: Callable[[Callable[[], None]], None],
+        status: Callable[[], Status],
+        note: Callable[[str], None],
+        all_kept: Callable[[], Awaitable[bool]],
+    ) -> None:
+        self._core, self._guards, self._clock = core, guards, clock
+        self._enter, self._status, self._note, self._all_kept = enter, status, note, all_kept
+        #: An emergency stop was pressed here and not lifted.
+        self._pressed = False
+        #: When somebody last asked how the devices are.
+        self._looked = -LOOKING
+
+    def received(self, message: Control, link: Link) -> None:
+        """An observer asks for something. What only hosts say to one another is not answered."""
+        match message:
+            case StatusRequest():
+                self._looked = self._clock.monotonic()
+                link.send(self._status())
+            case EmergencyStop():
+                spawn(self._emergency_stop(message, link))
+            case Forget():
+                spawn(self._keep(link, lambda: Forgotten(self._core.forget(message.agent))))
+            case Pause():
+                spawn(self._pause(message, link))
+            case Recover():
+                spawn(self._keep(link, lambda: self._core.recover(message)))
+
+    async def stay_paused(self) -> None:
+        """What was paused in an earlier life of this host keeps its devices in their safe states."""
+        if self._core.coordinators.paused:
+            await self._guards.rest(PAUSED)
+
+    async def be_seen(self) -> None:
+        """After an emergency stop somebody may be looking at the devices: let them see how that has ended."""
+        if self._pressed and self._clock.monotonic() - self._looked < LOOKING:
+            await asyncio.sleep(LAST_LOOK)
+
+    async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
+        self._pressed = not message.lift
+        if message.lift:
+            self._note("the emergency stop is lifted; programs may release their devices")
+            devices = self._guards.lift_stop()
+        else:
+            self._note(f"EMERGENCY STOP: {message.reason}")
+            devices = await self._guards.emergency_stop(message.reason)
+        self._answer(link, EmergencyStopped(devices))
+
+    async def _pause(self, message: Pause, link: Link) -> None:
+        if message.lift:
+            # Whoever goes on must find them in use.
+            devices = await self._guards.let_go(PAUSED) if self._core.coordinators.paused else {}
+            self._enter(lambda: self._core.pause(on=False))
+        else:
+            self._enter(lambda: self._core.pause(on=True))
+            devices = await self._guards.rest(PAUSED)
+        if await self._all_kept():
+            self._answer(link, EmergencyStopped(devices))
+
+    async def _keep(self, link: Link, do: Callable[[], Control]) -> None:
+        """Answer when what a person's word has changed is on the disk, not before."""
+        answers: list[Control] = []
+        self._enter(lambda: answers.append(do()))
+        if await self._all_kept() and answers:
+            self._answer(link, answers[0])
+
+    def _answer(self, link: Link, message: Control) -> None:
+        # Whoever asked may be gone by now: an impatient finger, a radio that is out of reach.
+        with suppress(AddressError):
+            link.send(message)

@@ -1,0 +1,221 @@
+"""One host's part in leases, fences and recovery: events in, effects out. Pure.
+
+Why of one coordinator never two copies act: a majority that gave a lease and a majority that gave a promise
+have a member in common. If it acknowledged a heartbeat after it promised, that answer carried the fence; if
+before, the heartbeat was sent before the promise, and that part of the lease is over a lease after it. Who
+goes on waits longer than that. durability section 4; decision 45 has what differs from it.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Collection, Mapping
+
+from lfield.quorum.effects import Bar, Copies, Effect, Tell
+from lfield.quorum.lease import Lease
+from lfield.quorum.members import Fences, Members
+from lfield.quorum.recovery import Recoveries
+from lfield.wire.fields import age
+from lfield.wire.quorum import (
+    MOST,
+    Ack,
+    Heartbeat,
+    Held,
+    Place,
+    Promise,
+    Propose,
+    QuorumMessage,
+    Seek,
+    Sought,
+)
+
+
+class Quorum:
+    """The leases and fences of one host; `life` is its incarnation.
+
+    `hosts` are the others of the team, `agents` the coordinators that run under leases, `fences` what the
+    journal has kept. With a `new` journal it may have promised what it does not remember. Times are in
+    seconds on the host's own clock.
+    """
+
+    def __init__(
+        self,
+        members: Members,
+        hosts: Collection[str],
+        agents: Collection[str],
+        life: int,
+        copies: Copies,
+        fences: Mapping[str, int],
+        dice: random.Random,
+        *,
+        new: bool = False,
+    ) -> None:
+        self.members, self._agents, self._life, self._copies = members, frozenset(agents), life, copies
+        self.fences = Fences({agent: fence for agent, fence in fences.items() if agent in self._agents})
+        self.lease = Lease(members)
+        self._recoveries = Recoveries(members, sorted(hosts), sorted(agents), copies, self.fences, dice)
+        #: Who was last heard to hold each agent, or was promised it: the host, the generation, and when.
+        self._holders: dict[str, tuple[str, int, float]] = {}
+        self._next: float | None = None
+        #: The members that must tell of their fences before this one gives a lease or a promise.
+        self._unheard = set(members.others) if new else set()
+
+    # --- time -----------------------------------------------------------------------------------------
+
+    def begin(self, now: float, *, first: bool = False) -> None:
+        """This host takes part from now on; until then it has only answered.
+
+        `first`: somebody says that it has never promised anything.
+        """
+        self._next = now
+        if first:
+            self._unheard.clear()
+
+    @property
+    def remembers(self) -> bool:
+        """Whether this host knows all that it may ever have promised."""
+        return not self._unheard
+
+    @property
+    def due(self) -> float | None:
+        """When `tick` has something to do next; None before `begin`."""
+        if self._next is None:
+            return None
+        other = self._recoveries.due
+        return self._next if other is None else min(self._next, other)
+
+    @property
+    def wanted(self) -> set[str]:
+        """The hosts that links are needed with now."""
+        return {*self.members.others, *self._recoveries.wanted}
+
+    def tick(self, now: float) -> list[Effect]:
+        """Time has passed."""
+        if self._next is None:
+            return []
+        self._notice(now)
+        effects = self._beat(now) if now >= self._next else []
+        return effects + self._recoveries.tick(now)
+
+    def hurry(self, now: float) -> None:
+        """A coordinator waits for the lease: ask for it now, unless that was done a moment ago."""
+        asked = self.lease.holds(now) or self.lease.is_asked(now - self.members.beat)
+        if self._next is not None and not asked:
+            self._next = min(self._next, now)
+
+    def _notice(self, now: float) -> None:
+        """A slow host, or one that was stopped, doubts itself before it doubts others."""
+        if self._next is not None and now > self._next + self.members.beat:
+            self._recoveries.doubt(now)
+
+    def _beat(self, now: float) -> list[Effect]:
+        self._next = now + self.members.beat
+        held = self._held()
+        if not (held or self._is_member):
+            return []
+        # Who holds no lease cannot act, however well it is heard: others may have to go on.
+        told = held if self.lease.holds(now) else []
+        beat = Heartbeat(self._life, self.lease.beat(now), self.fences.digest, told)
+        return [Tell(host, beat) for host in self.members.others]
+
+    @property
+    def _is_member(self) -> bool:
+        return self.members.here in self.members.names
+
+    def _held(self) -> list[Held]:
+        found = ((agent, self._alive(agent)) for agent in sorted(self._agents))
+        held = [Held(agent, place.generation, place.sequence) for agent, place in found if place is not None]
+        return held[:MOST]
+
+    def _alive(self, agent: str) -> Place | None:
+        """How far an agent has come that is here and not barred."""
+        saved = self._copies.saved(agent)
+        alive = saved is not None and saved.alive and not self.barred(agent, saved.place.generation)
+        return saved.place if saved is not None and alive else None
+
+    # --- what coordinators may do ---------------------------------------------------------------------
+
+    def barred(self, agent: str, generation: int) -> bool:
+        """Whether this start may not run any more, wherever it is."""
+        return self.fences.bars(agent, generation)
+
+    def may_act(self, agent: str, generation: int, now: float) -> bool:
+        """Whether a coordinator that is here may begin a portal call now."""
+        return self.lease.holds(now) and not self.barred(agent, generation)
+
+    # --- messages -------------------------------------------------------------------------------------
+
+    def receive(self, host: str, message: QuorumMessage, now: float) -> list[Effect]:
+        """A host asks, answers or tells that it lives."""
+        self._notice(now)
+        match message:
+            case Heartbeat():
+                return self._on_heartbeat(host, message, now)
+            case Ack():
+                return self._on_ack(host, message)
+            case Seek():
+                return [Tell(host, self._sought(message.agent, now))]
+            case Sought():
+                return self._recoveries.sought(host, message, now)
+            case Propose():
+                return self._on_propose(host, message, now)
+            case Promise():
+                risen = self._rise(message.agent, message.fence, f"{host} has promised it")
+                return [*risen, *self._recoveries.promised(host, message, now)]
+
+    def _on_heartbeat(self, host: str, message: Heartbeat, now: float) -> list[Effect]:
+        for held in message.held:
+            self._heard(host, held.agent, held.generation, now)
+        fences = [] if message.fences == self.fences.digest else self.fences.all
+        # Number 0 is of no heartbeat: it tells the fences, and gives no lease.
+        number = message.number if self.remembers else 0
+        # A part of them would be no better than none: no lease is given then.
+        return [Tell(host, Ack(message.life, number, fences))] if len(fences) <= MOST else []
+
+    def _heard(self, host: str, agent: str, generation: int, now: float) -> None:
+        """A host holds an agent, or is about to."""
+        if agent in self._agents and not self.barred(agent, generation):
+            self._holders[agent] = host, generation, now
+            self._recoveries.heard(agent, generation, now)
+
+    def _on_ack(self, host: str, message: Ack) -> list[Effect]:
+        """The lease counts it only with the fences that came along."""
+        if message.life != self._life:
+            return []
+        effects: list[Effect] = []
+        for fence in message.fences:
+            effects += self._rise(fence.agent, fence.generation, f"{host} told of it")
+        self._unheard.discard(host)
+        self.lease.acknowledged(host, message.number)
+        return effects
+
+    def _on_propose(self, host: str, message: Propose, now: float) -> list[Effect]:
+        agent, generation = message.agent, message.generation
+        if agent not in self._agents or not self.remembers:
+            return []
+        if self._alive(agent) and self.lease.holds(now):
+            # It asked before the coordinator came here.
+            return [Tell(host, self._sought(agent, now))]
+        risen = self._rise(agent, generation, f"{host} is about to go on with it")
+        self._heard(host, agent, generation, now)
+        saved = self._copies.saved(agent)
+        place = saved.place if saved is not None else None
+        return [*risen, Tell(host, Promise(agent, generation, self.fences.of(agent), place))]
+
+    def _rise(self, agent: str, generation: int, reason: str) -> list[Effect]:
+        if agent not in self._agents or not self.fences.raise_to(agent, generation):
+            return []
+        return [Bar(agent, generation, reason)]
+
+    def _sought(self, agent: str, now: float) -> Sought:
+        """What this host knows of an agent."""
+        if agent not in self._agents:
+            return Sought(agent, None)
+        saved = self._copies.saved(agent)
+        place = saved.place if saved is not None else None
+        if alive := self._alive(agent):
+            return Sought(agent, place, self.members.here, alive.generation)
+        if claimed := self._recoveries.claimed(agent):
+            return Sought(agent, place, self.members.here, claimed)
+        host, generation, heard = self._holders.get(agent, ("", 0, now))
+        return Sought(agent, place, host, generation, age(now - heard))

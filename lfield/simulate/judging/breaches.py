@@ -1,0 +1,32 @@
+"""Promises that were broken, as they are found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Breach:
+    """A promise that was broken: its name, when in true time, on which hosts, and a sentence."""
+
+    name: str
+    at: float
+    hosts: tuple[str, ...]
+    sentence: str
+
+    def __str__(self) -> str:
+        return f"{self.name} at {self.at:.3f} s on {', '.join(self.hosts) or 'no host'}: {self.sentence}"
+
+
+class Breaches(list[Breach]):
+    """All that were found, each kind once. `now` is true time in seconds."""
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        super().__init__()
+        self._now = now
+
+    def add(self, name: str, hosts: tuple[str, ...], sentence: str) -> None:
+        """One more, if it is the first of its kind."""
+        if all(name != breach.name for breach in self):
+            self.append(Breach(name, self._now(), hosts, sentence))

@@ -1,0 +1,158 @@
+"""What programs say of their calls: none begins twice, none is skipped untold, none is made for an old copy.
+
+A coordinator keeps its *life* (a name and what it has drawn) when it is recovered elsewhere. Then its calls
+are counted again from where it goes on: what came after that is lost to it.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from lfield.mobility.generations import is_recovery
+from lfield.simulate.fleet import Life
+from lfield.simulate.judging.breaches import Breaches
+from lfield.vm.agent import Agent
+from lfield.vm.memory.layout import THREAD_ID
+from lfield.vm.memory.threads import threads
+
+
+@dataclass(slots=True, eq=False)
+class _Call:
+    """What is known of one call: how often it began, and what its caller said of it."""
+
+    begun: int = 0
+    told: str = ""
+
+
+class Calls:
+    """The calls of all coordinators. `newest` says which start of an agent was the last to go on."""
+
+    def __init__(self, breaches: Breaches, newest: Callable[[str], int]) -> None:
+        self._breaches, self._newest = breaches, newest
+        #: How many calls began, and how many walkers were told that they go on elsewhere or again.
+        self.begun = self.restarts = 0
+        #: How many calls of each agent have come to an end, since the weather.
+        self.ended: defaultdict[str, int] = defaultdict(int)
+        #: The agents that are done.
+        self.over: set[str] = set()
+        #: The lives of each agent, and which start of it each of them is at.
+        self._lives: defaultdict[str, set[str]] = defaultdict(set)
+        self._at: defaultdict[str, int] = defaultdict(int)
+        self._calls: dict[str, dict[int, _Call]] = defaultdict(dict)
+        self._served: dict[tuple[str, str], tuple[int, int]] = {}
+        #: For which start a call was begun last, by what its life has drawn and its number.
+        self._begun_for: dict[tuple[float, float], tuple[str, int]] = {}
+
+    def said(self, life: Life, agent: Agent, text: str) -> None:
+        """A program has written something: a word, a life of a coordinator, the number of a call."""
+        host = life.core.name
+        for line in text.splitlines():
+            word, who, *more = line.split()
+            if word == "begin":
+                self._begin(life, agent, who, int(more[0]))
+            elif word == "end" or self._is_old(agent, who):
+                continue
+            elif word == "over":
+                self.over.add(agent.id)
+            elif word == "born":
+                self._lives[agent.id].add(who)
+            elif word == "restarted":
+                self._restarted(host, agent, who, int(more[0]), " ".join(more))
+            else:
+                self._told(host, agent, who, int(more[0]), word)
+
+    def any_of(self, agent: str, generation: int) -> bool:
+        """Whether a start of an agent has begun a call."""
+        lives = (who for who in self._lives[agent] if self._at[who] == generation)
+        return any(call.begun for who in lives for call in self._calls[who].values())
+
+    def goes_back(self, agent: str) -> None:
+        """It goes on from a disk, and may not know any more of which calls it was told that they failed."""
+        for who in self._lives[agent]:
+            for call in self._calls[who].values():
+                if call.told == "failed":
+                    call.told = "forgotten"
+
+    def made_for(self, arguments: tuple[object, ...]) -> tuple[str, int]:
+        """For which agent and start a device was commanded, by the arguments of that; '' for nobody known."""
+        drawn, number = arguments[:2]
+        assert isinstance(drawn, float)
+        assert isinstance(number, float)
+        return self._begun_for.get((drawn, number), ("", 0))
+
+    # --- what callers say -----------------------------------------------------------------------------
+
+    def _is_old(self, agent: Agent, who: str) -> bool:
+        """Whether this copy has a successor; what it says between its calls nobody else hears."""
+        return agent.generation < self._at[who]
+
+    def _goes_on(self, who: str, generation: int, number: int) -> None:
+        """A start of it goes on with the call of this number. A recovery knows of none that came later.
+
+        Nor of this one, if it stood before it: what it was told was then about a call that only asks.
+        """
+        if generation > self._at[who]:
+            if is_recovery(generation):
+                self._calls[who] = {n: call for n, call in self._calls[who].items() if n < number}
+            self._at[who] = generation
+
+    def _told(self, host: str, agent: Agent, who: str, number: int, word: str) -> None:
+        self._goes_on(who, agent.generation, number)
+        call = self._calls[who].setdefault(number, _Call())
+        self.ended[agent.id] += 1
+        call.told = word
+        if word == "done" and call.begun != 1:
+            found = f"call {number} of {who} is done, and it began {call.begun} times"
+            self._breaches.add("I4", (host,), found)
+        if word == "failed" and call.begun:
+            self._breaches.add("I4", (host,), f"call {number} of {who} could not be made, and it has begun")
+
+    def _restarted(self, host: str, agent: Agent, who: str, number: int, text: str) -> None:
+        """A call that may have begun, or has not; what came after it had not begun, and is forgotten."""
+        self.restarts += 1
+        self._goes_on(who, agent.generation, number)
+        calls = self._calls[who]
+        later = sorted(n for n in calls if n > number)
+        for begun in (n for n in later if calls[n].begun):
+            found = f"{who} went back to call {number}, and call {begun} had begun"
+            self._breaches.add("I4", (host,), found)
+        for n in later:
+            del calls[n]
+        self._told(host, agent, who, number, "failed" if "has not begun" in text else "threw")
+
+    # --- what resources say ---------------------------------------------------------------------------
+
+    def _begin(self, life: Life, resource: Agent, who: str, number: int) -> None:
+        self.begun += 1
+        name = who.partition(".")[0]
+        generation, host = _caller(life, resource, name), (life.core.name,)
+        if generation < self._newest(name):
+            found = f"call {number} of {who} began for start {generation}; {self._newest(name)} had gone on"
+            self._breaches.add("I1", host, found)
+            return
+        self._goes_on(who, generation, number)
+        call = self._calls[who].setdefault(number, _Call())
+        call.begun += 1
+        self._begun_for[float(who.partition(".")[2]), float(number)] = name, generation
+        if call.begun > 1:
+            self._breaches.add("I4", host, f"call {number} of {who} began again, on {resource.id}")
+        if call.told == "failed":
+            self._breaches.add("I4", host, f"call {number} of {who} began after it could not be made")
+        before = self._calls[who].get(number - 1)
+        if number > 1 and (before is None or not before.told):
+            found = f"call {number} of {who} began, and call {number - 1} has no end"
+            self._breaches.add("I4", host, found)
+        newest = self._served.get((resource.id, who), (0, 0))
+        if (generation, number) < newest:
+            found = f"{resource.id} served call {number} of {who} after call {newest[1]}"
+            self._breaches.add("I3", host, found)
+        self._served[resource.id, who] = max(newest, (generation, number))
+
+
+def _caller(life: Life, resource: Agent, name: str) -> int:
+    """The start of this agent whose call a resource serves: the latest that has come to it."""
+    block = resource.block
+    callers = (life.core.machine.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))
+    return next((caller.generation for caller in callers if caller and caller.id == name), 0)

@@ -1,0 +1,55 @@
+"""What the fake hardware saw: who commands it, and whether anybody does while it moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from lfield.simulate.hardware import Hardware, Told
+from lfield.simulate.judging.breaches import Breaches
+
+#: So many seconds a device may move after its last command: an act, or a silence and the way to rest.
+MOVES = 6.0
+
+
+class Devices:
+    """The devices of a team.
+
+    `made_for` says for which agent and start a device was commanded, by the arguments; `newest_at` which
+    recovery of an agent was the last to go on before a time.
+    """
+
+    def __init__(
+        self,
+        breaches: Breaches,
+        made_for: Callable[[tuple[object, ...]], tuple[str, int]],
+        newest_at: Callable[[str, float], int],
+    ) -> None:
+        self._breaches, self._made_for, self._newest_at = breaches, made_for, newest_at
+        self._seen: dict[str, int] = {}
+        self._actuated: set[tuple[object, ...]] = set()
+        self._moves_since: dict[str, float] = {}
+
+    def look(self, name: str, hardware: Hardware, now: float) -> None:
+        """Look at one of them."""
+        if len(hardware.owners) > 1:
+            self._breaches.add("device", (), f"{name} has {len(hardware.owners)} owners")
+        for told in hardware.record[self._seen.get(name, 0) :]:
+            self._moves_since[name] = told.at
+            if told.what == "setVelocity":
+                self._actuates(name, told)
+        self._seen[name] = len(hardware.record)
+        if not hardware.moving:
+            self._moves_since[name] = now
+        elif now - self._moves_since.get(name, now) > MOVES:
+            self._breaches.add("device", (), f"{name} moves, and nobody has commanded it for {MOVES:g} s")
+
+    def _actuates(self, name: str, told: Told) -> None:
+        agent, generation = self._made_for(told.arguments)
+        command = (name, generation, *told.arguments)
+        if command in self._actuated:
+            self._breaches.add("I4", (), f"{name} was commanded twice for call {told.arguments[:2]}")
+        self._actuated.add(command)
+        newest = self._newest_at(agent, told.at)
+        if generation < newest:
+            found = f"{name} was commanded for start {generation} of {agent} at {told.at:.3f} s"
+            self._breaches.add("I1", (), f"{found}; {newest} had gone on")

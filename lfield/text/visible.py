@@ -1,0 +1,41 @@
+"""Text of programs, files and other hosts on its way to a terminal: what that would obey is shown, not done.
+
+A program prints what it likes, a peer sends what it likes. A terminal takes some characters as orders: they
+move the cursor, rename the window, write over what stood there, turn the direction of writing. They are shown
+as L writes them in a text, `\\u{1b}`, so that whoever reads on knows what was meant.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+
+#: Kinds of characters that are no signs to be read: controls, formats, halves of a pair, and unassigned ones.
+_OBEYED = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
+_SHORT = {"\n": "\\n", "\t": "\\t", "\r": "\\r", "\0": "\\0"}
+#: What lays out a text of several lines.
+LAYOUT = "\n\t"
+
+
+def visible(text: str, keep: str = LAYOUT) -> str:
+    """The text with every character that a terminal would obey as an escape of L, but for those to `keep`."""
+    if text.isprintable():
+        return text
+    return "".join(ch if ch in keep or _is_sign(ch) else _escaped(ch) for ch in text)
+
+
+def in_one_line(text: str) -> str:
+    """The same for what must stay on its line: a cell of a table, a value among others."""
+    return visible(text, "")
+
+
+def clipped(text: str, most: int) -> str:
+    """At most so many characters of a text, the last one `…` where it is longer."""
+    return text if len(text) <= most else f"{text[: most - 1]}…"
+
+
+def _is_sign(character: str) -> bool:
+    return character.isprintable() or unicodedata.category(character) not in _OBEYED
+
+
+def _escaped(character: str) -> str:
+    return _SHORT.get(character) or f"\\u{{{ord(character):x}}}"

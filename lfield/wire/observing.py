@@ -1,0 +1,182 @@
+"""What observers of a host ask and order, and what they are told (`lfield ps`, `query`, `estop`, `forget`).
+
+Hosts ask one another for a `Status` too. Messages as in `messages`, which has the union of all.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from lfield.wire.coordinators import CopyState, Known
+from lfield.wire.fields import Age, Count, Hash, Label, MaybeName, Name, Telemetry, Text
+
+
+class StatusRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=6):
+    """Asks a host for what `lfield ps` shows."""
+
+
+class AgentStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """An agent that a host runs. `state` is a word for what it does; `heap` and `limit` are bytes."""
+
+    id: Name
+    type: Text
+    kind: Literal["coordinator", "resource"]
+    state: Label
+    hops: Count
+    served: Count
+    heap: Count
+    limit: Count
+    threads: Count
+
+
+class DeviceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A device of a host, with its last telemetry by quantity, however old.
+
+    `silent` is for how long it has not been heard, None if it never was. `latched` is why it is held in its
+    safe state, '' when it is in use; `moving` is what it still does there, '' once it is at rest, and before
+    its safe state is confirmed that it is not.
+    """
+
+    name: Text
+    telemetry: Annotated[dict[Label, Telemetry], Meta(max_length=1024)]
+    silent: Age | None
+    latched: Text
+    moving: Text = ""
+
+
+class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """Another host: for how long there has been no link to it, None while there is one."""
+
+    host: Name
+    away: Age | None
+
+
+class ToldFact(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The value of a live attribute, `age` seconds old."""
+
+    value: bool | int | float | Text
+    age: Age
+
+
+class Told(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What a host's directory says of an agent of the team.
+
+    `refusal` is why it cannot be called, '' when it can. Live attributes are among `facts`, or `unknown` with
+    the reason.
+    """
+
+    agent: Name
+    refusal: Text
+    facts: Annotated[dict[Label, ToldFact], Meta(max_length=1024)]
+    unknown: Annotated[dict[Label, Text], Meta(max_length=1024)]
+
+
+class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What a journal keeps of a coordinator for another program or deployment; the digest of both is given.
+
+    With `state` RUN it is here, with another one it left for `where`, or may have.
+    """
+
+    agent: Name
+    generation: Count
+    hops: Count
+    program: Hash
+    state: CopyState
+    where: MaybeName
+
+
+class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The journal of a host: how many commits it made in the last minute, and what it keeps for later.
+
+    `trouble` is why nothing more should be taken in, '' when all is well.
+    """
+
+    commits: Count
+    trouble: Text
+    parked: Annotated[list[ParkedStatus], Meta(max_length=4096)]
+
+
+class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=7):
+    """The answer: a host that has been `up` for so many seconds, its agents, devices and links.
+
+    `coordinators` are all that it has seen, `directory` is what it knows of the agents of the team. `late` is
+    by how many seconds its signs of life for its guards were late, the longest of the last minute, and
+    `silence` for how many it may give none; both None without devices. `journal` is None for a host that
+    keeps nothing. `paused`: no agent runs here until the mission is resumed. For so many seconds yet its
+    `lease` lets coordinators act, None where they need none.
+    """
+
+    host: Name
+    address: Text
+    up: Age
+    program: Hash
+    deployment: Hash
+    agents: Annotated[list[AgentStatus], Meta(max_length=4096)]
+    coordinators: Annotated[list[Known], Meta(max_length=4096)]
+    devices: Annotated[list[DeviceStatus], Meta(max_length=4096)]
+    links: Annotated[list[LinkStatus], Meta(max_length=4096)]
+    directory: Annotated[list[Told], Meta(max_length=4096)]
+    late: Age | None = None
+    silence: Age | None = None
+    journal: JournalStatus | None = None
+    lease: Age | None = None
+    paused: bool = False
+
+
+class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):
+    """From an observer: bring every device of this host into its safe state and bar `release()`.
+
+    With `lift` the bar is taken away again; the devices stay latched until the program releases them.
+    """
+
+    reason: Text
+    lift: bool = False
+
+
+class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=11):
+    """The answer: every device of the host, with '' when its safe state is confirmed, else why it is not."""
+
+    devices: dict[str, Text]
+
+
+class Forget(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=15):
+    """From an observer: a person says that what is not known to be alive of a coordinator is lost."""
+
+    agent: Name
+
+
+class Forgotten(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=16):
+    """The answer: the starts that have ended here by that word."""
+
+    starts: Annotated[list[Count], Meta(max_length=4096)]
+
+
+class Recover(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=17):
+    """From an observer: a person says that whoever held a coordinator is gone for good; go on with it.
+
+    (generation, sequence) is the copy of this host that the person was told of, `above` the highest start
+    that any host knows.
+    """
+
+    agent: Name
+    generation: Count
+    sequence: Count
+    above: Count
+
+
+class Recovered(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=18):
+    """The answer: as which start it goes on, once that is kept; 0 when it does not, with the reason."""
+
+    generation: Count
+    reason: Text = ""
+
+
+class Pause(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=19):
+    """From an observer: let no agent run, bring every device into its safe state; with `lift` let all go on.
+
+    Answered by an EmergencyStopped, when that is kept.
+    """
+
+    lift: bool = False

@@ -1,0 +1,129 @@
+"""A coordinator that hops and then rests, on simulated computers, for the figure `leases`.
+
+    leased_team.py volatile|kept|leased HOSTS SECONDS
+
+prints what a hop costs (messages, commits), and what a host sends each second while the coordinator rests
+(messages, bytes). `leased`: it is one that other hosts may go on with.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from unittest import mock
+
+from lfield.journal.journal import Change
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.net import framed
+from lfield.simulate.disk import JournalDisk
+from lfield.simulate.fleet import Fleet
+from lfield.wire.coordinators import Transfer
+from lfield.wire.framing import Buffer
+from lfield.wire.messages import Message
+
+HOPS = 400
+#: Those that give leases, where the team has more than nine hosts.
+MEMBERS = 9
+#: Seconds of virtual time from the last hop until a team is at rest.
+SETTLE = 15.0
+#: What a coordinator costs on its way. All else is sent whether it moves or not.
+OF_HOPS = ("Transfer", "Accepted", "Refused", "Inquire")
+_PROGRAM = """
+resource Post { init(string[] arg) { } portal visit() { } portal say(string what) { write(what + "\\n"); } }
+coordinator Traveller {
+    init(string[] arg) {
+        LEASED
+        Post near = findPost("post0");
+        Post far = findPost("post1");
+        far.visit();
+        near.say("begins");
+        for (int i = 0; i < HOPS; i = i + 2) {
+            far.visit();
+            near.visit();
+        }
+        near.say("rests");
+        sleep(10000.0);
+    }
+}
+"""
+
+
+class Counted:
+    """What all hosts together send, and commit."""
+
+    def __init__(self) -> None:
+        self.messages: Counter[str] = Counter()
+        self.sent = self.commits = 0
+        self._encode, self._transfer, self._write = framed.encode, framed.encode_transfer, JournalDisk.write
+
+    def begin(self) -> None:
+        """Count from here."""
+        self.messages.clear()
+        self.sent = self.commits = 0
+
+    def encode(self, message: Message) -> bytes:
+        """A message is sent."""
+        data = self._encode(message)
+        self.messages[type(message).__name__] += 1
+        self.sent += len(data)
+        return data
+
+    def transfer(self, header: Transfer, block: Buffer) -> bytes:
+        """A coordinator is sent."""
+        head = self._transfer(header, block)
+        self.messages["Transfer"] += 1
+        self.sent += len(head) + len(block)
+        return head
+
+    def write(self, disk: JournalDisk, changes: Sequence[Change], now: float) -> None:
+        """Something is put on a disk."""
+        self.commits += 1
+        self._write(disk, changes, now)
+
+
+def mission(hosts: int, leased: bool) -> Mission:
+    """A team of so many, with a resource on each."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        text = _PROGRAM.replace("HOPS", str(HOPS))
+        (folder / "team.L").write_text(text.replace("LEASED", "heartbeatInterval(3.0);" if leased else ""))
+        rows = [f"//Post:post{n}@host{n}\n" for n in range(hosts)]
+        (folder / "team.dL").write_text("".join([*rows, "//Traveller:traveller@host0\n"]))
+        names = ", ".join(f"host{n}" for n in range(min(hosts, MEMBERS)))
+        (folder / "team.devices.yaml").write_text(f"recovery: {{members: [{names}]}}\n")
+        return load_mission(folder / "team.dL")
+
+
+def run_until(fleet: Fleet, word: str) -> None:
+    """Until the mission says so."""
+    while not any(text.strip() == word for _, _, text in fleet.log):
+        fleet.run(0.01)
+
+
+def main() -> None:
+    """Measure one team."""
+    kind, hosts, seconds = sys.argv[1], int(sys.argv[2]), float(sys.argv[3])
+    counted, team = Counted(), mission(hosts, kind == "leased")
+    with (
+        mock.patch.object(framed, "encode", counted.encode),
+        mock.patch.object(framed, "encode_transfer", counted.transfer),
+        mock.patch.object(JournalDisk, "write", lambda *words: counted.write(*words)),
+    ):
+        fleet = Fleet(team, 1, keeps=kind != "volatile")
+        run_until(fleet, "begins")
+        counted.begin()
+        run_until(fleet, "rests")
+        print(sum(counted.messages[name] for name in OF_HOPS) / HOPS, counted.commits / HOPS)
+        fleet.run(SETTLE)
+        counted.begin()
+        fleet.run(seconds)
+        each = hosts * seconds
+        print(counted.messages.total() / each, counted.sent / each, flush=True)
+
+
+if __name__ == "__main__":
+    main()

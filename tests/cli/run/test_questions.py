@@ -1,0 +1,36 @@
+"""Questions in a terminal, and words of `up` that contradict one another."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from lfield.cli.main import main
+
+ASK = "import sys; from lfield.cli.yes import says_yes; sys.exit(10 + says_yes('really? '))"
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("typed", "agreed"), [(b"YES \n", True), (b"y\n", False), (b"\n", False), (b"\x04", False)]
+)
+def test_only_yes_agrees_and_leaving_is_no_fault(typed: bytes, agreed: bool) -> None:
+    keyboard, terminal = os.openpty()
+    try:
+        os.write(keyboard, typed)
+        asked = subprocess.run([sys.executable, "-c", ASK], stdin=terminal, capture_output=True, timeout=60)
+    finally:
+        os.close(keyboard)
+        os.close(terminal)
+    assert (asked.returncode, asked.stderr) == (10 + agreed, b"")
+
+
+def test_a_host_that_keeps_nothing_is_not_told_where(tmp_path, capsys) -> None:
+    (tmp_path / "one.L").write_text("resource Post { init(string[] arg) { } }\n")
+    (tmp_path / "one.dL").write_text("//Post:post@home\n")
+    words = ["up", str(tmp_path / "one.dL"), "--host", "home", "--volatile", "--state", str(tmp_path)]
+    assert main(words) == 64
+    assert "--volatile keeps nothing, and --state says where" in capsys.readouterr().err

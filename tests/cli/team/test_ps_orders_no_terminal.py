@@ -1,0 +1,16 @@
+"""What a program or a host has said stands in the table as text: a terminal obeys nothing of it."""
+
+import pytest
+
+from lfield.cli.views import picture
+from lfield.wire.coordinators import Known
+from lfield.wire.observing import Status
+
+
+def test_what_a_coordinator_died_of_is_text(capsys: pytest.CaptureFixture[str]) -> None:
+    known = Known("tom", 7, 1, 1, "EXITED", "alpha", "died", "E: \x1b[2J[/red]:smile:\aover")
+    status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [known], [], [], [])
+    picture.show({"alpha": status})
+    out = capsys.readouterr().out
+    assert "died: E: \\u{1b}[2J[/red]:smile:\\u{7}over" in " ".join(out.split())
+    assert not any(ord(ch) < 32 and ch != "\n" for ch in out)

@@ -1,0 +1,100 @@
+"""Chains of 2,000 links compile and mean what short ones do: sums, conditions, calls on calls, `else if`."""
+
+import pytest
+
+from lfield.testing.golden import run_text
+
+LINKS = 2_000
+
+PROGRAM = """
+class Counter {
+    public int count;
+    public Counter self;
+    public Counter() { self = this; }
+    public Counter add(int n) { count = count + n; return self; }
+}
+resource Arm {
+    boolean yes = true;
+    init(string[] arg) {
+        int x = 1;
+        boolean b = true;
+        boolean c = false;
+        string s = "";
+        real r = 0.5;
+        Counter counter = new Counter();
+        %s
+    }
+    private int one() { return 1; }
+    private boolean told(int i) { write(i); write("\\n"); return yes; }
+}
+"""
+
+
+def joined(term: str, operator: str) -> str:
+    return f" {operator} ".join([term] * LINKS)
+
+
+@pytest.mark.parametrize(
+    ("value", "result"),
+    [
+        (joined("1", "+"), "2000"),
+        (joined("x", "+"), "2000"),
+        ("x + " + joined("1", "+"), "2001"),
+        (joined("1", "+") + " + x", "2001"),
+        (joined("one()", "+"), "2000"),
+        ("x" + " - 1 + 1" * (LINKS // 2), "1"),
+        (joined("1", "*") + " % 7", "1"),
+        (joined("2 * x + 1", "-"), str(3 - 3 * (LINKS - 1) + 2 * (LINKS - 1))),
+        (f"f2i({joined('r', '+')})", "1000"),
+        (f"f2i({joined('x', '+')} + {joined('r', '+')})", "3000"),
+        (f"({joined('s', '+')}).length()", "0"),
+        ("(" + joined('"ab"', "+") + ").length()", "4000"),
+        ("counter" + ".add(1)" * LINKS + ".count", "2000"),
+        ("counter" + ".self" * LINKS + ".count", "0"),
+        ("s" + ".substring(0, 0)" * LINKS + ".length()", "0"),
+    ],
+    ids=lambda text: text[:24],
+)
+def test_a_long_sum_is_a_sum(value: str, result: str) -> None:
+    desk, _ = run_text(PROGRAM % f'write({value}); write("\\n");')
+    assert desk.output == [result]
+
+
+@pytest.mark.parametrize(
+    ("condition", "result"),
+    [
+        (joined("b", "&&"), "true"),
+        (joined("c", "||"), "false"),
+        (joined("b", "&&") + " && c", "false"),
+        (joined("told(1) && c", "||"), "1\n" * LINKS + "false"),
+        (joined("yes", "&&"), "true"),
+        (joined("b && yes", "||"), "true"),
+        (joined("b", "=="), "true"),
+        (joined("x + 1", "-") + " < 0", "false"),
+        (joined("x", "+") + " == 2000 && " + joined("b", "&&"), "true"),
+        ("told(1) || " + joined("told(2)", "||"), "1\ntrue"),
+    ],
+    ids=lambda text: text[:24],
+)
+def test_a_long_condition_is_a_condition(condition: str, result: str) -> None:
+    """As a value, and in the head of an if."""
+    as_value = f'b = {condition}; write(b); write("\\n");'
+    as_branch = f'if ({condition}) write("true\\n"); else write("false\\n");'
+    for text in (as_value, as_branch):
+        desk, _ = run_text(PROGRAM % text)
+        assert desk.output == result.split("\n")
+
+
+def test_a_long_ladder_takes_one_rung() -> None:
+    rungs = " else ".join(f"if (x == {i}) told({i});" for i in range(2, LINKS))
+    for x, result in ((2, ["2"]), (LINKS - 1, [str(LINKS - 1)]), (1, ["0"])):
+        desk, _ = run_text(PROGRAM % f"x = {x}; {rungs} else told(0);")
+        assert desk.output == result
+
+
+def test_a_ladder_that_always_returns_needs_no_return_behind_it() -> None:
+    rungs = " else ".join(f"if (n == {i}) return {i};" for i in range(LINKS))
+    method = f"private int way(int n) {{ {rungs} else return -1; }}"
+    program = f"resource Arm {{ init(string[] a) {{ write(way(77)); write(way(-3)); }} {method} }}"
+    desk, _ = run_text(program)
+    assert desk.output == ["77-1"]

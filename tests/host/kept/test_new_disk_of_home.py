@@ -1,0 +1,53 @@
+"""A home that has lost its disk does not begin anew what the team goes on with from a shadow."""
+
+from __future__ import annotations
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal count() { write("counted\\n"); }
+    portal stay(real seconds) { write("arrived\\n"); sleep(seconds); }
+}
+coordinator Guest {
+    init(string[] arg) {
+        FIRST
+        findPost("far").count();
+        try { findPost("near").stay(1000.0); }
+        catch (RestartException again) { print("told: " + again.message()); sleep(1000.0); }
+    }
+}
+"""
+DEPLOYMENT = "//Guest:guest@home\n//Post:near@home\n//Post:far@away\n//@tower\n"
+
+
+async def with_a_new_disk(team, first):
+    """guest has come back home from away; then home is started again with another disk."""
+    mission = team.mission(PROGRAM.replace("FIRST", first), DEPLOYMENT)
+    hosts = {running.host.core.name: running for running in await team.up(mission, keeps=True)}
+    home, away = hosts["home"], hosts["away"]
+    await team.until(lambda: "arrived" in home.output)
+    await home.host.stop()
+    team.disks["home"].replace()
+    (again,) = await team.up(mission, "home", keeps=True)
+    return again, away
+
+
+def test_what_runs_under_leases_goes_on_from_its_shadow(fleet):
+    async def story(team):
+        home, away = await with_a_new_disk(team, "heartbeatInterval(3.0);")
+        told = "guest has left away, where a copy of it is kept: not started again"
+        await team.until(lambda: told in home.log)
+        await team.until(lambda: "guest: told: guest was recovered on away" in away.log)
+        assert not home.holds("guest")
+        assert away.output == ["counted"]
+
+    fleet(story)
+
+
+def test_what_nobody_goes_on_with_is_begun_anew(fleet):
+    async def story(team):
+        home, away = await with_a_new_disk(team, "")
+        await team.until(lambda: "arrived" in home.output)
+        assert away.output == ["counted", "counted"]
+
+    fleet(story)

@@ -1,0 +1,170 @@
+"""Who decides that a coordinator is lost: from the devices file to what a host is told, and into bundles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from lfield.errors import BindingError, BundleError
+from lfield.mission import bundle
+from lfield.mission.bindings import Recovery
+from lfield.mission.load import load_mission, mission_problems, rebound
+from lfield.mission.mission import Mission
+
+PROGRAM = """
+resource Post { init(string[] arg) { } portal say() { } }
+coordinator Boss { init(string[] arg) { HEARTBEAT findPost("p0").say(); } }
+coordinator Clerk { init(string[] arg) { } }
+"""
+Write = Callable[..., Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """A team with a post on each of so many hosts, a fenced coordinator and another one."""
+
+    def write(
+        hosts: int, devices: str = "", witness: str = "", heartbeat: str = "heartbeatInterval(2);"
+    ) -> Path:
+        (tmp_path / "m.L").write_text(PROGRAM.replace("HEARTBEAT", heartbeat))
+        lines = [f"//Post:p{n}@h{n}\n" for n in range(hosts)]
+        (tmp_path / "m.dL").write_text("".join(lines) + f"//Boss:boss@h0\n//Clerk:clerk@h0\n{witness}")
+        (tmp_path / "m.devices.yaml").write_text(devices)
+        return tmp_path / "m.dL"
+
+    return write
+
+
+def wrong(deploy: Path) -> str:
+    with pytest.raises(BindingError) as told:
+        load_mission(deploy)
+    return "\n".join(told.value.problems)
+
+
+def test_all_hosts_are_members_unless_they_are_named(write: Write) -> None:
+    mission = load_mission(write(3))
+    assert mission.fenced == {"boss"}
+    assert mission.recovery == Recovery(2.0, ("h0", "h1", "h2"))
+    assert load_mission(write(9)).recovery.members == tuple(f"h{n}" for n in range(9))
+    named = load_mission(write(12, "recovery: {lease: 0.5, members: [h7, h2, h11]}")).recovery
+    # In the order of the team, so that two hosts that name the same ones say the same.
+    assert named == Recovery(0.5, ("h2", "h7", "h11"))
+    assert str(named) == "a lease of 0.5 s among h2, h7 and h11"
+
+
+def test_without_a_fenced_coordinator_nobody_decides(write: Write) -> None:
+    mission = load_mission(write(12, "recovery: {lease: 3}", heartbeat=""))
+    assert (mission.fenced, mission.recovery) == (frozenset(), Recovery(3.0, ()))
+    assert mission_problems(write(2, heartbeat="")) == []
+
+
+def test_more_than_nine_hosts_must_be_chosen_from(write: Write) -> None:
+    sentence = (
+        "a team of 10 hosts with a coordinator that calls heartbeatInterval needs the names of at most 9"
+    )
+    deploy = write(10, "recovery: {lease: 1}")
+    assert sentence in wrong(deploy)
+    (found,) = mission_problems(deploy)
+    problem, is_error = found.render(), found.severity == "error"
+    assert (sentence in problem, is_error) == (True, True)
+    (deploy.with_suffix(".devices.yaml")).unlink()
+    (found,) = mission_problems(deploy)
+    problem, is_error = found.render(), found.severity == "error"
+    assert (sentence in problem, is_error) == (True, True)
+    assert mission_problems(write(10, "recovery: {members: [h1, h2, h9]}")) == []
+
+
+@pytest.mark.parametrize(
+    ("written", "told"),
+    [
+        ("{lease: 0.1}", "'lease' must be from 0.2 to 60, not 0.1"),
+        ("{lease: 61}", "'lease' must be from 0.2 to 60, not 61"),
+        ("{lease: .nan}", "'.nan' is not a finite number"),
+        ("{lease: soon}", "'lease' must be a number"),
+        ("{members: []}", "'members' must be 1 to 9 hosts, not 0"),
+        ("{members: [h0, h1, h0]}", "'h0' is named twice"),
+        ("{members: [h0, h12]}", "the deployment has no host 'h12'"),
+        ("{members: [h0, 3]}", "'members' must be a list of texts, not the number 3"),
+        ("{members: h0}", "'members' must be a list"),
+        ("{member: [h0]}", "'recovery' takes no 'member'"),
+        ("2", "'recovery' must be a mapping"),
+    ],
+)
+def test_what_makes_no_sense_is_drawn_at_its_place(write: Write, written: str, told: str) -> None:
+    said = wrong(write(3, f"recovery: {written}"))
+    assert told in said
+    assert "m.devices.yaml:1:" in said
+    assert "^" in said
+
+
+def test_ten_members_are_too_many(write: Write) -> None:
+    names = ", ".join(f"h{n}" for n in range(10))
+    assert "'members' must be 1 to 9 hosts, not 10" in wrong(write(11, f"recovery: {{members: [{names}]}}"))
+
+
+def test_a_team_of_two_is_told_that_it_needs_a_witness(write: Write) -> None:
+    deploy = write(2)
+    (found,) = mission_problems(deploy)
+    problem, is_error = found.render(), found.severity == "error"
+    assert not is_error
+    assert "m.dL:3:1: warning[Y114]: boss goes on nowhere when one of h0 and h1 is lost" in problem
+    assert "add a witness, a host without agents: //@name" in problem
+    assert load_mission(deploy).warnings == (problem,)
+    (deploy.with_suffix(".devices.yaml")).unlink()
+    assert [found.render() for found in mission_problems(deploy)] == [problem]
+    assert mission_problems(write(2, witness="//@ground\n")) == []
+    assert mission_problems(write(1)) == []
+    assert mission_problems(write(4)) == []
+    (found,) = mission_problems(write(4, "recovery: {members: [h3, h1]}"))
+    problem = found.render()
+    assert "when one of h1 and h3 is lost" in problem
+
+
+def test_a_bundle_has_it_and_another_devices_file_changes_it(write: Write, tmp_path: Path) -> None:
+    mission = load_mission(write(2, "recovery: {lease: 4}", witness="//@ground:9000\n"))
+    read = bundle.decode(bundle.encode(mission))
+    assert read.fenced == {"boss"}
+    assert read.recovery == Recovery(4.0, ("h0", "h1", "ground"))
+    assert (read.team.hosts, read.team.reached["ground"]) == (mission.team.hosts, "ground:9000")
+    assert read.team == mission.team
+    assert read.on_fakes().recovery == read.recovery
+    other = tmp_path / "other.yaml"
+    other.write_text("recovery: {lease: 1, members: [ground]}")
+    assert rebound(read, other).recovery == Recovery(1.0, ("ground",))
+    other.write_text("recovery: {lease: 1, members: [h2]}")
+    with pytest.raises(BindingError, match="the deployment has no host 'h2'"):
+        rebound(read, other)
+
+
+@pytest.mark.parametrize(
+    ("recovery", "told"),
+    [
+        (Recovery(0.0), "the lease of its recovery makes no sense"),
+        (Recovery(float("nan")), "the lease of its recovery makes no sense"),
+        (Recovery(2.0, ("h0", "h0")), "the members of its recovery are no hosts of its team, or too many"),
+        (Recovery(2.0, ("h9",)), "the members of its recovery are no hosts of its team, or too many"),
+    ],
+)
+def test_a_bundle_that_makes_no_sense(write: Write, recovery: Recovery, told: str) -> None:
+    mission = load_mission(write(3))
+    changed = mission.with_bindings(replace(mission.bindings, recovery=recovery))
+    with pytest.raises(BundleError, match=told):
+        bundle.decode(bundle.encode(changed))
+
+
+def test_a_bundle_of_too_many_without_names(write: Write) -> None:
+    mission = load_mission(write(10, "recovery: {members: [h1]}"))
+    changed = mission.with_bindings(replace(mission.bindings, recovery=Recovery()))
+    with pytest.raises(BundleError, match="needs the names of at most 9"):
+        bundle.decode(bundle.encode(changed))
+
+
+def test_bindings_of_an_earlier_bundle_have_the_usual_recovery(write: Write) -> None:
+    mission: Mission = load_mission(write(3))
+    plain = msgspec.to_builtins(mission.bindings)
+    del plain["recovery"]
+    assert msgspec.convert(plain, type(mission.bindings)).recovery == Recovery()

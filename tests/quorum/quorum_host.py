@@ -1,0 +1,345 @@
+"""One life of a host: the real quorum core, and a small model of what mobility and a journal do beside it.
+
+A coordinator is RUN here, PREPARED to leave, or MOVED. What is decided about one goes out when the pages that
+were written before are on disk; a life that ends takes with it what was not.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+from quorum_story import LEASE
+
+from lfield.quorum.effects import Bar, Effect, Saved, TakeOver, Tell
+from lfield.quorum.members import Members
+from lfield.wire.quorum import Place, QuorumMessage
+
+if TYPE_CHECKING:
+    from quorum_world import Computer, World
+
+#: Between the starts that recoveries may make.
+STRIDE = 65536
+#: A host that does more than so many ticks in one second does nothing else.
+BUSY = 100
+
+
+class Transfer(NamedTuple):
+    """A coordinator, under way."""
+
+    agent: str
+    generation: int
+    sequence: int
+
+
+class Inquire(NamedTuple):
+    """Did this transfer arrive?"""
+
+    agent: str
+    generation: int
+    sequence: int
+
+
+class Verdict(NamedTuple):
+    """It did, or it never will."""
+
+    agent: str
+    generation: int
+    sequence: int
+    taken: bool
+
+
+@dataclass(frozen=True)
+class Copy:
+    """What a host has of a coordinator; `kept` once that is on its disk."""
+
+    generation: int
+    sequence: int
+    state: str
+    to: str = ""
+    kept: bool = False
+
+
+class Life:
+    """One process. It sees its own clock only; what it does is seen by the judge."""
+
+    def __init__(self, world: World, computer: Computer, number: int) -> None:
+        self.world, self.computer, self.name = world, computer, computer.name
+        self._judge, self._dice = world.judge, random.Random(f"{world.story.seed} {number}")
+        disk = computer.disk
+        self.copies: dict[str, Copy] = {key[1]: page for key, page in disk.items() if key[0] == "copy"}
+        self.verdicts = {key[1:]: page for key, page in disk.items() if key[0] == "verdict"}
+        fences = {key[1]: page for key, page in disk.items() if key[0] == "fence"}
+        others = [name for name in world.hosts if name != self.name]
+        members = Members(world.story.members, self.name, LEASE)
+        self.core = world.core(members, others, world.story.agents, number, self, fences, self._dice)
+        #: What waits for pages of each coordinator: None stands for one that is not on disk yet.
+        self._waiting: dict[str, deque[Callable[[], None] | None]] = {a: deque() for a in world.story.agents}
+        self._disk_free, self._armed = 0.0, float("inf")
+        self._ticks: deque[float] = deque(maxlen=BUSY)
+        #: Since when it holds the lease, and since when each coordinator is here, in real seconds.
+        self._leased: float | None = None
+        self._until = float("-inf")
+        self._here: dict[str, float] = {}
+        self._asked: dict[str, float] = {}
+
+    # --- time -----------------------------------------------------------------------------------------
+
+    @property
+    def clock(self) -> float:
+        """What this host's clock shows."""
+        return self.computer.clock(self.world.now)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether this life has ended."""
+        return self.computer.life is not self
+
+    def begin(self) -> None:
+        """It takes part after a while."""
+        self.later(self._dice.uniform(0.0, 2.0), lambda: self.core.begin(self.clock))
+        self.later(self._dice.uniform(2.0, 2.5), self._step)
+
+    def later(self, seconds: float, event: Callable[[], None]) -> None:
+        """Something that this life does."""
+        self.world.at(self.world.now + seconds, lambda: self.enter(event))
+
+    def enter(self, event: Callable[[], None]) -> None:
+        """An event, unless the life is over; not before the host goes on again, if it is stopped."""
+        if self.is_over:
+            return
+        if self.computer.frozen:
+            self.computer.backlog.append(lambda: self.enter(event))
+            return
+        event()
+        self._settle()
+
+    def _settle(self) -> None:
+        """After each event: when the core wants to go on, and how long what moves here may move."""
+        self._watch_lease()
+        for agent in self.world.story.agents:
+            if (action := self._judge.action(agent, self.name)) and self._may_act(agent):
+                action.until = max(action.until, self.until)
+        due = self.core.due
+        if due is None:
+            return
+        at = max(self.world.now, self.computer.real(due)) + 1e-6 + self._dice.uniform(0.0, 0.004)
+        if at < self._armed:
+            self._armed = at
+            self.world.at(at, lambda: self.enter(lambda: self._tick(at)))
+
+    def _watch_lease(self) -> None:
+        until = self.core.lease.until
+        if until <= self.clock:
+            self._leased = None
+        elif self._leased is None or self._until < self.clock:
+            self._leased = self.world.now
+        self._until = until
+
+    def _tick(self, armed: float) -> None:
+        if self._armed == armed:
+            self._armed = float("inf")
+        self._ticks.append(self.world.now)
+        if len(self._ticks) == BUSY and self.world.now - self._ticks[0] < 1.0:
+            self._judge.breach(f"{self.name} is busy with nothing")
+        self.carry_out(self.core.tick(self.clock))
+
+    # --- the disk -------------------------------------------------------------------------------------
+
+    def write(self, agent: str, pages: dict[tuple, object], then: Callable[[], None] = lambda: None) -> None:
+        """Pages of a coordinator, and what rests on them."""
+        waiting = self._waiting[agent]
+        waiting.append(None)
+        waiting.append(then)
+        self._disk_free = max(self._disk_free, self.world.now) + self.world.commit(self.name)
+        self.world.at(self._disk_free, lambda: self._written(agent, pages))
+
+    def _written(self, agent: str, pages: dict[tuple, object]) -> None:
+        if not self.is_over:
+            self.computer.disk.update(pages)
+            self.enter(lambda: self._release(agent))
+
+    def _release(self, agent: str) -> None:
+        waiting = self._waiting[agent]
+        waiting.popleft()
+        while waiting and waiting[0] is not None:
+            waiting.popleft()()
+
+    def after(self, agent: str, action: Callable[[], None]) -> None:
+        """When all pages of a coordinator that were written are on disk."""
+        if self._waiting[agent]:
+            self._waiting[agent].append(action)
+        else:
+            action()
+
+    # --- the core -------------------------------------------------------------------------------------
+
+    def carry_out(self, effects: Iterable[Effect]) -> None:
+        """What the core asks for."""
+        for effect in effects:
+            match effect:
+                case Bar():
+                    self._bar(effect.agent, effect.generation)
+                case Tell():
+                    self._tell(effect.host, effect.message)
+                case TakeOver():
+                    self._take_over(effect.agent, effect.generation)
+
+    def _tell(self, host: str, message: QuorumMessage) -> None:
+        agent = getattr(message, "agent", None)
+        if agent in self._waiting:
+            self.after(agent, lambda: self.world.send(self.name, host, message))
+        else:
+            self.world.send(self.name, host, message)
+
+    def _bar(self, agent: str, generation: int) -> None:
+        self._judge.barred(agent, generation, self.name)
+        copy = self.copies.get(agent)
+        if copy and copy.generation < generation:
+            self._judge.stops(agent, self.name)
+        self.keep_fence(agent, generation)
+
+    def keep_fence(self, agent: str, generation: int) -> None:
+        """A fence comes to the disk."""
+        self.write(agent, {("fence", agent): generation})
+
+    def _take_over(self, agent: str, generation: int) -> None:
+        self._judge.counts["recoveries"] += 1
+        self._keep(agent, Copy(generation, 0, "RUN"))
+
+    def saved(self, agent: str) -> Saved | None:
+        """The newest that is here of a coordinator."""
+        copy = self.copies.get(agent)
+        if copy is None:
+            return None
+        place = Place(copy.generation, copy.sequence, copy.state != "RUN")
+        return Saved(place, self.lives(agent), self.world.story.interval)
+
+    def mint(self, agent: str, above: int) -> int:
+        """A generation that no other host makes."""
+        copy = self.copies.get(agent)
+        newest = max(above, copy.generation if copy else 0)
+        return (newest // STRIDE + 1) * STRIDE + self.world.story.hosts.index(self.name) + 1
+
+    # --- coordinators ---------------------------------------------------------------------------------
+
+    def start(self, agent: str) -> None:
+        """A home starts it."""
+        self._keep(agent, Copy(1, 0, "RUN"))
+
+    def _keep(self, agent: str, copy: Copy, pages: dict | None = None, then=lambda: None) -> None:
+        """A copy comes to the disk, and is as good as there when it is."""
+        self.copies[agent] = copy
+        self._here[agent] = self.world.now
+
+        def kept() -> None:
+            if self.copies[agent] == copy:
+                self.copies[agent] = replace(copy, kept=True)
+                if copy.state == "RUN":
+                    self._act(agent)
+            then()
+
+        self.write(agent, {("copy", agent): replace(copy, kept=True), **(pages or {})}, kept)
+
+    def lives(self, agent: str) -> bool:
+        """Whether it runs here, as far as fences let it."""
+        copy = self.copies.get(agent)
+        return copy is not None and copy.state == "RUN" and not self.core.barred(agent, copy.generation)
+
+    def _may_act(self, agent: str) -> bool:
+        copy = self.copies.get(agent)
+        if copy is None or not copy.kept or not self.lives(agent):
+            return False
+        return self.core.may_act(agent, copy.generation, self.clock)
+
+    @property
+    def until(self) -> float:
+        """Until when, in real seconds, a command of now may move something."""
+        return min(self.computer.real(self.core.lease.until), self.world.now + LEASE)
+
+    def well(self, agent: str, below: int) -> float | None:
+        """Since when a start before that one has been here under a lease; None if none is."""
+        copy = self.copies.get(agent)
+        if copy is None or copy.generation >= below or not self._may_act(agent) or self._leased is None:
+            return None
+        return max(self._leased, self._here.get(agent, 0.0))
+
+    def _step(self) -> None:
+        self.later(self._dice.uniform(0.05, 0.6), self._step)
+        for agent in self.world.story.agents:
+            copy = self.copies.get(agent)
+            if copy is None or not copy.kept or self._judge.action(agent, self.name):
+                continue
+            if copy.state == "PREPARED" and self.clock >= self._asked.get(agent, 0.0) + 1.0:
+                self._ask(agent, copy)
+            elif self.lives(agent):
+                self._work(agent, copy)
+
+    def _work(self, agent: str, copy: Copy) -> None:
+        others = [name for name in self.world.hosts if name != self.name]
+        if others and self._dice.random() < 0.3:
+            self._leave(agent, copy, self._dice.choice(others))
+        else:
+            self._act(agent)
+
+    def _act(self, agent: str) -> None:
+        copy = self.copies[agent]
+        if self._may_act(agent):
+            end = self.world.now + self._dice.choice([0.1, 1.0, 5.0])
+            token = copy.generation, copy.sequence
+            self._judge.begins(agent, self.name, token, end, self.until)
+        else:
+            self.core.hurry(self.clock)
+
+    def _leave(self, agent: str, copy: Copy, to: str) -> None:
+        transfer = Transfer(agent, copy.generation, copy.sequence + 1)
+        self._judge.counts["hops"] += 1
+        self._asked[agent] = self.clock
+        gone = Copy(transfer.generation, transfer.sequence, "PREPARED", to)
+        self._keep(agent, gone, then=lambda: self.world.send(self.name, to, transfer))
+
+    def _ask(self, agent: str, copy: Copy) -> None:
+        self._asked[agent] = self.clock
+        self.world.send(self.name, copy.to, Inquire(agent, copy.generation, copy.sequence))
+
+    def hear(self, sender: str, message: object) -> None:
+        """A message has come."""
+        match message:
+            case Transfer() | Inquire():
+                self._decide(sender, message)
+            case Verdict():
+                self._learn(message)
+            case _:
+                self.carry_out(self.core.receive(sender, message, self.clock))
+
+    def _decide(self, sender: str, asked: Transfer | Inquire) -> None:
+        """A number that is not above the highest seen gets its old answer; what is barred is not taken in."""
+        agent, generation, sequence = asked
+        seen, taken = self.verdicts.get((agent, generation), (-1, False))
+        if sequence > seen:
+            seen, taken = sequence, isinstance(asked, Transfer) and self._takes(agent, generation)
+            self.verdicts[agent, generation] = seen, taken
+            page = {("verdict", agent, generation): (seen, taken)}
+            if taken:
+                self._keep(agent, Copy(generation, sequence, "RUN"), page)
+            else:
+                self.write(agent, page)
+        answer = Verdict(agent, generation, sequence, taken or sequence < seen)
+        self.after(agent, lambda: self.world.send(self.name, sender, answer))
+
+    def _takes(self, agent: str, generation: int) -> bool:
+        copy = self.copies.get(agent)
+        return not self.core.barred(agent, generation) and (copy is None or copy.generation <= generation)
+
+    def _learn(self, verdict: Verdict) -> None:
+        copy = self.copies.get(verdict.agent)
+        identity = verdict.generation, verdict.sequence
+        if copy and copy.state == "PREPARED" and (copy.generation, copy.sequence) == identity:
+            state = "MOVED" if verdict.taken else "RUN"
+            self.copies[verdict.agent] = replace(copy, state=state, kept=True)
+            self._here[verdict.agent] = self.world.now
+            if verdict.taken:
+                self.write(verdict.agent, {("copy", verdict.agent): self.copies[verdict.agent]})

@@ -1,0 +1,153 @@
+"""What one host answers, and what it lets coordinators do; nothing that comes in puts it in disorder."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from quorum_one import LEASE, One, alive, shadow, told
+
+from lfield.quorum.effects import Bar
+from lfield.wire.quorum import (
+    MOST,
+    Ack,
+    Barred,
+    Heartbeat,
+    Held,
+    Place,
+    Promise,
+    Propose,
+    QuorumMessage,
+    Seek,
+    Sought,
+)
+
+
+def test_nothing_is_begun_before_begin_but_everything_is_answered() -> None:
+    one = One()
+    one.core._next = None
+    assert one.core.due is None
+    assert one.core.tick(200.0) == []
+    assert told(one.hear("b", Heartbeat(1, 1, 0, [])), Ack)
+    assert told(one.hear("b", Seek("Tour")), Sought)
+    assert told(one.hear("b", Propose("Tour", 65537)), Promise)
+
+
+def test_a_coordinator_acts_under_a_lease_and_not_below_a_fence() -> None:
+    one = One(saved=alive())
+    assert not one.core.may_act("Tour", 1, one.now)
+    one.lease()
+    assert one.core.may_act("Tour", 1, one.now)
+    one.hear("b", Ack(77, 1, [Barred("Tour", 2)]))
+    assert not one.core.may_act("Tour", 1, one.now)
+    assert one.core.may_act("Tour", 2, one.now)
+    assert not one.core.may_act("Tour", 2, one.now + LEASE)
+
+
+def test_an_acknowledgement_of_another_life_is_nothing() -> None:
+    one = One(saved=alive())
+    one.pass_time(1.0)
+    assert one.hear("b", Ack(76, 1, [Barred("Tour", 9)])) == []
+    assert not one.core.lease.holds(one.now)
+    assert not one.core.barred("Tour", 1)
+
+
+def test_fences_come_with_each_acknowledgement_until_they_are_known() -> None:
+    one = One(fence=65537)
+    beat = Heartbeat(5, 1, 0, [])
+    for _ in range(3):
+        assert one.hear("b", beat) == one.hear("b", beat)
+        ((_, ack),) = told(one.hear("b", beat), Ack)
+        assert ack.fences == [Barred("Tour", 65537)], "and none of agents that are gone"
+    ((_, ack),) = told(one.hear("b", Heartbeat(5, 2, one.core.fences.digest, [])), Ack)
+    assert ack.fences == []
+
+
+def test_a_promise_rises_above_what_is_known_or_tells_of_it() -> None:
+    one = One(saved=shadow())
+    bar, promise = one.hear("b", Propose("Tour", 65538))
+    assert isinstance(bar, Bar)
+    assert promise.message == Promise("Tour", 65538, 65538, Place(1, 3, True))
+    (promise,) = one.hear("b", Propose("Tour", 65538))
+    assert promise.message.fence == 65538, "told again"
+    (promise,) = one.hear("c", Propose("Tour", 65537))
+    assert promise.message.fence == 65538, "refused"
+
+
+def test_who_acts_here_is_not_barred_by_one_who_asked_before_it_came() -> None:
+    one = One(saved=alive())
+    one.lease()
+    (answer,) = one.hear("c", Propose("Tour", 65539))
+    assert (answer.message.holder, answer.message.generation) == ("a", 1)
+    one.now += 2 * LEASE
+    assert told(one.hear("c", Propose("Tour", 65539)), Promise)
+
+
+def test_what_is_held_is_told_only_under_a_lease() -> None:
+    one = One(saved=alive())
+    assert {tuple(beat.held) for _, beat in told(one.pass_time(1.0), Heartbeat)} == {()}
+    one.lease()
+    held = [beat.held for _, beat in told(one.pass_time(1.0), Heartbeat)]
+    assert held[-1] == [Held("Tour", 1, 3)]
+    one.hear("b", Ack(77, 1, [Barred("Tour", 2)]))
+    assert {tuple(beat.held) for _, beat in told(one.pass_time(1.0), Heartbeat)} == {()}
+
+
+def test_who_is_no_member_asks_for_a_lease_when_it_needs_one_but_not_without_end() -> None:
+    one = One(members="bc")
+    assert not told(one.pass_time(10.0), Heartbeat)
+    one.copy = alive()
+    beats = 0
+    for _ in range(100):
+        one.core.hurry(one.now)
+        beats += len(told(one.pass_time(0.001), Heartbeat))
+    assert beats == 2
+
+
+def test_who_was_heard_is_told_with_how_long_ago_that_was() -> None:
+    one = One()
+    one.hear("b", Heartbeat(5, 1, 0, [Held("Tour", 3, 4)]))
+    one.pass_time(1.5)
+    ((_, answer),) = told(one.hear("c", Seek("Tour")), Sought)
+    assert (answer.holder, answer.generation, answer.age) == ("b", 3, pytest.approx(1.5))
+
+
+HUGE = 2**63 - 1
+STRANGE: list[QuorumMessage] = [
+    Heartbeat(HUGE, HUGE, HUGE, [Held("Nobody", HUGE, HUGE), Held("Tour", HUGE, HUGE)]),
+    Heartbeat(0, 0, 0, [Held("Tour", 0, 0)] * MOST),
+    Ack(77, HUGE, [Barred("Nobody", HUGE), Barred("Tour", 0)]),
+    Ack(0, 0, []),
+    Seek("Nobody"),
+    Sought("Nobody", Place(HUGE, HUGE, False), "x", HUGE, 0.0),
+    Sought("Tour", None, "Tour", 0, 1e9),
+    Propose("Nobody", HUGE),
+    Propose("Tour", 0),
+    Promise("Nobody", HUGE, HUGE, None),
+    Promise("Tour", HUGE, 0, None),
+]
+
+
+@pytest.mark.parametrize("message", STRANGE, ids=lambda message: type(message).__name__)
+@pytest.mark.parametrize("host", ["b", "stranger"])
+def test_what_is_old_or_strange_changes_nothing(host: str, message: QuorumMessage) -> None:
+    one = One(saved=shadow(), fence=65537)
+    effects = one.hear(host, message)
+    assert not [e for e in effects if isinstance(e, Bar)]
+    for _, answer in told(effects, QuorumMessage):
+        packed = msgspec.msgpack.encode(answer)
+        assert msgspec.msgpack.decode(packed, type=QuorumMessage) == answer
+    assert one.core.fences.of("Tour") == 65537
+    assert not one.core.lease.holds(one.now)
+
+
+def test_names_that_nobody_knows_are_not_remembered() -> None:
+    one = One(saved=shadow())
+    for number in range(200):
+        name = f"Nobody:{number}"
+        one.hear("b", Heartbeat(5, number, 0, [Held(name, 1, 1)]))
+        one.hear("b", Sought(name, None, "b", 1, 0.0))
+        one.hear("b", Propose(name, 9))
+        one.hear("b", Promise(name, 9, 9, None))
+        one.hear("b", Seek(name))
+    parts = [vars(one.core), vars(one.core._recoveries), vars(one.core.fences)]
+    assert max(len(kept) for part in parts for kept in part.values() if isinstance(kept, dict)) <= 1

@@ -1,0 +1,95 @@
+"""Time on simulated computers: clocks of their own, processors that take time, stories with an end."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import random
+from dataclasses import replace
+
+import pytest
+
+from lfield.simulate.computers.computer import Computer
+from lfield.simulate.computers.machines import Machine, MachineClock
+from lfield.simulate.computers.network import Network
+from lfield.simulate.computers.timeline import Endless, Timeline
+from lfield.simulate.hardware import Hardware
+from lfield.simulate.stories import trial
+from lfield.simulate.stories.story import plain
+
+
+def test_a_clock_runs_at_its_rate_and_boot_time_counts_suspensions() -> None:
+    timeline = Timeline()
+    clock = MachineClock(timeline, began=50.0, rate=1.01)
+    timeline.run(10.0)
+    assert clock.awake() == clock.monotonic() == pytest.approx(60.1)
+    clock.stands_still(5.0)
+    assert clock.suspended
+    timeline.run(5.0)
+    assert not clock.suspended
+    assert clock.awake() == pytest.approx(60.1)
+    assert clock.monotonic() == pytest.approx(65.15)
+
+
+def test_a_process_that_never_waits_lets_time_go_on() -> None:
+    timeline = Timeline()
+    machine = Machine("m", timeline, random.Random(1))
+    process = Computer(machine, Network(timeline, {"m": machine}, random.Random(2)), {}).start()
+
+    async def spins() -> None:
+        while True:
+            await asyncio.sleep(0)
+
+    process.loop.enter(lambda: process.loop.create_task(spins()))
+    timeline.run(0.5)
+    assert timeline.now == 0.5
+    assert 100 < timeline.events < 1000
+
+
+def test_who_looks_too_early_by_less_than_a_clock_can_tell_does_not_look_for_ever() -> None:
+    timeline = Timeline()
+    timeline.now, timeline.most = 1e6, 100
+    machine = Machine("m", timeline, random.Random(1))
+    machine.clock = MachineClock(timeline, began=1.0)
+    loop = Computer(machine, Network(timeline, {"m": machine}, random.Random(2)), {}).start().loop
+    due = loop.time() + 1.0
+    came: list[float] = []
+
+    def look() -> None:
+        if loop.time() <= due:
+            loop.call_at(math.nextafter(due, math.inf), look)
+        else:
+            came.append(timeline.now)
+
+    loop.enter(look)
+    timeline.run(2.0)
+    assert came
+
+
+def test_more_events_than_may_be_end_a_simulation() -> None:
+    timeline = Timeline()
+    timeline.most = 1000
+
+    def again() -> None:
+        timeline.after(0.0, again)
+
+    again()
+    with pytest.raises(Endless, match="1,000 events, and it goes on at 0"):
+        timeline.run(1.0)
+
+
+def test_a_story_that_goes_on_for_ever_is_a_breach(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "MOST_EVENTS", 100)
+    verdict = trial.tell(replace(plain(3), keep=frozenset()))
+    assert [breach.name for breach in verdict.breaches] == ["endless"]
+
+
+def test_what_its_watchdog_has_stopped_does_not_move_again_when_it_is_fed() -> None:
+    timeline = Timeline()
+    hardware = Hardware(timeline, random.Random(1))
+    hardware.tell(1, "setVelocity", (), float("inf"))
+    assert hardware.moving
+    timeline.run(2.0)
+    assert not hardware.moving
+    hardware.feed()
+    assert not hardware.moving

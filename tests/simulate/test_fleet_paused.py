@@ -1,0 +1,63 @@
+"""A pause outlives the host that was told of it, and so does what its devices do. In virtual time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lfield.mission.load import load_mission
+from lfield.simulate.fleet import Fleet, Life
+from lfield.wire.observing import Pause
+
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal climb(real height) { fc.takeoff(height); print("climbs to " + f2s(height, 0)); }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post post = findPost()[0];
+        for (int n = 2; n < 1000; n = n + 1) {
+            try { post.climb(i2f(n)); }
+            catch (RestartException told) { print("told"); }
+            sleep(0.5);
+        }
+    }
+}
+"""
+
+
+class Desk:
+    """Who says the word, and does not listen."""
+
+    def send(self, message: object) -> None:
+        """The answer."""
+
+
+def say(life: Life, *, lift: bool) -> None:
+    life.process.loop.enter(lambda: life.host.received("", Pause(lift), Desk()))
+
+
+def latched(fleet: Fleet) -> str:
+    (device,) = fleet.lives["alpha"].host.status().devices
+    return device.latched
+
+
+def test_the_devices_of_a_host_that_is_started_while_it_is_paused_are_held(tmp_path: Path) -> None:
+    (tmp_path / "mission.L").write_text(PROGRAM)
+    (tmp_path / "mission.dL").write_text("//Post:p@alpha\n//Walker:walker@alpha\n")
+    fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1)
+    fleet.run(8.0)
+    say(fleet.lives["alpha"], lift=False)
+    fleet.run(5.0)
+    assert latched(fleet) == "the mission is paused"
+    fleet.crash("alpha")
+    fleet.boot("alpha")
+    began = len(fleet.log)
+    fleet.run(10.0)
+    assert latched(fleet) == "the mission is paused"
+    assert not [text for _, _, text in fleet.log[began:] if "climbs" in text]
+    say(fleet.lives["alpha"], lift=True)
+    fleet.run(10.0)
+    assert latched(fleet) == ""
+    assert [text for _, _, text in fleet.log[began:] if "climbs" in text]

@@ -1,0 +1,213 @@
+"""Another host goes on with a coordinator whose host is gone, never beside it. Whole hosts, virtual time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.simulate.fleet import Fleet
+
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal stamp(int n) { print("stamp " + i2s(n)); sleep(0.3); }
+    portal free() { fc.release(); }
+    portal climb(int n) { print("climb " + i2s(n)); fc.takeoff(1.0 * n); print("up " + i2s(n)); }
+}
+coordinator Walker {
+    init(string[] arg) {
+        heartbeatInterval(INTERVAL);
+        Post[] posts = findPost();
+        boolean[] gone = new boolean[posts.length()];
+        for (int n = 0; n < 60; n = n + 1) {
+            int tries = 3;
+            if (gone[n % posts.length()]) tries = 0;
+            while (tries > 0) {
+                try {
+                    posts[n % posts.length()].CALL(n);
+                    tries = 0;
+                } catch (RestartException again) {
+                    print("told at " + i2s(n) + ": " + again.message());
+                    tries = tries - 1;
+                } catch (UnreachableResourceException away) {
+                    print("away at " + i2s(n) + ": " + away.message());
+                    gone[n % posts.length()] = true;
+                    tries = 0;
+                } catch (Exception refused) {
+                    print("refused at " + i2s(n) + ": " + refused.message());
+                    tries = tries - 1;
+                    sleep(0.2);
+                }
+            }
+        }
+        print("complete");
+    }
+}
+"""
+TEAM = "//Post:a@alpha\n//Post:b@bravo\n//Post:c@charlie\n//Walker:walker@alpha\n"
+INTERVAL, LEASE = 3.0, 2.0
+
+
+def mission(folder: Path, call: str = "stamp", team: str = TEAM, interval: float = INTERVAL) -> Mission:
+    (folder / "mission.L").write_text(PROGRAM.replace("INTERVAL", str(interval)).replace("CALL", call))
+    (folder / "mission.dL").write_text(team)
+    return load_mission(folder / "mission.dL", simulate=True)
+
+
+def said(fleet: Fleet, what: str) -> list[tuple[float, str, str]]:
+    return [line for line in fleet.log if what in line[2]]
+
+
+def run_until(fleet: Fleet, what: str, within: float) -> float:
+    """When it is said first; fails when it is not within so many seconds."""
+    end = fleet.now + within
+    while fleet.now < end:
+        if found := said(fleet, what):
+            return found[0][0]
+        fleet.run(0.1)
+    raise AssertionError(
+        f"{what!r} was not said within {within} s:\n" + "".join(x[2] for x in fleet.log[-20:])
+    )
+
+
+def holder(fleet: Fleet) -> str:
+    """The host on which the walker runs now, once it is on no way."""
+    while True:
+        agents = {name: life.core.machine.agents.get("walker") for name, life in fleet.lives.items()}
+        found = [name for name, agent in agents.items() if agent is not None and not agent.frozen]
+        if len(found) == 1:
+            return found[0]
+        fleet.run(0.01)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_team_goes_on_without_the_host_that_has_the_coordinator(tmp_path: Path, seed: int) -> None:
+    fleet = Fleet(mission(tmp_path), seed)
+    run_until(fleet, f"stamp {7 + seed}\n", 30.0)
+    gone, at = holder(fleet), fleet.now
+    fleet.power_off(gone)
+    told = run_until(fleet, "was recovered on", 20.0)
+    # It may have had one more call to make before it came to the host that was gone.
+    last = max([at, *(when + 0.35 for when, _, _ in said(fleet, "stamp ") if when < told)])
+    assert told - last <= INTERVAL + 3.0
+    run_until(fleet, "complete", 90.0)
+    stamped = [text.strip() for _, _, text in said(fleet, "stamp ")]
+    assert len(stamped) - len(set(stamped)) <= 1
+    assert not said(fleet, "bug in lfield")
+
+
+def test_the_host_that_comes_back_too_late_does_not_go_on(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 3)
+    run_until(fleet, "stamp 10\n", 30.0)
+    gone = holder(fleet)
+    fleet.power_off(gone)
+    run_until(fleet, "was recovered on", 20.0)
+    fleet.boot(gone)
+    run_until(fleet, "complete", 90.0)
+    fleet.run(5.0)
+    (row,) = (k for k in fleet.lives[gone].core.mobility.knowledge() if k.generation == 1)
+    assert (row.state, row.outcome) == ("EXITED", "superseded")
+    assert len(said(fleet, "complete")) == 1
+
+
+def test_the_host_that_comes_back_in_time_goes_on_itself(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 4)
+    run_until(fleet, "stamp 10\n", 30.0)
+    gone = holder(fleet)
+    fleet.crash(gone)
+    fleet.boot(gone)
+    run_until(fleet, "goes on where it was kept", 10.0)
+    run_until(fleet, "complete", 90.0)
+    assert not said(fleet, "was recovered on")
+
+
+def test_a_host_that_is_cut_off_stops_and_its_devices_go_safe_before_another_goes_on(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path, "climb"), 5)
+    run_until(fleet, "climb 4\n", 60.0)
+    cut, at = holder(fleet), fleet.now
+    for other in {"alpha", "bravo", "charlie"} - {cut}:
+        fleet.cut(cut, other)
+    gone_on = run_until(fleet, "was recovered on", 20.0)
+    lost = run_until(fleet, f"the lease of {cut} has ended", 1.0)
+    assert at < lost <= at + LEASE * 1.01 + 0.1 < gone_on
+    fleet.run(10.0)
+    record = fleet.hardware[f"{cut[0]}.fc"].record
+    assert not [told for told in record if told.what == "takeoff" and told.at > lost]
+    assert any(told.at >= lost for told in record)
+    fleet.heal_all()
+    run_until(fleet, "complete", 200.0)
+
+
+def test_without_a_majority_nobody_acts_and_with_one_all_goes_on(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 6)
+    run_until(fleet, "stamp 5\n", 30.0)
+    names = ("alpha", "bravo", "charlie")
+    for one in names:
+        for other in names:
+            if one < other:
+                fleet.cut(one, other)
+    fleet.run(LEASE * 1.01 + 0.4)
+    before = len(said(fleet, "stamp "))
+    fleet.run(20.0)
+    assert len(said(fleet, "stamp ")) == before
+    fleet.heal_all()
+    run_until(fleet, "complete", 90.0)
+
+
+def test_a_coordinator_does_not_start_without_a_majority(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 7)
+    for name in ("bravo", "charlie"):
+        fleet.cut("alpha", name)
+    fleet.run(20.0)
+    assert said(fleet, "walker: not started before a majority of the team can be heard")
+    assert not said(fleet, "stamp")
+    fleet.heal("alpha", "charlie")
+    run_until(fleet, "stamp 0", 10.0)
+
+
+def test_who_has_lost_its_promises_gives_no_lease_before_it_has_heard_all(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 11)
+    run_until(fleet, "stamp 5\n", 30.0)
+    other = "bravo" if holder(fleet) == "charlie" else "charlie"
+    fleet.power_off("alpha")
+    fleet.power_off(other)
+    fleet.lose_disk(other)
+    fleet.boot(other)
+    fleet.run(20.0)
+    stamped = len(said(fleet, "stamp "))
+    fleet.run(10.0)
+    assert len(said(fleet, "stamp ")) == stamped
+    assert said(fleet, "no lease is given before every member was heard: the journal here is new")
+    fleet.boot("alpha")
+    run_until(fleet, "complete", 120.0)
+
+
+def test_a_coordinator_whose_interval_is_switched_off_waits_for_its_host(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path, interval=-1.0), 8)
+    run_until(fleet, "stamp 10\n", 30.0)
+    gone = holder(fleet)
+    fleet.power_off(gone)
+    fleet.run(30.0)
+    assert not said(fleet, "was recovered on")
+    fleet.boot(gone)
+    run_until(fleet, "complete", 90.0)
+
+
+def test_a_witness_is_a_member(tmp_path: Path) -> None:
+    team = "//Post:a@alpha\n//Post:b@bravo\n//@charlie\n//Walker:walker@alpha\n"
+    fleet = Fleet(mission(tmp_path, team=team), 9)
+    run_until(fleet, "stamp 10\n", 30.0)
+    gone = holder(fleet)
+    fleet.power_off(gone)
+    run_until(fleet, "complete", 90.0)
+    assert said(fleet, "was recovered on")
+
+
+def test_without_journals_the_interval_has_no_effect_and_that_is_said(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 10, keeps=False)
+    run_until(fleet, "heartbeatInterval has no effect here: alpha keeps no journal", 5.0)
+    run_until(fleet, "complete", 60.0)

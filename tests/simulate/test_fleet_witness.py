@@ -1,0 +1,60 @@
+"""A witness is a whole host without agents: it is linked, hears of ends, and ends with its team."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+
+from lfield import exits
+from lfield.mission import bundle
+from lfield.mission.load import load_mission
+from lfield.mission.mission import Mission
+from lfield.simulate.fleet import Fleet
+from lfield.simulate.weather import Weather
+
+PROGRAM = """
+resource Post { int n; init(string[] arg) { } portal count() emit int { n = n + 1; return n; } }
+coordinator Boss {
+    init(string[] arg) {
+        heartbeatInterval(3);
+        for (int i = 0; i < 20; i = i + 1) {
+            try { findPost("p").count(); findPost("q").count(); } catch (Exception e) { print(e.type()); }
+            sleep(0.5);
+        }
+    }
+}
+"""
+
+
+@pytest.fixture(scope="module", params=["deployment", "bundle"])
+def mission(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Mission:
+    folder: Path = tmp_path_factory.mktemp("mission")
+    (folder / "mission.L").write_text(PROGRAM)
+    (folder / "mission.dL").write_text("//@ground\n//Boss:boss@alpha\n//Post:p@alpha\n//Post:q@bravo\n")
+    mission = load_mission(folder / "mission.dL")
+    return mission if request.param == "deployment" else bundle.decode(bundle.encode(mission))
+
+
+def test_a_team_with_a_witness_comes_to_its_end(mission: Mission) -> None:
+    fleet = Fleet(mission, 3, lost_after=60.0)
+    assert set(fleet.lives) == {"alpha", "bravo", "ground"}
+    fleet.run(5.0)
+    ground = fleet.lives["ground"].core
+    assert ground.machine.agents == {}
+    assert ground.mission.recovery.members == ("alpha", "bravo", "ground")
+    fleet.run(60.0)
+    assert fleet.left == dict.fromkeys(("alpha", "bravo", "ground"), exits.DONE)
+
+
+def test_a_witness_comes_and_goes(mission: Mission) -> None:
+    fleet = Fleet(mission, 5)
+    first = fleet.lives["ground"]
+    Weather(cut=2.0, kill=6.0).over(fleet, random.Random(5), 60.0)
+    fleet.run(90.0)
+    assert not fleet.failed
+    assert fleet.lives["ground"] is not first
+    # It hears again how the coordinator ended, from those who keep it.
+    rows = fleet.lives["ground"].core.mobility.knowledge()
+    assert [(row.agent, row.state) for row in rows] == [("boss", "EXITED")]

@@ -1,0 +1,60 @@
+"""A killed process does nothing more: nobody resumes its coroutines, and nobody unwinds them."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import random
+
+from lfield.simulate.computers.computer import Computer, Process
+from lfield.simulate.computers.machines import Machine
+from lfield.simulate.computers.network import Network
+from lfield.simulate.computers.timeline import Timeline
+
+
+def _computer(timeline: Timeline) -> Computer:
+    machine = Machine("m", timeline, random.Random(1))
+    return Computer(machine, Network(timeline, {"m": machine}, random.Random(2)), {})
+
+
+async def _works(said: list[str]) -> None:
+    try:
+        await asyncio.sleep(5.0)
+        said.append("worked")
+    finally:
+        said.append("tidied up")
+        await asyncio.sleep(0.1)
+
+
+def _begun(timeline: Timeline, said: list[str]) -> Process:
+    process = _computer(timeline).start()
+    process.loop.enter(lambda: process.loop.create_task(_works(said)))
+    return process
+
+
+def test_what_was_killed_is_never_unwound() -> None:
+    timeline, said = Timeline(), list[str]()
+    process = _begun(timeline, said)
+    timeline.run(1.0)
+    process.die(-9)
+    del process
+    timeline.run(10.0)
+    gc.collect()
+    assert said == []
+
+
+def test_nor_is_what_nobody_simulates_any_more() -> None:
+    said = list[str]()
+    timeline = Timeline()
+    process = _begun(timeline, said)
+    timeline.run(1.0)
+    del timeline, process
+    gc.collect()
+    assert said == []
+
+
+def test_who_ends_by_himself_does_so_in_order() -> None:
+    timeline, said = Timeline(), list[str]()
+    _begun(timeline, said)
+    timeline.run(6.0)
+    assert said == ["worked", "tidied up"]

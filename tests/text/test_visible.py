@@ -1,0 +1,52 @@
+"""What reaches a terminal orders it nothing."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lfield.text.findings import Table
+from lfield.text.source import Diagnostic, Source, Span
+from lfield.text.visible import clipped, in_one_line, visible
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("plain", "plain"),
+        ("ü 日本 🤖 \u00a0", "ü 日本 🤖 \u00a0"),
+        ("a\x1b[2Jb", "a\\u{1b}[2Jb"),
+        ("\x9b31m", "\\u{9b}31m"),
+        ("over\rwritten", "over\\rwritten"),
+        ("bell\a\b", "bell\\u{7}\\u{8}"),
+        ("\u202egnp.exe", "\\u{202e}gnp.exe"),
+        ("a\ud800", "a\\u{d800}"),
+        ("two\n\tlines\0", "two\n\tlines\\0"),
+    ],
+)
+def test_what_a_terminal_would_obey_is_shown(text: str, shown: str) -> None:
+    assert visible(text) == shown
+
+
+@given(st.text())
+def test_one_line_stays_one(text: str) -> None:
+    shown = in_one_line(text)
+    assert len(shown.splitlines()) <= 1
+    assert not any(ord(ch) < 32 or 127 <= ord(ch) < 160 for ch in shown)
+    assert in_one_line(shown) == shown
+
+
+def test_what_is_too_long_is_cut() -> None:
+    assert (clipped("abcd", 4), clipped("abcde", 4)) == ("abcd", "abc…")
+
+
+def test_a_finding_is_short_and_orders_nothing() -> None:
+    source = Source("a\x1bb.L", "x" * 7000)
+    found = Table("L9").message("L301", "no '{name}' here", "declare {name}")
+    drawn = found.at(Span(source, 0, 7000), name="x" * 7000).render()
+    assert max(map(len, drawn.splitlines())) <= 260
+    assert Diagnostic("L1", "an \x1b[31mid", Span(source, 0, 1), "say \a").render().splitlines() == [
+        "a\\u{1b}b.L:1:1: error[L1]: an \\u{1b}[31mid",
+        "    " + "x" * 160,
+        "    ^",
+        "    hint: say \\u{7}",
+    ]

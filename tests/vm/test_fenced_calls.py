@@ -1,0 +1,253 @@
+"""A fenced coordinator begins no portal unless its host allows it; a call under way can be taken from it."""
+
+from __future__ import annotations
+
+import random
+from functools import cache
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield.bytecode.program import Program
+from lfield.clock import ManualClock
+from lfield.testing.golden import Desk, compile_text, settle
+from lfield.vm.agent import Agent, Member
+from lfield.vm.contract import Limits
+from lfield.vm.inspect.decode import view
+from lfield.vm.machine import Machine
+
+STORE, CLERK = Member(0, "store", "Store", "resource", 0), Member(1, "clerk", "Clerk", "coordinator", 0)
+FAR, LIMITS = Member(2, "far", "Store", "resource", 1), Limits()
+#: More than the machine does before it looks at the world.
+BUSY = 20_000
+STORES = """
+resource Store {
+  int kept; boolean go;
+  init(string[] arg) { for (int i = 0; i < BUSY; i = i + 1) { } }
+  portal add(int n) emit int { kept = kept + n; return kept; }
+  portal total() emit int { return kept; }
+  portal free() { go = true; }
+  portal hold(int[] a) emit int[] { while (!go) sleep(1.0); kept = kept + 1; a[0] = kept; return a; }
+  portal synchronized lock() emit int { while (!go) sleep(1.0); throw new DeviceException("late"); }
+  portal synchronized after() emit int { return kept; }
+}
+coordinator Clerk { init(string[] arg) { Store store = findStore("store"); %s } }
+"""
+
+
+@cache
+def program(body: str, busy: int) -> Program:
+    return compile_text(STORES.replace("BUSY", str(busy)) % body)
+
+
+class Gate(Desk):
+    """A world that says what it was told to, and who asked: whether the portal acts, and what was kept."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open = True
+        self.asked: list[tuple[bool, bool]] = []
+
+    def may_begin(self, agent: Agent, acts: bool) -> bool:
+        assert agent.frozen
+        assert agent.fenced
+        self.asked.append((acts, agent.kept))
+        return self.open
+
+
+class Host:
+    """One host with a store, whose init takes so many rounds, and a clerk who does what a test says."""
+
+    def __init__(self, body: str, busy: int = 0) -> None:
+        self.gate, self.clock = Gate(), ManualClock()
+        self.machine = Machine(
+            program(body, busy), [STORE, CLERK, FAR], 0, 1, self.gate, self.clock, random.Random(1), {"clerk"}
+        )
+        self.clerk = self.machine.start(CLERK, LIMITS, 1)
+        self.store = self.machine.start(STORE, LIMITS, 1)
+
+    def run(self) -> list[str]:
+        settle(self.machine, self.clock)
+        return self.gate.output
+
+    def until(self, seconds: float) -> list[str]:
+        """Run so many seconds, in small steps."""
+        for _ in range(int(seconds * 10)):
+            while self.machine.run() == 0.0:
+                pass
+            self.clock.advance(0.1)
+        return self.gate.output
+
+    @property
+    def calls(self) -> int:
+        """Portal calls under way."""
+        return len(self.machine._scheduler.calls)
+
+
+# --- the gate ------------------------------------------------------------------------------------------
+
+SEVERAL = "print(store.add(1)); print(store.total()); print(store.add(1)); print(store.total());"
+
+
+def test_a_fenced_coordinator_asks_before_every_call() -> None:
+    host = Host(SEVERAL)
+    assert host.run() == ["1", "1", "2", "2"]
+    assert host.gate.asked == [(True, False), (False, False)] * 2
+    assert host.clerk.ended == "done"
+
+
+def test_who_came_asks_too_and_its_block_is_kept() -> None:
+    host = Host('findStore("far").add(1); ')
+    host.run()
+    ((agent, _),) = host.gate.departures
+    image = bytes(host.machine.pack(agent))
+    gate, clock, dice = Gate(), ManualClock(), random.Random(1)
+    machine = Machine(host.machine.program, [STORE, CLERK, FAR], 1, 2, gate, clock, dice, {"clerk"})
+    machine.start(FAR, LIMITS, 1)
+    gate.open = False
+    came = machine.admit(CLERK, image, LIMITS)
+    settle(machine, clock)
+    assert gate.asked == []
+    for count in (1, 2, 3):
+        machine.go(came)
+        settle(machine, clock)
+        assert gate.asked == [(True, True)] * count
+        assert came.frozen
+    gate.open = True
+    machine.go(came)
+    settle(machine, clock)
+    assert machine.agents["far"].served == 1
+    assert not machine.agents.get("clerk")
+
+
+def test_a_call_that_waited_for_a_resource_is_asked_about_when_it_would_begin() -> None:
+    host = Host("print(store.total());", busy=BUSY)
+    host.machine.run()
+    assert len(host.store.waiting) == 1
+    assert host.gate.asked == []
+    host.gate.open = False
+    host.run()
+    assert host.gate.asked == [(False, False)]
+    assert host.clerk.frozen
+    assert (host.store.served, host.calls, host.gate.output) == (0, 0, [])
+    host.gate.open = True
+    host.machine.go(host.clerk)
+    assert host.run() == ["0"]
+    assert host.gate.asked == [(False, False)] * 2
+
+
+def test_a_call_that_must_not_begin_ends_by_an_exception_and_the_next_is_asked_about() -> None:
+    host = Host("try { store.add(5); } catch (LimitException e) { print(e.message()); } print(store.add(1));")
+    host.gate.open = False
+    host.run()
+    host.clerk.kept = True  # its page is on the disk
+    host.gate.open = True
+    host.machine.resume(host.clerk, "LimitException", "no lease", "store")
+    assert host.run() == ["no lease", "1"]
+    assert host.gate.asked == [(True, False)] * 2
+
+
+@settings(max_examples=60)
+@given(st.lists(st.booleans(), max_size=12))
+def test_nothing_begins_while_the_host_says_no(answers: list[bool]) -> None:
+    """Whatever the host answers, each call begins once, and only after a yes."""
+    host = Host(SEVERAL)
+    yes = 0
+    for answer in [*answers, *[True] * 4]:
+        host.gate.open = answer
+        before = len(host.gate.asked)
+        host.machine.go(host.clerk)
+        host.run()
+        new = len(host.gate.asked) - before
+        yes += new if answer else 0
+        assert host.store.served == yes
+    assert host.gate.output == ["1", "1", "2", "2"]
+
+
+# --- a call that is taken from its caller --------------------------------------------------------------
+
+HOLD = """
+int[] a = new int[1];
+try { a = store.hold(a); } catch (RestartException e) { print(e.message() + " " + e.source()); }
+"""
+TAKEN = ("RestartException", "the mission is paused")
+
+
+def test_a_call_under_way_is_taken_and_its_portal_goes_on_alone() -> None:
+    host = Host(HOLD + "print(store.total()); store.free(); sleep(3.0); print(store.total()); print(a[0]);")
+    host.until(8.0)
+    assert host.calls == 1
+    (thread,) = (t.id for t in view(host.store.block, host.machine.program).threads)
+    assert host.machine.caller(host.store, thread) is host.clerk
+    assert not host.machine.is_left(host.store, thread)
+    assert host.machine.abandon(host.clerk, *TAKEN)
+    assert host.calls == 0
+    assert host.machine.caller(host.store, thread) is None
+    assert host.machine.is_left(host.store, thread)
+    assert not host.machine.abandon(host.clerk, *TAKEN)
+    # The portal goes on, and what it gives is dropped.
+    assert host.run() == ["the mission is paused store", "0", "1", "0"]
+    assert (host.clerk.ended, host.store.ended, host.store.served, host.calls) == ("done", "", 4, 0)
+
+
+def test_a_portal_that_throws_with_nobody_waiting_frees_its_monitor() -> None:
+    host = Host(
+        "try { store.lock(); } catch (RestartException e) { print(e.source()); } store.free();"
+        "sleep(3.0); print(store.after());"
+    )
+    host.until(8.0)
+    assert host.machine.abandon(host.clerk, *TAKEN)
+    assert host.run() == ["store", "0"]
+    assert (host.store.ended, host.store.served, host.calls) == ("", 3, 0)
+
+
+def test_a_call_that_waits_for_its_resource_is_taken() -> None:
+    body = "try { store.add(1); } catch (RestartException e) { print(e.source()); } print(store.add(1));"
+    host = Host(body, busy=BUSY)
+    host.machine.run()
+    assert host.store.waiting
+    assert host.machine.abandon(host.clerk, *TAKEN)
+    assert host.store.waiting == []
+    assert host.run() == ["store", "1"]
+
+
+def test_a_coordinator_that_dies_of_it_leaves_its_portal_alone() -> None:
+    host = Host("store.hold(new int[1]);")
+    host.until(8.0)
+    assert host.machine.abandon(host.clerk, *TAKEN)
+    assert host.clerk.ended == "died"
+    assert host.clerk.report.startswith("RestartException: the mission is paused\n    at Clerk.init")
+    host.until(3.0)
+    assert (host.store.ended, host.calls) == ("", 0)
+
+
+def test_a_resource_that_dies_meanwhile_troubles_nobody() -> None:
+    host = Host(HOLD + "sleep(20.0);")
+    host.until(8.0)
+    assert host.machine.abandon(host.clerk, *TAKEN)
+    host.machine._scheduler.die(host.store, "bug")
+    host.run()
+    assert host.clerk.ended == "done"
+
+
+@pytest.mark.parametrize("body", ["sleep(100.0);", "while (true) { }", 'findStore("far").total();'])
+def test_who_waits_for_no_portal_is_left_alone(body: str) -> None:
+    host = Host(body)
+    host.until(1.0) if "while" not in body else host.machine.run()
+    assert not host.machine.abandon(host.clerk, *TAKEN)
+    assert not host.machine.abandon(host.store, *TAKEN)
+    assert not host.clerk.ended
+
+
+def test_who_is_frozen_before_its_call_is_left_alone() -> None:
+    host = Host("store.add(1);")
+    host.gate.open = False
+    host.run()
+    assert host.clerk.frozen
+    assert not host.machine.abandon(host.clerk, *TAKEN)
+    host.gate.open = True
+    host.machine.go(host.clerk)
+    host.run()
+    assert (host.clerk.ended, host.store.served) == ("done", 1)
+    assert not host.machine.abandon(host.clerk, *TAKEN)
