@@ -210,7 +210,7 @@ class Recoveries:
         attempt.generation = self._copies.mint(agent, self._fences.of(agent))
         self._fences.raise_to(agent, attempt.generation)
         reason = f"{self._members.here} is about to go on with it"
-        if self._members.here in self._members.names:
+        if self._members.counts_itself:
             # What is said to others waits until this fence is on disk: a promise as good as theirs.
             attempt.promised.add(self._members.here)
         if self._members.is_majority(attempt.promised):

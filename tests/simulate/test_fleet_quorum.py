@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from lfield.journal.pages import Key
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
 from lfield.mobility.copies import Copy
@@ -185,6 +186,29 @@ def test_who_has_lost_its_promises_gives_no_lease_before_it_has_heard_all(tmp_pa
     assert len(said(fleet, "stamp ")) == stamped
     assert said(fleet, "no lease is given before every member was heard: the journal here is new")
     fleet.boot("alpha")
+    run_until(fleet, "complete", 120.0)
+
+
+def test_who_cannot_read_a_promise_any_more_gives_no_lease_before_it_has_heard_all(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 12)
+    run_until(fleet, "stamp 5\n", 30.0)
+    gone = holder(fleet)
+    fleet.power_off(gone)
+    run_until(fleet, "was recovered on", 20.0)
+    (one, other) = {"alpha", "bravo", "charlie"} - {gone}
+    promised = one if other == holder(fleet) else other
+    fleet.crash(promised)
+    fleet.disks[promised].damage(Key("fence", "walker"))
+    # Whoever goes on is cut off, and the old holder is back: it must not act.
+    for name in (gone, promised):
+        fleet.cut(holder(fleet), name)
+    at = fleet.now
+    fleet.boot(gone)
+    fleet.boot(promised)
+    fleet.run(30.0)
+    assert said(fleet, "no lease is given before every member was heard: the journal here is new")
+    assert not [line for line in said(fleet, "stamp ") if line[0] > at + LEASE * 1.01]
+    fleet.heal_all()
     run_until(fleet, "complete", 120.0)
 
 

@@ -34,6 +34,11 @@ from lfield.wire.quorum import Place, QuorumMessage
 
 #: Why a host lets no coordinator act.
 ENDED = "the lease of {0} has ended: no majority of the team can be heard"
+#: What a host may have promised that does not know it any more.
+FORGOTTEN = (
+    "no lease is given before every member was heard: the journal here is new, or has lost a promise; "
+    "--first-start says that this host has never run this deployment"
+)
 #: An older copy would do again what has been done since: that is for a person to say.
 STUCK = (
     "{0} goes on nowhere by itself: the newest that is left of it is on {1}, and cannot be read; if whoever "
@@ -84,8 +89,7 @@ class Leases:
         if self.fenced:
             self.quorum.begin(self._clock.monotonic(), first=first)
             if not self.quorum.remembers:
-                told = "no lease is given before every member was heard: the journal here is new"
-                self._out(Say(f"{told}; --first-start says that this host has never run this deployment"))
+                self._out(Say(FORGOTTEN))
         elif self._mission.fenced:
             self._out(Say(f"heartbeatInterval has no effect here: {self._own.host} keeps no journal"))
 
