@@ -366,10 +366,37 @@ class Catch:
 
 @dataclass(slots=True, eq=False)
 class Try(Stmt):
-    """A body and its catches, tried in order."""
+    """A body and its catches, tried in order; `last` runs whenever L leaves them, None without `finally`."""
 
     body: list[Stmt]
     catches: list[Catch]
+    last: list[Stmt] | None = None
+
+
+@dataclass(slots=True, eq=False)
+class Together(Stmt):
+    """A body whose `Begin`s are worked at one time; it ends when all of them have come back."""
+
+    body: list[Stmt]
+
+
+@dataclass(slots=True, eq=False)
+class Begin(Stmt):
+    """A portal call of the innermost `together` around it, or the call of an offer.
+
+    `target` takes the result when the block ends: a local or an element of an array; None drops it.
+    """
+
+    call: PortalCall | Call
+    target: LocalGet | Element | None
+
+
+@dataclass(slots=True, eq=False)
+class Within(Stmt):
+    """A body that is given up after so many seconds."""
+
+    seconds: Expr
+    body: list[Stmt]
 
 
 @dataclass(slots=True, eq=False)
