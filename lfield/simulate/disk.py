@@ -16,7 +16,7 @@ from lfield.clock import Clock
 from lfield.errors import JournalError
 from lfield.journal.grouping import Grouped
 from lfield.journal.journal import Change
-from lfield.journal.opening import lost
+from lfield.journal.opening import NO_RECORD, forgets, lost
 from lfield.journal.pages import Entry, Key, Page, PageError, entry, page_of
 
 #: Seconds until a commit is on a disk.
@@ -52,16 +52,17 @@ class JournalDisk:
     def open(self, clock: Clock, tell: Callable[[str], None]) -> SimulatedJournal:
         """The journal on it, for a process that has just begun. Raises JournalError for a broken disk."""
         self._see_that_it_works()
-        pages = []
         for key, found in list(self._entries.items()):
             try:
-                pages.append(page_of(found))
+                page_of(found)
             except PageError as error:
                 del self._entries[key]
                 self.identity = 0
+                if forgets(found):
+                    self._entries.pop(NO_RECORD, None)
                 tell(f"{lost(found)}, is damaged in the journal ({error}); it was moved aside")
         self.identity = self.identity or self.dice.getrandbits(63)
-        return SimulatedJournal(self, self.identity, pages, clock)
+        return SimulatedJournal(self, self.identity, self.pages(), clock)
 
     def pages(self) -> list[Page]:
         """What is on it, and would be there after a crash in this moment."""
