@@ -6,7 +6,6 @@ calls a method for each event, then `run`, and carries out what `take` gives. A 
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Iterable
 
@@ -19,6 +18,7 @@ from lfield.host.inits import Inits
 from lfield.host.offers import Offers
 from lfield.host.team import words
 from lfield.host.team.beginning import Beginning
+from lfield.host.team.commands import Commands
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
@@ -34,7 +34,7 @@ from lfield.vm.agent import Agent, Member
 from lfield.vm.contract import Reading
 from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
-from lfield.vm.world import PENDING, Pending
+from lfield.vm.world import Pending
 from lfield.wire.coordinators import Ended, EndedAck, Known, Transfer
 from lfield.wire.messages import Control, Heard, Hello, Report, Room
 from lfield.wire.observing import Recover, Recovered
@@ -63,7 +63,7 @@ class HostCore:
     ) -> None:
         self.mission, self.team, self.name, self.incarnation = mission, mission.team, name, incarnation
         self.here = self.team.number(name)
-        self._clock, self._nearby, self._memory = clock, nearby, memory
+        self._clock, self._memory = clock, memory
         self._effects: list[Effect] = []
         self.machine = Machine(
             mission.program, self.team.members, self.here, incarnation, self, clock, dice, mission.fenced
@@ -80,6 +80,7 @@ class HostCore:
         self._inits = Inits(self.machine.agents, self._say)
         self._offers = Offers(self.directory, mission)
         self._policies = Policies(mission.devices_of(name))
+        self._commands = Commands(self.machine, nearby, self._leases, self._policies, clock, self._out)
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
         self._own = [member.id for member in self.team.on(self.here) if member.kind == "coordinator"]
         others = [host for host in self.team.hosts if host != name]
@@ -317,10 +318,7 @@ class HostCore:
 
     def answered(self, asked: Call, value: DeviceValue | DeviceError) -> None:
         """What became of a call of a device."""
-        if isinstance(value, DeviceError):
-            self.machine.refuse(asked.agent, asked.thread, value.kind, str(value), value.device)
-        else:
-            self.machine.answer(asked.agent, asked.thread, value, asked.call.result, asked.call.field)
+        self._commands.answered(asked, value)
 
     def _say(self, text: str) -> None:
         self._effects.append(Say(text))
@@ -359,22 +357,11 @@ class HostCore:
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
     ) -> DeviceValue | Pending:
         """A device instruction: telemetry is known here, anything else is the guard's."""
-        value = self._nearby.query(agent.id, call)
-        if isinstance(value, Pending):
-            until = math.inf
-            if call.effect != "query" and self.machine.is_left(agent, thread):
-                raise DeviceError(call.field, "the call that would command it was taken from its caller")
-            if call.effect != "query" and (caller := self.machine.caller(agent, thread)):
-                device = f"{agent.id}.{call.field}"
-                until = self._leases.until(caller, device)
-                self._policies.used(device, caller.id, self._clock.monotonic())
-            self._effects.append(Call(agent, thread, call, values, until))
-            return PENDING
-        return value
+        return self._commands.device(agent, thread, call, values)
 
     def reading(self, agent: Agent, call: DeviceCall) -> Reading | None:
         """What the engine may read by itself from now on."""
-        return self._nearby.reading(agent.id, call)
+        return self._commands.reading(agent, call)
 
     def offers(self, agent: Agent, capability: str, constraint: str | None) -> list[Found]:
         """Who offers a capability now, best first."""
