@@ -135,6 +135,14 @@ class Mobility:
                 return self._departures.depart(copy, host, seal, now)
         raise ValueError(f"{agent} does not run here")
 
+    def give_up(self, agent: str, generation: int) -> bool:
+        """Nobody wants to wait any longer for the departure of a coordinator.
+
+        True: nothing was sent, and it runs here again. False: it is not about to leave, or it may be gone.
+        """
+        copy = self._copies.find(agent, generation)
+        return copy is not None and self._departures.give_up(copy)
+
     def ended(self, agent: str, generation: int, outcome: Outcome, detail: str = "") -> list[Effect]:
         """A copy held here has ended: tell every host. 'lost': somebody gives up a copy in doubt."""
         copy = self._copies.find(agent, generation)
