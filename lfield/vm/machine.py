@@ -358,7 +358,7 @@ class Machine:
             return
         message = f"the heap is over its limit of {agent.limits.heap} bytes"
         try:
-            thrown = new_exception(block, "LimitException", message, agent.id)
+            thrown = new_exception(block, self.layouts, "LimitException", message, agent.id)
         except Full:
             self._scheduler.die(agent, f"LimitException: {message}", thread)
             return

@@ -119,7 +119,9 @@ class Scheduler:
         if agent.ended:
             return
         try:
-            thrown = self.with_room(agent, lambda: new_exception(agent.block, kind, message, source))
+            thrown = self.with_room(
+                agent, lambda: new_exception(agent.block, self.layouts, kind, message, source)
+            )
         except Trap:
             self.die(agent, f"{kind}: {message} (and no room left to throw it)")
             return
