@@ -34,7 +34,8 @@ class Agent:
     `kept` is true while a coordinator stands at a portal call and its host has its block on the disk as it is
     there. A `fenced` one begins no portal unless its host allows it.
     `callers` has, by the id of each coordinator that a resource has served, the newest copy of it: its
-    generation and sequence.
+    generation and sequence. `fetched` are the calls of its `together` whose results it has taken here since
+    its host last asked.
     """
 
     member: Member
@@ -57,6 +58,7 @@ class Agent:
     kept: bool = False
     fenced: bool = False
     callers: dict[str, tuple[int, int]] = field(default_factory=dict)
+    fetched: list[tuple[str, int, int]] = field(default_factory=list)
 
     @property
     def id(self) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 import traceback as python_traceback
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from itertools import count
 
 from lfield.bytecode.program import DEVICE, Program
@@ -17,6 +17,7 @@ from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
+from lfield.vm.begun import Begun, Key
 from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Reading, Spent, Thrown, Trap
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
@@ -37,6 +38,7 @@ from lfield.vm.memory.threads import place_of
 from lfield.vm.memory.values import new_exception, word_for
 from lfield.vm.outside import Outsiders
 from lfield.vm.scheduler import Scheduler
+from lfield.vm.together.calls import BegunCalls
 from lfield.vm.world import World
 
 #: Instructions a thread may run before the next one's turn.
@@ -75,6 +77,7 @@ class Machine:
         self.agents = scheduler.agents
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.turns
         self._outsiders = Outsiders(scheduler, team, here, dice)
+        self._begun = BegunCalls(scheduler)
         self._liveness = Liveness(program, scheduler.layouts)
         self._soundness = Soundness(program, scheduler.layouts, [member.type for member in team])
 
@@ -118,19 +121,26 @@ class Machine:
         identity = self._scheduler.spawn(agent, init, [w[layout.W_SELF], array], 0)
         self._turns.last(agent, identity)
 
-    def admit(self, member: Member, image: bytes | memoryview, limits: Limits) -> Agent:
+    def admit(self, member: Member, image: bytes | memoryview, limits: Limits, asleep: float = 0.0) -> Agent:
         """Inject a coordinator that came from another host; raises BlockError when its bytes are not sound.
+
+        `asleep` is for how many seconds it is known to have been on its way: its time limits count them.
 
         It is frozen at its portal call, which is here now, until `go` or `resume`. Another start of it that
         is here goes on no more: of two starts one host never runs both.
         """
-        agent = self.restore(member, image, limits)
+        agent = self.restore(member, image, limits, asleep)
         agent.block.w[layout.W_HOPS] += 1
         agent.block.visit(self._here)
         return agent
 
-    def restore(self, member: Member, image: bytes | memoryview, limits: Limits) -> Agent:
-        """As `admit`, of a block that was packed on this very host: it has made no hop since."""
+    def restore(
+        self, member: Member, image: bytes | memoryview, limits: Limits, asleep: float = 0.0
+    ) -> Agent:
+        """As `admit`, of a block that was packed on this very host: it has made no hop since.
+
+        `asleep` is for how many seconds the host was down, as far as it can tell.
+        """
         block = self._soundness.check(image, limits.heap // 8)
         agent = Agent(member, block, limits, [], open=True, frozen=True, kept=True)
         agent.fenced = member.id in self._fenced
@@ -185,8 +195,67 @@ class Machine:
         self.refuse(agent, _only_thread(agent), kind, message, called[0].id if called else "")
         return True
 
-    def caller(self, resource: Agent, thread: int) -> Agent | None:
-        """The coordinator whose portal call a thread serves; None for a thread of the resource's own."""
+    def goes_on(self, agent: Agent) -> bool:
+        """Whether a frozen coordinator that was restored may `go` where it stands, by the same generation.
+
+        It may when it is at its `together` only to fetch or to leave: nothing it did there is unknown. Else
+        it must be told by `resume` (RestartException) that its call may have begun.
+        """
+        raise NotImplementedError
+
+    # --- calls that were begun here -------------------------------------------------------------------
+
+    def begun_calls(self) -> list[Begun]:
+        """The calls that were begun here and not yet fetched, in the order of their beginning."""
+        return list(self._scheduler.begun.values())
+
+    def kept_result(self, key: Key) -> None:
+        """What came back (`World.came_back`) is kept; may be called from there."""
+        self._begun.kept(key)
+
+    def cancel_begun(self, agent: str, below: int | None, reason: str) -> list[Key]:
+        """Cancel the calls that starts of a coordinator before `below` (None: all starts) have begun here.
+
+        Their portals get a CancelledException with this reason, and what they give is dropped. Returns which
+        calls they were: they are forgotten.
+        """
+        raise NotImplementedError
+
+    def end_begun(self, agent: str, kind: str, reason: str) -> None:
+        """The calls of a coordinator that run here come back at once with an exception, as `abandon` does it.
+
+        Their portals go on alone, may command no device, and what they give is dropped.
+        """
+        raise NotImplementedError
+
+    def restore_begun(self, calls: Iterable[Begun]) -> None:
+        """What this host has kept in an earlier life; before any coordinator is restored.
+
+        Those without a result ("running") are lost: whoever fetches them gets a RestartException.
+        """
+        self._begun.restore(calls)
+
+    def forget_begun(self, keys: Iterable[Key]) -> None:
+        """Nobody will fetch these; portals that still run for them go on alone."""
+        self._begun.forget(keys)
+
+    def fetched(self, agent: Agent) -> list[Key]:
+        """The calls that the coordinator has fetched here since this was last asked; each is told once.
+
+        What the host has kept of them may go when the block with their results is on the disk, here or where
+        it went.
+        """
+        keys, agent.fetched = agent.fetched, []
+        return keys
+
+    # --- who calls ------------------------------------------------------------------------------------
+
+    def caller(self, resource: Agent, thread: int) -> Agent | Begun | None:
+        """The coordinator whose portal call a thread serves; None for a thread of the resource's own.
+
+        Of a call that a `together` has begun it is the record of that: it has the coordinator's `id`,
+        `generation`, `fenced` and `ended` as they were at the beginning, wherever that is by now.
+        """
         number = resource.block.w[place_of(resource.block, thread) + THREAD_CALL]
         found = self._scheduler.calls.get(number)
         return found[0] if found is not None else None
@@ -289,7 +358,7 @@ class Machine:
             return
         message = f"the heap is over its limit of {agent.limits.heap} bytes"
         try:
-            thrown = new_exception(block, "LimitException", message, agent.id)
+            thrown = new_exception(block, self.layouts, "LimitException", message, agent.id)
         except Full:
             self._scheduler.die(agent, f"LimitException: {message}", thread)
             return

@@ -12,6 +12,7 @@ from lfield.bytecode.acting import acting_methods
 from lfield.bytecode.program import REFERENCES, Program
 from lfield.clock import Clock
 from lfield.vm.agent import Agent
+from lfield.vm.begun import Begun, Key
 from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
 from lfield.vm.memory import layout
@@ -54,6 +55,8 @@ class Scheduler:
         self.acting = acting_methods(program)
         #: The portal calls under way: for each number, who waits for it.
         self.calls: dict[int, tuple[Agent, int]] = {}
+        #: The calls that a `together` has begun here, until they are fetched.
+        self.begun: dict[Key, Begun] = {}
         #: The number of the last portal call that began.
         self.last_call = 0
         self.turns = Turns(clock)
@@ -116,7 +119,9 @@ class Scheduler:
         if agent.ended:
             return
         try:
-            thrown = self.with_room(agent, lambda: new_exception(agent.block, kind, message, source))
+            thrown = self.with_room(
+                agent, lambda: new_exception(agent.block, self.layouts, kind, message, source)
+            )
         except Trap:
             self.die(agent, f"{kind}: {message} (and no room left to throw it)")
             return

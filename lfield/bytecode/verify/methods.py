@@ -9,6 +9,7 @@ from lfield.bytecode.program import (
     OBJECT,
     PROXY,
     STRING,
+    TICKET,
     VOID,
     Core,
     MethodDebug,
@@ -31,6 +32,8 @@ _OWNERS = {
     "init": frozenset({"resource", "coordinator"}),
     "portal": frozenset({"resource"}),
 }
+#: What slots may hold beside values, by the scope of the method.
+_BESIDE_VALUES = {"resource": frozenset({DEVICE}), "coordinator": frozenset({TICKET})}
 
 
 def check_methods(core: Core) -> None:
@@ -61,8 +64,8 @@ def _check_shape(core: Core, table: TypeTable, method: MethodRecord) -> None:
         raise _refused(method, "it uses a type that does not exist")
     if table.record(method.slots[0]) != TypeRecord(OBJECT, method.owner):
         raise _refused(method, "its slot 0 is not the object it runs on")
-    holds_devices = scope_of(core.classes[method.owner]) == "resource"
-    if not all(table.is_value(i) or (holds_devices and i == DEVICE) for i in method.slots[1:]):
+    kinds = (core.types[i].kind for i in method.slots[1:] if not table.is_value(i))
+    if not _BESIDE_VALUES.get(scope_of(core.classes[method.owner]), frozenset()).issuperset(kinds):
         raise _refused(method, "a slot has a type no variable can have")
     if method.result != VOID and not table.is_value(method.result):
         raise _refused(method, "it has a result of a type no value can have")
