@@ -111,6 +111,7 @@ class Host:
             neighbours,
             self.scribe.memory,
             self.scribe.pages,
+            self.scribe.times,
         )
         self._visitors = Visitors(
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept

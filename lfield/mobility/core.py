@@ -303,6 +303,18 @@ class Mobility:
         copy = self._copies.find(agent, generation)
         return copy is not None and copy.state in ("FROZEN", "PREPARED")
 
+    def is_sent(self, agent: str, generation: int) -> bool:
+        """Whether a start has left, may have left, or is over: a page of it says so, or is about to."""
+        copy = self._copies.find(agent, generation)
+        return copy is not None and copy.state in ("PREPARED", "MOVED", "EXITED")
+
+    def over(self, agent: str, generation: int) -> str:
+        """Why a start goes on nowhere, as far as is known here; '' when it may."""
+        copy = self._copies.find(agent, generation)
+        if copy is None or copy.state != "EXITED":
+            return ""
+        return copy.detail if copy.outcome == "superseded" else f"{agent} has ended ({copy.outcome})"
+
     def unconfirmed(self, hosts: Collection[str]) -> bool:
         """Whether one of these hosts has yet to confirm an ending that it was told of."""
         return self._endings.unconfirmed(hosts)

@@ -169,6 +169,12 @@ class Leases:
             self.quorum.hurry(now)
         return False
 
+    def give_up(self, agent: Agent) -> bool:
+        """Nobody wants to wait any longer for the lease that a coordinator needs; whether it did wait."""
+        if waits := self.is_waiting(agent):
+            del self._waiting[agent.id]
+        return waits
+
     def barred(self, agent: str, generation: int) -> bool:
         """Whether a start of a coordinator is taken in no more."""
         return self.quorum.barred(agent, generation)
