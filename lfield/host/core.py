@@ -22,6 +22,7 @@ from lfield.host.team.commands import Commands
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
+from lfield.host.team.world import HostWorld
 from lfield.journal.pages import Key, Page
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission

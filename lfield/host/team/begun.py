@@ -2,7 +2,8 @@
 
 A call begins when its page is on the disk, and the block of its coordinator with it; what it gives is told
 when that is on the disk. Its page goes with, or after, the page of the coordinator that has the result, and
-when the start that has begun it is over: ended, given up, fenced off, recovered elsewhere. Pure (decision 49).
+when the start that has begun it is over: it has ended, is barred, or was recovered elsewhere. Pure (decision
+49).
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
 from lfield.errors import DeviceError
-from lfield.host.effects import Call, Effect, Nearby
+from lfield.host.effects import Call, CancelCall, Effect, Nearby
 from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
 from lfield.manifest import DeviceValue
@@ -35,6 +35,8 @@ class Commands:
     ) -> None:
         self._machine, self._nearby, self._leases, self._policies = machine, nearby, leases, policies
         self._clock, self._out = clock, effects
+        #: What each thread waits for.
+        self._under_way: dict[tuple[Agent, int], DeviceCall] = {}
 
     def device(
         self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
@@ -44,6 +46,7 @@ class Commands:
         if not isinstance(value, Pending):
             return value
         until = self._until(agent, thread, call) if call.effect != "query" else math.inf
+        self._under_way[agent, thread] = call
         self._out(Call(agent, thread, call, values, until))
         return PENDING
 
@@ -59,8 +62,17 @@ class Commands:
         self._policies.used(device, caller.id, self._clock.monotonic())
         return until
 
+    def cancel(self, agent: Agent, thread: int) -> bool:
+        """See `World.cancel`."""
+        call = self._under_way.get((agent, thread))
+        if call is None or not self._nearby.may_be_cancelled(agent.id, call):
+            return False
+        self._out(CancelCall(agent, thread))
+        return True
+
     def answered(self, asked: Call, value: DeviceValue | DeviceError) -> None:
         """What became of a call of a device."""
+        self._under_way.pop((asked.agent, asked.thread), None)
         if isinstance(value, DeviceError):
             self._machine.refuse(asked.agent, asked.thread, value.kind, str(value), value.device)
         else:

@@ -21,7 +21,7 @@ from lfield.vm.world import Pending
 
 
 class HostWorld:
-    """The answers of one host. `effects` takes what is to be done outside, `reach` a host to have a link with.
+    """The answers of one host. `effects` takes what is to be done outside, `reach` a host to be linked with.
 
     The machine is made with it, and the parts of the host with the machine: they `join` last.
     """
