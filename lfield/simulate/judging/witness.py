@@ -90,7 +90,7 @@ def tap(life: Life, sees: Sees) -> None:
 
     for place, wire in (
         (machine, start), (machine, admit), (machine, restore), (machine, resume),
-        (core, arrived), (core, run), (core, write), (core, log), (peers, send_transfer),
+        (core, arrived), (core, run), (core.world, write), (core.world, log), (peers, send_transfer),
     ):  # fmt: skip
         _tap(place, wire)
 
