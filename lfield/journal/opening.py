@@ -144,7 +144,7 @@ def lost(entry: Entry) -> str:
     kind, name, number = entry.key
     words = {
         "copy": f"the copy of {name}, start {number}",
-        "begun": f"call {number} that was begun here by start {name}",
+        "begun": f"call {number} that was begun here by start {str(name).replace(chr(32), ' of ', 1)}",
         "starts": "the count of starts",
         "run": "whether the last run goes on",
         "fence": f"the fence of {name}",

@@ -95,7 +95,7 @@ _BEGUN = {
     "running": "has begun {0}",
     "done": "{0} has ended, to be fetched",
     "thrown": "{0} has thrown, to be fetched",
-    "lost": "{0} was lost in a restart, to be fetched",
+    "lost": "{0} was lost in a restart",
 }
 
 

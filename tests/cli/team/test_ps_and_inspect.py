@@ -196,7 +196,7 @@ def test_what_was_begun_and_is_to_be_fetched(capsys):
     assert rows[1:4] == [
         "alpha tom has begun near.lift",
         "alpha tom near.lift has ended, to be fetched",
-        "alpha tom near.lift was lost in a restart, to be fetched",
+        "alpha tom near.lift was lost in a restart",
     ]
 
 
