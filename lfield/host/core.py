@@ -118,7 +118,7 @@ class HostCore:
 
     def hello(self) -> Hello:
         """What this host says of itself now."""
-        return self._hello(self.mobility.greeting())
+        return self._hello(self.coordinators.greeting())
 
     def _reach(self, host: str) -> None:
         """A link to this host is needed, if there is none."""

@@ -269,9 +269,12 @@ class Mobility:
         """What this host knows of every coordinator of its mission, for greetings and `lfield ps`."""
         return [copy.known() for copy in self._copies if copy.state != "ABSENT"]
 
-    def greeting(self) -> list[Known]:
-        """The same, with what is parked here: its home may be another host now."""
-        return self.knowledge() + [
+    def greeting(self, waiting: Iterable[Transfer] = ()) -> list[Known]:
+        """The same, with what is parked here: its home may be another host now.
+
+        And with those that have come and are `waiting` to be taken in: nobody else may know of them any more.
+        """
+        parked = [
             Known(
                 page.agent,
                 page.generation,
@@ -282,6 +285,8 @@ class Mobility:
             )
             for page in self._copies.parked.values()
         ]
+        arriving = [self._arrivals.arriving(header) for header in waiting]
+        return self.knowledge() + parked + [known for known in arriving if known]
 
     @property
     def parked(self) -> list[CopyPage]:

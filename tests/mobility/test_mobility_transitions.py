@@ -426,6 +426,29 @@ def test_a_long_detail_is_cut_to_what_travels(a):
     assert len(a.known().detail) == MAX_TEXT
 
 
+# What waits to be taken in
+
+
+def test_who_is_greeted_hears_of_a_coordinator_that_waits_to_be_taken_in(away, b):
+    (known,) = b.mobility.greeting([transfer(1)])
+    assert known == Known(TOUR, 1, 1, 1, "PREPARED", "b", receiver_memory=1)
+    # That is no verdict: its sender goes on waiting for one.
+    assert away.mobility.linked(b.hello(known)) == [Send("b", Inquire(TOUR, 1, 1, 1))]
+    assert away.known().state == "PREPARED"
+
+
+def test_who_is_greeted_hears_nothing_of_what_will_not_be_taken_in(b):
+    b.mobility.receive("a", Inquire(TOUR, 1, 1, 1), 0.0)
+    assert b.mobility.greeting([transfer(1)]) == []
+    assert len(b.mobility.greeting([transfer(2)])) == 1
+    assert b.mobility.greeting([transfer(2, receiver=7)]) == []
+
+
+def test_who_is_greeted_hears_once_of_each_start(b):
+    b.mobility.arrive("a", transfer(1), b"block 1")
+    assert b.mobility.greeting([transfer(2), transfer(1)]) == b.mobility.knowledge()
+
+
 # Two starts of one coordinator
 
 

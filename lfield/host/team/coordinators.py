@@ -23,7 +23,7 @@ from lfield.mobility.departures import LIMIT, PAUSED, PERHAPS, RESTARTED, UNREAC
 from lfield.vm.agent import Agent, Member
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
-from lfield.wire.coordinators import Accepted, Outcome, Transfer
+from lfield.wire.coordinators import Accepted, Known, Outcome, Transfer
 from lfield.wire.fields import clip
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Hello, Room
@@ -186,6 +186,10 @@ class Coordinators:
             return
         self._sent_to.pop(header.agent, None)
         self.carry_out(self.mobility.arrive(host, header, block))
+
+    def greeting(self) -> list[Known]:
+        """What others are told of all coordinators when they are greeted."""
+        return self.mobility.greeting(header for _, header, _ in (self._early or {}).values())
 
     def recover(self, agent: str, generation: int) -> bool:
         """The holder of a coordinator is gone for good: it goes on here, as start `generation`, once that is
