@@ -37,6 +37,8 @@ BUILTIN_CLASSES = (
     "DeviceTimeoutException",
     "ConstraintException",
     "MissingReturnException",
+    "CancelledException",
+    "TimeLimitException",
 )
 #: What a built-in class is a kind of, where that is not just `Exception`: who catches that takes both.
 BUILTIN_PARENTS = {"DeviceTimeoutException": "DeviceException"}
