@@ -1,8 +1,8 @@
 """Stories of crews: coordinators that have several resources work at a time, and give that up after a while.
 
-As in every story the mission says by itself what it does (`judging/blocks.py` listens): a resource writes down
-every piece of work that it begins, goes on with, leaves and gives; a crew when it opens a block, and how it
-has closed it. A piece of work gives a number that tells which one it was.
+As in every story the mission says by itself what it does (`judging/blocks.py` listens): a resource writes
+down every piece of work that it begins, goes on with, leaves and gives; a crew when it opens a block, and how
+it has closed it. A piece of work gives a number that tells which one it was.
 """
 
 from __future__ import annotations
