@@ -227,6 +227,11 @@ class Program:
         return self.core.builtins
 
     @cached_property
+    def has_limits(self) -> bool:
+        """Whether any `within` is in it: then a catch may be one that is given up."""
+        return any(h.kind == LIMIT for method in self.core.methods for h in method.handlers)
+
+    @cached_property
     def kinds(self) -> tuple[frozenset[int], ...]:
         """For each class, all that its objects are: the class, what that is a kind of, Exception."""
         own = [frozenset((0, index)) for index in range(len(self.core.classes))]

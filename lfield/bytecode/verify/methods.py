@@ -7,6 +7,7 @@ from lfield.bytecode.program import (
     ARRAY,
     DEVICE,
     OBJECT,
+    OTHERS,
     PROXY,
     STRING,
     TICKET,
@@ -120,9 +121,11 @@ def _may_cross(core: Core, record: TypeRecord) -> bool:
 def _parts(core: Core, record: TypeRecord) -> list[int]:
     if record.kind == ARRAY:
         return [record.of]
-    if record.kind == OBJECT:
-        return [field.type for field in core.classes[record.of].fields]
-    return []
+    if record.kind != OBJECT:
+        return []
+    # What else was thrown in a `together` stays behind when an exception crosses (copier.py).
+    fields = core.classes[record.of].fields
+    return [field.type for field in (fields[:OTHERS] if record.of < core.builtins else fields)]
 
 
 def check_debug(program: Program) -> None:
