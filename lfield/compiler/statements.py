@@ -8,10 +8,12 @@ from lfield.compiler.expressions import Expressions
 from lfield.compiler.frame import Frame, Label
 from lfield.compiler.leaving import Loop as Around
 from lfield.compiler.leaving import Ways
+from lfield.compiler.together import Parallel
 from lfield.lang import types
-from lfield.lang.chains import parts
+from lfield.lang.chains import parts, values
 from lfield.lang.tree import (
     Assign,
+    Begin,
     Block,
     Break,
     Catch,
@@ -26,7 +28,9 @@ from lfield.lang.tree import (
     Return,
     Stmt,
     Throw,
+    Together,
     Try,
+    Within,
 )
 from lfield.lang.types import Type
 
@@ -39,6 +43,7 @@ class Statements:
         self._code = frame.code
         self._expressions = Expressions(frame)
         self._ways = Ways(frame)
+        self._parallel = Parallel(frame, self._expressions, self._ways)
 
     def block(self, body: list[Stmt]) -> None:
         """Statements with a scope of their own."""
@@ -49,6 +54,7 @@ class Statements:
 
     def _statement(self, stmt: Stmt) -> None:
         self._code.line = stmt.span.line
+        self._parallel.start_before(stmt)
         match stmt:
             case Evaluate():
                 self._prepare(stmt.value)
@@ -70,17 +76,32 @@ class Statements:
                 thrown = self._expressions.value(stmt.value)
                 self._code.emit("throw", thrown)
                 self._frame.slots.release(thrown)
-            case Try():
-                self._try(stmt)
             case Block():
                 self.block(stmt.body)
+            case _:
+                self._guarded(stmt)
 
-    def _prepare(self, expr: Expr) -> None:
+    def _guarded(self, stmt: Stmt) -> None:
+        """Statements that are left in a way of their own, and the calls of a `together`."""
+        match stmt:
+            case Try():
+                self._parallel.apart(lambda: self._try(stmt))
+            case Together():
+                self._parallel.together(stmt, lambda: self.block(stmt.body))
+            case Within():
+                self._prepare(stmt.seconds)
+                self._parallel.within(stmt, lambda: self.block(stmt.body))
+            case Begin():
+                self._prepare(*values(stmt))
+                self._parallel.begin(stmt)
+
+    def _prepare(self, *exprs: Expr) -> None:
         """Every expression begins here: the compiler must know what it changes before it reads."""
-        self._frame.changing = _changed_inside(expr)
+        self._frame.changing = frozenset().union(*map(_changed_inside, exprs))
 
     def _branch(self, condition: Expr, when: bool, label: Label) -> None:
         self._code.line = condition.span.line
+        self._parallel.start_before_value(condition)
         self._prepare(condition)
         self._expressions.branch(condition, when, label)
 

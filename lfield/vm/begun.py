@@ -29,12 +29,12 @@ class Begun:
     """A call that was begun here by a start (`generation`) of the coordinator `agent`.
 
     `state` is "running" until it has come back; then "done" or "thrown", and `parcel` is the result or the
-    exception (see `lfield.vm.together.parcels`); "lost" when an earlier life of this host had begun it and
+    exception (see `lfield.vm.memory.parcels`); "lost" when an earlier life of this host had begun it and
     has left no result. `kept` is true when the host has what came back on its disk: only then it is fetched.
     A call that nobody will fetch any more is `dropped`.
 
-    `call` is the number of the portal call, 0 for one that does not run in this life; `waiter` the
-    coordinator and its thread that wait here for it.
+    `call` is the number of the portal call and `method` the portal's index, 0 for one that does not run in
+    this life; `waiter` the coordinator and its thread that wait here for it.
     """
 
     agent: str
@@ -48,6 +48,7 @@ class Begun:
     kept: bool = False
     dropped: bool = False
     call: int = 0
+    method: int = 0
     waiter: tuple[Agent, int] | None = field(default=None, repr=False)
 
     @property
