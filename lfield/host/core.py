@@ -196,6 +196,7 @@ class HostCore:
         """
         self._leases.wake()
         self.coordinators.wake()
+        self._begun.woken()
         for known in self.mobility.knowledge():
             # What is barred has no place where it may be.
             if known.state in ("PREPARED", "IN DOUBT") and known.where:

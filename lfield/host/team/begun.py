@@ -53,12 +53,22 @@ class BegunPages:
         self._on_disk = 0
         #: What has come back, until it is on the disk.
         self._back: deque[tuple[int, Key]] = deque()
+        #: What the machine may begin, until it is seen whether it has.
+        self._let_go: list[Key] = []
         #: What a coordinator has fetched, until a page of it has that.
         self._fetched: dict[Start, list[Key]] = {}
 
     def restore(self) -> None:
         """The resources are started: what was under way in an earlier life of this host is lost."""
         self._machine.restore_begun([_begun(page, self._leases) for page, _ in self._pages.values()])
+
+    def woken(self) -> None:
+        """The coordinators of this host go on: who was told that its calls may have begun fetches none."""
+        told = [
+            key for key, (page, _) in self._pages.items() if key[:2] in self._team.told and not page.outcome
+        ]
+        self._machine.forget_begun(told)
+        self._forget(told)
 
     # --- the machine asks -----------------------------------------------------------------------------
 
@@ -67,7 +77,10 @@ class BegunPages:
         if not self._leases.may_begin(agent):
             return False
         keys = [(agent.id, agent.generation, call.number) for call in calls]
-        if not self._keeps or (agent.kept and all(self._is_kept(key) for key in keys)):
+        if not self._keeps:
+            return True
+        if agent.kept and all(self._is_kept(key) for key in keys):
+            self._let_go += keys
             return True
         new = [call for key, call in zip(keys, calls, strict=True) if key not in self._pages]
         if new and not self._team.trouble:
@@ -136,7 +149,11 @@ class BegunPages:
         for start in list(self._fetched):
             if self._team.mobility.is_sent(*start):
                 self._forget(self._fetched.pop(start))
-        begun = {call.key[:2] for call in self._machine.begun_calls()}
+        calls = {call.key for call in self._machine.begun_calls()}
+        failed = [key for key in self._let_go if key not in calls and not self._pages[key][0].outcome]
+        self._let_go.clear()
+        self._forget(failed)
+        begun = {key[:2] for key in calls}
         for start in sorted({*begun, *(key[:2] for key in self._pages)}):
             if why := self._over(start):
                 self._end(start, why, begun)

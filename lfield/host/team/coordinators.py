@@ -72,6 +72,8 @@ class Coordinators:
         self._saving: set[str] = set()
         #: Whether a start of a coordinator must not run any more.
         self.barred: Callable[[str, int], bool] = lambda agent, generation: False
+        #: The starts that were told that what they stood at may have begun in an earlier life of this host.
+        self.told: set[tuple[str, int]] = set()
         #: No coordinator is taken in any more.
         self.halted = False
         #: Answers to arrivals, until those that arrived have run.
@@ -247,6 +249,8 @@ class Coordinators:
 
         def seal(sequence: int) -> Buffer:
             agent.block.w[layout.W_SEQUENCE] = sequence
+            # It may have waited for long since it was packed, and its time limits go on.
+            self._machine.note_clock(agent)
             return image
 
         return seal
@@ -293,6 +297,7 @@ class Coordinators:
         if runs and self._machine.goes_on(agent):
             self._machine.go(agent)
         elif runs:
+            self.told.add((agent.id, agent.generation))
             self._resume(agent, RESTARTED, f"{self._own.host} was started again; {PERHAPS}")
         return seal
 

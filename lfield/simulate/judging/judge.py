@@ -233,8 +233,9 @@ class Judge:
     def said(self, life: Life, agent: Agent, text: str) -> None:
         """A program has written something."""
         for line in text.splitlines():
-            if not self._blocks.said(life, agent, line.split()):
-                self._calls.said(life, agent, line)
+            if self._blocks.said(life, agent, line.split()) or " has thrown too: " in line:
+                continue
+            self._calls.said(life, agent, line)
 
     def told(self, life: Life, key: Key) -> None:
         """What a call gave that was begun here may be fetched from now on."""

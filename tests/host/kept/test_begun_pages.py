@@ -69,6 +69,7 @@ class Team:
         self.ended: dict[tuple[str, int], str] = {}
         self.sent: set[tuple[str, int]] = set()
         self.saved: list[str] = []
+        self.told: set[tuple[str, int]] = set()
 
     def save(self, agent: Walker) -> bool:
         self.saved.append(agent.id)
