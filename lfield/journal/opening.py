@@ -13,7 +13,18 @@ from typing import NamedTuple
 
 from lfield.errors import ForeignJournal
 from lfield.journal.log import is_missing, read_log, sync_folder, unmark
-from lfield.journal.pages import CopyPage, Entry, Key, NewerPage, Page, PageError, Run, Starts, page_of
+from lfield.journal.pages import (
+    BegunPage,
+    CopyPage,
+    Entry,
+    Key,
+    NewerPage,
+    Page,
+    PageError,
+    Run,
+    Starts,
+    page_of,
+)
 from lfield.journal.salvage import readable
 from lfield.journal.store import APPLICATION, FORMAT, BrokenFile, Damaged, Head, Store
 
@@ -30,11 +41,11 @@ class Owner(NamedTuple):
 
 
 class Opened(NamedTuple):
-    """A journal that is ours, and all that can be read in it."""
+    """A journal that is ours, and all that can be read in it: each page with its entry."""
 
     store: Store
     head: Head
-    pages: dict[Key, Page]
+    pages: dict[Key, tuple[Entry, Page]]
 
 
 class Sorted(NamedTuple):
@@ -126,6 +137,8 @@ def sort(
 
 def _changes(page: Page) -> bool:
     """Whether a later page may say something else: not so of a program and of an ending."""
+    if isinstance(page, BegunPage):
+        return not page.outcome
     return isinstance(page, Starts | Run) or (isinstance(page, CopyPage) and page.state != "EXITED")
 
 
@@ -142,6 +155,7 @@ def lost(entry: Entry) -> str:
     kind, name, number = entry.key
     words = {
         "copy": f"the copy of {name}, start {number}",
+        "begun": f"call {number} that was begun here by start {str(name).replace(chr(32), ' of ', 1)}",
         "starts": "the count of starts",
         "run": "whether the last run goes on",
         "fence": f"the fence of {name}",
@@ -178,7 +192,7 @@ def _read(path: Path, owner: Owner, tell: Callable[[str], None], now: float) -> 
     except BaseException:
         store.close()
         raise
-    return Opened(store, head, {key: page for key, (_, page) in found.sound.items()})
+    return Opened(store, head, found.sound)
 
 
 def _salvage(path: Path, owner: Owner, tell: Callable[[str], None], now: float, why: str) -> None:

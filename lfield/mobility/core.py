@@ -135,6 +135,14 @@ class Mobility:
                 return self._departures.depart(copy, host, seal, now)
         raise ValueError(f"{agent} does not run here")
 
+    def give_up(self, agent: str, generation: int) -> bool:
+        """Nobody wants to wait any longer for the departure of a coordinator.
+
+        True: nothing was sent, and it runs here again. False: it is not about to leave, or it may be gone.
+        """
+        copy = self._copies.find(agent, generation)
+        return copy is not None and self._departures.give_up(copy)
+
     def ended(self, agent: str, generation: int, outcome: Outcome, detail: str = "") -> list[Effect]:
         """A copy held here has ended: tell every host. 'lost': somebody gives up a copy in doubt."""
         copy = self._copies.find(agent, generation)
@@ -299,6 +307,18 @@ class Mobility:
         """Whether a copy that is frozen here wants to another host, or may be there."""
         copy = self._copies.find(agent, generation)
         return copy is not None and copy.state in ("FROZEN", "PREPARED")
+
+    def is_sent(self, agent: str, generation: int) -> bool:
+        """Whether a start has left, may have left, or is over: a page of it says so, or is about to."""
+        copy = self._copies.find(agent, generation)
+        return copy is not None and copy.state in ("PREPARED", "MOVED", "EXITED")
+
+    def over(self, agent: str, generation: int) -> str:
+        """Why a start goes on nowhere, as far as is known here; '' when it may."""
+        copy = self._copies.find(agent, generation)
+        if copy is None or copy.state != "EXITED":
+            return ""
+        return copy.detail if copy.outcome == "superseded" else f"{agent} has ended ({copy.outcome})"
 
     def unconfirmed(self, hosts: Collection[str]) -> bool:
         """Whether one of these hosts has yet to confirm an ending that it was told of."""

@@ -52,9 +52,10 @@ class JournalDisk:
     def open(self, clock: Clock, tell: Callable[[str], None]) -> SimulatedJournal:
         """The journal on it, for a process that has just begun. Raises JournalError for a broken disk."""
         self._see_that_it_works()
+        pages = dict[Key, tuple[Entry, Page]]()
         for key, found in list(self._entries.items()):
             try:
-                page_of(found)
+                pages[key] = found, page_of(found)
             except PageError as error:
                 del self._entries[key]
                 self.identity = 0
@@ -98,7 +99,9 @@ class JournalDisk:
 class SimulatedJournal(Grouped):
     """See `Journal`: that of one life of a host, on the loop of its process."""
 
-    def __init__(self, disk: JournalDisk, identity: int, pages: list[Page], clock: Clock) -> None:
+    def __init__(
+        self, disk: JournalDisk, identity: int, pages: dict[Key, tuple[Entry, Page]], clock: Clock
+    ) -> None:
         super().__init__(pages, self._commit, clock)
         self._disk, self.identity, self._clock = disk, identity, clock
         self.trouble = disk.trouble()

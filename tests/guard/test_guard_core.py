@@ -7,7 +7,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from lfield.clock import ManualClock
 from lfield.guard.core import AGAIN, QUIET_BY, GuardCore
-from lfield.guard.effects import Cancel, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
+from lfield.guard.effects import Execute, Exit, Interrupt, LeaveOff, Look, MakeSafe, Quiet, Tell
 from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped
 from lfield.manifest import DeviceManifest, Instruction, Parameter
 
@@ -147,9 +147,9 @@ def test_a_call_that_was_let_in_is_too_late_when_its_guard_stands_still_before_i
     rig = Rig()
     (execute,) = [e for e in rig.call("go", 1.0) if isinstance(e, Execute)]
     rig.clock.advance(TTL - 0.01)
-    assert rig.core.too_late(execute.call) == ""
+    assert rig.core.begins(execute.call) == ""
     rig.clock.advance(0.02)
-    assert "its guard got to it after 0.51 s" in rig.core.too_late(execute.call)
+    assert "its guard got to it after 0.51 s" in rig.core.begins(execute.call)
 
 
 def test_silence_latches_what_was_moved_and_only_release_frees_it():
@@ -157,7 +157,7 @@ def test_silence_latches_what_was_moved_and_only_release_frees_it():
     rig.call("go", 1.0)
     effects = rig.wait(0.25, beating=False)
     assert made_safe(effects) == ["a"]
-    assert [e.token for e in effects if isinstance(e, Cancel)] == [1]
+    assert [e.token for e in effects if isinstance(e, Interrupt)] == [1]
     assert "the host was silent" in told(effects, Refused)[0].reason
     rig.wait(5.0)
     (refused,) = told(rig.call("go", 1.0), Refused)
@@ -190,7 +190,7 @@ def test_the_newest_actuation_wins():
     rig = Rig()
     rig.call("go", 1.0)
     effects = rig.call("go", 2.0)
-    assert [e.token for e in effects if isinstance(e, Cancel)] == [1]
+    assert [e.token for e in effects if isinstance(e, Interrupt)] == [1]
     assert told(effects, Refused) == [Refused(1, "DeviceException", "go() was replaced by go()")]
 
 
@@ -381,7 +381,7 @@ def test_channels_run_side_by_side_and_stop_together():
     assert [type(e) for e in rig.call("grip")] == [Execute]
     assert told(rig.call("go", 2.0), Refused)[0].token == 1
     effects = rig.core.safe("", "asked")
-    assert sorted(e.token for e in effects if isinstance(e, Cancel)) == [2, 3]
+    assert sorted(e.token for e in effects if isinstance(e, Interrupt)) == [2, 3]
     assert len(told(effects, Refused)) == 2
 
 
@@ -518,7 +518,7 @@ class GuardMachine(RuleBasedStateMachine):
                 assert self.latched or not self.confirmed
             elif isinstance(effect, LeaveOff):
                 self.making -= 1
-            elif isinstance(effect, Cancel):
+            elif isinstance(effect, Interrupt):
                 self.running.pop(effect.token)
             elif isinstance(effect, Execute):
                 call = effect.call

@@ -17,6 +17,7 @@ from lfield.bytecode.program import Program
 from lfield.mission.bindings import USUAL_LEASE, Recovery
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
+from lfield.simulate.stories import crews
 from lfield.simulate.weather import Fault, Weather
 
 #: Every start of a coordinator draws a number; with its name that is its *life*.
@@ -107,6 +108,8 @@ DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
 OFTEN, DOUBTED = (2.0, 8.0), 8.0
 #: Seconds without a sign until a coordinator is recovered; how long a lease lasts.
 INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
+#: How likely a story of crews is one of coordinators that a majority may recover.
+CREWS_FENCED = 0.4
 #: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
 DISKS = (0.002, 0.002, 0.05)
 
@@ -151,7 +154,8 @@ class Story:
         if self.interval:
             words.append(f"{self.interval:g}")
         posts = max(1, self.hosts - self.witnesses)
-        return _mission(self.hosts, posts, self.walkers, self.arms, "&".join(words), self.lease)
+        team = self.hosts, posts, self.walkers, self.arms
+        return _mission(*team, "&".join(words), self.lease, crews.PROGRAM if self.kind == "crew" else PROGRAM)
 
     @property
     def forecast(self) -> list[Fault]:
@@ -267,6 +271,23 @@ def parted(seed: int) -> Story:
     return replace(doubted(seed), kind="parted", means={"swap": mean})
 
 
+def crew(seed: int) -> Story:
+    """One of coordinators that have several resources work at a time; a majority may recover some of them."""
+    dice = random.Random(f"crew {seed}")
+    story = (fenced if dice.random() < CREWS_FENCED else plain)(seed)
+    means = {kind: mean for kind, mean in story.means.items() if not kind.startswith("guard")}
+    return replace(
+        story,
+        kind="crew",
+        means=means,
+        walkers=min(story.walkers, 2),
+        arms=0,
+        calls=FOR_EVER,
+        lost_after=None,
+        journals=True,
+    )
+
+
 #: Stories by what becomes of their coordinators.
 KINDS: Mapping[str, Callable[[int], Story]] = {
     "plain": plain,
@@ -274,16 +295,19 @@ KINDS: Mapping[str, Callable[[int], Story]] = {
     "fenced": fenced,
     "doubted": doubted,
     "parted": parted,
+    "crew": crew,
 }
 
 
 @lru_cache(maxsize=256)
-def _mission(hosts: int, posts: int, walkers: int, arms: int, words: str, lease: float) -> Mission:
+def _mission(
+    hosts: int, posts: int, walkers: int, arms: int, words: str, lease: float, program: str
+) -> Mission:
     lines = [f"//Post:p{n}@h{n}" for n in range(posts)]
     lines += [f"//@h{n}" for n in range(posts, hosts)]
     lines += [f"//Arm:a{n}@h{posts - 1 - n}" for n in range(min(arms, posts))]
     lines += [f"//Walker:w{n}@h{n % posts}?{words}" for n in range(walkers)]
-    program = PROGRAM.replace("//recovered", RECOVERED) if words.count("&") > 2 else PROGRAM
+    program = program.replace("//recovered", RECOVERED) if words.count("&") > 2 else program
     with tempfile.TemporaryDirectory(prefix="lfield-story-") as folder:
         deployment = Path(folder) / "story.dL"
         deployment.with_suffix(".L").write_text(program, encoding="utf-8")
