@@ -16,7 +16,8 @@ options:
 limits:
   speed: {unit: rad/s}
 instructions:
-  turn: {parameters: {angle: {type: real, unit: rad}}, blocking: true, meaning: turns}
+  turn: {parameters: {angle: {type: real, unit: rad}}, blocking: true, meaning: turns, cancel: stop}
+  stop: {blocking: true, effect: idempotent, cancel: never}
   push: {parameters: {torque: {type: real, unit: N m}}}
   ask: {parameters: {address: {type: int}}, result: int, effect: query, blocking: true}
 telemetry:
@@ -29,7 +30,7 @@ def test_a_manifest_is_what_the_file_says():
     device = manifest.device
     assert (device.type, device.driver, device.safe_states) == ("Servo", "servo", ("hold", "off"))
     assert manifest.default_safe_state == "hold"
-    assert [i.name for i in device.instructions] == ["turn", "push", "ask", "angle", "release", "age"]
+    assert [i.name for i in device.instructions] == ["turn", "stop", "push", "ask", "angle", "release", "age"]
     turn, angle = device.instruction("turn"), device.instruction("angle")
     assert turn is not None
     assert [(p.name, p.type, p.unit) for p in turn.parameters] == [("angle", "real", "rad")]
@@ -52,7 +53,7 @@ options:
 waivers:
   no_homing: it moves before it has been homed
 instructions:
-  light: {parameters: {on: {type: boolean}}, blocking: true, channel: light}
+  light: {parameters: {on: {type: boolean}}, blocking: true, channel: light, cancel: leave}
 telemetry:
   length: {type: real, unit: m, rate: 20.0}
 """
@@ -156,6 +157,7 @@ def test_a_pure_sensor_needs_no_safe_state(written):
 def test_what_acts_needs_one():
     with pytest.raises(PluginError, match=r"at least one safe state, since dim\(\) acts") as error:
         load_manifest(
-            "m.yaml", EYE.replace(b"  ask:", b"  dim: {effect: idempotent, blocking: true}\n  ask:")
+            "m.yaml",
+            EYE.replace(b"  ask:", b"  dim: {effect: idempotent, blocking: true, cancel: never}\n  ask:"),
         )
     assert "a sensor needs none" in str(error.value)
