@@ -24,6 +24,7 @@ FIGURES = {
     "can": "guards.can_bus",
     "dynamixel": "guards.dynamixel",
     "deadman": "guards.deadman",
+    "cancels": "guards.cancels",
     "deaths": "deaths.deaths",
     "query": "capability.query",
     "find": "capability.find",
