@@ -63,7 +63,7 @@ class JournalDisk:
                     self._entries.pop(NO_RECORD, None)
                 tell(f"{lost(found)}, is damaged in the journal ({error}); it was moved aside")
         self.identity = self.identity or self.dice.getrandbits(63)
-        return SimulatedJournal(self, self.identity, self.pages(), clock)
+        return SimulatedJournal(self, self.identity, pages, clock)
 
     def pages(self) -> list[Page]:
         """What is on it, and would be there after a crash in this moment."""
