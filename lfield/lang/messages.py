@@ -76,7 +76,9 @@ ELSE_WITHOUT_IF = _message(
     "L212", "else without an if before it", "an if takes one statement or a block in {{ }}"
 )
 CATCH_WITHOUT_TRY = _message(
-    "L213", "catch without a try before it", "write try {{ ... }} catch (Exception e) {{ ... }}"
+    "L213",
+    "catch without a try before it",
+    "write try {{ ... }} catch (Exception e) {{ ... }}; finally stands behind the last catch",
 )
 TRY_WITHOUT_CATCH = _message(
     "L214",

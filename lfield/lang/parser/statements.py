@@ -223,11 +223,7 @@ def _try(s: TokenStream) -> Stmt:
         catches.extend(_catch_clause(s))
     if not _at_finally(s):
         return Try(span, body, catches, None)
-    last = _braced(s, s.advance())
-    while s.at("catch"):
-        s.report(messages.CATCH_WITHOUT_TRY, s.current.span, hint="finally stands behind the last catch")
-        _catch_clause(s)
-    return Try(span, body, catches, last)
+    return Try(span, body, catches, _braced(s, s.advance()))
 
 
 def _catch_clause(s: TokenStream) -> list[Catch]:
