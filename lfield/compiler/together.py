@@ -41,7 +41,7 @@ from lfield.lang.types import array_of
 class _Gathering:
     """The calls of one `together`: the slot of their sentinel, the arrays beside locals, what guards them.
 
-    In the twin of an offer's method (begun/twins.py) the sentinel is its caller's, and so is the guard (None).
+    In the twin of an offer's method (twins.py) the sentinel is its caller's, and so is the guard (None).
     """
 
     sentinel: int
