@@ -157,6 +157,14 @@ class Odrive(AxisProtocol):
             await self._hold_here(t.TRAVEL)
         await self._command(t.SET_POSITION, position * self.turns, 0, 0)
 
+    async def begin_halt(self) -> None:
+        """Velocity 0, out of a homing too; sent even if it was sent before, for it may have been lost."""
+        if self._axis_state == t.HOMING:
+            await self.enable()
+        elif self._axis_state == t.CLOSED_LOOP:
+            self._mode = None
+            await self.set_velocity(0.0)
+
     async def set_position(self, position: float) -> None:
         """The same at the speed limit."""
         speed = self.limit("speed")
