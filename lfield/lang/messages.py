@@ -469,3 +469,8 @@ LOSING_FINALLY = _message(
     "this finally never comes to its end: what the try returns or throws is lost",
     "let the {cause} stand behind the try",
 )
+LIMIT_PASSES = _message(
+    "L905",
+    "this catch does not take the end of the within around it",
+    "put the try around the within",
+)

@@ -304,13 +304,14 @@ def _is_foreign(s: TokenStream) -> bool:
 
 def _block_ahead(s: TokenStream) -> int:
     """How far ahead the `{` of `word {` or `word (...) {` is; 0 where neither stands here."""
-    ahead, depth, braces = 1, 0, 0
+    ahead, depth, braces, semicolons = 1, 0, 0, 0
     while depth > 0 or s.ahead(ahead).text == "(":
         token = s.ahead(ahead)
         depth += {"(": 1, ")": -1}.get(token.text, 0)
         braces += {"{": 1, "}": -1}.get(token.text, 0)
-        # Between braces stand the elements of an array, and no statement.
-        if token.kind is Kind.END or braces < 0 or (braces > 0 and token.text == ";"):
+        semicolons += token.text == ";"
+        # Between braces stand the elements of an array; the head of a `for` has two semicolons.
+        if token.kind is Kind.END or braces < 0 or semicolons > (2 if braces == 0 else 0):
             return 0
         ahead += 1
     return ahead if s.ahead(ahead).text == "{" else 0
