@@ -20,8 +20,6 @@ from lfield.vm.memory import layout
 from lfield.vm.memory.layout import (
     CALLING,
     COUNT_LIMIT,
-    FRAME_CALLER,
-    FRAME_RETURN,
     FRAME_SLOTS,
     PARKED,
     SLEEPING,
@@ -31,6 +29,7 @@ from lfield.vm.memory.layout import (
     THREAD_STATE,
 )
 from lfield.vm.memory.threads import serving
+from lfield.vm.reference.unwind import rows_around
 from lfield.vm.scheduler import Scheduler
 
 TIME_LIMIT = "TimeLimitException"
@@ -120,22 +119,17 @@ class TimeLimits:
 
         For each the word of its slot, and whether a `finally` that has begun stands between.
         """
-        w, methods = agent.block.w, self._scheduler.program.core.methods
+        w = agent.block.w
         thread = w[layout.W_THREADS]
         frame, pc = w[thread + THREAD_FRAME], w[thread + THREAD_PC]
         if w[thread + THREAD_STATE] in (SLEEPING, PARKED):
             pc -= 1
         shielded = False
-        while frame:
-            for row in methods[w[frame] >> 8 & 0xFFFFFF].handlers:
-                if not row.start <= pc < row.end:
-                    continue
-                shielded = shielded or row.kind == LANDING
-                word = frame + FRAME_SLOTS + row.slot
-                if row.kind == LIMIT and w[word] > 0:
-                    yield word, shielded
-            pc = w[frame + FRAME_RETURN] - 1
-            frame = w[frame + FRAME_CALLER]
+        for within, row in rows_around(agent.block, self._scheduler.program, frame, pc):
+            shielded = shielded or row.kind == LANDING
+            word = within + FRAME_SLOTS + row.slot
+            if row.kind == LIMIT and w[word] > 0:
+                yield word, shielded
 
     def _due(self, agent: Agent) -> list[int]:
         """The words of the limits that are over and may throw."""
