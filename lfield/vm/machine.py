@@ -204,7 +204,7 @@ class Machine:
         It may when it is at its `together` only to fetch or to leave: nothing it did there is unknown. Else
         it must be told by `resume` (RestartException) that its call may have begun.
         """
-        raise NotImplementedError
+        return self._visits.goes_on(agent)
 
     # --- calls that were begun here -------------------------------------------------------------------
 
