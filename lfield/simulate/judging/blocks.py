@@ -143,7 +143,10 @@ class Blocks:
         self.begun += 1
         (who, block), host = key, life.core.name
         name = who.partition(".")[0]
-        generation, what = _caller(life, resource, name), f"piece {number} of block {block} of {who}"
+        generation, what = (
+            max(_callers(life, resource, name), default=0),
+            f"piece {number} of block {block} of {who}",
+        )
         if not generation:
             # It was taken from its caller before it came to its first line.
             return
@@ -168,7 +171,7 @@ class Blocks:
         block, piece = self._blocks[key], self._blocks[key].pieces[number]
         name, now = key[0].partition(".")[0], self._now()
         what = f"piece {number} of block {key[1]} of {key[0]} goes on"
-        if not _caller(life, resource, name):
+        if piece.generation not in _callers(life, resource, name):
             # It was taken from its caller: it may command nothing, and nobody waits for it.
             return
         if block.how == "came-back":
@@ -197,8 +200,8 @@ class Blocks:
             self._breaches.add("told", (life.core.name,), found)
 
 
-def _caller(life: Life, resource: Agent, name: str) -> int:
-    """The newest start of an agent that a resource works for now; 0 for none."""
+def _callers(life: Life, resource: Agent, name: str) -> set[int]:
+    """The starts of an agent that a resource works for now."""
     block, machine = resource.block, life.core.machine
     callers = (machine.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))
-    return max((caller.generation for caller in callers if caller and caller.id == name), default=0)
+    return {caller.generation for caller in callers if caller and caller.id == name}
