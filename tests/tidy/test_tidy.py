@@ -51,7 +51,6 @@ SMALL = {
     "lfield/text/values.py": "values of devices in words",
     "lfield/vm/memory/copier.py": "the deep copy",
     "lfield/vm/memory/parcels.py": "what waits to be fetched, as bytes",
-    "lfield/vm/reference/unwind.py": "who catches",
 }
 
 
