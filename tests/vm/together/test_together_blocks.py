@@ -14,6 +14,7 @@ from lfield.errors import BlockError
 from lfield.testing.golden import compile_text
 from lfield.vm import machine as machine_module
 from lfield.vm.contract import Limits
+from lfield.vm.inspect.decode import view
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.collector import collect
@@ -140,6 +141,25 @@ def test_tickets_are_gone_when_their_together_is_over() -> None:
     # The first hop is a call before all; in a round there are six calls and what holds them.
     assert last[0] == 0
     assert max(last) == 7
+
+
+def test_what_is_inspected_says_what_has_become_of_the_calls() -> None:
+    joined = Joined(program(), 3)
+    joined.cut.add(2)
+    seen: set[str] = set()
+    for _ in range(40):
+        joined.run(until=0.1)
+        for machine in joined.machines:
+            if (boss := machine.agents.get("boss")) is not None:
+                shown = view(boss.block, joined.program, [member.id for member in joined.team])
+                seen.update(
+                    call for thread in shown.threads for frame in thread.frames for call in frame.calls
+                )
+                assert any(name == "call of a together" for name, _, _ in shown.heap) or not seen
+    assert {
+        "r0.stamp() has begun",
+        "r2.count() is back with UnreachableResourceException",
+    } <= seen
 
 
 @settings(max_examples=400, deadline=None)
