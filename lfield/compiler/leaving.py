@@ -166,6 +166,9 @@ class Ways:
             test, other = frame.slots.temporary(BOOLEAN), Label()
             code.emit("eqi", test, guard.way, frame.constant(number))
             frame.slots.release(test)
+            if to is not None and self.crossed(to) is None:
+                code.jump("bnz", to, test)
+                continue
             code.jump("bz", other, test)
             if to is not None:
                 self.jump(to)

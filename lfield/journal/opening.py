@@ -28,6 +28,9 @@ from lfield.journal.pages import (
 from lfield.journal.salvage import readable
 from lfield.journal.store import APPLICATION, FORMAT, BrokenFile, Damaged, Head, Store
 
+#: What goes with a promise that is lost.
+NO_RECORD = Key("starts")
+
 
 class Owner(NamedTuple):
     """Whose a journal should be: deployment and host by name, the computer by `machine_identity`."""
@@ -139,6 +142,14 @@ def _changes(page: Page) -> bool:
     return isinstance(page, Starts | Run) or (isinstance(page, CopyPage) and page.state != "EXITED")
 
 
+def forgets(entry: Entry) -> bool:
+    """Whether a promise is lost with this page, as far as its key can be believed.
+
+    Then there is no record of starts any more: without it a host hears all others before it promises anew.
+    """
+    return entry.key.kind not in ("copy", "starts", "run", "paused", "program")
+
+
 def lost(entry: Entry) -> str:
     """What a page is about and since when, in words, as far as its key and time can be believed."""
     kind, name, number = entry.key
@@ -173,6 +184,9 @@ def _read(path: Path, owner: Owner, tell: Callable[[str], None], now: float) -> 
         found = sort(path, store.entries())
         if head is None or found.damaged:
             head = _new_head(owner)
+            if any(forgets(one.entry) for one in found.damaged):
+                found.sound.pop(NO_RECORD, None)
+                store.commit([((), [NO_RECORD])])
             store.move_aside(found.damaged, head, now)
             _tell_damage(path, found.damaged, tell)
     except BaseException:
@@ -189,6 +203,9 @@ def _salvage(path: Path, owner: Owner, tell: Callable[[str], None], now: float, 
     found = sort(path, left.entries.items(), outrun=left.outrun)
     whole = left.whole and not found.damaged
     head = left.head if whole and left.head is not None else _new_head(owner)
+    if not left.whole or any(forgets(one.entry) for one in found.damaged):
+        # Of what is missing nobody knows what it was.
+        found.sound.pop(NO_RECORD, None)
     aside = _put(path, head, found.sound, found.damaged, now)
     count = len(found.sound)
     tell(

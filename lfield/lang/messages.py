@@ -76,7 +76,9 @@ ELSE_WITHOUT_IF = _message(
     "L212", "else without an if before it", "an if takes one statement or a block in {{ }}"
 )
 CATCH_WITHOUT_TRY = _message(
-    "L213", "catch without a try before it", "write try {{ ... }} catch (Exception e) {{ ... }}"
+    "L213",
+    "catch without a try before it",
+    "write try {{ ... }} catch (Exception e) {{ ... }}; finally stands behind the last catch",
 )
 TRY_WITHOUT_CATCH = _message(
     "L214",
@@ -466,4 +468,9 @@ LOSING_FINALLY = _message(
     "L904",
     "this finally never comes to its end: what the try returns or throws is lost",
     "let the {cause} stand behind the try",
+)
+LIMIT_PASSES = _message(
+    "L905",
+    "this catch does not take the end of the within around it",
+    "put the try around the within",
 )

@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from lfield.mobility.arrivals import Arrivals
-from lfield.mobility.copies import LIVE, Copies
+from lfield.mobility.copies import LIVE, UNREADABLE, Copies
 from lfield.mobility.departures import Departures
 from lfield.mobility.effects import Began, Go
 from lfield.mobility.endings import Endings
@@ -118,7 +118,7 @@ class Mobility:
             copy.restored = not runs
             copy.seal = put(copy, runs=runs)
             if copy.seal is None:
-                copy.doubt = f"what {self._own.host} has kept of it cannot be read"
+                copy.doubt, copy.unreadable = UNREADABLE, True
             elif not runs:
                 effects += self._departures.woken(copy, now)
         return effects
@@ -178,7 +178,7 @@ class Mobility:
         """The holder of a coordinator is gone for good: a new start of it, `generation`, goes on here.
 
         That must be a recovery's number above all that are known, and `recoverable` must have something.
-        `put(copy)` has its block in the machine, frozen; None: it cannot be read, and nothing is changed.
+        `put(copy)` has its block in the machine, frozen; None: it cannot be read, which is all that is noted.
         """
         return self._recoveries.recover(agent, generation, put)
 

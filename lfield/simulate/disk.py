@@ -16,7 +16,7 @@ from lfield.clock import Clock
 from lfield.errors import JournalError
 from lfield.journal.grouping import Grouped
 from lfield.journal.journal import Change
-from lfield.journal.opening import lost
+from lfield.journal.opening import NO_RECORD, forgets, lost
 from lfield.journal.pages import Entry, Key, Page, PageError, entry, page_of
 
 #: Seconds until a commit is on a disk.
@@ -59,6 +59,8 @@ class JournalDisk:
             except PageError as error:
                 del self._entries[key]
                 self.identity = 0
+                if forgets(found):
+                    self._entries.pop(NO_RECORD, None)
                 tell(f"{lost(found)}, is damaged in the journal ({error}); it was moved aside")
         self.identity = self.identity or self.dice.getrandbits(63)
         return SimulatedJournal(self, self.identity, pages, clock)

@@ -116,6 +116,7 @@ class Machine:
         is here goes on no more: of two starts one host never runs both.
         """
         agent = self.restore(member, image, limits, asleep)
+        self._begun.tidy_up(agent)
         agent.block.w[layout.W_HOPS] += 1
         agent.block.visit(self._here)
         return agent
@@ -234,9 +235,9 @@ class Machine:
     def restore_begun(self, calls: Iterable[Begun]) -> None:
         """What this host has kept in an earlier life; before any coordinator is restored.
 
-        Those without a result ("running") are lost: whoever fetches them gets a RestartException.
+        Those without a (sound) result are lost: whoever fetches them gets a RestartException.
         """
-        self._begun.restore(calls)
+        self._begun.restore(calls, self._soundness)
 
     def forget_begun(self, keys: Iterable[Key]) -> None:
         """Nobody will fetch these; portals that still run for them go on alone."""

@@ -189,6 +189,19 @@ def test_a_damaged_page_is_told_and_makes_another_memory(bench: Bench) -> None:
     assert (last.identity, len(bench.told)) == (again.identity, 1)
 
 
+def test_with_a_promise_the_record_of_starts_is_lost(bench: Bench) -> None:
+    """So a host counts as one that may have promised what it does not know."""
+    journal = bench.open()
+    bench.run(journal.keep(PAGES))
+    journal.close()
+    bench.damage(Key("fence", "scout"))
+    left = [page for page in PAGES if not isinstance(page, Fence | Starts)]
+    assert by_key(bench.open().pages()) == by_key(left)
+    (told,) = bench.told
+    assert told.startswith("the fence of scout, as of ")
+    assert by_key(bench.open().pages()) == by_key(left)
+
+
 def test_it_counts_the_commits_of_a_minute(bench: Bench) -> None:
     journal = bench.open()
 

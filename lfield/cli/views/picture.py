@@ -116,7 +116,7 @@ def _agents(answers: Answers[Status]) -> Table:
         for known in answer.coordinators:
             is_past = known.generation < newest[known.agent]
             over = known.state == "EXITED" and known.where == host and not is_past
-            if known.state == "IN DOUBT" or over:
+            if known.state == "IN DOUBT" or known.unreadable or over:
                 state = f"{known.outcome or 'in doubt'}: {known.detail}".splitlines()[0].rstrip(": ")
                 _add(shown, host, known.agent, "", state, str(known.hops), "", "")
         for begun in answer.begun:

@@ -38,6 +38,17 @@ Caller = Agent | Begun
 
 #: Why a host lets no coordinator act.
 ENDED = "the lease of {0} has ended: no majority of the team can be heard"
+#: What a host may have promised that does not know it any more.
+FORGOTTEN = (
+    "no lease is given before every member was heard: the journal here is new, or has lost a promise; "
+    "--first-start says that this host has never run this deployment"
+)
+#: An older copy would do again what has been done since: that is for a person to say.
+STUCK = (
+    "{0} goes on nowhere by itself: the newest that is left of it is on {1}, and cannot be read; if whoever "
+    "had it is gone for good, 'lfield recover {0}' goes on from an older copy, and 'lfield forget {0}' "
+    "ends it"
+)
 
 
 class Leases:
@@ -82,8 +93,7 @@ class Leases:
         if self.fenced:
             self.quorum.begin(self._clock.monotonic(), first=first)
             if not self.quorum.remembers:
-                told = "no lease is given before every member was heard: the journal here is new"
-                self._out(Say(f"{told}; --first-start says that this host has never run this deployment"))
+                self._out(Say(FORGOTTEN))
         elif self._mission.fenced:
             self._out(Say(f"heartbeatInterval has no effect here: {self._own.host} keeps no journal"))
 
@@ -218,7 +228,8 @@ class Leases:
                     self._team.carry_out([Persist(effect.agent, page)])
                 case quorum.TakeOver() if self._team.mobility.recoverable(effect.agent):
                     self._out(Say(effect.reason))
-                    self._team.recover(effect.agent, effect.generation)
+                    if not self._team.recover(effect.agent, effect.generation):
+                        self._out(Say(STUCK.format(effect.agent, self._own.host)))
                 case quorum.Explain():
                     self._out(Say(effect.text))
 
@@ -244,6 +255,9 @@ class Leases:
         if copy.is_here:
             return Saved(Place(copy.generation, copy.sequence, left=False), alive=True, interval=0.0)
         block, left = copy.block, copy.state != "RUN"
+        if copy.unreadable:
+            # Nobody goes on with it, nor with what is older.
+            return Saved(Place(copy.generation, copy.sequence, left), alive=False, interval=0.0)
         sequence = _word(block, W_SEQUENCE) if block is not None else 0
         interval = _word(block, W_INTERVAL) / 1000.0 if block is not None else 0.0
         return Saved(Place(copy.generation, sequence, left), alive=False, interval=interval)

@@ -36,7 +36,8 @@ def recover(team: Coordinators, host: str, number: int, word: Recover, fence: in
     known = [row.generation for row in team.mobility.knowledge() if row.agent == word.agent]
     generation = next_recovery(max(word.above, fence, *known), number)
     if not team.recover(word.agent, generation):
-        return Recovered(0, f"what {host} has kept of {word.agent} cannot be read")
+        left = f"what {host} has kept of {word.agent} cannot be read"
+        return Recovered(0, f"{left}; ask again: another host may have an older copy")
     return Recovered(generation)
 
 

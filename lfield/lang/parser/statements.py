@@ -223,11 +223,7 @@ def _try(s: TokenStream) -> Stmt:
         catches.extend(_catch_clause(s))
     if not _at_finally(s):
         return Try(span, body, catches, None)
-    last = _braced(s, s.advance())
-    while s.at("catch"):
-        s.report(messages.CATCH_WITHOUT_TRY, s.current.span, hint="finally stands behind the last catch")
-        _catch_clause(s)
-    return Try(span, body, catches, last)
+    return Try(span, body, catches, _braced(s, s.advance()))
 
 
 def _catch_clause(s: TokenStream) -> list[Catch]:
@@ -308,13 +304,14 @@ def _is_foreign(s: TokenStream) -> bool:
 
 def _block_ahead(s: TokenStream) -> int:
     """How far ahead the `{` of `word {` or `word (...) {` is; 0 where neither stands here."""
-    ahead, depth, braces = 1, 0, 0
+    ahead, depth, braces, semicolons = 1, 0, 0, 0
     while depth > 0 or s.ahead(ahead).text == "(":
         token = s.ahead(ahead)
         depth += {"(": 1, ")": -1}.get(token.text, 0)
         braces += {"{": 1, "}": -1}.get(token.text, 0)
-        # Between braces stand the elements of an array, and no statement.
-        if token.kind is Kind.END or braces < 0 or (braces > 0 and token.text == ";"):
+        semicolons += token.text == ";"
+        # Between braces stand the elements of an array; the head of a `for` has two semicolons.
+        if token.kind is Kind.END or braces < 0 or semicolons > (2 if braces == 0 else 0):
             return 0
         ahead += 1
     return ahead if s.ahead(ahead).text == "{" else 0

@@ -89,6 +89,8 @@ RECOVERED = "heartbeatInterval(s2f(arg[4]));"
 _PROGRAMS: dict[bytes, Program] = {}
 #: What a walker does that never ends.
 FOR_EVER = -1
+#: What may strike in any story.
+USUAL = [kind for kind in Weather.__dataclass_fields__ if kind != "swap"]
 #: Seconds between two faults of a kind at least and at most, and how likely each kind is in a story.
 BETWEEN, LIKELY = (0.7, 6.0), 0.35
 #: So many stories are of hosts that keep journals; the others forget, as many a trial does.
@@ -98,7 +100,8 @@ KEEP = 0.75
 STAYS, STAYS_ON = 8, (26, 31, 31)
 #: Of what kinds stories of hosts with journals are. Of coordinators that a majority may recover they have
 #: nothing that leases do not hold under, and more time, in seconds.
-KEPT, NOT_FENCED, LONGER = ("plain", "plain", "fenced", "doubted"), ("disk_new", "race"), 6.0
+KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted")
+NOT_FENCED, LONGER = ("disk_new", "race"), 6.0
 #: What lets a host doubt another one that goes on; how likely each is then.
 DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
 #: Seconds between two of them, and of such a story, where there are many.
@@ -173,7 +176,9 @@ def drawn(seed: int) -> Story:
     story = plain(seed)
     if not story.journals:
         return forgetful(seed)
-    return KINDS[random.Random(f"kind {seed}").choice(KEPT)](seed)
+    dice = random.Random(f"kind {seed}")
+    kind = dice.choice(KEPT)
+    return KINDS[dice.choice(DOUBTFUL) if kind == "doubted" else kind](seed)
 
 
 def plain(seed: int) -> Story:
@@ -184,7 +189,7 @@ def plain(seed: int) -> Story:
     arms = dice.choice((0, 0, 0, 1, 1, 2))
     means = {
         kind: dice.uniform(*BETWEEN)
-        for kind in Weather.__dataclass_fields__
+        for kind in USUAL
         if dice.random() < LIKELY and (arms or not kind.startswith("guard"))
     }
     seconds = dice.uniform(4.0, 10.0)
@@ -218,10 +223,9 @@ def fenced(seed: int) -> Story:
     means |= {kind: dice.uniform(*BETWEEN) for kind in DOUBTS if dice.random() < LIKELY_DOUBT}
     lease = dice.choice(LEASES)
     seconds = story.weather + LONGER + lease
-    return replace(
+    story = replace(
         story,
         kind="fenced",
-        means=means,
         weather=seconds,
         seconds=seconds,
         lost_after=None,
@@ -231,6 +235,8 @@ def fenced(seed: int) -> Story:
         lease=lease,
         witnesses=dice.choice((0, 1)),
     )
+    swaps = {"swap": dice.uniform(*OFTEN)} if dice.random() < LIKELY else {}
+    return replace(story, means=means | swaps)
 
 
 def doubted(seed: int) -> Story:
@@ -252,6 +258,15 @@ def doubted(seed: int) -> Story:
         weather=seconds,
         seconds=seconds,
     )
+
+
+def parted(seed: int) -> Story:
+    """One of a small team in which whoever held a coordinator does not meet whoever went on with it.
+
+    Only who has promised knows of both, and that from its disk: it is started again in between.
+    """
+    mean = random.Random(f"parted {seed}").uniform(*OFTEN)
+    return replace(doubted(seed), kind="parted", means={"swap": mean})
 
 
 def crew(seed: int) -> Story:
@@ -277,6 +292,7 @@ KINDS: Mapping[str, Callable[[int], Story]] = {
     "forgetful": forgetful,
     "fenced": fenced,
     "doubted": doubted,
+    "parted": parted,
     "crew": crew,
 }
 
