@@ -90,6 +90,21 @@ def test_a_host_that_is_lost_between_begin_and_fetch_is_one_too() -> None:
     assert joined.printed == ["r1"]
 
 
+def test_a_call_that_its_block_has_ended_without_is_cancelled_when_the_coordinator_comes_by() -> None:
+    body = f"try {{ {ALL} }} catch (Exception e) {{ print(e.source()); }} sleep(1.0); print(r[1].count());"
+    joined = Joined(program(body.replace("2.0", "i % 2 * 45.0 + 5.0")), 3)
+    joined.run(until=1.0)
+    joined.cut.add(1)
+    joined.run(until=4.5)
+    assert joined.printed == ["r1"]
+    assert joined.machines[1].begun_calls()
+    joined.cut.clear()
+    joined.run()
+    # It is told before anything else happens there, and tidies up meanwhile.
+    assert joined.places[1].output == ["0", "r1 cancelled"]
+    assert joined.machines[1].begun_calls() == []
+
+
 def test_calls_wait_for_their_host_to_let_them_begin() -> None:
     joined = Joined(program(ALL + TOLD), 2)
     joined.places[1].lets = False
