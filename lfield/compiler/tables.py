@@ -23,10 +23,10 @@ from lfield.bytecode.program import (
     TypeRecord,
 )
 from lfield.bytecode.verify.records import BUILTIN_RECORDS, FIXED_TYPES
+from lfield.compiler.begun.twins import TICKET as TICKET_TYPE
+from lfield.compiler.begun.twins import begun_offers, twin_of
+from lfield.compiler.begun.work import Work
 from lfield.compiler.constants import Pool
-from lfield.compiler.twins import TICKET as TICKET_TYPE
-from lfield.compiler.twins import begun_offers, twin_of
-from lfield.compiler.work import Work
 from lfield.lang import tree, types
 from lfield.lang.types import ArrayType, ClassType, DeviceType, ResourceType, Type
 

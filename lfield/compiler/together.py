@@ -90,14 +90,14 @@ class Parallel:
         """An array with the value of each local that takes a result: one whose call is not begun keeps it."""
         frame, code = self._frame, self._frame.code
         arrays: dict[Local, int] = {}
-        first = frame.slots.temporary(INT)
         for local in _taking(stmt.body):
             kind = frame.tables.type_index(array_of(local.type))
             array = arrays[local] = frame.slots.temporary(kind)
+            first = frame.slots.temporary(INT)
             code.emit("newarray", array, kind, frame.constant(1))
             code.emit("move", first, frame.constant(0))
             code.emit("pute", array, first, frame.slots.of(local))
-        frame.slots.release(first)
+            frame.slots.release(first)
         return arrays
 
     def begin(self, stmt: Begin) -> None:

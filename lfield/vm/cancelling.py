@@ -10,6 +10,7 @@ from lfield.vm.memory.layout import (
     PARKED,
     READY,
     SLEEPING,
+    THREAD_FRAME,
     THREAD_PC,
     THREAD_STATE,
     WAITING,
@@ -41,13 +42,19 @@ class Cancelling:
         resource.cancels[thread] = reason
         tidy = resource.limits.tidy
         self._scheduler.turns.alarm(resource, tidy, lambda: self._end(resource, thread))
-        place = place_of(resource.block, thread)
-        state = resource.block.w[place + THREAD_STATE]
+        state = resource.block.w[place_of(resource.block, thread) + THREAD_STATE]
         if state == WAITING:
             self._scheduler.world.cancel(resource, thread)
-        elif state != READY:
+        elif state != READY or self._is_queued(resource, thread):
             rouse(self._scheduler, resource, thread)
             self.strike(resource, thread)
+
+    def _is_queued(self, resource: Agent, thread: int) -> bool:
+        """Whether a thread that is ready has not begun: its resource's init, or another call, was busy."""
+        w, place = resource.block.w, place_of(resource.block, thread)
+        method = self._scheduler.program.core.methods[w[w[place + THREAD_FRAME]] >> 8 & 0xFFFFFF]
+        enters = method.synchronized and w[place + THREAD_PC] == method.entry
+        return enters or (resource, thread) in resource.waiting
 
     def waits(self, resource: Agent, thread: int, op: int, operand: int) -> bool:
         """Whether a thread has come to a head where it hears that it is cancelled; then it has heard."""

@@ -204,7 +204,7 @@ class Machine:
         It may when it is at its `together` only to fetch or to leave: nothing it did there is unknown. Else
         it must be told by `resume` (RestartException) that its call may have begun.
         """
-        raise NotImplementedError
+        return self._visits.goes_on(agent)
 
     # --- calls that were begun here -------------------------------------------------------------------
 
@@ -234,9 +234,9 @@ class Machine:
     def restore_begun(self, calls: Iterable[Begun]) -> None:
         """What this host has kept in an earlier life; before any coordinator is restored.
 
-        Those without a result ("running") are lost: whoever fetches them gets a RestartException.
+        Those without a (sound) result are lost: whoever fetches them gets a RestartException.
         """
-        self._begun.restore(calls)
+        self._begun.restore(calls, self._soundness)
 
     def forget_begun(self, keys: Iterable[Key]) -> None:
         """Nobody will fetch these; portals that still run for them go on alone."""

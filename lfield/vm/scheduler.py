@@ -70,11 +70,11 @@ class Scheduler:
 
     def clock_of(self, agent: Agent) -> int:
         """The time of a coordinator's own clock, in ns: for how long it has lived, on all its hosts."""
-        return int(self.clock.monotonic() * 1e9) + agent.offset
+        return round(self.clock.monotonic() * 1e9) + agent.offset
 
     def set_clock(self, agent: Agent, now: int) -> None:
         """Let a coordinator's own clock be this."""
-        agent.offset = now - int(self.clock.monotonic() * 1e9)
+        agent.offset = now - round(self.clock.monotonic() * 1e9)
 
     # --- where threads are ----------------------------------------------------------------------------
 

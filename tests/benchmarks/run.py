@@ -33,6 +33,7 @@ FIGURES = {
     "traffic": "team.traffic",
     "leases": "team.leases",
     "recovery": "team.recovery",
+    "formation": "team.formation",
 }
 
 if __name__ == "__main__":

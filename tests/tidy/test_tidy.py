@@ -50,7 +50,7 @@ SMALL = {
     "lfield/text/findings.py": "the table class of all findings",
     "lfield/text/values.py": "values of devices in words",
     "lfield/vm/memory/copier.py": "the deep copy",
-    "lfield/vm/reference/unwind.py": "who catches",
+    "lfield/vm/memory/parcels.py": "what waits to be fetched, as bytes",
 }
 
 

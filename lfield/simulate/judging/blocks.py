@@ -1,5 +1,7 @@
 """What programs say of their blocks of calls that are begun together (`stories/crews.py`).
 
+A crew that is recovered elsewhere goes back to a block: what came after that is lost to it.
+
 No piece of work begins twice, none begins before its page is on the disk, none is told of before its result
 is there, and none outlives its block: not when all have come back, not its time limit, and not the start
 that has begun it, once another one goes on and everybody can be reached.
@@ -12,6 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from lfield.journal.pages import BegunPage, Page
+from lfield.mobility.generations import is_recovery
 from lfield.simulate.fleet import Life
 from lfield.simulate.judging.breaches import Breaches
 from lfield.vm.agent import Agent
@@ -58,6 +61,8 @@ class Blocks:
         self._breaches, self._now, self._newest_at, self._pages = breaches, now, newest_at, pages
         self._blocks: defaultdict[tuple[str, int], _Block] = defaultdict(_Block)
         self._begun_for: set[tuple[str, int]] = set()
+        #: Which start of it each life of a crew is at.
+        self._at: defaultdict[str, int] = defaultdict(int)
         #: How many pieces began, and how many blocks of each agent were closed, since the weather.
         self.begun = 0
         self.closed: defaultdict[str, int] = defaultdict(int)
@@ -75,6 +80,10 @@ class Blocks:
     def said(self, life: Life, agent: Agent, words: list[str]) -> bool:
         """A program has written a line; whether it is about a block."""
         match words:
+            case ["opens" | "closes", who, number, *_] if not self._goes_on(
+                who, agent.generation, int(number)
+            ):
+                pass
             case ["opens", who, number, limit]:
                 self._blocks[who, int(number)].limit = float(limit)
             case ["closes", who, number, how, *given]:
@@ -90,6 +99,16 @@ class Blocks:
             case _:
                 return False
         return True
+
+    def _goes_on(self, who: str, generation: int, number: int) -> bool:
+        """A start of it is at this block; whether it is no older one than another that has gone on."""
+        if generation > self._at[who]:
+            if is_recovery(generation):
+                later = [key for key in self._blocks if key[0] == who and key[1] > number]
+                for key in later:
+                    del self._blocks[key]
+            self._at[who] = generation
+        return generation == self._at[who]
 
     # --- what crews say -------------------------------------------------------------------------------
 
@@ -113,19 +132,24 @@ class Blocks:
     def _sets(self, life: Life, resource: Agent, key: tuple[str, int], number: int) -> None:
         self.begun += 1
         (who, block), host = key, life.core.name
-        name, piece = who.partition(".")[0], self._blocks[key].pieces[number]
-        piece.begun, piece.at = piece.begun + 1, self._now()
-        piece.generation = _caller(life, resource, name)
-        self._begun_for.add((name, piece.generation))
-        what = f"piece {number} of block {block} of {who}"
+        name = who.partition(".")[0]
+        generation, what = _caller(life, resource, name), f"piece {number} of block {block} of {who}"
+        if not generation:
+            # It was taken from its caller before it came to its first line.
+            return
+        self._begun_for.add((name, generation))
+        if generation < self._newest_at(name, self._now()):
+            self._breaches.add("I1", (host,), f"{what} began for start {generation}; a later goes on")
+            return
+        self._goes_on(who, generation, block)
+        piece = self._blocks[key].pieces[number]
+        piece.begun, piece.at, piece.generation = piece.begun + 1, self._now(), generation
         if piece.begun > 1:
             self._breaches.add("I4", (host,), f"{what} began again, on {resource.id}")
-        if piece.generation < self._newest_at(name, self._now()):
-            self._breaches.add("I1", (host,), f"{what} began for start {piece.generation}; a later goes on")
         pages = self._pages(host)
         if pages is not None and not any(
             isinstance(page, BegunPage)
-            and (page.agent, page.generation, page.resource) == (name, piece.generation, resource.id)
+            and (page.agent, page.generation, page.resource) == (name, generation, resource.id)
             for page in pages
         ):
             self._breaches.add("begun", (host,), f"{what} began on {resource.id}, and no page says so")

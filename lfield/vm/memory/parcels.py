@@ -12,12 +12,13 @@ from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import HEADER_WORDS, W_SELF, Layouts
 
-_WORD = 8
+#: The bytes of a plain one.
+WORD = 8
 
 
 def plain_parcel(word: int) -> bytes:
     """The parcel of a value that is one word; of null and of nothing too."""
-    return word.to_bytes(_WORD, "little", signed=True)
+    return word.to_bytes(WORD, "little", signed=True)
 
 
 def parcel_of(source: Block, place: int, digest: bytes, layouts: Layouts) -> bytes:
@@ -41,7 +42,7 @@ def parcel_made(digest: bytes, make: Callable[[Block], int]) -> bytes:
 
 def open_parcel(parcel: bytes, target: Block, layouts: Layouts) -> int:
     """The word of what is in a parcel, copied into the target; raises Full before it writes anything."""
-    if len(parcel) == _WORD:
+    if len(parcel) == WORD:
         return int.from_bytes(parcel, "little", signed=True)
     block = Block(bytearray(parcel), len(parcel) // 8, len(parcel) // 8)
     return deep_copy(block, [block.w[W_SELF]], target, layouts)[0]

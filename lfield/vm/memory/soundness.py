@@ -41,6 +41,7 @@ from lfield.vm.memory.layout import (
     TICKET_WORDS,
     Layouts,
 )
+from lfield.vm.memory.parcels import WORD
 from lfield.vm.memory.tickets import check_ticket
 
 #: For a reference: the low half of the header its target must have, or one of these: any object, any thing of
@@ -133,6 +134,21 @@ class Soundness:
             # It is moved, and has the header of today afterwards.
             collect(block, self._layouts)
         return block
+
+    def is_parcel(self, parcel: bytes, thrown: bool) -> bool:
+        """Whether bytes are what a call gave, or what it has thrown (`lfield.vm.memory.parcels`)."""
+        if len(parcel) == WORD:
+            return not thrown
+        try:
+            block = self._adopt(parcel, len(parcel) // 8)
+            if block.w[layout.W_MAGIC] != _MAGIC:
+                return False
+            starts = self._walk(block, self._sizes)
+            self._check_references(block, starts)
+        except BlockError:
+            return False
+        root = starts.get(block.w[layout.W_SELF], 0) & 0xFF
+        return root == OBJECT or (not thrown and root in (layout.ARRAY, layout.STRING, layout.PROXY))
 
     def check_heap(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """Any agent's block from its bytes, sound enough to be read; raises BlockError.

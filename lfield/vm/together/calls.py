@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from lfield.vm.agent import Agent
 from lfield.vm.begun import Begun, Key
 from lfield.vm.cancelling import Cancelling
+from lfield.vm.memory.soundness import Soundness
 from lfield.vm.scheduler import Scheduler
 
 
@@ -26,11 +27,11 @@ class BegunCalls:
         if waiter is not None:
             self._scheduler.turns.next(*waiter)
 
-    def restore(self, calls: Iterable[Begun]) -> None:
-        """What the host has kept in an earlier life: what ran then is lost."""
+    def restore(self, calls: Iterable[Begun], soundness: Soundness) -> None:
+        """What the host has kept in an earlier life: what ran then is lost, and what cannot be read."""
         for begun in calls:
             begun.kept = True
-            if begun.state == "running":
+            if begun.state == "running" or not soundness.is_parcel(begun.parcel, begun.state == "thrown"):
                 begun.state = "lost"
             self._scheduler.begun[begun.key] = begun
 

@@ -28,8 +28,7 @@ from lfield.vm.memory.layout import (
     TOLD,
 )
 from lfield.vm.scheduler import Scheduler
-from lfield.vm.together.beginning import Beginnings
-from lfield.vm.together.collecting import collect, gather
+from lfield.vm.together.beginning import Beginnings, collect, gather
 from lfield.vm.together.outcomes import Outcomes
 from lfield.vm.together.visits import Ticket, Visits
 

@@ -138,6 +138,6 @@ FIGURE = Figure(
     rounds=3,
     notes=(
         f"rounds of {CANCELS} cancels: a copter at {FAST:g} m/s, an axis and a servo at {TURNS:g} rad/s",
-        "the answer of a copter comes when it is in its mode for holding: then it brakes as gently as it does",
+        "a copter answers when it is in its mode for holding: then it brakes as gently as it does",
     ),
 )
