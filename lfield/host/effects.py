@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from lfield.bytecode.program import DeviceCall
 from lfield.host.directory import Neighbours
-from lfield.journal.pages import Page
+from lfield.journal.pages import Key, Page
 from lfield.manifest import DeviceValue
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.vm.agent import Agent
@@ -95,10 +95,14 @@ class Died(Struct, frozen=True):
 
 
 class Keep(Struct, frozen=True):
-    """Have pages on disk, then call `HostCore.kept`; batches in the order of their numbers."""
+    """Have pages on disk and the pages of those `keys` removed, all at once, then call `HostCore.kept`.
+
+    Batches in the order of their numbers.
+    """
 
     number: int
     pages: list[Page]
+    keys: list[Key]
 
 
 class Reach(Struct, frozen=True):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from lfield.mobility.copies import MAX_STARTS, Copies, Copy
 from lfield.mobility.departures import LIMIT, UNREACHABLE
 from lfield.mobility.effects import Effect, Go, Note, Refusal, Send
-from lfield.wire.coordinators import NEVER_ARRIVED, SUPERSEDED, Accepted, Inquire, Refused, Transfer
+from lfield.wire.coordinators import NEVER_ARRIVED, SUPERSEDED, Accepted, Inquire, Known, Refused, Transfer
 from lfield.wire.fields import clip
 
 if TYPE_CHECKING:
@@ -47,6 +47,19 @@ class Arrivals:
         effects = self._decide(copy, header, block) if header.sequence > copy.sequence else []
         effects.append(Send(host, _verdict(copy, header)))
         return effects
+
+    def arriving(self, header: Transfer) -> Known | None:
+        """What others are told of a coordinator that has come, and waits for its verdict.
+
+        None when more is known of that start, or it will not be taken.
+        """
+        start = header.agent, header.generation
+        copy = self._copies.find(*start)
+        seen = copy is not None and (copy.state != "ABSENT" or copy.sequence >= header.sequence)
+        if seen or start in self._copies.parked or header.receiver_memory != self._own.remembers:
+            return None
+        here, memory = self._own.host, header.receiver_memory
+        return Known(*start, header.sequence, header.hops, "PREPARED", here, receiver_memory=memory)
 
     def oversize(self, host: str, header: Transfer, size: int) -> list[Effect]:
         """A coordinator whose block was too large to be read."""

@@ -27,7 +27,8 @@ class Greeting:
     """The greeting of one link, seen from one side.
 
     `own` is the Hello this side sends. `hosts` are the names of the deployment, `linked` the hosts that
-    have a live link here, by name, with their incarnations (looked at when the peer's Hello comes).
+    have a live link here, by name, with their incarnations. Both are of the same moment: what an earlier life
+    of the peer may yet send on its link is not in `own`, so that link must be gone.
     `dialled` is the name of the host this side called; None on the side that was called. An observer
     (`own.role`) knows no deployment: it passes no hosts and takes any. Where `observers_only`, hosts are
     refused.

@@ -25,7 +25,7 @@ class Sessions(Protocol):
     """Who keeps the links of a host."""
 
     def new_greeting(self, dialled: str | None, *, observers_only: bool) -> Greeting:
-        """The greeting for a new link."""
+        """The greeting for a new link, made when it can be sent."""
 
     def crossed(self, host: str, came: float) -> bool:
         """Whether this host's own call is the one that counts, of two that crossed; the other `came` then."""
@@ -58,6 +58,7 @@ class Session:
     """One link from its greeting to its end."""
 
     link: Link
+    _greeting: Greeting
 
     def __init__(self, peers: Sessions, dialled: str | None, *, observers_only: bool = False) -> None:
         self._peers = peers
@@ -65,7 +66,7 @@ class Session:
         self.connected = False
         #: When it was made, and when the other took it.
         self.made, self.linked_at = peers.now(), math.inf
-        self._greeting = peers.new_greeting(dialled, observers_only=observers_only)
+        self._observers_only = observers_only
         self.hello: Hello | None = None
         #: When something last came, and when this host last had no use for the link.
         self.heard = self.idle = 0.0
@@ -79,10 +80,14 @@ class Session:
         return self.linked_at < math.inf
 
     def greet(self, link: Link) -> None:
-        """Say who we are, and wait for the other's greeting, though not for ever. Again: nothing happens."""
+        """Say who we are, and wait for the other's greeting, though not for ever. Again: nothing happens.
+
+        What this host knows is told as it is now: to be connected may have taken long.
+        """
         if self.connected:
             return
         self.link, self.connected = link, True
+        self._greeting = self._peers.new_greeting(self.dialled, observers_only=self._observers_only)
         self._patience = asyncio.get_running_loop().call_later(GREETED_WITHIN, self._give_up)
         with suppress(AddressError):
             link.send(self._greeting.own)

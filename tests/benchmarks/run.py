@@ -10,6 +10,7 @@ FIGURES = {
     "hop": "hops.hop",
     "local": "hops.local",
     "agreement": "hops.agreement",
+    "together": "hops.together",
     "journal": "hops.journal",
     "engine": "machine.engine",
     "collector": "machine.collector",

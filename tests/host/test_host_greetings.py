@@ -108,6 +108,45 @@ def test_a_greeting_that_is_read_before_the_caller_gets_its_turn(fleet):
     fleet(story)
 
 
+class SlowTransport(EagerTransport):
+    """Connects after a while, as where the first packets get lost."""
+
+    async def connect(self, address, handler):
+        await asyncio.sleep(6.0)
+        return self.network.connect(self.machine, address, handler)
+
+
+ROUND = """
+resource Echo {
+    init(string[] arg) { }
+    portal say() { write("here\\n"); sleep(3.0); }
+}
+coordinator Caller {
+    init(string[] arg) { for (int i = 1; i < arg.length(); i = i + 1) findEcho(arg[i]).say(); }
+}
+"""
+
+
+def test_a_greeting_tells_what_is_known_when_the_call_is_taken(fleet):
+    """Not when it began: what came meanwhile, nobody else may know any more."""
+
+    async def story(team):
+        away = "//Echo:last@away\n//Echo:first@carol\n//Caller:tom@home?first&last&last&last\n"
+        mission = team.mission(ROUND, away)
+        away, carol, home = await team.up(mission)
+        away.host.peers._transport = SlowTransport(team.network, "away")
+        await team.until(lambda: carol.output)
+        await home.host.stop()
+        await team.until(lambda: away.output)
+        await carol.host.stop()
+        _, home = await team.up(mission, "carol", "home", first_start=False)
+        await team.until(lambda: _told(home, "linked with away"))
+        assert _told(home, "tom is alive on another host: not started again")
+        assert not home.holds("tom")
+
+    fleet(story)
+
+
 class Caller:
     """Whoever calls at a door: says hello, asks for the status, and keeps what comes back."""
 

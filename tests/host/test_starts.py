@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
+
 from lfield.errors import HostFailure
 from lfield.journal.pages import Run, Starts
 from lfield.mobility.copies import MAX_STARTS
@@ -111,6 +113,42 @@ def test_a_host_that_was_reaped_is_not_waited_for(fleet):
         await team.until(lambda: home.holds("guest"))
 
     fleet(story)
+
+
+@pytest.mark.parametrize("keeps", [False, True])
+def test_a_start_that_waits_for_the_devices_of_another_host_is_heard_of(fleet, keeps):
+    """Its home has forgotten it, and nobody else has had it yet."""
+
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        away, opened = team.make(mission, "away", keeps=keeps), asyncio.Event()
+        _opens_later(away, opened)
+        starting = asyncio.ensure_future(away.host.start())
+        (home,) = await team.up(mission, "home", keeps=keeps)
+        await asyncio.sleep(1.0)
+        await home.host.stop()
+        if keeps:
+            team.disks["home"].replace()
+        (home,) = await team.up(mission, "home", keeps=keeps, first_start=False)
+        assert "guest is alive on another host: not started again" in home.log
+        opened.set()
+        await starting
+        assert await team.ended("guest") == "done"
+        assert away.output == ["arrived"]
+        assert start_of(home) == start_of(away) == 1
+
+    fleet(story)
+
+
+def _opens_later(running, opened: asyncio.Event) -> None:
+    """A host that listens already, and whose devices take their time."""
+    opens = running.host.guards.open
+
+    async def later(devices) -> None:
+        await opened.wait()
+        await opens(devices)
+
+    running.host.guards.open = later
 
 
 def test_a_start_that_cannot_be_kept_is_not_made(fleet):

@@ -40,6 +40,12 @@ PIECES = sorted(
         "switch",
         "static",
         "specific",
+        "together",
+        "within",
+        "finally",
+        "together {",
+        "within (2) {",
+        "finally {",
         "extends",
     }
 )

@@ -120,6 +120,27 @@ def test_without_a_link_it_waits_frozen_and_is_sent_when_there_is_one(a, b):
     assert a.mobility.linked(b.hello()) == [SendTransfer("b", transfer(1), b"block 1")]
 
 
+def test_who_waits_for_a_link_may_give_up_and_go_on_where_it_is(a, b):
+    a.mobility.depart(TOUR, "b", seal, 0.0)
+    assert a.mobility.give_up(TOUR, 1)
+    assert a.known().state == "RUN"
+    assert a.mobility.next_deadline() is None
+    assert a.mobility.linked(b.hello()) == []
+    # It may leave again, and under the number that was never sent.
+    assert a.mobility.depart(TOUR, "b", seal, 1.0) == [SendTransfer("b", transfer(1), b"block 1")]
+
+
+def test_what_was_sent_is_not_given_up(away):
+    assert not away.mobility.give_up(TOUR, 1)
+    assert away.known().state == "PREPARED"
+    assert not away.mobility.give_up(TOUR, 2)
+    assert not away.mobility.give_up("nobody", 1)
+
+
+def test_who_runs_has_nothing_to_give_up(a):
+    assert not a.mobility.give_up(TOUR, 1)
+
+
 def test_a_host_that_stays_away_is_unreachable(a):
     a.mobility.depart(TOUR, "b", seal, 0.0)
     (resume,) = a.mobility.tick(10.0)
@@ -403,6 +424,29 @@ def test_a_transfer_after_the_end_is_not_injected(b):
 def test_a_long_detail_is_cut_to_what_travels(a):
     a.mobility.ended(TOUR, 1, "died", "x" * 10000)
     assert len(a.known().detail) == MAX_TEXT
+
+
+# What waits to be taken in
+
+
+def test_who_is_greeted_hears_of_a_coordinator_that_waits_to_be_taken_in(away, b):
+    (known,) = b.mobility.greeting([transfer(1)])
+    assert known == Known(TOUR, 1, 1, 1, "PREPARED", "b", receiver_memory=1)
+    # That is no verdict: its sender goes on waiting for one.
+    assert away.mobility.linked(b.hello(known)) == [Send("b", Inquire(TOUR, 1, 1, 1))]
+    assert away.known().state == "PREPARED"
+
+
+def test_who_is_greeted_hears_nothing_of_what_will_not_be_taken_in(b):
+    b.mobility.receive("a", Inquire(TOUR, 1, 1, 1), 0.0)
+    assert b.mobility.greeting([transfer(1)]) == []
+    assert len(b.mobility.greeting([transfer(2)])) == 1
+    assert b.mobility.greeting([transfer(2, receiver=7)]) == []
+
+
+def test_who_is_greeted_hears_once_of_each_start(b):
+    b.mobility.arrive("a", transfer(1), b"block 1")
+    assert b.mobility.greeting([transfer(2), transfer(1)]) == b.mobility.knowledge()
 
 
 # Two starts of one coordinator

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lfield.lang import messages
-from lfield.lang.chains import chain, further
+from lfield.lang.chains import bodies, chain, further
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.tree import (
     Block,
@@ -19,7 +19,9 @@ from lfield.lang.tree import (
     Return,
     Stmt,
     Throw,
+    Together,
     Try,
+    Within,
 )
 from lfield.lang.types import UNKNOWN, VOID, Type, distance
 
@@ -44,6 +46,8 @@ class _Flow:
 
     def __init__(self, symbols: Symbols) -> None:
         self.symbols = symbols
+        #: Every `try` whose `finally` never comes to its end: what leaves it goes no further.
+        self.swallowing: set[Try] = set()
 
     def ends(self, body: Sequence[Stmt]) -> bool:
         """Whether control can come to the end of these statements; the first unreachable one is reported."""
@@ -64,7 +68,7 @@ class _Flow:
         match one:
             case Return() | Break() | Continue() | Throw():
                 return False
-            case Block():
+            case Block() | Together() | Within():
                 return self.ends(one.body)
             case If():
                 ladder = [one, *reversed(chain(one, further))]
@@ -73,12 +77,22 @@ class _Flow:
             case Loop():
                 self.ends(one.body)
                 endless = isinstance(one.condition, Literal_) and one.condition.value is True
-                return not endless or _has_break(one.body)
+                return not endless or self.has_break(one.body)
             case Try():
                 self.catches(one.catches)
                 ends = [self.ends(one.body), *(self.ends(clause.body) for clause in one.catches)]
-                return any(ends)
+                return self.last_ends(one) and any(ends)
         return True
+
+    def last_ends(self, one: Try) -> bool:
+        """Whether control can come to the end of the `finally`; without one it is there already."""
+        if one.last is None or self.ends(one.last):
+            return True
+        self.swallowing.add(one)
+        leaving = next((last for last in one.last if not self.passes(last)), one)
+        cause = _CAUSES.get(type(leaving), "statement that never ends")
+        self.symbols.report(messages.LOSING_FINALLY, leaving.span, cause=cause)
+        return False
 
     def catches(self, clauses: Sequence[Catch]) -> None:
         """Report a catch that an earlier one of the same try leaves nothing for."""
@@ -90,20 +104,15 @@ class _Flow:
                 self.symbols.report(messages.UNREACHABLE_CATCH, clause.local.span, earlier=f"catch ({taker})")
             earlier.append(kind)
 
-
-def _has_break(body: Sequence[Stmt]) -> bool:
-    """Whether a break in a loop's body leaves this loop."""
-    waiting = list(body)
-    while waiting:
-        match waiting.pop():
-            case Break():
+    def has_break(self, body: Sequence[Stmt]) -> bool:
+        """Whether a break in a loop's body leaves this loop."""
+        waiting = list(body)
+        while waiting:
+            one = waiting.pop()
+            if isinstance(one, Break):
                 return True
-            case Block() as one:
-                waiting += one.body
-            case If() as one:
-                waiting += [*one.then, *one.otherwise]
-            case Try() as one:
-                waiting += one.body
-                for clause in one.catches:
-                    waiting += clause.body
-    return False
+            if isinstance(one, Try) and one in self.swallowing:
+                waiting += one.last or []
+            elif not isinstance(one, Loop):
+                waiting += [inner for part in bodies(one) for inner in part]
+        return False
