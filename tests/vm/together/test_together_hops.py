@@ -145,6 +145,26 @@ def test_what_came_back_is_fetched_only_when_it_is_kept_and_then_told_to_the_hos
     assert joined.printed == ["cr0", "cr1", "after 2.0"]
 
 
+def test_a_resource_that_dies_is_an_exception_of_its_calls_kept_until_they_are_fetched() -> None:
+    body = f"try {{ {ALL} }} catch (UnreachableResourceException e) {{ print(e.source() + e.message()); }}"
+    joined = Joined(program(body), 3)
+    joined.run(until=1.0)
+    machine = joined.machines[1]
+    machine._scheduler.die(machine.agents["r1"], "a test")
+    [begun] = machine.begun_calls()
+    assert (begun.state, begun.kept) == ("thrown", True)
+    joined.run()
+    assert joined.printed == ["r1r1 has died: a test"]
+
+
+def test_calls_of_a_resource_that_is_gone_do_not_begin() -> None:
+    body = f"try {{ {ALL} }} catch (UnreachableResourceException e) {{ print(e.message()); }}"
+    joined = Joined(program(body), 2)
+    joined.machines[1]._scheduler.die(joined.machines[1].agents["r1"], "a test")
+    joined.run()
+    assert joined.printed == ["r1 is gone: it died of a test"]
+
+
 def test_a_restarted_host_has_lost_what_ran() -> None:
     joined = Joined(
         program(f"try {{ {ALL} {TOLD} }} catch (RestartException e) {{ print(e.message()); }}"), 3
