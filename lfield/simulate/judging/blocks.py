@@ -65,8 +65,9 @@ class Blocks:
         self._begun_for: set[tuple[str, int]] = set()
         #: Which start of it each life of a crew is at.
         self._at: defaultdict[str, int] = defaultdict(int)
-        #: How many pieces began, and how many blocks of each agent were closed, since the weather.
-        self.begun = 0
+        #: How many pieces began, how many blocks were closed since a host was started again, and how many of
+        #: each agent were closed, since the weather.
+        self.begun = self.restarts = 0
         self.closed: defaultdict[str, int] = defaultdict(int)
         #: Up to which start, and since when, the journal of a host bars a crew.
         self._barred: dict[tuple[str, str], tuple[int, float]] = {}
@@ -126,6 +127,7 @@ class Blocks:
         block, (who, number) = self._blocks[key], key
         block.how = how
         self.closed[agent.id] += 1
+        self.restarts += how == "restarted"
         if how != "came-back":
             return
         wanted = [str(10 * number + piece) for piece in range(len(given))]

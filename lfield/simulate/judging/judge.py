@@ -109,7 +109,7 @@ class Judge:
     @property
     def restarts(self) -> int:
         """How many exceptions told a walker that it goes on elsewhere, or again."""
-        return self._calls.restarts
+        return self._calls.restarts + self._blocks.restarts
 
     def _newest_at(self, agent: str, when: float) -> int:
         """The last recovery of an agent that had gone on at that time, 0 for none."""

@@ -73,24 +73,24 @@ TOGETHER_BUGS = [
         a_fence_cancels_nothing,
         "what a start has begun that is barred works on beside its successor",
         "outlives",
-        0,
+        4,
     ),
     _bug(
         a_result_goes_before_its_coordinators_page,
         "a coordinator that goes back to its fetch finds nothing there",
         "result",
-        0,
+        1,
     ),
     _bug(
         who_may_have_begun_begins_again,
         "what was begun before its host died is begun once more",
         "I4",
-        0,
+        12,
     ),
     _bug(
         a_begun_call_knows_no_time_limit,
         "a call on a host that cannot be reached works on when its block was left long ago",
         "outlives",
-        0,
+        13,
     ),
 ]
