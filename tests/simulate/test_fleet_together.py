@@ -134,6 +134,11 @@ def test_a_boss_that_ends_leaves_no_call_behind_also_where_it_could_not_tell(tmp
     team.until("sets 2")
     team.cut("bravo", "carol")
     team.cut("bravo", "alpha")
+    team.until("gives 2")
+    team.run(1.0)
+    assert "fetches from bravo" in [agent.state for agent in team.lives["carol"].host.status().agents]
+    (begun,) = team.lives["bravo"].host.status().begun
+    assert (begun.agent, begun.resource, begun.portal, begun.state) == ("boss", "one", "work", "running")
     team.until("boss: unreachable 0 0")
     team.run(5.0)
     assert team.said("leaves 1") == 0
