@@ -14,6 +14,7 @@ from rich.console import Console
 
 from lfield.journal.pages import CopyPage, Starts
 from lfield.mobility.copies import Copy
+from lfield.mobility.core import Mobility
 from lfield.mobility.departures import Departures
 from lfield.mobility.effects import Effect
 from lfield.mobility.generations import STRIDE
@@ -76,6 +77,28 @@ def test_a_judge_sees_a_call_for_a_copy_that_has_a_successor() -> None:
     assert [breach.name for breach in judge.breaches][:1] == ["I1"]
     assert "began for start 1; 65537 had gone on" in judge.breaches[0].sentence
     judge.fleet.close()
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_judge_sees_a_number_that_is_given_again_while_the_first_waits_elsewhere(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has called nothing, and the devices where it has come to are not open yet."""
+    greeting = Mobility.greeting
+    monkeypatch.setattr(Mobility, "greeting", lambda self, waiting: greeting(self))
+    judge = Judge()
+    story = replace(drawn(1), keep=frozenset(), hosts=3, walkers=1, arms=2, calls=FOR_EVER, stay=0.04)
+    fleet = judge.fleet = Fleet(story.mission, seed, born=judge.born)
+    fleet.run(0.3)
+    assert not judge.calls
+    fleet.power_off("h0")
+    fleet.lose_disk("h0")
+    for other in ("h1", "h2"):
+        fleet.network.reset("h0", other)
+    fleet.boot("h0")
+    fleet.run(0.3)
+    assert [breach.name for breach in judge.breaches] == ["start"]
+    fleet.close()
 
 
 def test_a_story_is_the_same_in_every_process() -> None:

@@ -128,10 +128,10 @@ class Judge:
 
     def _again(self, life: Life, agent: Agent, newest: int) -> None:
         """A number that is not new: of who had called nothing yet, or it tells nothing any more."""
-        before = self._starts.get((agent.id, agent.generation))
-        begun = any(of(agent.id, agent.generation) for of in (self._calls.any_of, self._blocks.any_of))
         start = agent.id, agent.generation
-        moved = any(transfer[:2] == start for transfer in self._injected)
+        before = self._starts.get(start)
+        begun = any(of(*start) for of in (self._calls.any_of, self._blocks.any_of))
+        moved = before and any(other.core.name != life.core.name for other in before.knew)
         if before and self.fleet.keeps and not moved and not begun:
             return
         if self._remembers(life.core.name) or self._known(agent, life.core.name):
@@ -146,6 +146,12 @@ class Judge:
         )
         knew = {life for seen in starts for life in seen.knew}
         return any(not life.process.loop.dead and life.core.name != home for life in knew)
+
+    def came(self, life: Life, header: Transfer) -> None:
+        """A coordinator has come to a host, which knows of that start from now on."""
+        seen = self._starts.get((header.agent, header.generation))
+        if seen is not None and header.receiver_memory == life.core.hello().remembers:
+            seen.knew.add(life)
 
     def admitted(self, life: Life, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into a machine."""

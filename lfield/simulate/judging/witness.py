@@ -21,6 +21,9 @@ class Sees(Protocol):
     def started(self, life: Life, agent: Agent) -> None:
         """A coordinator was begun."""
 
+    def came(self, life: Life, header: Transfer) -> None:
+        """A coordinator came over a link; whether it is taken in is decided now, or later."""
+
     def admitted(self, life: Life, agent: Agent, *, came: bool) -> None:
         """A coordinator was put into the machine; it `came` over a link, or else from the host's own disk."""
 
@@ -55,6 +58,7 @@ def tap(life: Life, sees: Sees) -> None:
         return agent
 
     def arrived(go: Callable[..., None], host: str, header: Transfer, *more: Any) -> None:
+        sees.came(life, header)
         coming.append(header)
         try:
             go(host, header, *more)
