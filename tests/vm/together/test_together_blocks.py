@@ -162,7 +162,7 @@ def test_what_is_inspected_says_what_has_become_of_the_calls() -> None:
     } <= seen
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_hostile_togethers_are_refused_or_harmless(data: st.DataObject) -> None:
     """Whatever a peer changes in a block that carries tickets: BlockError, or a run like any other."""
