@@ -33,6 +33,9 @@ class Begun:
     has left no result. `kept` is true when the host has what came back on its disk: only then it is fetched.
     A call that nobody will fetch any more is `dropped`.
 
+    `end` is that of the nearest time limit that it was begun under, in ns of the coordinator's own clock, 0
+    without one; `over`: it was cancelled by that.
+
     `call` is the number of the portal call and `method` the portal's index, 0 for one that does not run in
     this life; `waiter` the coordinator and its thread that wait here for it.
     """
@@ -47,6 +50,8 @@ class Begun:
     parcel: bytes = b""
     kept: bool = False
     dropped: bool = False
+    end: int = 0
+    over: bool = False
     call: int = 0
     method: int = 0
     waiter: tuple[Agent, int] | None = field(default=None, repr=False)

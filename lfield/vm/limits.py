@@ -184,5 +184,10 @@ class TimeLimits:
         left = self.nearest(agent)
         if left is not None:
             reason = f"the time limit of {agent.id} is over"
-            ring = partial(self._cancelling.call, resource, begun.call, reason)
+            begun.end = self._scheduler.clock_of(agent) + int(left * 1e9)
+            ring = partial(self._end, resource, begun, reason)
             self._scheduler.turns.alarm(resource, max(0.0, left), ring)
+
+    def _end(self, resource: Agent, begun: Begun, reason: str) -> None:
+        begun.over = begun.state == "running"
+        self._cancelling.call(resource, begun.call, reason)

@@ -42,6 +42,7 @@ class Together:
         self, scheduler: Scheduler, visits: Visits, cancelling: Cancelling, limits: TimeLimits
     ) -> None:
         self._scheduler, self._visits, self._cancelling = scheduler, visits, cancelling
+        self._limits = limits
         self._outcomes = Outcomes(scheduler, visits)
         self._beginnings = Beginnings(scheduler, visits, self._outcomes, limits)
 
@@ -108,7 +109,11 @@ class Together:
         if not self._all_begun(agent, thread):
             return
         self._outcomes.expire(agent, thread, BEGUN)
-        if self._waits(agent, thread, BEGUN) or self._departs(agent, thread, BEGUN):
+        if self._waits(agent, thread, BEGUN):
+            return
+        if agent.overdue and self._limits.strike(agent):
+            return
+        if self._departs(agent, thread, BEGUN):
             return
         found = self._visits.tickets(agent, thread)
         if any(ticket.thrown for ticket in found):

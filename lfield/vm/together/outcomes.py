@@ -47,6 +47,10 @@ class Outcomes:
             return begun
         else:
             self._unpack(agent, thread, number, begun)
+        if begun is not None and begun.over:
+            # So much time has passed for certain; on its way here the coordinator may have counted less.
+            self._scheduler.set_clock(agent, max(self._scheduler.clock_of(agent), begun.end))
+            agent.overdue = True
         self._scheduler.begun.pop(key, None)
         agent.fetched.append(key)
         return None
