@@ -280,8 +280,8 @@ class PluginError(LfieldError):
 class DeviceError(PluginError):
     """A device refused a command, failed, or went away.
 
-    `device` is its name in L (`fc`), `kind` the L exception it becomes (`DeviceException` or
-    `DeviceTimeoutException`), `reason` the device's own words.
+    `device` is its name in L (`fc`), `kind` the L exception it becomes (`DeviceException`,
+    `DeviceTimeoutException` or `CancelledException`), `reason` the device's own words.
     """
 
     def __init__(self, device: str, reason: str, *, kind: str = "DeviceException") -> None:

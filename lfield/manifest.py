@@ -15,6 +15,10 @@ from msgspec import Struct
 
 Effect = Literal["query", "idempotent", "actuate"]
 
+#: What a cancel does, where no instruction is named that ends what is under way: nothing, since it must be
+#: carried out to its end; or no more than that nobody waits for it any longer.
+NEVER, LEAVE = "never", "leave"
+
 #: L types that may cross between a program and a driver.
 DEVICE_VALUE_TYPES = ("boolean", "int", "real", "string", "real[]", "int[]")
 
@@ -52,6 +56,10 @@ class Instruction:
     snapshot and never blocks; `blocking` instructions hold the calling thread until they are done.
     Instructions of one `channel` replace one another, those of different channels run side by side: a
     gripper may close while the vehicle that carries it flies on.
+
+    `cancel` is what a cancel of a blocking one that acts does: the name of an instruction of the same device
+    and channel, without parameters, which is carried out instead of it (`hold`); NEVER; or LEAVE. '' for all
+    others.
     """
 
     name: str
@@ -62,6 +70,15 @@ class Instruction:
     blocking: bool = False
     meaning: str = ""
     channel: str = "motion"
+    cancel: str = ""
+
+    @property
+    def may_be_cancelled(self) -> bool:
+        """Whether a call of it that is under way can be given up.
+
+        A blocking query can, since nothing depends on it; a setpoint cannot, since it is done at once.
+        """
+        return self.blocking and (self.only_asks or self.cancel not in ("", NEVER))
 
     @property
     def only_asks(self) -> bool:

@@ -19,6 +19,8 @@ CALL = 0.3
 POLL = 1.0
 #: Seconds until the command of a safe state is sent again, and until the guard is told that it failed.
 SAFE_AGAIN, SAFE_BY = 0.2, 5.0
+#: Seconds for an axis to slow down by its profile.
+HALTS_BY = 10.0
 #: Seconds without coming closer after which a travel has failed, and what counts as closer, in rad.
 STUCK, CLOSER = 3.0, 1e-4
 #: A speed that has been rounded may be above its limit by so much, relatively.
@@ -238,6 +240,16 @@ class CanAxis(Device):
         self._check_ready("home")
         await self.protocol.home()
         self.publish(referenced=self.protocol.state.referenced)
+
+    async def do_halt(self) -> None:
+        """Slow down by the profile, and stay enabled."""
+        self._check_set_up("halt")
+        # What it told before says nothing of what it does now.
+        self.protocol.state.velocity = None
+        await self.protocol.begin_halt()
+        if not await self._news.seen(lambda: self._still, HALTS_BY):
+            raise self.error(f"halt: it does not stand after {HALTS_BY:g} s ({self._told()})")
+        await self.protocol.end_halt()
 
     async def do_stop(self) -> None:
         """Quick stop."""

@@ -43,6 +43,11 @@ class Movers(Members):
         self._check_speed("setProfile", velocity)
         self.profile = velocity, acceleration
 
+    async def do_stop(self) -> None:
+        """Stay where they are now, seen to stand still; what is limp stays so."""
+        await self._make_safe("torque_hold")
+        self.tell(await self.observe())
+
     async def travel(self, what: str, angles: Angles) -> None:
         """Move each to its angle so that all arrive together. Raises DeviceError."""
         self.check_angles(what, angles)

@@ -8,9 +8,10 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from functools import partial
 
 from lfield.driver import WATCHDOG
-from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused, rested
+from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, cancelled, held, refused, rested
 
 KIT = Kit()
 
@@ -85,6 +86,24 @@ async def turns(bench: Bench) -> str:
             raise CheckFailed(f"moveTo() returned {off:.3f} rad short")
         seen.append(f"{off:.3f}")
     return f"within {' and '.join(seen)} rad"
+
+
+@KIT.check("a travel that is cancelled stops", moves=True)
+async def cancels(bench: Bench) -> str:
+    """It stays on its way, stiff, and follows the next goal."""
+    await _get_ready(bench)
+    start = _angles(bench)
+    goal = [angle + turn for angle, turn in zip(start, _inwards(start), strict=True)]
+    begun = partial(_is_off, bench, start)
+    told = await cancelled(bench, begun, "moveTo", goal if _is_group(bench) else goal[0])
+    stood = _angles(bench)
+    await asyncio.sleep(LATE)
+    moved = max(abs(now - then) for now, then in zip(_angles(bench), stood, strict=True))
+    if moved > NEAR or not bench.query("torqueOn"):
+        raise CheckFailed(f"{told}, and then it moved by {moved:.3f} rad, or is limp")
+    await bench.call("moveTo", start if _is_group(bench) else start[0])
+    left = max(abs(wanted - then) for wanted, then in zip(goal, stood, strict=True))
+    return f"{told}, {left:.2f} rad from its goal; then back"
 
 
 @KIT.check("angles that it may not go to are refused", moves=True)
@@ -170,6 +189,11 @@ def _stopped(bench: Bench, told: int) -> str:
 def _inwards(angles: list[float]) -> list[float]:
     """So far towards the middle, for each."""
     return [-TURN if angle > 0.0 else TURN for angle in angles]
+
+
+def _is_off(bench: Bench, start: list[float]) -> bool:
+    """Whether it has left this place."""
+    return any(abs(now - then) > NEAR for now, then in zip(_angles(bench), start, strict=True))
 
 
 def _is_group(bench: Bench) -> bool:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
-from lfield.bytecode.program import MethodRecord, Program, Quad
+from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Program, Quad
 
 _CALL, _MOVE, _PUSH, _DEVICE = (BY_NAME[name].code for name in ("call", "move", "push", "device"))
 _HEARTBEAT = BY_NAME["heartbeat_interval"].code
@@ -126,7 +126,8 @@ def _held(program: Program, method: MethodRecord) -> list[int]:
     for slot in range(method.parameters + 1):
         held[slot] = _given(slot)
     for handler in method.handlers:
-        held[handler.slot] |= _OLD
+        if handler.kind in (CATCH, FINALLY):
+            held[handler.slot] |= _OLD
     moves: list[tuple[int, int]] = []
     for quad in program.quads[method.entry : method.end]:
         operands = BY_CODE[quad.op].operands

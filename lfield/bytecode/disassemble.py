@@ -14,6 +14,12 @@ from collections.abc import Iterator
 from lfield.bytecode.opcodes import BY_CODE, Operand
 from lfield.bytecode.program import (
     ARRAY,
+    CATCH,
+    FINALLY,
+    LANDING,
+    LIMIT,
+    TICKET,
+    Handler,
     MethodDebug,
     MethodRecord,
     Program,
@@ -56,6 +62,8 @@ def type_name(program: Program, index: int) -> str:
 
 
 def _plain_name(program: Program, record: TypeRecord) -> str:
+    if record.kind == TICKET:
+        return "ticket"
     if record.kind < len(_SIMPLE_TYPES):
         return _SIMPLE_TYPES[record.kind]
     return program.core.classes[record.of].name
@@ -84,7 +92,8 @@ class _MethodListing:
         self._text = texts[self._info.source] if self._info else []
         self._quads = program.quads[self._method.entry : self._method.end]
         self._labels = {quad.a for quad in self._quads if self._jumps(quad)}
-        self._labels.update(handler.target for handler in self._method.handlers)
+        takers = (handler for handler in self._method.handlers if handler.kind in (CATCH, FINALLY))
+        self._labels.update(handler.target for handler in takers)
 
     def lines(self) -> Iterator[str]:
         """Head, slots, handlers, instructions."""
@@ -96,9 +105,17 @@ class _MethodListing:
         for slot, kind in enumerate(method.slots):
             yield f"  ^{slot:<3} {type_name(self._program, kind)} {names.get(slot, '')}".rstrip()
         for handler in method.handlers:
-            caught = self._program.core.classes[handler.catches].name
-            yield f"  {handler.start}-{handler.end - 1} catch {caught} ^{handler.slot} at L{handler.target}"
+            yield f"  {handler.start}-{handler.end - 1} {self._handling(handler)}"
         yield from self._code()
+
+    def _handling(self, handler: Handler) -> str:
+        if handler.kind == LIMIT:
+            return f"limit ^{handler.slot}"
+        if handler.kind == LANDING:
+            return "landing"
+        caught = self._program.core.classes[handler.catches].name
+        word = "finally" if handler.kind == FINALLY else f"catch {caught}"
+        return f"{word} ^{handler.slot} at L{handler.target}"
 
     def _code(self) -> Iterator[str]:
         starts = dict(self._info.lines) if self._info else {}

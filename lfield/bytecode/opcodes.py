@@ -208,6 +208,12 @@ TABLE: tuple[Opcode, ...] = (
     _head(870, "exc_message", "ref->string", "What an exception object says."),
     _head(871, "exc_type", "ref->string", "The name of the class of an exception object."),
     _head(872, "exc_source", "ref->string", "The agent or device an exception object is about, or ''."),
+    _head(
+        873,
+        "exc_others",
+        "ref->ref",
+        "What other calls of a `together` have thrown beside an exception object, or an empty array.",
+    ),
     # J.10 find
     _head(1300, "find", "string->ref", "A proxy by id; UnknownResourceException.", "C", True),
     _head(1301, "findall", "->ref", "An array of proxies for all resources of a type.", "C", True),
@@ -244,6 +250,46 @@ TABLE: tuple[Opcode, ...] = (
         "An instruction of a device of this resource, or of one that is pushed first.",
         "I",
         True,
+    ),
+    # parallel work and time limits
+    _head(
+        1600,
+        "gather",
+        "->ref",
+        "A new sentinel ticket, which will hold the calls of a `together`.",
+        exits=True,
+    ),
+    _head(
+        1601,
+        "begin",
+        "",
+        "Collects a portal call: pushed are sentinel, array and index of its target (null: none), proxy, "
+        "arguments.",
+        "M",
+        True,
+    ),
+    _head(1602, "start", "ref", "Begins all calls that are collected: one visit to each host.", exits=True),
+    _head(
+        1603,
+        "fetch",
+        "ref",
+        "Begins what is left, waits for all calls, and puts their results into their targets, or throws what "
+        "the first of them has thrown.",
+        exits=True,
+    ),
+    _head(
+        1604,
+        "leave",
+        "ref ref",
+        "Cancels and waits for the calls that are not back; 2 is what was thrown, or null.",
+        exits=True,
+    ),
+    _head(
+        1605,
+        "limit",
+        "real->int",
+        "The end of so many seconds on the agent's clock; ArithmeticException for NaN.",
+        exits=True,
     ),
 )
 

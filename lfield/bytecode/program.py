@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 from functools import cached_property
-from itertools import takewhile
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -17,12 +16,18 @@ import msgspec
 # Kinds of types. The first eight types of every program are those without parts, at these very indexes.
 VOID, BOOLEAN, INT, REAL, STRING, ANY, NULL, DEVICE = range(8)
 ARRAY, OBJECT, PROXY = 8, 9, 10
+#: A call of a `together`, and what holds them together: only ever in slots of coordinators.
+TICKET = 11
 
 #: Kinds whose values are references into the block.
-REFERENCES = frozenset({STRING, ANY, NULL, ARRAY, OBJECT, PROXY})
+REFERENCES = frozenset({STRING, ANY, NULL, ARRAY, OBJECT, PROXY, TICKET})
+
+#: The ninth type of every program: arrays of any objects, as `others()` gives them.
+EXCEPTIONS = 8
 
 #: The built-in exception classes are the first classes of every program, in this order. Their objects have
-#: three fields: message, source and trace, all strings. `Exception` itself is index 0.
+#: four fields: message, source and trace, all strings, and the exceptions of other calls of a `together`.
+#: `Exception` itself is index 0. In a program of lfield 0.3 they are fewer, and have the first three fields.
 BUILTIN_CLASSES = (
     "Exception",
     "UnreachableResourceException",
@@ -37,12 +42,14 @@ BUILTIN_CLASSES = (
     "DeviceTimeoutException",
     "ConstraintException",
     "MissingReturnException",
+    "CancelledException",
+    "TimeLimitException",
 )
 #: What a built-in class is a kind of, where that is not just `Exception`: who catches that takes both.
 BUILTIN_PARENTS = {"DeviceTimeoutException": "DeviceException"}
 #: So many of them has a program of lfield 0.3. Later ones are only added behind.
 OLDEST_BUILTINS = 12
-MESSAGE, SOURCE, TRACE = 0, 1, 2
+MESSAGE, SOURCE, TRACE, OTHERS = 0, 1, 2, 3
 
 #: The first field of a capability, and the fields of its class: what every offer tells about itself. `names`,
 #: `numbers`, `texts` and `ages` have one element for each attribute.
@@ -100,14 +107,26 @@ class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
     capability: bool = False
 
 
+#: Kinds of handlers. CATCH takes what is of its class, FINALLY anything; it throws that again at its end.
+#: The other two take nothing. LIMIT: `slot` has the end of a `within` in ns on the agent's clock, NO_LIMIT or
+#: OVER. LANDING: the code of a `finally`, where no catch is skipped for a limit around it.
+CATCH, FINALLY, LIMIT, LANDING = range(4)
+#: What the slot of a LIMIT holds before it is set, and once it has fired.
+NO_LIMIT, OVER = 0, -1
+
+
 class Handler(msgspec.Struct, frozen=True, array_like=True):
-    """Instructions start..end-1 are protected; `catches` is a class index (0, Exception, takes any)."""
+    """Instructions start..end-1 are protected; `catches` is a class index (0, Exception, takes any).
+
+    `target` and `catches` of a LIMIT or LANDING are 0, and so is the slot of a LANDING.
+    """
 
     start: int
     end: int
     target: int
     catches: int
     slot: int
+    kind: int = CATCH
 
 
 class MethodRecord(msgspec.Struct, frozen=True, array_like=True):
@@ -184,8 +203,8 @@ class Core(msgspec.Struct, frozen=True, array_like=True):
     @property
     def builtins(self) -> int:
         """How many of its first classes are built in: fewer in a program that an older lfield has made."""
-        same = (record.name == name for record, name in zip(self.classes, BUILTIN_CLASSES, strict=False))
-        return sum(takewhile(bool, same))
+        new = bool(self.classes) and len(self.classes[0].fields) > OTHERS
+        return len(BUILTIN_CLASSES) if new else OLDEST_BUILTINS
 
 
 class Program:
@@ -206,6 +225,11 @@ class Program:
     def builtins(self) -> int:
         """How many of its first classes are built in."""
         return self.core.builtins
+
+    @cached_property
+    def has_limits(self) -> bool:
+        """Whether any `within` is in it: then a catch may be one that is given up."""
+        return any(h.kind == LIMIT for method in self.core.methods for h in method.handlers)
 
     @cached_property
     def kinds(self) -> tuple[frozenset[int], ...]:

@@ -34,6 +34,7 @@ _SECTIONS = {
     1302: "Asking for capabilities",
     1400: "Exceptions",
     1500: "Devices",
+    1600: "Parallel work and time limits",
 }
 
 

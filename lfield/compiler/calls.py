@@ -56,16 +56,21 @@ class Calls:
 
     def construct(self, slot: int, constructor: int, arguments: Sequence[Expr]) -> None:
         """Call a constructor on the new object in a slot."""
-        operands = [self._evaluator.operand(argument) for argument in arguments]
-        self._push("call", [slot, *operands], constructor)
+        operands = self.operands(arguments)
+        self.push("call", [slot, *operands], constructor)
         self._frame.slots.release(*operands)
 
     def _evaluated(self, head: str, arguments: Sequence[Expr], index: int = 0) -> None:
-        operands = [self._evaluator.operand(argument) for argument in arguments]
-        self._push(head, operands, index)
+        operands = self.operands(arguments)
+        self.push(head, operands, index)
         self._frame.slots.release(*operands)
 
-    def _push(self, head: str, operands: Sequence[int], index: int) -> None:
+    def operands(self, arguments: Sequence[Expr]) -> list[int]:
+        """The values of arguments, from left to right, to push and to release."""
+        return [self._evaluator.operand(argument) for argument in arguments]
+
+    def push(self, head: str, operands: Sequence[int], index: int = 0) -> None:
+        """Push operands for a head; a result is left for the pop that must follow."""
         for operand in operands:
             self._frame.code.emit("push", operand)
         self._frame.code.emit(head, index)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from lfield.bytecode.program import Handler
 from lfield.compiler.constants import fold
 from lfield.compiler.expressions import Expressions
 from lfield.compiler.frame import Frame, Label
+from lfield.compiler.leaving import Loop as Around
+from lfield.compiler.leaving import Ways
+from lfield.compiler.together import Parallel
 from lfield.lang import types
-from lfield.lang.chains import parts
+from lfield.lang.chains import parts, values
 from lfield.lang.tree import (
     Assign,
+    Begin,
     Block,
     Break,
     Catch,
@@ -26,16 +28,11 @@ from lfield.lang.tree import (
     Return,
     Stmt,
     Throw,
+    Together,
     Try,
+    Within,
 )
 from lfield.lang.types import Type
-
-
-class _Exits(NamedTuple):
-    """Where `continue` and `break` go."""
-
-    step: Label
-    end: Label
 
 
 class Statements:
@@ -45,7 +42,8 @@ class Statements:
         self._frame = frame
         self._code = frame.code
         self._expressions = Expressions(frame)
-        self._loops: list[_Exits] = []
+        self._ways = Ways(frame)
+        self._parallel = Parallel(frame, self._expressions, self._ways)
 
     def block(self, body: list[Stmt]) -> None:
         """Statements with a scope of their own."""
@@ -56,6 +54,7 @@ class Statements:
 
     def _statement(self, stmt: Stmt) -> None:
         self._code.line = stmt.span.line
+        self._parallel.start_before(stmt)
         match stmt:
             case Evaluate():
                 self._prepare(stmt.value)
@@ -67,9 +66,9 @@ class Statements:
             case Loop():
                 self._loop(stmt)
             case Break():
-                self._code.jump("jmp", self._loops[-1].end)
+                self._ways.jump(self._ways.loop.end)
             case Continue():
-                self._code.jump("jmp", self._loops[-1].step)
+                self._ways.jump(self._ways.loop.step)
             case Return():
                 self._return(stmt)
             case Throw():
@@ -77,17 +76,32 @@ class Statements:
                 thrown = self._expressions.value(stmt.value)
                 self._code.emit("throw", thrown)
                 self._frame.slots.release(thrown)
-            case Try():
-                self._try(stmt)
             case Block():
                 self.block(stmt.body)
+            case _:
+                self._guarded(stmt)
 
-    def _prepare(self, expr: Expr) -> None:
+    def _guarded(self, stmt: Stmt) -> None:
+        """Statements that are left in a way of their own, and the calls of a `together`."""
+        match stmt:
+            case Try():
+                self._parallel.apart(lambda: self._try(stmt))
+            case Together():
+                self._parallel.together(stmt, lambda: self.block(stmt.body))
+            case Within():
+                self._prepare(stmt.seconds)
+                self._parallel.within(stmt, lambda: self.block(stmt.body))
+            case Begin():
+                self._prepare(*values(stmt))
+                self._parallel.begin(stmt)
+
+    def _prepare(self, *exprs: Expr) -> None:
         """Every expression begins here: the compiler must know what it changes before it reads."""
-        self._frame.changing = _changed_inside(expr)
+        self._frame.changing = frozenset().union(*map(_changed_inside, exprs))
 
     def _branch(self, condition: Expr, when: bool, label: Label) -> None:
         self._code.line = condition.span.line
+        self._parallel.start_before_value(condition)
         self._prepare(condition)
         self._expressions.branch(condition, when, label)
 
@@ -99,7 +113,7 @@ class Statements:
             self._expressions.value(stmt.value, self._frame.slots.declare(stmt.local, kind)[0])
             return
         slot, used = self._frame.slots.declare(stmt.local, kind)
-        if used or self._loops:  # otherwise `frame` has just cleared it
+        if used or self._ways.looping:  # otherwise `frame` has just cleared it
             self._code.emit("move", slot, self._frame.constant(_zero(stmt.local.type)))
 
     def _if(self, stmt: If) -> None:
@@ -131,12 +145,14 @@ class Statements:
         """The label that a body of nothing but `break` or `continue` jumps to."""
         match body:
             case [Break()]:
-                return self._loops[-1].end
+                label = self._ways.loop.end
             case [Continue()]:
-                return self._loops[-1].step
+                label = self._ways.loop.step
             case [Block(body=inner)]:
                 return self._leaving(inner)
-        return None
+            case _:
+                return None
+        return None if self._ways.crossed(label) else label
 
     def _loop(self, stmt: Loop) -> None:
         """The test comes last: a round costs one jump. Where it is always true there is none."""
@@ -147,25 +163,31 @@ class Statements:
         if constant is not True:
             self._code.jump("jmp", test)
         self._code.place(body, entered=True)
-        self._loops.append(_Exits(step, end))
-        self.block(stmt.body)
-        self._code.place(step)
-        self.block(stmt.step)
-        self._loops.pop()
+        with self._ways.inside(Around(step, end)):
+            self.block(stmt.body)
+            self._code.place(step)
+            self.block(stmt.step)
         self._code.place(test)
         self._branch(stmt.condition, True, body)
         self._code.place(end)
 
     def _return(self, stmt: Return) -> None:
         if stmt.value is None:
-            self._code.emit("rtn")
+            self._ways.back(None)
             return
         self._prepare(stmt.value)
-        result = self._expressions.operand(stmt.value)
-        self._code.emit("return", result)
-        self._frame.slots.release(result)
+        self._ways.back(self._expressions.operand(stmt.value))
 
     def _try(self, stmt: Try) -> None:
+        last = stmt.last
+        if last is None:
+            self._caught(stmt)
+            return
+        guard = self._ways.open()
+        self._caught(stmt)
+        self._ways.close(guard, lambda: self.block(last), through=True)
+
+    def _caught(self, stmt: Try) -> None:
         """Protect the body with one handler per catch (chapter V).
 
         An inner try adds its rows before the outer one, so the innermost handler is found first; and no catch

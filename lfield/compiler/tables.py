@@ -14,6 +14,7 @@ from lfield.bytecode.program import (
     PROXY,
     REAL,
     STRING,
+    TICKET,
     VOID,
     ClassRecord,
     DeviceCall,
@@ -22,6 +23,9 @@ from lfield.bytecode.program import (
     TypeRecord,
 )
 from lfield.bytecode.verify.records import BUILTIN_RECORDS, FIXED_TYPES
+from lfield.compiler.begun.twins import TICKET as TICKET_TYPE
+from lfield.compiler.begun.twins import begun_offers, twin_of
+from lfield.compiler.begun.work import Work
 from lfield.compiler.constants import Pool
 from lfield.lang import tree, types
 from lfield.lang.types import ArrayType, ClassType, DeviceType, ResourceType, Type
@@ -59,7 +63,11 @@ class Tables:
         self.pool = Pool()
         self.types: list[TypeRecord] = list(FIXED_TYPES)
         self.device_calls: list[DeviceCall] = []
-        self.methods = [method for unit in units for method in unit.methods]
+        written = [method for unit in units for method in unit.methods]
+        self._twins = {method: twin_of(method) for method in begun_offers(written)}
+        self._tickets = {twin.method: twin.ticket for twin in self._twins.values()}
+        self.methods = [*written, *self._tickets]
+        self.work = Work(written)
         self._type_indexes: dict[TypeRecord, int] = {record: i for i, record in enumerate(self.types)}
         self._device_indexes: dict[DeviceCall, int] = {}
         self._methods = {method: i for i, method in enumerate(self.methods)}
@@ -75,6 +83,19 @@ class Tables:
         """The index of a method."""
         return self._methods[method]
 
+    def twin(self, method: tree.Method) -> tree.Method:
+        """What a `together` calls instead of a method of an offer."""
+        return self._twins[method].method
+
+    def ticket_of(self, method: tree.Method) -> tree.Local | None:
+        """The parameter of a twin that has the ticket of its caller's `together`."""
+        return self._tickets.get(method)
+
+    @property
+    def ticket_type(self) -> int:
+        """The type of what holds the calls of a `together`."""
+        return self.type_index(TICKET_TYPE)
+
     def type_index(self, kind: Type) -> int:
         """The index of a type; its record is added when the program had not used the type before."""
         if kind in _SIMPLE:
@@ -88,6 +109,8 @@ class Tables:
                 return self._type(TypeRecord(PROXY, self.class_index(kind.name)))
             case DeviceType():
                 return DEVICE
+            case Type(name=TICKET_TYPE.name):
+                return self._type(TypeRecord(TICKET))
         raise AssertionError(f"the checker let the type {kind} through")
 
     def object_type(self, name: str) -> int:

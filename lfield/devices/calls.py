@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
-from lfield.guard.messages import Call
+from lfield.guard.messages import Call, Cancel
 from lfield.manifest import DeviceValue, Instruction
 
 #: What a caller gets, once: the value, or why it did not happen.
@@ -24,6 +24,7 @@ class _Asked(NamedTuple):
     binding: DeviceBinding
     instruction: Instruction
     answered: Answered
+    thread: int
 
 
 class Calls:
@@ -41,15 +42,24 @@ class Calls:
         answered: Answered,
         sent: float,
         until: float,
+        thread: int,
     ) -> Call:
         """The message for the guard; `answered` is called once.
 
         It begins before `until`, in seconds on the clock of `sent`, and within the device's time-to-live.
+        `thread` of the device's agent waits for it.
         """
         self._tokens += 1
-        self._asked[self._tokens] = _Asked(binding, instruction, answered)
+        self._asked[self._tokens] = _Asked(binding, instruction, answered, thread)
         until = min(until, sent + binding.ttl)
         return Call(self._tokens, binding.name, instruction.name, list(arguments), sent, until)
+
+    def cancel(self, agent: str, thread: int, sent: float) -> Cancel | None:
+        """The message that gives up what a thread waits for; None for what may not be cancelled."""
+        for token, asked in self._asked.items():
+            if (asked.binding.agent, asked.thread) == (agent, thread) and asked.instruction.may_be_cancelled:
+                return Cancel(token, sent)
+        return None
 
     def done(self, token: int, value: Any) -> None:
         """It has been carried out."""
@@ -68,6 +78,6 @@ class Calls:
     def lost(self, status: int | None) -> None:
         """The guard has ended: nobody will know what became of them."""
         lost, self._asked = self._asked, {}
-        for binding, instruction, answered in lost.values():
+        for binding, instruction, answered, _ in lost.values():
             reason = f"{instruction.name}() is lost: the guard ended with status {status}"
             answered(DeviceError(binding.field, reason))

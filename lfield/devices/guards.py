@@ -107,14 +107,32 @@ class Guards:
         arguments: Sequence[Any],
         answered: Answered,
         until: float = math.inf,
+        thread: int = 0,
     ) -> None:
         """Have an instruction carried out that is no query; `answered` is told once, from the loop.
 
         What acts begins before `until`, in seconds of the host's clock, and within the device's `ttl`; or not
-        at all. Raises DeviceError when it cannot even be tried.
+        at all. `thread` of the agent is who waits for it, for `cancel`; a thread waits for one at a time.
+        Raises DeviceError when it cannot even be tried.
         """
         guard, declared = self._declared(agent, field, instruction)
-        guard.call(f"{agent}.{field}", declared, arguments, answered, until)
+        guard.call(f"{agent}.{field}", declared, arguments, answered, until, thread)
+
+    def cancel(self, agent: str, thread: int) -> bool:
+        """Have what a thread of an agent waits for be given up; whether it is.
+
+        True: its answer comes as that of every call, once. It is a DeviceError of kind CancelledException
+        when the device has done what its manifest says of a cancel, or could not; or the result, when that
+        was on its way. False: nothing is under way, or it may not be cancelled and goes on to its end. To
+        cancel twice is to cancel once.
+        """
+        return any(guard.cancel(agent, thread) for guard in self._guards)
+
+    def may_be_cancelled(self, agent: str, field: str, instruction: str) -> bool:
+        """Whether a call of this instruction can be given up; not that of a device that is not open here."""
+        found = self._by_device.get(f"{agent}.{field}")
+        declared = found[1].instruction(instruction) if found else None
+        return declared is not None and declared.may_be_cancelled
 
     def _declared(self, agent: str, field: str, instruction: str) -> tuple[Guard, Instruction]:
         found = self._by_device.get(f"{agent}.{field}")

@@ -237,16 +237,25 @@ class Guard(asyncio.SubprocessProtocol):
         arguments: Sequence[Any],
         answered: Answered,
         until: float = math.inf,
+        thread: int = 0,
     ) -> None:
         """Have an instruction carried out; `answered` is called once, from the loop.
 
         What acts begins before `until`, in seconds of the host's clock, and within the device's `ttl`.
+        `thread` of the device's agent is who waits for it.
         """
         binding = self._devices[device]
         if not self._ready:
             raise DeviceError(binding.field, "its guard has died and is being started again")
         now = self._clock.monotonic()
-        self._send(self._calls.begin(binding, instruction, arguments, answered, now, until))
+        self._send(self._calls.begin(binding, instruction, arguments, answered, now, until, thread))
+
+    def cancel(self, agent: str, thread: int) -> bool:
+        """Give up what a thread of an agent waits for, as `Guards.cancel`."""
+        cancel = self._calls.cancel(agent, thread, self._clock.monotonic())
+        if cancel is not None:
+            self._send(cancel)
+        return cancel is not None
 
     @property
     def pid(self) -> int:

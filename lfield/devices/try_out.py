@@ -12,7 +12,7 @@ from lfield.devices.keeper import Guard
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import Manifest
 from lfield.driver.kit import SAFE, Check, CheckFailed, Finding, run_kit
-from lfield.driver.kit_checks import KIT
+from lfield.driver.kit_checks import KIT, LAST
 from lfield.driver.plugins import Installed, Plugins
 from lfield.errors import DeviceError
 from lfield.guard.core import QUIET_BY, SILENCE
@@ -42,6 +42,9 @@ class LiveBench:
     ) -> None:
         self._guards, self.binding, self.manifest, self.notes = guards, binding, manifest, notes
         self.silence, self.quiet_after = silence, silence + QUIET_BY
+        self.given_up = set[str]()
+        # As the threads of an agent: each waits for one call.
+        self._threads = 0
 
     @property
     def _guard(self) -> Guard:
@@ -75,10 +78,24 @@ class LiveBench:
 
     async def call(self, instruction: str, *arguments: object) -> Any:
         """Carry an instruction out and return its result. Raises DeviceError."""
-        agent, field = self.binding.agent, self.binding.field
-        value = self._guards.query(agent, field, instruction)
+        value = self._guards.query(self.binding.agent, self.binding.field, instruction)
         if not isinstance(value, Pending):
             return value
+        return await self._begin(instruction, arguments)
+
+    async def give_up(self, begun: Callable[[], bool], instruction: str, *arguments: object) -> Any:
+        """Begin an instruction, cancel it as soon as `begun` holds, and wait for its end; its result."""
+        answer = self._begin(instruction, arguments)
+        thread = self._threads
+        await self.until(lambda: answer.done() or begun(), SAFE, f"{instruction}() to be under way")
+        if answer.done():
+            await answer
+            raise CheckFailed(f"{instruction}() was done before it could be cancelled")
+        self._guards.cancel(self.binding.agent, thread)
+        self.given_up.add(instruction)
+        return await answer
+
+    def _begin(self, instruction: str, arguments: Sequence[object]) -> asyncio.Future[DeviceValue]:
         answer: asyncio.Future[DeviceValue] = asyncio.get_running_loop().create_future()
 
         def answered(value: DeviceValue | DeviceError) -> None:
@@ -89,8 +106,10 @@ class LiveBench:
             else:
                 answer.set_result(value)
 
-        self._guards.call(agent, field, instruction, list(arguments), answered)
-        return await answer
+        self._threads += 1
+        agent, field, thread = self.binding.agent, self.binding.field, self._threads
+        self._guards.call(agent, field, instruction, list(arguments), answered, thread=thread)
+        return answer
 
     def query(self, quantity: str) -> Any:
         """The present value of a telemetry quantity. Raises DeviceError when there is none."""
@@ -129,9 +148,9 @@ def _holds(condition: Callable[[], bool]) -> bool:
 
 
 def checks_of(installed: Installed) -> list[Check]:
-    """What every driver must pass, then the driver's own checks. Raises PluginError."""
+    """What every driver must pass, the driver's own checks, and what those have left. Raises PluginError."""
     own: Any = installed.plugin.load_kit() if installed.plugin.kit else None
-    return [*KIT.checks, *(own.checks if own is not None else ())]
+    return [*KIT.checks, *(own.checks if own is not None else ()), *LAST.checks]
 
 
 async def try_devices(

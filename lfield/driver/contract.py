@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from lfield.driver.binding import OptionValue
-from lfield.manifest import DeviceManifest, Instruction
+from lfield.manifest import NEVER, DeviceManifest, Instruction
 
 #: What every device can do; the guard and the host answer them.
 RELEASE = Instruction(
@@ -16,6 +16,7 @@ RELEASE = Instruction(
     blocking=True,
     meaning="takes the device out of its latched safe state, once that state is confirmed",
     channel="release",
+    cancel=NEVER,
 )
 AGE = Instruction(
     "age", result="real", unit="s", effect="query", meaning="seconds since the device was last heard"

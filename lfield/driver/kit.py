@@ -29,6 +29,8 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import Manifest
 from lfield.errors import DeviceError
 
+#: The kind of the answer to a call that was cancelled.
+CANCELLED = "CancelledException"
 #: Seconds that one check may take beyond `rest_within`, and a safe state to be confirmed.
 BOUND, SAFE = 60.0, 20.0
 
@@ -59,6 +61,17 @@ class Bench(Protocol):
 
     async def call(self, instruction: str, *arguments: object) -> Any:
         """Carry an instruction out and return its result. Raises DeviceError."""
+
+    async def give_up(self, begun: Callable[[], bool], instruction: str, *arguments: object) -> Any:
+        """Begin an instruction, cancel it as soon as `begun` holds, and wait for its end; its result.
+
+        Raises DeviceError, of the kind CancelledException when it was cancelled, and CheckFailed when it is
+        not begun within SAFE seconds.
+        """
+
+    @property
+    def given_up(self) -> set[str]:
+        """The names of the instructions that were."""
 
     def query(self, quantity: str) -> Any:
         """The present value of a telemetry quantity. Raises DeviceError when there is none."""
@@ -142,6 +155,37 @@ async def held(bench: Bench, bound: float) -> str:
     await bench.until(lambda: bench.confirmed, SAFE, f"'{bench.binding.safe_state}' to be confirmed")
     await bench.call("release")
     return reason
+
+
+async def cancelled(bench: Bench, begun: Callable[[], bool], instruction: str, *arguments: object) -> str:
+    """Cancel an instruction on its way, as soon as `begun` holds; its end, in words.
+
+    What may `never` be cancelled goes on to its end. Anything else ends as its manifest says, within SAFE
+    seconds, and leaves the device free; whether it then does what that says the caller looks at. Raises
+    CheckFailed, and DeviceError for what fails.
+    """
+    declared = bench.manifest.device.instruction(instruction)
+    assert declared is not None, "a kit knows the instructions of its device"
+    start = asyncio.get_running_loop().time()
+
+    def since() -> bool:
+        nonlocal start
+        start = asyncio.get_running_loop().time()
+        return begun()
+
+    try:
+        await bench.give_up(since, instruction, *arguments)
+    except DeviceError as error:
+        if error.kind != CANCELLED or not declared.may_be_cancelled:
+            raise
+        took = asyncio.get_running_loop().time() - start
+        if took > SAFE or bench.latched:
+            why = f"it is latched because {bench.latched}" if bench.latched else f"that took {took:.1f} s"
+            raise CheckFailed(f"{error.reason}; {why}") from None
+        return f"{error.reason} after {took:.2f} s"
+    if declared.may_be_cancelled:
+        raise CheckFailed(f"{instruction}() was cancelled on its way and went on to its end")
+    return f"{instruction}() goes on to its end"
 
 
 async def rested(bench: Bench) -> list[str]:

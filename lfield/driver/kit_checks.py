@@ -8,9 +8,11 @@ from lfield.driver.contract import WATCHDOG
 from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused, rested
 from lfield.driver.values import conform
 from lfield.errors import DeviceError
-from lfield.manifest import Instruction, Quantity
+from lfield.manifest import LEAVE, NEVER, Instruction, Quantity
 
 KIT = Kit()
+#: What is looked at when the driver's own checks have run.
+LAST = Kit()
 
 #: Seconds for all telemetry to be there.
 TELEMETRY = 10.0
@@ -116,6 +118,19 @@ async def silence(bench: Bench) -> str:
     if bench.latched:
         return f"latched because {await held(bench, 0.0)}"
     return "nothing had been moved, nothing was done"
+
+
+@LAST.check("what can be cancelled was", moves=True)
+async def cancels(bench: Bench) -> str:
+    """The driver's kit has cancelled, on their way, instructions that its manifest has another one for."""
+    ended = {i.name for i in bench.manifest.device.instructions if i.cancel not in ("", NEVER, LEAVE)}
+    tried, left = sorted(ended & bench.given_up), sorted(ended - bench.given_up)
+    if not ended:
+        return "no instruction of it is ended by another"
+    if not tried:
+        raise NotTried(f"no check of its kit cancels {' or '.join(left)}")
+    others = f"; not tried: {', '.join(left)}" if left else ""
+    return f"{', '.join(tried)}{others}"
 
 
 def _has_safe_state(bench: Bench) -> None:

@@ -15,8 +15,9 @@ fakes:                              # options under --sim where no binding is, b
   Gripper: {id: 7}
   any: {id: 1}
 instructions:
-  turn: {parameters: {angle: {type: real, unit: rad}}, blocking: true, meaning: turns and waits}
-  light: {parameters: {on: {type: boolean}}, effect: idempotent, blocking: true, channel: light}
+  turn: {parameters: {angle: {type: real, unit: rad}}, blocking: true, cancel: stop, meaning: turns and waits}
+  stop: {blocking: true, effect: idempotent, cancel: never, meaning: stays where it is}
+  light: {parameters: {on: {type: boolean}}, blocking: true, cancel: never, channel: light}
 telemetry:                          # each is also a query of the same name: `s.angle()`
   angle: {type: real, unit: rad, max_age: 0.5, rate: 20.0, meaning: where it is}
 ```
@@ -24,6 +25,10 @@ telemetry:                          # each is also a query of the same name: `s.
 An instruction of effect `actuate` that is not blocking is a *setpoint*: it acts on after the call has
 returned, so the guard gives it a time-to-live. A `query` that is blocking asks the device itself.
 Instructions of one channel replace one another, the newest wins; those of other channels run beside them.
+What blocks and acts says what a `cancel` of it does, when a program gives it up on its way: the name of an
+instruction that is carried out instead (of the same channel, without parameters, done when the device has
+been seen to do it); `never`, when it must go on to its end, as a landing, or ends soon; or `leave`, when
+it is only waited for no longer, and what it began goes on.
 A device without safe states is a pure sensor: all its instructions are queries, and it is never latched.
 Every device type has two instructions more, `release()` and `age()`; no manifest declares them.
 """
@@ -32,7 +37,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import cast
 
 from lfield.driver.binding import OptionValue
@@ -40,6 +45,8 @@ from lfield.driver.contract import STANDARD, WATCHDOG, Limit, Manifest, Option
 from lfield.errors import PluginError
 from lfield.manifest import (
     DEVICE_VALUE_TYPES,
+    LEAVE,
+    NEVER,
     DeviceManifest,
     Effect,
     Instruction,
@@ -56,6 +63,11 @@ OPTION_TYPES = ("boolean", "int", "real", "string", "path", "int[]", "string[]")
 _NAME = re.compile(r"[a-z][A-Za-z0-9]*")
 #: Keys of bindings are no names in L, so they look like the other keys of that file.
 _KEY = re.compile(r"[a-z][A-Za-z0-9_]*")
+#: What to write where `cancel` is missing or wrong.
+_CANCEL = (
+    "write 'cancel: ' and an instruction without parameters that ends it, such as hold; or never; or leave, "
+    "if it is only waited for no longer"
+)
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 
@@ -83,6 +95,7 @@ def _manifest(node: Node, found: Diagnostics) -> Manifest:
     fakes = {entry.key: _fake(fields, options) for entry, fields in top.section("fakes").entries()}
     instructions = [_instruction(name, fields) for name, fields in _named(top, "instructions")]
     _check_safe(top, safe_states, instructions)
+    _check_cancels(top, {instruction.name: instruction for instruction in instructions})
     telemetry = tuple(_quantity(name, fields) for name, fields in _named(top, "telemetry"))
     _check_names_differ(top, {instruction.name for instruction in instructions})
     top.done()
@@ -108,6 +121,40 @@ def _check_safe(top: Fields, safe_states: Sequence[str], instructions: Sequence[
             top.value_span("safe_states"),
             "a sensor needs none: all its instructions are of effect query",
         )
+
+
+def _check_cancels(top: Fields, instructions: Mapping[str, Instruction]) -> None:
+    """What blocks and acts says what a cancel of it does, by a word or an instruction that can do it."""
+    for entry, fields in top.section("instructions").entries():
+        instruction = instructions[entry.key]
+        if not instruction.blocking or instruction.only_asks:
+            if instruction.cancel:
+                why = f"'{entry.key}' has nothing to cancel: only what blocks and acts is under way"
+                top.report("Y113", why, fields.value_span("cancel"))
+        elif not instruction.cancel:
+            top.report(
+                "Y110", f"'{entry.key}' does not say what a cancel of it does", entry.key_span, _CANCEL
+            )
+        elif why := _cannot_end(instruction, instructions):
+            top.report("Y113", why, fields.value_span("cancel"), _CANCEL)
+
+
+def _cannot_end(instruction: Instruction, instructions: Mapping[str, Instruction]) -> str:
+    """Why the instruction that a cancel names cannot be carried out instead; '' when it can."""
+    if instruction.cancel in (NEVER, LEAVE):
+        return ""
+    end = instructions.get(instruction.cancel)
+    if end is None or end is instruction:
+        return f"there is no other instruction '{instruction.cancel}'"
+    if end.parameters:
+        return f"'{end.name}' has parameters, and nobody knows which to give it"
+    if not end.blocking or end.only_asks:
+        return f"'{end.name}' does not act and wait until that is done"
+    if end.channel != instruction.channel:
+        return (
+            f"'{end.name}' is of the channel {end.channel}, and '{instruction.name}' of {instruction.channel}"
+        )
+    return ""
 
 
 def _waivers(top: Fields) -> list[tuple[str, str]]:
@@ -195,6 +242,7 @@ def _instruction(name: str, fields: Fields) -> Instruction:
         fields.flag("blocking"),
         fields.text("meaning"),
         fields.text("channel", "motion"),
+        fields.text("cancel"),
     )
     if instruction.is_query:
         fields.report(

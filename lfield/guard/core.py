@@ -6,7 +6,8 @@ A device is free or latched. It is latched, and its safe state commanded until i
     was opened or released: what nobody commanded is left as it is), or is gone, or asks for it;
   - the time-to-live of a setpoint is over and nothing has replaced it: it counts from when the device took
     it, and a call under way that would replace it has as long;
-  - its driver raised anything but a DeviceError or reports a breach, or the guard was restarted.
+  - its driver raised anything but a DeviceError or reports a breach, or the guard was restarted;
+  - a call was cancelled, and the instruction that ends it has failed.
 
 Somebody may ask for another of its safe states than its binding's: that counts also when it is held already.
 Only `release()` frees it, and only once its safe state is confirmed. On each channel of a device one
@@ -29,15 +30,17 @@ is due and the next question, and what falls in between must not be taken for do
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from lfield.clock import Clock
 from lfield.driver.contract import RELEASE
-from lfield.guard.device import KnownDevice, way
-from lfield.guard.effects import Cancel, Effect, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
-from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped, host_silent
+from lfield.guard.device import KnownDevice
+from lfield.guard.effects import Effect, Execute, Exit, Interrupt, LeaveOff, Look, MakeSafe, Quiet, Tell
+from lfield.guard.messages import Call, Latched, Moving, Note, Refused, Released, Stopped, host_silent
 from lfield.guard.rest import Rest
-from lfield.manifest import DeviceManifest, DeviceValue
+from lfield.guard.running import Running, way
+from lfield.manifest import LEAVE, DeviceManifest, DeviceValue
 
 #: How long the host may be silent, in seconds (a beat comes every 50 ms).
 SILENCE = 0.2
@@ -59,7 +62,7 @@ class GuardCore:
         *,
         silence: float = SILENCE,
     ) -> None:
-        self._devices = {name: KnownDevice(name, manifest, ttl) for name, manifest, ttl, _ in devices}
+        self._devices = {device[0]: KnownDevice(*device) for device in devices}
         self._rest = Rest({name: within for name, made, _, within in devices if made.safe_states})
         self._clock = clock
         self._silence = silence
@@ -96,31 +99,52 @@ class GuardCore:
         if device.latched and not asks:
             held = f"held in its safe state because {device.latched}; call release() first"
             return [*effects, _refuse(call, held)]
-        if refusal := self.too_late(call):
+        if refusal := self._too_late(call):
             return [*effects, _refuse(call, refusal)]
         if asks:
             return effects + self._ask(device, call)
-        effects += self._abandon(device, instruction.channel, f"replaced by {call.instruction}()")
-        device.acting[instruction.channel], device.moved = call, True
-        return [*effects, Execute(call)]
+        stopped = self._abandon(device, instruction.channel, f"replaced by {call.instruction}()")
+        device.acting[instruction.channel] = Running(call, follows=bool(stopped))
+        device.moved = True
+        return [*effects, *stopped, Execute(call)]
 
-    def too_late(self, call: Call) -> str:
-        """Why a call may not begin any more; '' while it may.
+    def begins(self, call: Call) -> str:
+        """Why the driver must not get a call that was let in, '' when it gets it now: time has passed."""
+        if (running := self._running(call.token)) is not None:
+            running.begun = True
+        return self._too_late(call)
 
-        Asked again right before its driver gets it: this process may have stood still in between.
+    def cancel(self, token: int, sent: float) -> list[Effect]:
+        """The host gives up a call, which ends as its manifest says; what has been answered stays so.
+
+        What has not begun and has replaced nothing never begins. The instruction that ends a call is the
+        newest on its channel; when it fails, or takes longer than the device may to come to rest, the device
+        goes safe, for nobody watches any more where it goes.
         """
+        effects = self.beat(sent)
+        running = self._running(token)
+        if running is None:
+            return effects
+        device = self._devices[running.call.device]
+        instruction = device.declared(running.call)
+        if not instruction.may_be_cancelled:
+            return effects
+        device.forget(running)
+        effects.append(Interrupt(token))
+        if running.untouched or instruction.cancel in ("", LEAVE):
+            return [*effects, Tell(running.given_up())]
         now = self._clock.monotonic()
-        if now < call.until or self._devices[call.device].declared(call).only_asks:
-            return ""
-        within = f"{call.instruction}() was to begin within {max(0.0, call.until - call.sent):.3g} s"
-        return f"{within}, and its guard got to it after {now - call.sent:.3g} s: nothing was done"
+        end = Call(-token, device.name, instruction.cancel, [], now, math.inf)
+        device.acting[instruction.channel] = Running(end, running.call, until=now + device.rest_within)
+        return [*effects, Execute(end)]
 
     def finished(self, token: int, value: DeviceValue) -> list[Effect]:
         """The driver has carried a call out."""
         effects = self.tick()
-        call = self._take(token)
-        if call is None:
+        running = self._take(token)
+        if running is None:
             return effects
+        call = running.call
         device = self._devices[call.device]
         instruction = device.declared(call)
         how = way(instruction)
@@ -128,21 +152,27 @@ class GuardCore:
             device.setpoints[instruction.channel] = self._clock.monotonic() + device.ttl
         elif how == "act":
             device.setpoints.pop(instruction.channel, None)
-        return [*effects, Tell(Done(token, value))]
+        return [*effects, Tell(running.done(value))]
 
     def refused(self, token: int, kind: str, reason: str) -> list[Effect]:
         """The device did not do it, and said so: an exception for the program, no reason to go safe."""
         effects = self.tick()
-        return [*effects, Tell(Refused(token, kind, reason))] if self._take(token) else effects
+        running = self._take(token)
+        if running is None:
+            return effects
+        if running.cancelled is None:
+            return [*effects, Tell(Refused(token, kind, reason))]
+        told = running.refused(f"{running.call.instruction}() failed: {reason}")
+        return [*effects, Tell(told), *self._latch(self._devices[running.call.device], told.reason)]
 
     def crashed(self, token: int, reason: str) -> list[Effect]:
         """The driver raised what it should not while it carried out a call."""
         effects = self.tick()
-        call = self._take(token)
-        if call is None:
+        running = self._take(token)
+        if running is None:
             return effects
-        effects.append(_refuse(call, reason))
-        return effects + self._latch(self._devices[call.device], reason)
+        effects.append(Tell(running.refused(reason)))
+        return effects + self._latch(self._devices[running.call.device], reason)
 
     def safe(self, device: str, reason: str, *, barred: bool = False, state: str = "") -> list[Effect]:
         """Somebody asks for the safe state of a device, or of all (''); or for another `state` than usual."""
@@ -223,6 +253,8 @@ class GuardCore:
             until = device.expiry()
             if until is not None and now >= until:
                 effects += self._latch(device, f"the setpoint's time-to-live of {device.ttl:g} s is over")
+            if slow := device.too_slow(now):
+                effects += self._latch(device, slow)
             if device.retry_at is not None and now >= device.retry_at:
                 device.retry_at = None
                 effects.append(_make_safe(device))
@@ -238,10 +270,19 @@ class GuardCore:
             return None
         times = [device.expiry() for device in self._devices.values()]
         times += [device.retry_at for device in self._devices.values()]
+        times += [device.ends_by() for device in self._devices.values()]
         times += [self._rest.due(), self._silence_due()]
         return min((time for time in times if time is not None), default=None)
 
     # -- decisions ------------------------------------------------------------------------------------
+
+    def _too_late(self, call: Call) -> str:
+        """Why a call may not begin any more; '' while it may."""
+        now = self._clock.monotonic()
+        if now < call.until or self._devices[call.device].declared(call).only_asks:
+            return ""
+        within = f"{call.instruction}() was to begin within {max(0.0, call.until - call.sent):.3g} s"
+        return f"{within}, and its guard got to it after {now - call.sent:.3g} s: nothing was done"
 
     @property
     def _silent_at(self) -> float:
@@ -287,7 +328,7 @@ class GuardCore:
                 device.making = False
                 device.latched, device.state, device.confirmed, device.moved = "", "", False, False
                 self._rest.held(device.name)
-        device.asking[call.token] = call
+        device.asking[call.token] = Running(call)
         return [*effects, Execute(call)]
 
     def _latch_all(self, reason: str) -> list[Effect]:
@@ -310,7 +351,7 @@ class GuardCore:
             for effect in self._abandon(device, channel, f"stopped, since {reason}")
         ]
         return [
-            *_only(Cancel, stopped),
+            *_only(Interrupt, stopped),
             *([LeaveOff(device.name)] if device.making else []),
             _make_safe(device),
             *_only(Tell, stopped),
@@ -318,20 +359,23 @@ class GuardCore:
         ]
 
     def _abandon(self, device: KnownDevice, channel: str, reason: str) -> list[Effect]:
-        call = device.acting.pop(channel, None)
-        if call is None:
+        running = device.acting.pop(channel, None)
+        if running is None:
             return []
-        return [Cancel(call.token), _refuse(call, f"{call.instruction}() was {reason}")]
+        told = running.refused(f"{running.call.instruction}() was {reason}")
+        return [Interrupt(running.call.token), Tell(told)]
 
-    def _take(self, token: int) -> Call | None:
-        """The call of a token, no longer running; None when it has been answered before."""
-        for device in self._devices.values():
-            for channel, call in device.acting.items():
-                if call.token == token:
-                    return device.acting.pop(channel)
-            if token in device.asking:
-                return device.asking.pop(token)
-        return None
+    def _running(self, token: int) -> Running | None:
+        """What runs for a token; None when it has been answered before."""
+        found = (device.running(token) for device in self._devices.values())
+        return next((running for running in found if running is not None), None)
+
+    def _take(self, token: int) -> Running | None:
+        """The same, no longer running."""
+        running = self._running(token)
+        if running is not None:
+            self._devices[running.call.device].forget(running)
+        return running
 
     def _end_if_over(self, now: float) -> list[Effect]:
         if not self._rest.is_over(now):

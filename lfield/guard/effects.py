@@ -15,8 +15,8 @@ class Execute:
 
 
 @dataclass(frozen=True, slots=True)
-class Cancel:
-    """Effect: stop carrying out the call of this token; it has been answered."""
+class Interrupt:
+    """Effect: stop carrying out the call of this token; what its driver makes of it interests nobody."""
 
     token: int
 
@@ -64,4 +64,4 @@ class Exit:
     status: int
 
 
-Effect = Execute | Cancel | MakeSafe | LeaveOff | Look | Quiet | Tell | Exit
+Effect = Execute | Interrupt | MakeSafe | LeaveOff | Look | Quiet | Tell | Exit

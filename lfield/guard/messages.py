@@ -18,6 +18,9 @@ from lfield.errors import WireError
 from lfield.manifest import DeviceValue, Observation
 from lfield.wire.framing import FrameDecoder, frame
 
+#: The L exception of a call that was cancelled.
+CANCELLED = "CancelledException"
+
 
 class Message(msgspec.Struct, frozen=True, array_like=True):
     """Base of all messages."""
@@ -50,6 +53,16 @@ class Call(Message, frozen=True):
     arguments: list[DeviceValue]
     sent: float
     until: float
+
+
+class Cancel(Message, frozen=True):
+    """Host: give up the call of this token, as the manifest says of a cancel.
+
+    The answer is that of the call: Refused with the kind CANCELLED, or Done when that was on its way already.
+    """
+
+    token: int
+    sent: float
 
 
 class Beat(Message, frozen=True):
@@ -180,6 +193,7 @@ MESSAGES: tuple[type[Message], ...] = (
     Stopped,
     Allow,
     Moving,
+    Cancel,
 )
 
 MAX_PAYLOAD = 1 << 20

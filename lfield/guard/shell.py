@@ -17,11 +17,12 @@ from lfield.driver.device import Driver
 from lfield.driver.plugin import Plugin
 from lfield.errors import DeviceError, WireError
 from lfield.guard.core import GuardCore
-from lfield.guard.effects import Cancel, Effect, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
+from lfield.guard.effects import Effect, Execute, Exit, Interrupt, LeaveOff, Look, MakeSafe, Quiet, Tell
 from lfield.guard.messages import (
     Allow,
     Beat,
     Call,
+    Cancel,
     Failed,
     Message,
     MessageReader,
@@ -113,6 +114,8 @@ class Shell(asyncio.Protocol):
             self._answer_beat()
         elif isinstance(message, Call):
             self._run(self._core.call(message))
+        elif isinstance(message, Cancel):
+            self._run(self._core.cancel(message.token, message.sent))
         elif isinstance(message, Safe):
             self._run(
                 self._core.safe(message.device, message.reason, barred=message.barred, state=message.state)
@@ -260,7 +263,7 @@ class Shell(asyncio.Protocol):
             match effect:
                 case Execute(call):
                     self._calls[call.token] = self._spawn(self._execute(call))
-                case Cancel(token):
+                case Interrupt(token):
                     if token in self._calls:
                         self._calls[token].cancel()
                 case MakeSafe(device, state):
@@ -299,7 +302,7 @@ class Shell(asyncio.Protocol):
         assert core is not None
         try:
             device = driver.devices[call.device]
-            if refusal := core.too_late(call):
+            if refusal := core.begins(call):
                 raise device.error(refusal)
             value = await device.execute(call.instruction, call.arguments)
             # Whoever asks when the call is done must see what it has done.

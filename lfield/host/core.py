@@ -6,23 +6,24 @@ calls a method for each event, then `run`, and carries out what `take` gives. A 
 
 from __future__ import annotations
 
-import math
 import random
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
-from lfield.bytecode.program import DeviceCall
 from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.host.directory import TeamDirectory
-from lfield.host.effects import CHANGED, Call, Complain, Died, Effect, Nearby, Reach, Say, Write
+from lfield.host.effects import CHANGED, Call, Complain, Effect, Nearby, Reach, Say
 from lfield.host.inits import Inits
 from lfield.host.offers import Offers
 from lfield.host.team import words
 from lfield.host.team.beginning import Beginning
+from lfield.host.team.begun import BegunPages
+from lfield.host.team.commands import Commands
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.leases import Leases
 from lfield.host.team.policy import Policies
-from lfield.journal.pages import Page
+from lfield.host.team.world import HostWorld
+from lfield.journal.pages import Key, Page
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
@@ -30,11 +31,8 @@ from lfield.mobility.core import MobilityMessage
 from lfield.mobility.fates import Fate
 from lfield.mobility.hearsay import Hearsay
 from lfield.mobility.neighbours import Neighbourhood
-from lfield.vm.agent import Agent, Member
-from lfield.vm.contract import Reading
+from lfield.vm.agent import Agent
 from lfield.vm.machine import Machine
-from lfield.vm.offers import Found
-from lfield.vm.world import PENDING, Pending
 from lfield.wire.coordinators import Ended, EndedAck, Known, Transfer
 from lfield.wire.messages import Control, Heard, Hello, Report, Room
 from lfield.wire.observing import Recover, Recovered
@@ -42,10 +40,10 @@ from lfield.wire.quorum import QuorumMessage
 
 
 class HostCore:
-    """One host of a mission, without the world. Implements the machine's `World`.
+    """One host of a mission, without the world around it.
 
     `incarnation` tells this life from the next; `unreachable_after` is in seconds. `memory` is the identity
-    of the host's journal, 0 without one, and `pages` what that has kept.
+    of the host's journal, 0 without one, `pages` what that has kept, and `times` when, in Unix time.
     """
 
     def __init__(
@@ -60,16 +58,26 @@ class HostCore:
         neighbours: Neighbourhood,
         memory: int = 0,
         pages: Iterable[Page] = (),
+        times: Mapping[Key, float] | None = None,
     ) -> None:
         self.mission, self.team, self.name, self.incarnation = mission, mission.team, name, incarnation
         self.here = self.team.number(name)
-        self._clock, self._nearby, self._memory = clock, nearby, memory
+        self._clock, self._memory = clock, memory
         self._effects: list[Effect] = []
+        #: What the machine asks this host.
+        self.world = HostWorld(self.team, self._out, self._reach)
         self.machine = Machine(
-            mission.program, self.team.members, self.here, incarnation, self, clock, dice, mission.fenced
+            mission.program,
+            self.team.members,
+            self.here,
+            incarnation,
+            self.world,
+            clock,
+            dice,
+            mission.fenced,
         )
         self.coordinators = Coordinators(
-            mission, self._hello([]), self.machine, clock, self._out, unreachable_after, pages
+            mission, self._hello([]), self.machine, clock, self._out, unreachable_after, pages, times or {}
         )
         self.mobility = self.coordinators.mobility
         self.directory = TeamDirectory(mission, name, incarnation, self.machine.agents, nearby, clock)
@@ -77,9 +85,20 @@ class HostCore:
             mission, self._hello([]), self.coordinators, self.machine, clock, self._out, pages, dice
         )
         self.coordinators.barred = self._leases.barred
+        self._begun = BegunPages(
+            self._hello([]).mission,
+            self.coordinators,
+            self._leases,
+            self.machine,
+            clock,
+            pages,
+            keeps=bool(memory),
+        )
         self._inits = Inits(self.machine.agents, self._say)
-        self._offers = Offers(self.directory, mission)
         self._policies = Policies(mission.devices_of(name))
+        self._commands = Commands(self.machine, nearby, self._leases, self._policies, clock, self._out)
+        offers = Offers(self.directory, mission)
+        self.world.join(self.coordinators, self._leases, self._begun, self._commands, offers)
         self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
         self._own = [member.id for member in self.team.on(self.here) if member.kind == "coordinator"]
         others = [host for host in self.team.hosts if host != name]
@@ -138,6 +157,7 @@ class HostCore:
             self._beginning.look()
         if self._policies.due is not None and now >= self._policies.due:
             self._effects += self._policies.look(self.name, self.mobility.knowledge(), self.hearsay, now)
+        self._begun.look()
         pause = None if self.coordinators.halted or self.coordinators.paused else self.machine.run()
         self.coordinators.answer()
         self._inits.look(now)
@@ -162,6 +182,7 @@ class HostCore:
         for member in self.team.on(self.here):
             if member.kind == "resource":
                 self.machine.start(member, self.mission.bindings.limits(member.id), 0)
+        self._begun.restore()
         self.directory.open()
         self.coordinators.open()
         self._leases.begin(first=first)
@@ -175,6 +196,7 @@ class HostCore:
         """
         self._leases.wake()
         self.coordinators.wake()
+        self._begun.woken()
         for known in self.mobility.knowledge():
             # What is barred has no place where it may be.
             if known.state in ("PREPARED", "IN DOUBT") and known.where:
@@ -212,6 +234,7 @@ class HostCore:
     def not_kept(self, why: str) -> None:
         """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
         self.coordinators.not_kept(why)
+        self._begun.not_kept()
 
     def room(self, trouble: str) -> None:
         """Why the journal should take in nothing more, or '': whoever would send something is told."""
@@ -230,6 +253,7 @@ class HostCore:
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
         self.coordinators.kept(number)
+        self._begun.kept(number)
         self._beginning.kept(number)
 
     def reaped(self, host: str) -> None:
@@ -317,83 +341,7 @@ class HostCore:
 
     def answered(self, asked: Call, value: DeviceValue | DeviceError) -> None:
         """What became of a call of a device."""
-        if isinstance(value, DeviceError):
-            self.machine.refuse(asked.agent, asked.thread, value.kind, str(value), value.device)
-        else:
-            self.machine.answer(asked.agent, asked.thread, value, asked.call.result, asked.call.field)
+        self._commands.answered(asked, value)
 
     def _say(self, text: str) -> None:
         self._effects.append(Say(text))
-
-    # --- World of the machine -------------------------------------------------------------------------
-
-    def write(self, agent: Agent, text: str) -> None:
-        """Program output."""
-        self._effects.append(Write(text))
-
-    def log(self, agent: Agent, text: str) -> None:
-        """A line of `print`."""
-        self._say(f"{agent.id}: {text}")
-
-    def may_begin(self, agent: Agent, acts: bool) -> bool:
-        """Whether a portal of this host may begin now.
-
-        Where its caller stands is kept before one that acts, and some callers need a lease.
-        """
-        return self._leases.may_begin(agent) and (agent.kept or not acts or self.coordinators.save(agent))
-
-    def superseded(self, agent: str, generation: int) -> bool:
-        """Whether that start of a coordinator was stopped because an earlier one goes on."""
-        return self.mobility.superseded(agent, generation)
-
-    def host_of(self, member: Member) -> str:
-        """The name of the host where an agent of the team lives."""
-        return self.team.hosts[member.host]
-
-    def depart(self, agent: Agent, resource: Member) -> None:
-        """A frozen coordinator wants to the host of a resource."""
-        self._reach(self.team.hosts[resource.host])
-        self.coordinators.depart(agent, resource)
-
-    def device(
-        self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
-    ) -> DeviceValue | Pending:
-        """A device instruction: telemetry is known here, anything else is the guard's."""
-        value = self._nearby.query(agent.id, call)
-        if isinstance(value, Pending):
-            until = math.inf
-            if call.effect != "query" and self.machine.is_left(agent, thread):
-                raise DeviceError(call.field, "the call that would command it was taken from its caller")
-            if call.effect != "query" and (caller := self.machine.caller(agent, thread)):
-                device = f"{agent.id}.{call.field}"
-                until = self._leases.until(caller, device)
-                self._policies.used(device, caller.id, self._clock.monotonic())
-            self._effects.append(Call(agent, thread, call, values, until))
-            return PENDING
-        return value
-
-    def reading(self, agent: Agent, call: DeviceCall) -> Reading | None:
-        """What the engine may read by itself from now on."""
-        return self._nearby.reading(agent.id, call)
-
-    def offers(self, agent: Agent, capability: str, constraint: str | None) -> list[Found]:
-        """Who offers a capability now, best first."""
-        return self._offers.offers(capability, constraint)
-
-    def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
-        """Why everybody else does not."""
-        return self._offers.explain(capability, constraint)
-
-    def ended(self, agent: Agent) -> None:
-        """A coordinator is done, or an agent has died."""
-        if agent.ended == "died":
-            self._report_death(agent)
-        if agent.member.kind == "coordinator":
-            self.coordinators.ended(agent)
-        self._effects.append(CHANGED)
-
-    def _report_death(self, agent: Agent) -> None:
-        visited = " → ".join(self.team.hosts[n] for n in agent.block.trail() if n < len(self.team.hosts))
-        where = f"\n    hosts visited: {visited}" if agent.member.kind == "coordinator" else ""
-        self._say(f"{agent.id} died of an uncaught {agent.report}{where}")
-        self._effects.append(Died(agent))

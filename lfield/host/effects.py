@@ -13,7 +13,7 @@ from msgspec import Struct
 
 from lfield.bytecode.program import DeviceCall
 from lfield.host.directory import Neighbours
-from lfield.journal.pages import Page
+from lfield.journal.pages import Key, Page
 from lfield.manifest import DeviceValue
 from lfield.mobility.effects import Send, SendTransfer
 from lfield.vm.agent import Agent
@@ -29,6 +29,12 @@ class Nearby(Neighbours, Protocol):
 
     def reading(self, agent: str, call: DeviceCall) -> Reading | None:
         """The reading that the host keeps up to date of such a query; None for what is no plain quantity."""
+
+    def may_be_cancelled(self, agent: str, call: DeviceCall) -> bool:
+        """Whether a call of this instruction that is under way can be given up, as its manifest says.
+
+        Then `CancelCall` has it done; if not, it goes on to its end.
+        """
 
 
 class Write(Struct, frozen=True):
@@ -62,6 +68,18 @@ class Call(Struct, frozen=True):
     until: float = math.inf
 
 
+class CancelCall(Struct, frozen=True):
+    """Have the call of a device be given up that this thread waits for (`Guards.cancel`).
+
+    It comes after the `Call` that it is about, and only of what `Nearby.may_be_cancelled`. The answer goes to
+    `HostCore.answered` like every other, once: a DeviceError of kind CancelledException when the device has
+    done what its manifest says, or the result that was on its way.
+    """
+
+    agent: Agent
+    thread: int
+
+
 class MakeSafe(Struct, frozen=True):
     """Bring a device of this host into a safe state of its manifest, and hold it there."""
 
@@ -77,10 +95,14 @@ class Died(Struct, frozen=True):
 
 
 class Keep(Struct, frozen=True):
-    """Have pages on disk, then call `HostCore.kept`; batches in the order of their numbers."""
+    """Have pages on disk and the pages of those `keys` removed, all at once, then call `HostCore.kept`.
+
+    Batches in the order of their numbers.
+    """
 
     number: int
     pages: list[Page]
+    keys: list[Key]
 
 
 class Reach(Struct, frozen=True):
@@ -93,6 +115,19 @@ class Changed(Struct, frozen=True):
     """What is known of coordinators has changed: whoever waits for an end looks again."""
 
 
-Effect = Send | SendTransfer | Write | Say | Complain | Call | MakeSafe | Died | Keep | Reach | Changed
+Effect = (
+    Send
+    | SendTransfer
+    | Write
+    | Say
+    | Complain
+    | Call
+    | CancelCall
+    | MakeSafe
+    | Died
+    | Keep
+    | Reach
+    | Changed
+)
 
 CHANGED = Changed()

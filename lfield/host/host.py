@@ -25,7 +25,7 @@ from lfield.devices.guards import Guards
 from lfield.devices.measuring import insist
 from lfield.errors import AddressError, DeviceError, HostFailure, OutputFileError
 from lfield.host.core import HostCore
-from lfield.host.effects import Call, Complain, Died, Effect, Keep, MakeSafe, Reach, Say, Write
+from lfield.host.effects import Call, CancelCall, Complain, Died, Effect, Keep, MakeSafe, Reach, Say, Write
 from lfield.host.logbook import Logbook
 from lfield.host.scribe import Scribe
 from lfield.host.status import status_of
@@ -111,6 +111,7 @@ class Host:
             neighbours,
             self.scribe.memory,
             self.scribe.pages,
+            self.scribe.times,
         )
         self._visitors = Visitors(
             self.core, self.guards, self.clock, self._enter, self.status, self.note, self.scribe.all_kept
@@ -276,6 +277,8 @@ class Host:
                 self.peers.complain(effect.text)
             case Call():
                 self._call(effect)
+            case CancelCall():
+                self.guards.cancel(effect.agent.id, effect.thread)
             case Keep():
                 self.scribe.keep(effect)
             case MakeSafe():
@@ -295,7 +298,13 @@ class Host:
         call = asked.call
         try:
             self.guards.call(
-                asked.agent.id, call.field, call.instruction, asked.values, answered, until=asked.until
+                asked.agent.id,
+                call.field,
+                call.instruction,
+                asked.values,
+                answered,
+                until=asked.until,
+                thread=asked.thread,
             )
         except DeviceError as error:
             answered(error)

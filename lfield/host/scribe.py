@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 
 from lfield.errors import JournalError
 from lfield.host.effects import Keep
-from lfield.journal.journal import Journal
+from lfield.journal.journal import Change, Journal
 from lfield.journal.pages import Key, Page, key_of
 from lfield.loop import spawn
 
@@ -49,6 +49,11 @@ class Scribe:
         return self._journal.pages() if self._journal else []
 
     @property
+    def times(self) -> Mapping[Key, float]:
+        """When each of these was kept, in Unix time, in seconds."""
+        return self._journal.times if self._journal else {}
+
+    @property
     def journal(self) -> Journal | None:
         """Where it keeps them."""
         return self._journal
@@ -73,7 +78,7 @@ class Scribe:
         while self._waiting:
             batches = list(self._waiting)
             try:
-                await self._journal.keep([page for batch in batches for page in batch.pages])
+                await self._journal.change([Change(batch.pages, batch.keys) for batch in batches])
             except JournalError as error:
                 self.look()
                 self._not_kept(str(error))

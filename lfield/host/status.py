@@ -25,10 +25,21 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.memory.threads import threads
 from lfield.wire.fields import MAX_LABEL, MAX_NUMBERS, Telemetry, age, clip
-from lfield.wire.observing import AgentStatus, DeviceStatus, JournalStatus, LinkStatus, ParkedStatus, Status
+from lfield.wire.observing import (
+    AgentStatus,
+    BegunStatus,
+    DeviceStatus,
+    JournalStatus,
+    LinkStatus,
+    ParkedStatus,
+    Status,
+)
 
 #: The states of threads, the liveliest first.
 _LIVELIEST = (READY, WAITING, CALLING, BLOCKED, SLEEPING, PARKED, DEAD)
+
+#: Of so many calls that were begun a host tells.
+MOST_BEGUN = 1024
 
 
 def status_of(
@@ -62,6 +73,10 @@ def status_of(
         journal=_journal(journal, core, now) if journal is not None else None,
         lease=core.lease,
         paused=core.coordinators.paused,
+        begun=[
+            BegunStatus(call.agent, call.generation, call.resource, clip(call.portal), call.state)
+            for call in core.machine.begun_calls()[:MOST_BEGUN]
+        ],
     )
 
 

@@ -43,3 +43,7 @@ class Surroundings:
     def reading(self, agent: str, call: DeviceCall) -> Reading | None:
         """The reading of such a query that the host keeps up to date."""
         return self._guards.reading(agent, call.field, call.instruction)
+
+    def may_be_cancelled(self, agent: str, call: DeviceCall) -> bool:
+        """Whether a call of this instruction that is under way can be given up."""
+        return self._guards.may_be_cancelled(agent, call.field, call.instruction)

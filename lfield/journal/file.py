@@ -16,12 +16,14 @@ from lfield.journal.journal import Change
 from lfield.journal.log import log_file, mark, unmark
 from lfield.journal.opening import Opened, Owner, opened, primary
 from lfield.journal.owner import Lock
-from lfield.journal.pages import CopyPage, Key, entry, key_of
+from lfield.journal.pages import BegunPage, CopyPage, Key, entry, key_of
 from lfield.journal.reserve import Reserve
 from lfield.journal.store import Store
 from lfield.text.private import private_folder
 
 _FULL = "its disk is full: it writes into the space that was kept in advance"
+#: Bytes for which room is kept for what a call gives that was begun.
+RESULT = 1024
 _MAKE_ROOM = "make room on that disk"
 
 #: Why a disk takes nothing, and what to do, by SQLite's result codes.
@@ -53,11 +55,11 @@ class FileJournal(Grouped):
             self._lock.release()
             raise
         self.identity = head.identity
-        super().__init__(list(pages.values()), self._in_thread, clock)
+        super().__init__(pages, self._in_thread, clock)
         self._inode = path.stat().st_ino
         #: The number of the log's file, 0 until there is one.
         self._log = 0
-        #: Bytes of each copy that is here.
+        #: Bytes of each copy that is here, and of each result that is to come.
         self._held: dict[Key, int] = {}
         self._count([Change(self._read)])
         self.trouble = self._have_room()
@@ -144,6 +146,8 @@ class FileJournal(Grouped):
             for page in pages:
                 if isinstance(page, CopyPage) and page.state in ("RUN", "PREPARED"):
                     self._held[key_of(page)] = len(page.block)
+                elif isinstance(page, BegunPage) and not page.outcome:
+                    self._held[key_of(page)] = RESULT
                 else:
                     self._held.pop(key_of(page), None)
             for key in keys:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Awaitable, Callable, Collection, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 
 from lfield.clock import Clock
 from lfield.journal.journal import Change
-from lfield.journal.pages import Key, Page
+from lfield.journal.pages import Entry, Key, Page
 
 #: Brings changes to the disk, all or none, in their order. Raises JournalError.
 Commit = Callable[[Sequence[Change]], Awaitable[None]]
@@ -21,15 +21,15 @@ class Grouping:
 
     def __init__(self, commit: Commit, clock: Clock) -> None:
         self._commit, self._clock = commit, clock
-        self._waiting: list[tuple[Change, asyncio.Future[None]]] = []
+        self._waiting: list[tuple[Sequence[Change], asyncio.Future[None]]] = []
         self._runner: asyncio.Task[None] | None = None
         self._commits: deque[float] = deque()
 
-    async def ask(self, change: Change) -> None:
-        """Return when the change is on the disk; nobody else waits for it. Raises JournalError."""
+    async def ask(self, *changes: Change) -> None:
+        """Return when the changes are on the disk; nobody else waits for it. Raises JournalError."""
         loop = asyncio.get_running_loop()
         kept = loop.create_future()
-        self._waiting.append((change, kept))
+        self._waiting.append((changes, kept))
         if self._runner is None:
             self._runner = loop.create_task(self._run())
         await kept
@@ -50,7 +50,7 @@ class Grouping:
     async def _next(self) -> None:
         group, self._waiting = self._waiting, []
         try:
-            await self._commit([change for change, _ in group])
+            await self._commit([change for changes, _ in group for change in changes])
         except asyncio.CancelledError:
             for _, kept in (*group, *self._waiting):
                 kept.cancel()
@@ -73,12 +73,18 @@ class Grouping:
 class Grouped:
     """What all journals do alike: `read` is what was kept before, `commit` brings changes to the disk."""
 
-    def __init__(self, read: list[Page], commit: Commit, clock: Clock) -> None:
-        self._read, self._grouping = read, Grouping(commit, clock)
+    def __init__(self, read: Mapping[Key, tuple[Entry, Page]], commit: Commit, clock: Clock) -> None:
+        self._read = [page for _, page in read.values()]
+        self.times = {key: entry.kept for key, (entry, _) in read.items()}
+        self._grouping = Grouping(commit, clock)
 
     def pages(self) -> list[Page]:
         """See `Journal`."""
         return self._read
+
+    async def change(self, changes: Sequence[Change]) -> None:
+        """See `Journal`."""
+        await self._grouping.ask(*changes)
 
     async def keep(self, pages: Sequence[Page]) -> None:
         """See `Journal`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 from urllib.parse import quote
@@ -19,9 +19,9 @@ class Change(NamedTuple):
 
 
 class Journal(Protocol):
-    """Keeps pages. Calls of `keep` and `forget` are committed in the order in which they were made.
+    """Keeps pages. Calls of `change`, `keep` and `forget` are committed in the order in which they were made.
 
-    Neither ever waits on the loop: those that are called while a commit is under way become the next one.
+    None ever waits on the loop: those that are called while a commit is under way become the next one.
     When a commit fails, so does all that was called before the failure is told: nothing is kept whose
     predecessor was lost. Each call is kept as a whole or not at all.
     """
@@ -43,6 +43,13 @@ class Journal(Protocol):
 
     def pages(self) -> list[Page]:
         """All pages, as they were read when it was opened."""
+
+    @property
+    def times(self) -> Mapping[Key, float]:
+        """When each of these was kept, in Unix time, in seconds."""
+
+    async def change(self, changes: Sequence[Change]) -> None:
+        """Make changes in their order, all or none. Raises JournalError, as `keep`."""
 
     async def keep(self, pages: Sequence[Page]) -> None:
         """Write pages over those with the same keys; all are on the disk when it returns.

@@ -13,9 +13,23 @@ from typing import NamedTuple
 
 from lfield.errors import ForeignJournal
 from lfield.journal.log import is_missing, read_log, sync_folder, unmark
-from lfield.journal.pages import CopyPage, Entry, Key, NewerPage, Page, PageError, Run, Starts, page_of
+from lfield.journal.pages import (
+    BegunPage,
+    CopyPage,
+    Entry,
+    Key,
+    NewerPage,
+    Page,
+    PageError,
+    Run,
+    Starts,
+    page_of,
+)
 from lfield.journal.salvage import readable
 from lfield.journal.store import APPLICATION, FORMAT, BrokenFile, Damaged, Head, Store
+
+#: What goes with a promise that is lost.
+NO_RECORD = Key("starts")
 
 
 class Owner(NamedTuple):
@@ -27,11 +41,11 @@ class Owner(NamedTuple):
 
 
 class Opened(NamedTuple):
-    """A journal that is ours, and all that can be read in it."""
+    """A journal that is ours, and all that can be read in it: each page with its entry."""
 
     store: Store
     head: Head
-    pages: dict[Key, Page]
+    pages: dict[Key, tuple[Entry, Page]]
 
 
 class Sorted(NamedTuple):
@@ -123,7 +137,17 @@ def sort(
 
 def _changes(page: Page) -> bool:
     """Whether a later page may say something else: not so of a program and of an ending."""
+    if isinstance(page, BegunPage):
+        return not page.outcome
     return isinstance(page, Starts | Run) or (isinstance(page, CopyPage) and page.state != "EXITED")
+
+
+def forgets(entry: Entry) -> bool:
+    """Whether a promise is lost with this page, as far as its key can be believed.
+
+    Then there is no record of starts any more: without it a host hears all others before it promises anew.
+    """
+    return entry.key.kind not in ("copy", "starts", "run", "paused", "program")
 
 
 def lost(entry: Entry) -> str:
@@ -131,6 +155,7 @@ def lost(entry: Entry) -> str:
     kind, name, number = entry.key
     words = {
         "copy": f"the copy of {name}, start {number}",
+        "begun": f"call {number} that was begun here by start {str(name).replace(chr(32), ' of ', 1)}",
         "starts": "the count of starts",
         "run": "whether the last run goes on",
         "fence": f"the fence of {name}",
@@ -159,12 +184,15 @@ def _read(path: Path, owner: Owner, tell: Callable[[str], None], now: float) -> 
         found = sort(path, store.entries())
         if head is None or found.damaged:
             head = _new_head(owner)
+            if any(forgets(one.entry) for one in found.damaged):
+                found.sound.pop(NO_RECORD, None)
+                store.commit([((), [NO_RECORD])])
             store.move_aside(found.damaged, head, now)
             _tell_damage(path, found.damaged, tell)
     except BaseException:
         store.close()
         raise
-    return Opened(store, head, {key: page for key, (_, page) in found.sound.items()})
+    return Opened(store, head, found.sound)
 
 
 def _salvage(path: Path, owner: Owner, tell: Callable[[str], None], now: float, why: str) -> None:
@@ -175,6 +203,9 @@ def _salvage(path: Path, owner: Owner, tell: Callable[[str], None], now: float, 
     found = sort(path, left.entries.items(), outrun=left.outrun)
     whole = left.whole and not found.damaged
     head = left.head if whole and left.head is not None else _new_head(owner)
+    if not left.whole or any(forgets(one.entry) for one in found.damaged):
+        # Of what is missing nobody knows what it was.
+        found.sound.pop(NO_RECORD, None)
     aside = _put(path, head, found.sound, found.damaged, now)
     count = len(found.sound)
     tell(

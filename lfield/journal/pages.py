@@ -60,6 +60,24 @@ class CopyPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     doubt: str = ""
 
 
+class BegunPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="begun"):
+    """A portal call that a coordinator has begun here and fetches later (`together`; host/team/begun.py).
+
+    `number` tells the calls of one start of it apart; `resource` and `portal` are names. `outcome` is ''
+    while the call may be under way; `parcel` is what it gave or threw, as the machine packs it, of the
+    mission with the hash `program`.
+    """
+
+    agent: str
+    generation: Count
+    number: Count
+    resource: str
+    portal: str
+    outcome: Literal["", "done", "thrown"] = ""
+    parcel: bytes = b""
+    program: Hash = b""
+
+
 class Starts(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="starts"):
     """How many starts this host has made: the counter that generations come from."""
 
@@ -99,7 +117,7 @@ class ProgramPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     hosts: tuple[str, ...] = ()
 
 
-Page = CopyPage | Starts | Run | Paused | Fence | ProgramPage
+Page = CopyPage | BegunPage | Starts | Run | Paused | Fence | ProgramPage
 
 _encode = msgspec.msgpack.Encoder().encode
 _decoder: msgspec.msgpack.Decoder[Page] = msgspec.msgpack.Decoder(Page)
@@ -114,6 +132,8 @@ def key_of(page: Page) -> Key:
     match page:
         case CopyPage():
             return Key("copy", page.agent, page.generation)
+        case BegunPage():
+            return begun_key(page.agent, page.generation, page.number)
         case Fence():
             return Key("fence", page.agent)
         case ProgramPage():
@@ -124,6 +144,11 @@ def key_of(page: Page) -> Key:
             return Key("run")
         case Paused():
             return Key("paused")
+
+
+def begun_key(agent: str, generation: int, number: int) -> Key:
+    """Under which key the page of a call that was begun is kept."""
+    return Key("begun", f"{generation} {agent}", number)
 
 
 class NewerPage(PageError):

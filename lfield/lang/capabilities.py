@@ -11,8 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-from lfield.lang import syntax
+from lfield.lang import syntax, tree
 from lfield.text.source import Diagnostic, Source
+
+#: What every offer tells about itself. The other public methods of a capability's class are its portals.
+OFFER_METHODS = frozenset({"agent", "host", "way", "score", "has", "attribute", "text", "age"})
 
 Verb = Literal["find", "explain"]
 VERBS: tuple[Verb, ...] = ("find", "explain")
@@ -67,6 +70,11 @@ class Capabilities(Protocol):
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""
+
+
+def is_portal(method: tree.Method) -> bool:
+    """Whether a method stands for a portal of an offer: a call of it is one of whoever serves it."""
+    return method.unit.capability and method.public and method.name not in OFFER_METHODS
 
 
 def asked_of(name: str) -> tuple[Verb, str] | None:

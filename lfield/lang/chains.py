@@ -6,7 +6,7 @@ Whoever walks a tree and would call itself for that side goes through `chain` fi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 from lfield.lang import syntax, tree
@@ -106,3 +106,52 @@ def parts(expr: tree.Expr) -> list[tree.Expr]:
         case tree.Find(id=tree.Expr() as argument) | tree.Query(constraint=tree.Expr() as argument):
             return [argument]
     return []
+
+
+def values(one: tree.Stmt) -> list[tree.Expr]:
+    """The expressions directly in a statement, outside of the bodies it has."""
+    match one:
+        case tree.Evaluate() | tree.Throw():
+            return [one.value]
+        case tree.Declare(value=tree.Expr() as value) | tree.Return(value=tree.Expr() as value):
+            return [value]
+        case tree.If() | tree.Loop():
+            return [one.condition]
+        case tree.Within():
+            return [one.seconds]
+        case tree.Begin():
+            return [one.call] if one.target is None else [one.call, one.target]
+    return []
+
+
+def bodies(one: tree.Stmt) -> list[list[tree.Stmt]]:
+    """The bodies directly in a statement; those of its `catch` clauses are among them."""
+    match one:
+        case tree.Block() | tree.Together() | tree.Within():
+            return [one.body]
+        case tree.If():
+            return [one.then, one.otherwise]
+        case tree.Loop():
+            return [one.body, one.step]
+        case tree.Try():
+            return [one.body, *(clause.body for clause in one.catches), one.last or []]
+    return []
+
+
+def statements(body: Sequence[tree.Stmt]) -> Iterator[tree.Stmt]:
+    """All statements of a body, those inside others too."""
+    waiting = list(body)
+    while waiting:
+        one = waiting.pop()
+        yield one
+        for inner in bodies(one):
+            waiting += inner
+
+
+def inside(expr: tree.Expr) -> Iterator[tree.Expr]:
+    """An expression and all expressions inside it."""
+    waiting = [expr]
+    while waiting:
+        one = waiting.pop()
+        yield one
+        waiting += parts(one)

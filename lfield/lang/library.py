@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from lfield.lang.types import BOOLEAN, INT, REAL, STRING, VOID, Type
+from lfield.lang.types import BOOLEAN, EXCEPTION, INT, REAL, STRING, VOID, Type, array_of
 
 Scope = Literal["any", "resource", "coordinator"]
 
@@ -90,6 +90,7 @@ EXCEPTION_METHODS: tuple[Function, ...] = (
     Function("message", (), STRING, "exc_message", meaning="what went wrong, one sentence"),
     Function("type", (), STRING, "exc_type", meaning="the name of the class that was thrown"),
     Function("source", (), STRING, "exc_source", meaning="the agent or device it is about, or ''"),
+    Function("others", (), array_of(EXCEPTION), "exc_others", meaning="what other calls of a together threw"),
 )
 
 #: Methods of every proxy, answered where the coordinator is. A portal of that name is meant before them.

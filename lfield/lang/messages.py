@@ -2,7 +2,7 @@
 
 Every diagnostic of the front end is made by `Message.at`, so codes, wording and documentation cannot drift
 apart. L1xx lexical, L2xx syntax, L3xx names and declarations, L4xx types, L5xx scope rules (chapters III and
-IV), L6xx files, L7xx deployments, L9xx warnings. A hint says what to do instead.
+IV), L6xx files, L7xx deployments, L8xx together and within, L9xx warnings. A hint says what to do instead.
 """
 
 from __future__ import annotations
@@ -76,9 +76,15 @@ ELSE_WITHOUT_IF = _message(
     "L212", "else without an if before it", "an if takes one statement or a block in {{ }}"
 )
 CATCH_WITHOUT_TRY = _message(
-    "L213", "catch without a try before it", "write try {{ ... }} catch (Exception e) {{ ... }}"
+    "L213",
+    "catch without a try before it",
+    "write try {{ ... }} catch (Exception e) {{ ... }}; finally stands behind the last catch",
 )
-TRY_WITHOUT_CATCH = _message("L214", "try without a catch", "add catch (Exception e) {{ ... }} after it")
+TRY_WITHOUT_CATCH = _message(
+    "L214",
+    "try without a catch or finally",
+    "add catch (Exception e) {{ ... }} or finally {{ ... }} after it",
+)
 MISSING_MODIFIER = _message("L215", "{what} begins with public or private", "write: private {text}")
 UNWANTED_MODIFIER = _message("L216", "{what} has no '{word}'", "leave it out{reason}")
 FOREIGN_WORD = _message("L217", "L has no '{word}'", "{instead}")
@@ -107,6 +113,9 @@ VOID_VALUE_TYPE = _message(
     "L230", "void is no type for {what}", "void is only the result of a method without a value"
 )
 NOT_A_CALL = _message("L231", "only a name can be called", "write name(...) or object.name(...)")
+FINALLY_WITHOUT_TRY = _message(
+    "L232", "finally without a try before it", "write try {{ ... }} finally {{ ... }}"
+)
 
 # --- L3xx: names and declarations -----------------------------------------------------------------------
 
@@ -385,6 +394,65 @@ DEPLOY_WITNESS = _message(
     "L715", "{host} is on line {line} already", "a line without an agent is for a host that has no other line"
 )
 
+# --- L8xx: together and within --------------------------------------------------------------------------
+
+COORDINATOR_WORD = _message(
+    "L801",
+    "{viewer} cannot have '{word}'",
+    "declare it class {unit} coordinator specific {{ ... }}: only coordinators call portals",
+)
+TOGETHER_EMPTY = _message(
+    "L802",
+    "this together begins no portal call",
+    "write the calls into it, alone or as x = arm.lift(1.5); those of methods that it calls do not count",
+)
+TOGETHER_INSIDE = _message(
+    "L803",
+    "this portal call is part of something else, and the together has its result only at its end",
+    "write it alone or as x = ...; with a variable declared before the block, and use x after it",
+)
+TOGETHER_BARRED = _message(
+    "L804",
+    "a portal call of the together stands inside a {word} in it",
+    "put the {word} around the together, or give it a together of its own",
+)
+TOGETHER_DECLARED = _message(
+    "L805",
+    "'{name}' is declared inside the together, which gives it its value only at its end",
+    "declare it before the block: {type} {name};",
+)
+TOGETHER_TARGET = _message(
+    "L806",
+    "a call of a together is assigned to a local variable or an element of a local array",
+    "take a local one, declared before the block, and copy it after the block",
+)
+TOGETHER_TWICE = _message(
+    "L807",
+    "'{name}' is assigned by the call on line {line} of this together already",
+    "take a variable for each call, and choose after the block",
+)
+TOGETHER_LOOP = _message(
+    "L808",
+    "'{name}' would be assigned in every round, and all calls of a together are under way at one time",
+    "take an array with an element for each round, or put the loop around the together",
+)
+TOGETHER_USED = _message(
+    "L809", "'{name}' is assigned by this together, at its end", "use it before or after the block"
+)
+TOGETHER_ALIAS = _message(
+    "L810",
+    "'{name}' may be the same array as '{array}', which this together assigns at its end",
+    "use it before or after the block; only its length may be asked inside",
+)
+TOGETHER_TYPE = _message(
+    "L811",
+    "the call gives {given}, the variable is {wanted}",
+    "in a together the two are the same: take {given}, and convert after the block",
+)
+WITHIN_OVER = _message(
+    "L812", "a within lasts more than 0 seconds, this is {given}", "write within (30) {{ ... }}"
+)
+
 # --- L9xx: warnings -------------------------------------------------------------------------------------
 
 FALLS_OFF = _message(
@@ -395,4 +463,14 @@ FALLS_OFF = _message(
 UNREACHABLE = _message("L902", "this statement is never reached", "remove it, or the {cause} before it")
 UNREACHABLE_CATCH = _message(
     "L903", "this catch is never reached: {earlier} above takes it", "put catches of special classes first"
+)
+LOSING_FINALLY = _message(
+    "L904",
+    "this finally never comes to its end: what the try returns or throws is lost",
+    "let the {cause} stand behind the try",
+)
+LIMIT_PASSES = _message(
+    "L905",
+    "this catch does not take the end of the within around it",
+    "put the try around the within",
 )

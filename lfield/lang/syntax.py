@@ -257,10 +257,26 @@ class Catch:
 
 @dataclass(slots=True, eq=False)
 class Try(Stmt):
-    """`try body catch ...`."""
+    """`try body catch ... finally last`."""
 
     body: Stmt
     catches: list[Catch]
+    last: Stmt | None
+
+
+@dataclass(slots=True, eq=False)
+class Together(Stmt):
+    """`together body`; `span` is the word."""
+
+    body: Stmt
+
+
+@dataclass(slots=True, eq=False)
+class Within(Stmt):
+    """`within (seconds) body`; `span` is the word."""
+
+    seconds: Expr
+    body: Stmt
 
 
 # --- declarations -------------------------------------------------------------------------------------

@@ -1,9 +1,8 @@
 """The checked tree: what the front end hands to the compiler.
 
 Every name is resolved to the thing it means, every expression has its type, every conversion is a node,
-every overload is chosen. What was sugar in the source (`for`, `+=`, field initialisers, implicit `this`,
-default constructors) is spelled out, so the compiler has one way to read each idea.
-Nodes are compared by identity.
+every overload is chosen. What was sugar (`for`, `+=`, field initialisers, implicit `this`, constructors) is
+spelled out, so the compiler has one way to read each idea. Nodes are compared by identity.
 """
 
 from __future__ import annotations
@@ -169,11 +168,7 @@ BinaryOp = Literal["+", "-", "*", "/", "%", "==", "!=", "<", "<=", ">", ">="]
 
 @dataclass(slots=True, eq=False)
 class Binary(Expr):
-    """Arithmetic on int or real, `+` on strings, comparison of numbers, strings, booleans, references.
-
-    Operand kinds are those of `left.type`; reference comparison (objects, arrays, proxies) is `==`/`!=`
-    only, and one side may be a null Literal_.
-    """
+    """Arithmetic, `+` on strings, comparison. References have `==`/`!=` only, the right may be a null."""
 
     op: BinaryOp
     left: Expr
@@ -253,8 +248,7 @@ class Find(Expr):
 
 @dataclass(slots=True, eq=False)
 class Query(Expr):
-    """`findC(constraint)` gives the offers of a capability as an array, `explainC(constraint)` a text that
-    says why there are no others. Without a constraint (None) every offer will do."""
+    """`findC(constraint)`: an array of offers; `explainC`: why there are no others. None: any will do."""
 
     capability: Unit
     constraint: Expr | None

@@ -64,6 +64,8 @@ BUILTIN_EXCEPTIONS = {
     "DeviceTimeoutException": "DeviceException",
     "ConstraintException": "Exception",
     "MissingReturnException": "Exception",
+    "CancelledException": "Exception",
+    "TimeLimitException": "Exception",
 }
 
 

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from lfield.driver.binding import LEAST_AFTER, DeviceBinding
 from lfield.driver.known import KnownDrivers
 from lfield.errors import BundleError
+from lfield.manifest import LEAVE, NEVER, DeviceManifest, Instruction
 from lfield.mission.bindings import (
     LONGEST_LEASE,
     MAX_HEAP,
@@ -93,6 +94,8 @@ def _device(device: DeviceBinding, drivers: KnownDrivers) -> Iterator[str]:
         return
     if device.safe_state not in (manifest.device.safe_states or ("",)):
         yield f"{device.name} has no safe state '{device.safe_state}'"
+    if lost := [i.name for i in manifest.device.instructions if not _can_be_ended(i, manifest.device)]:
+        yield f"nothing in {device.type} does what a cancel of {', '.join(lost)} says"
     policy = device.without_policy
     if policy and not (policy.do in manifest.device.safe_states and LEAST_AFTER <= policy.after <= 86400.0):
         yield f"what {device.name} does without a policy makes no sense"
@@ -101,6 +104,12 @@ def _device(device: DeviceBinding, drivers: KnownDrivers) -> Iterator[str]:
         yield f"the ttl, the rest_within or a limit of {device.name} makes no sense"
     if missing := [option.name for option in manifest.options if option.name not in device.options]:
         yield f"{device.name} lacks {', '.join(missing)}"
+
+
+def _can_be_ended(instruction: Instruction, device: DeviceManifest) -> bool:
+    """Whether a cancel of it is a word, or another instruction that there is and that needs no arguments."""
+    end = device.instruction(instruction.cancel)
+    return instruction.cancel in ("", NEVER, LEAVE) or (end is not None and not end.parameters)
 
 
 def _limits(bindings: Bindings) -> Iterator[str]:

@@ -22,7 +22,7 @@ from lfield.errors import (
     ProgramError,
     ProgramFileError,
 )
-from lfield.lang.deployment import Deployment, read_deployment
+from lfield.lang.deployment import DeployedAgent, Deployment, read_deployment
 from lfield.mission import bundle
 from lfield.mission.bindings import Bindings, chosen_fakes
 from lfield.mission.bindings_file import read_bindings
@@ -68,7 +68,7 @@ def load_mission(
     drivers = makers_of(plugins, {device.type for device in bindings.all})
     registry = _settled(types.registry, loaded, plugins) if ways(loaded) else None
     chosen = chosen_fakes(bindings, needed, plugins, team.types) if simulate else []
-    mission = _decided(Mission(deploy.stem, loaded, team, bindings, drivers, registry))
+    mission = _decided(Mission(deploy.stem, loaded, team, bindings, drivers, registry), deployment)
     warnings += _doubts(deployment, mission)
     mission = replace(mission, warnings=(*(warning.render() for warning in warnings), *chosen))
     return mission.at(team.at(parse_maps(maps, team))) if maps else mission
@@ -79,7 +79,7 @@ def _doubts(deployment: Deployment, mission: Mission) -> list[Diagnostic]:
     members = mission.recovery.members
     if len(members) != 2:
         return []
-    first = next(agent for agent in deployment.agents if agent.id in mission.fenced)
+    first = _first_fenced(deployment, mission)
     message = (
         f"{first.id} goes on nowhere when one of {listed(members)} is lost: the other is no more than half"
     )
@@ -119,10 +119,23 @@ def rebound(mission: Mission, devices: Path, *, simulate: bool = False) -> Missi
     return _decided(mission.with_bindings(bindings))
 
 
-def _decided(mission: Mission) -> Mission:
-    """The mission, if it says who decides that a coordinator is lost. Raises BindingError."""
-    _ = mission.recovery
+def _decided(mission: Mission, deployment: Deployment | None = None) -> Mission:
+    """The mission, if it says who decides that a coordinator is lost.
+
+    Raises BindingError, drawn at the first coordinator that needs it where the deployment is at hand.
+    """
+    try:
+        _ = mission.recovery
+    except BindingError as error:
+        if deployment is None:
+            raise
+        drawn = Diagnostic("Y115", str(error), _first_fenced(deployment, mission).span)
+        raise BindingError([drawn.render()], [drawn]) from None
     return mission
+
+
+def _first_fenced(deployment: Deployment, mission: Mission) -> DeployedAgent:
+    return next(agent for agent in deployment.agents if agent.id in mission.fenced)
 
 
 def beside(path: Path, suffix: str) -> Path | None:
@@ -232,7 +245,7 @@ def mission_problems(deploy: Path) -> list[Finding]:
         loaded = compile_file(program)[0]
         deployment = read_deployment(deploy, loaded.units)
         team = team_of(deployment.rows, deployment.kinds, deployment.ports)
-        mission = _decided(Mission(deploy.stem, loaded, team, bound, KnownDrivers({})))
+        mission = _decided(Mission(deploy.stem, loaded, team, bound, KnownDrivers({})), deployment)
     except BindingError as error:
         return [*error.findings, *(Remark(problem) for problem in error.problems[len(error.findings) :])]
     return list(_doubts(deployment, mission))

@@ -24,6 +24,9 @@ State = Literal["ABSENT", "RUN", "FROZEN", "PREPARED", "MOVED", "EXITED"]
 #: A copy here that runs or may have to run again.
 LIVE: tuple[State, ...] = ("RUN", "FROZEN", "PREPARED")
 
+#: Why nobody goes on with a block that is none.
+UNREADABLE = "what was kept of it here cannot be read"
+
 #: Most starts of one coordinator that a host remembers; of more it forgets the first that has ended.
 MAX_STARTS = 64
 
@@ -36,7 +39,7 @@ class Copy:
     that transfer came from elsewhere and was refused. `target`, `memory` (what the target answers from),
     `deadline` (seconds) and `seal` belong to the departure under way. `block` is what was last sent, or kept:
     the shadow, once the copy is MOVED. `doubt` says why the copy's fate is not known. `restored`: it is here
-    from the journal, and has not gone on yet.
+    from the journal, and has not gone on yet. `unreadable`: the machine has refused the block.
     """
 
     agent: str
@@ -55,6 +58,7 @@ class Copy:
     detail: str = ""
     ended_on: str = ""
     restored: bool = False
+    unreadable: bool = False
 
     @property
     def alive(self) -> bool:
@@ -71,13 +75,13 @@ class Copy:
         self.state, self.sequence, self.hops = "RUN", sequence, hops
         self.refusal = self.seal = self.block = None
         self.doubt = self.outcome = self.detail = self.ended_on = ""
-        self.restored = False
+        self.restored = self.unreadable = False
 
     def end(self, outcome: Outcome, detail: str, host: str) -> None:
         """Become the memory of an ending."""
         self.state, self.outcome, self.detail, self.ended_on = "EXITED", outcome, detail, host
         self.seal = self.block = None
-        self.doubt, self.restored = "", False
+        self.doubt, self.restored, self.unreadable = "", False, False
 
     def give_way(self) -> None:
         """Leave the machine in doubt: another start needs its place. The block stays as a shadow."""
@@ -94,10 +98,19 @@ class Copy:
         state = "IN DOUBT" if self.doubt else self.state
         assert state != "ABSENT"
         where = {"RUN": "", "EXITED": self.ended_on}.get(state, self.target)
-        detail = self.doubt or self.detail
+        detail = UNREADABLE if self.unreadable else self.doubt or self.detail
         memory = self.memory if state in ("PREPARED", "IN DOUBT", "MOVED") else 0
         return Known(
-            self.agent, self.generation, self.sequence, self.hops, state, where, self.outcome, detail, memory
+            self.agent,
+            self.generation,
+            self.sequence,
+            self.hops,
+            state,
+            where,
+            self.outcome,
+            detail,
+            memory,
+            self.unreadable,
         )
 
     def page(self, mission: bytes) -> CopyPage:

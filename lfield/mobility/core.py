@@ -12,7 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from lfield.mobility.arrivals import Arrivals
-from lfield.mobility.copies import LIVE, Copies
+from lfield.mobility.copies import LIVE, UNREADABLE, Copies
 from lfield.mobility.departures import Departures
 from lfield.mobility.effects import Began, Go
 from lfield.mobility.endings import Endings
@@ -118,7 +118,7 @@ class Mobility:
             copy.restored = not runs
             copy.seal = put(copy, runs=runs)
             if copy.seal is None:
-                copy.doubt = f"what {self._own.host} has kept of it cannot be read"
+                copy.doubt, copy.unreadable = UNREADABLE, True
             elif not runs:
                 effects += self._departures.woken(copy, now)
         return effects
@@ -134,6 +134,14 @@ class Mobility:
             if copy.state == "RUN":
                 return self._departures.depart(copy, host, seal, now)
         raise ValueError(f"{agent} does not run here")
+
+    def give_up(self, agent: str, generation: int) -> bool:
+        """Nobody wants to wait any longer for the departure of a coordinator.
+
+        True: nothing was sent, and it runs here again. False: it is not about to leave, or it may be gone.
+        """
+        copy = self._copies.find(agent, generation)
+        return copy is not None and self._departures.give_up(copy)
 
     def ended(self, agent: str, generation: int, outcome: Outcome, detail: str = "") -> list[Effect]:
         """A copy held here has ended: tell every host. 'lost': somebody gives up a copy in doubt."""
@@ -170,7 +178,7 @@ class Mobility:
         """The holder of a coordinator is gone for good: a new start of it, `generation`, goes on here.
 
         That must be a recovery's number above all that are known, and `recoverable` must have something.
-        `put(copy)` has its block in the machine, frozen; None: it cannot be read, and nothing is changed.
+        `put(copy)` has its block in the machine, frozen; None: it cannot be read, which is all that is noted.
         """
         return self._recoveries.recover(agent, generation, put)
 
@@ -299,6 +307,18 @@ class Mobility:
         """Whether a copy that is frozen here wants to another host, or may be there."""
         copy = self._copies.find(agent, generation)
         return copy is not None and copy.state in ("FROZEN", "PREPARED")
+
+    def is_sent(self, agent: str, generation: int) -> bool:
+        """Whether a start has left, may have left, or is over: a page of it says so, or is about to."""
+        copy = self._copies.find(agent, generation)
+        return copy is not None and copy.state in ("PREPARED", "MOVED", "EXITED")
+
+    def over(self, agent: str, generation: int) -> str:
+        """Why a start goes on nowhere, as far as is known here; '' when it may."""
+        copy = self._copies.find(agent, generation)
+        if copy is None or copy.state != "EXITED":
+            return ""
+        return copy.detail if copy.outcome == "superseded" else f"{agent} has ended ({copy.outcome})"
 
     def unconfirmed(self, hosts: Collection[str]) -> bool:
         """Whether one of these hosts has yet to confirm an ending that it was told of."""

@@ -114,6 +114,15 @@ class Departures:
         departed = Departed(copy.agent, copy.generation, copy.sequence, copy.target)
         return [departed, *self._copies.keep_soon(copy)]
 
+    def give_up(self, copy: Copy) -> bool:
+        """Whether a copy that wants away stays and goes on: not when something may have been sent."""
+        if copy.state != "FROZEN":
+            return False
+        copy.state, copy.seal = "RUN", None
+        if not self._copies.kept:
+            copy.block = None
+        return True
+
     def postpone(self, now: float) -> None:
         """Whatever waits for a host or its answer has all its time again."""
         for copy in self._copies:

@@ -46,6 +46,7 @@ class Recoveries:
             raise ValueError(f"{agent} cannot be recovered as generation {generation}")
         found = Copy(agent, generation, hops=left.hops, block=left.block and bytes(left.block))
         if found.block is not None and put(found) is None:
+            left.unreadable = True
             return []
         copy = self._copies.enter(agent, generation)
         assert copy is not None

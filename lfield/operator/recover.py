@@ -42,10 +42,29 @@ def believed(agent: str, answers: _Answers, names: Mapping[Place, str]) -> Belie
         raise UsageError(_nothing_left(agent, found))
     if len({place.run for place, _ in left}) > 1:
         raise UsageError(f"several runs here have a coordinator {agent}: name one with --run")
-    place, newest = max(left, key=lambda pair: (pair[1].generation, pair[1].hops, pair[1].sequence))
+    left.sort(key=lambda pair: (pair[1].generation, pair[1].hops, pair[1].sequence))
+    readable = [n for n, (_, known) in enumerate(left) if not known.unreadable]
+    if not readable:
+        where = ", ".join(names[place] for place, _ in left)
+        raise UsageError(f"what {where} has kept of {agent} cannot be read: there is nothing to go on with")
+    place, newest = left[readable[-1]]
     above = max(known.generation for _, known in found)
     word = Recover(agent, newest.generation, newest.sequence, above)
-    return Belief(place, word, list(_lines(place, newest, answers, names)))
+    first, *more = _lines(place, newest, answers, names)
+    newer = [_newer(names[place], known) for place, known in left[readable[-1] + 1 :]]
+    return Belief(place, word, [first, *newer, *more])
+
+
+def _newer(host: str, known: Known) -> str:
+    """What is said of a newer copy that nobody can go on with."""
+    return (
+        f"  {host} has a newer one, of after {_hops(known)}, that cannot be read: what {known.agent} did in "
+        "between may be done again"
+    )
+
+
+def _hops(known: Known) -> str:
+    return f"{known.hops} hop{'s' * (known.hops != 1)}"
 
 
 def _insist_on_none_parked(agent: str, answers: _Answers, names: Mapping[Place, str]) -> None:
@@ -70,11 +89,10 @@ def _nothing_left(agent: str, found: Sequence[tuple[Place, Known]]) -> str:
 
 
 def _lines(place: Place, newest: Known, answers: _Answers, names: Mapping[Place, str]) -> list[str]:
-    hops = f"{newest.hops} hop{'s' * (newest.hops != 1)}"
     to = Place(place.run, newest.where)
     lines = [
         f"{newest.agent}, start {newest.generation}: the newest copy is on {names[place]}, as it left for "
-        f"{newest.where} after {hops} (transfer {newest.sequence})"
+        f"{newest.where} after {_hops(newest)} (transfer {newest.sequence})"
     ]
     if newest.detail:
         lines.append(f"  {newest.detail}")

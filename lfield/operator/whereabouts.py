@@ -75,9 +75,11 @@ def what_can_be_done(answers: Mapping[str, Status | LfieldError]) -> Iterator[st
         if _is_parked(agent, answers):
             yield f"{agent}: start its own mission again, or end it: lfield forget {agent}"
         elif newest and newest.state in ("MOVED", "IN DOUBT"):
-            first = "" if newest.where in told else f"start {newest.where} again; if that is gone for good, "
-            without = f"go on without it: lfield recover {agent}, or end it: lfield forget {agent}"
-            yield f"{agent}: {first}{without}"
+            away = newest.where and newest.where not in told
+            first = f"start {newest.where} again; if that is gone for good, " if away else ""
+            if any(k.state in ("MOVED", "IN DOUBT") and not k.unreadable for k in found):
+                first += f"go on without it: lfield recover {agent}, or "
+            yield f"{agent}: {first}end it: lfield forget {agent}"
 
 
 def _age(known: Known) -> tuple[int, bool, int, int]:

@@ -59,6 +59,7 @@ class Quorum:
         self._next: float | None = None
         #: The members that must tell of their fences before this one gives a lease or a promise.
         self._unheard = set(members.others) if new else set()
+        self._recall()
 
     # --- time -----------------------------------------------------------------------------------------
 
@@ -70,11 +71,16 @@ class Quorum:
         self._next = now
         if first:
             self._unheard.clear()
+            self._recall()
 
     @property
     def remembers(self) -> bool:
         """Whether this host knows all that it may ever have promised."""
-        return not self._unheard
+        return self.members.remembers
+
+    def _recall(self) -> None:
+        """With the fences of all other members it knows what it has promised."""
+        self.members.remembers = not self._unheard
 
     @property
     def due(self) -> float | None:
@@ -186,6 +192,7 @@ class Quorum:
         for fence in message.fences:
             effects += self._rise(fence.agent, fence.generation, f"{host} told of it")
         self._unheard.discard(host)
+        self._recall()
         self.lease.acknowledged(host, message.number)
         return effects
 

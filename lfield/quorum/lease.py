@@ -57,8 +57,7 @@ class Lease:
     def _count(self) -> None:
         if self._alone:
             return
-        own = self._members.here in self._members.names
         times = sorted(self._acknowledged.values(), reverse=True)
-        needed = self._members.majority - own
+        needed = self._members.majority - self._members.counts_itself
         if len(times) >= needed:
             self.until = times[needed - 1] + self._members.lease

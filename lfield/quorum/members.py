@@ -21,6 +21,8 @@ class Members:
         self.names = frozenset(names)
         self.others = sorted(self.names - {here})
         self.majority = len(self.names) // 2 + 1
+        #: Whether this host knows all that it may have promised: else nothing counts that it grants itself.
+        self.remembers = True
 
     @property
     def wait(self) -> float:
@@ -31,6 +33,11 @@ class Members:
     def beat(self) -> float:
         """Seconds from one heartbeat to the next."""
         return self.lease / BEATS
+
+    @property
+    def counts_itself(self) -> bool:
+        """Whether this host is one of those that grant it a lease, or promise it something."""
+        return self.remembers and self.here in self.names
 
     def is_majority(self, names: Collection[str]) -> bool:
         """Whether these members are more than half."""

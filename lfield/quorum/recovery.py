@@ -10,7 +10,6 @@ as its links are back.
 
 from __future__ import annotations
 
-import math
 import random
 from collections.abc import Collection
 from dataclasses import dataclass, field
@@ -62,8 +61,8 @@ class Recoveries:
         self._rest: dict[str, float] = {}
         #: When each agent is suspected that may be, unless it is heard of.
         self._suspected: dict[str, float] = {}
-        #: When it was last said that an agent is suspected.
-        self._said: dict[str, float] = {}
+        #: What was said of each agent since it was last heard of, and when.
+        self._said: dict[str, dict[str, float]] = {agent: {} for agent in agents}
         #: What is added to each interval.
         self._delays = {agent: self._delay() for agent in agents}
 
@@ -95,6 +94,7 @@ class Recoveries:
         if agent in self._agents and not self._fences.bars(agent, generation):
             self._heard[agent] = max(at, self._heard.get(agent, at))
             self._rest.pop(agent, None)
+            self._said[agent] = {text: when for text, when in self._said[agent].items() if when >= at}
 
     def doubt(self, now: float) -> None:
         """This host was itself stopped for a while: what it did not hear meanwhile means nothing."""
@@ -112,6 +112,7 @@ class Recoveries:
 
     def _calm(self, agent: str, now: float) -> None:
         self._heard[agent] = now
+        self._said[agent].clear()
         for known in (self._rest, self._suspected, self._attempts):
             known.pop(agent, None)
 
@@ -154,11 +155,15 @@ class Recoveries:
         attempt = Attempt(saved.place, "asking", now, now + self._members.beat, now + self._members.lease)
         self._attempts[agent] = attempt
         asked = self._ask(agent, attempt, now)
-        said, self._said[agent] = self._said.get(agent, -math.inf), now
-        if agent in self._rest or now - said < saved.interval:
-            return asked
         text = f"nobody was heard to hold {agent} for {saved.interval:g} s: asking every host"
-        return [Explain(text), *asked]
+        return [*self._explain(agent, text, now), *asked]
+
+    def _explain(self, agent: str, text: str, now: float) -> list[Effect]:
+        """Once, until it is heard of."""
+        if text in self._said[agent]:
+            return []
+        self._said[agent][text] = now
+        return [Explain(text)]
 
     def _ask(self, agent: str, attempt: Attempt, now: float) -> list[Effect]:
         attempt.due = now + self._members.beat / 2.0
@@ -179,7 +184,8 @@ class Recoveries:
         if attempt is None:
             return []
         if _newer(answer.place, attempt.place):
-            return [Explain(f"{host} has a newer copy of {answer.agent}"), *self._yield(answer.agent, now)]
+            text = f"{host} has a newer copy of {answer.agent}"
+            return [*self._explain(answer.agent, text, now), *self._yield(answer.agent, now)]
         attempt.answered.add(host)
         return self._look(answer.agent, now)
 
@@ -204,7 +210,7 @@ class Recoveries:
         attempt.generation = self._copies.mint(agent, self._fences.of(agent))
         self._fences.raise_to(agent, attempt.generation)
         reason = f"{self._members.here} is about to go on with it"
-        if self._members.here in self._members.names:
+        if self._members.counts_itself:
             # What is said to others waits until this fence is on disk: a promise as good as theirs.
             attempt.promised.add(self._members.here)
         if self._members.is_majority(attempt.promised):
@@ -233,10 +239,9 @@ class Recoveries:
 
     def _rest_from(self, agent: str, now: float) -> list[Effect]:
         """There is no majority: try again in a while."""
-        told = Explain(f"{agent} waits: no majority of the members answers")
-        effects = [] if agent in self._rest else [told]
+        told = self._explain(agent, f"{agent} waits: no majority of the members answers", now)
         self._rest[agent] = now + self._members.lease
-        return [*effects, *self._end(agent)]
+        return [*told, *self._end(agent)]
 
     def _end(self, agent: str) -> list[Effect]:
         self._attempts.pop(agent, None)

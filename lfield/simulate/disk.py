@@ -16,7 +16,7 @@ from lfield.clock import Clock
 from lfield.errors import JournalError
 from lfield.journal.grouping import Grouped
 from lfield.journal.journal import Change
-from lfield.journal.opening import lost
+from lfield.journal.opening import NO_RECORD, forgets, lost
 from lfield.journal.pages import Entry, Key, Page, PageError, entry, page_of
 
 #: Seconds until a commit is on a disk.
@@ -52,13 +52,15 @@ class JournalDisk:
     def open(self, clock: Clock, tell: Callable[[str], None]) -> SimulatedJournal:
         """The journal on it, for a process that has just begun. Raises JournalError for a broken disk."""
         self._see_that_it_works()
-        pages = []
+        pages = dict[Key, tuple[Entry, Page]]()
         for key, found in list(self._entries.items()):
             try:
-                pages.append(page_of(found))
+                pages[key] = found, page_of(found)
             except PageError as error:
                 del self._entries[key]
                 self.identity = 0
+                if forgets(found):
+                    self._entries.pop(NO_RECORD, None)
                 tell(f"{lost(found)}, is damaged in the journal ({error}); it was moved aside")
         self.identity = self.identity or self.dice.getrandbits(63)
         return SimulatedJournal(self, self.identity, pages, clock)
@@ -97,7 +99,9 @@ class JournalDisk:
 class SimulatedJournal(Grouped):
     """See `Journal`: that of one life of a host, on the loop of its process."""
 
-    def __init__(self, disk: JournalDisk, identity: int, pages: list[Page], clock: Clock) -> None:
+    def __init__(
+        self, disk: JournalDisk, identity: int, pages: dict[Key, tuple[Entry, Page]], clock: Clock
+    ) -> None:
         super().__init__(pages, self._commit, clock)
         self._disk, self.identity, self._clock = disk, identity, clock
         self.trouble = disk.trouble()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 
 from lfield.simulate.computers.computer import Process
@@ -65,6 +65,7 @@ class Weather:
     disk_new: float = 0.0
     guard_kill: float = 0.0
     guard_stop: float = 0.0
+    swap: float = 0.0
 
     def forecast(self, hosts: Sequence[str], dice: random.Random, seconds: float) -> list[Fault]:
         """The faults of so many seconds from now, in their order."""
@@ -100,7 +101,7 @@ class Storm:
             "drift": self._drift, "race": self._race,
             "clock": self._clock, "disk_full": self._disk_full, "disk_fail": self._disk_fail,
             "disk_new": self._disk_new,
-            "guard_kill": self._guard_kill, "guard_stop": self._guard_stop,
+            "guard_kill": self._guard_kill, "guard_stop": self._guard_stop, "swap": self._swap,
         }  # fmt: skip
         for fault in forecast:
             self._after(fault.at, partial(self._strike, kinds[fault.kind], fault))
@@ -144,6 +145,21 @@ class Storm:
         for other in self._others(fault.one):
             self._silence(fault.one, other, fault.lasts)
             self._silence(other, fault.one, fault.lasts)
+
+    def _swap(self, fault: Fault) -> None:
+        """One is cut off from all, then another; in between, those that have heard both are killed.
+
+        So the two never meet, and what one is told of the other is what was on the disks.
+        """
+        self._island(fault)
+        swapped = replace(fault, one=fault.other, other=fault.one)
+        self._after(fault.lasts, partial(self._strike, self._swapped, swapped))
+
+    def _swapped(self, fault: Fault) -> None:
+        self._island(fault)
+        for name in self._others(fault.one):
+            if name != fault.other:
+                self._kill(replace(fault, one=name, lasts=fault.size))
 
     def _others(self, name: str) -> list[str]:
         return [other for other in self.fleet.mission.team.hosts if other != name]

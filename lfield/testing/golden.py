@@ -29,6 +29,7 @@ from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceValue
 from lfield.testing.offers import still_answers
 from lfield.vm.agent import Agent, Member
+from lfield.vm.begun import Beginning, Begun
 from lfield.vm.contract import Limits, Reading
 from lfield.vm.machine import Machine
 from lfield.vm.offers import Found
@@ -59,6 +60,7 @@ class Desk:
     endings: list[Agent] = field(default_factory=list)
     departures: list[tuple[Agent, Member]] = field(default_factory=list)
     answers: Answers | None = None
+    machine: Machine = field(init=False)
 
     def write(self, agent: Agent, text: str) -> None:
         """Keep written text, line by line."""
@@ -75,6 +77,25 @@ class Desk:
     def may_begin(self, agent: Agent, acts: bool) -> bool:
         """There is no disk, and no team."""
         return True
+
+    def begins(self, agent: Agent, calls: Sequence[Beginning]) -> bool:
+        """As `may_begin`."""
+        return True
+
+    def came_back(self, begun: Begun) -> None:
+        """What came back is kept at once, since nothing is."""
+        self.machine.kept_result(begun.key)
+
+    def give_up(self, agent: Agent) -> bool:
+        """Whoever waits to leave is still here; nobody else is frozen."""
+        waiting = [pair for pair in self.departures if pair[0] is not agent]
+        given_up = len(waiting) < len(self.departures)
+        self.departures[:] = waiting
+        return given_up
+
+    def cancel(self, agent: Agent, thread: int) -> bool:
+        """There is no hardware that could be waited for."""
+        return False
 
     def superseded(self, agent: str, generation: int) -> bool:
         """There is one start of each."""
@@ -127,7 +148,7 @@ def run_text(
     team = team_for(program, _DEPLOY.findall(text))
     if registry is not None:
         desk.answers = still_answers(registry, program, team)
-    machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
+    machine = desk.machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
     for member in team:
         machine.start(member, limits or Limits(), generation=1)
     settle(machine, clock)

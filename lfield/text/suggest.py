@@ -70,7 +70,6 @@ FOREIGN_STATEMENTS = {
     "switch": "write if (...) ... else if (...) ... else ...",
     "case": "write if (...) ... else if (...) ... else ...",
     "do": "write while (true) { ... if (...) break; }",
-    "finally": "repeat the statements after the try and in each catch",
     "goto": "use while, for, break and continue",
     "foreach": "write for (T x : array) { ... }",
     "elif": "write else if",

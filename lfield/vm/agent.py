@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from lfield.vm.contract import Limits, Reading
@@ -34,7 +35,14 @@ class Agent:
     `kept` is true while a coordinator stands at a portal call and its host has its block on the disk as it is
     there. A `fenced` one begins no portal unless its host allows it.
     `callers` has, by the id of each coordinator that a resource has served, the newest copy of it: its
-    generation and sequence.
+    generation and sequence. `cancels` are the threads of a resource whose calls are cancelled, each with the
+    reason that is still to be thrown in it, '' once it was.
+
+    `offset` is what is added to the host's monotonic clock, in ns, for the clock of a coordinator, by which
+    its time limits run. `alarm` is when they are looked at next, on the host's clock; `overdue` is true when
+    one is over that could not be thrown yet, and `over` says what is thrown when the call that it has
+    cancelled comes back. `fetched` are the calls of its `together` whose results it has taken here since
+    its host last asked.
     """
 
     member: Member
@@ -57,6 +65,12 @@ class Agent:
     kept: bool = False
     fenced: bool = False
     callers: dict[str, tuple[int, int]] = field(default_factory=dict)
+    cancels: dict[int, str] = field(default_factory=dict)
+    offset: int = 0
+    alarm: float = math.inf
+    overdue: bool = False
+    over: str = ""
+    fetched: list[tuple[str, int, int]] = field(default_factory=list)
 
     @property
     def id(self) -> str:

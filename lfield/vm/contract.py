@@ -19,7 +19,8 @@ PLAIN = (BOOLEAN, INT, REAL)
 class Limits:
     """What one agent may use. Every limit ends in a `LimitException` that L code can catch.
 
-    `heap` in bytes; `call_depth` in calls; lengths in elements and characters; `threads` at one time.
+    `heap` in bytes; `call_depth` in calls; lengths in elements and characters; `threads` at one time. Only
+    `tidy` ends otherwise: a portal that is cancelled has so many seconds to tidy up, then it is ended.
     """
 
     heap: int = 1 << 20
@@ -27,6 +28,7 @@ class Limits:
     array_length: int = 1 << 20
     string_length: int = 1 << 20
     threads: int = 64
+    tidy: float = 5.0
 
 
 class Reading:

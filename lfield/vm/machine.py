@@ -8,35 +8,35 @@ from __future__ import annotations
 
 import random
 import traceback as python_traceback
-from collections.abc import Collection, Sequence
-from itertools import count
+from collections.abc import Collection, Iterable, Sequence
 
-from lfield.bytecode.program import DEVICE, Program
+from lfield.bytecode.program import Program
 from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
+from lfield.vm.begun import Begun, Key
+from lfield.vm.cancelling import CANCELLED, Cancelling
 from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Reading, Spent, Thrown, Trap
+from lfield.vm.limits import TimeLimits
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
-from lfield.vm.memory.collector import collect, compact
+from lfield.vm.memory.collector import compact
 from lfield.vm.memory.layout import (
     BLOCKED,
-    FRAME_SLOTS,
-    OBJECT,
-    PROXY_MEMBER,
     THREAD_CALL,
-    THREAD_FRAME,
     THREAD_ID,
-    THREAD_PC,
 )
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
-from lfield.vm.memory.values import new_exception, word_for
+from lfield.vm.memory.values import word_for
 from lfield.vm.outside import Outsiders
 from lfield.vm.scheduler import Scheduler
+from lfield.vm.together.calls import BegunCalls
+from lfield.vm.together.heads import Together
+from lfield.vm.together.visits import Visits
 from lfield.vm.world import World
 
 #: Instructions a thread may run before the next one's turn.
@@ -74,7 +74,13 @@ class Machine:
         #: The agents that are here, by id.
         self.agents = scheduler.agents
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.turns
-        self._outsiders = Outsiders(scheduler, team, here, dice)
+        cancelling = self._cancelling = Cancelling(scheduler)
+        self._begun = BegunCalls(scheduler, cancelling)
+        self._visits = Visits(scheduler, team, here)
+        self._limits = TimeLimits(scheduler, cancelling, self._visits.called, self._begun.stop_waiting)
+        self._together = Together(scheduler, self._visits, cancelling, self._limits)
+        heads = self._together.heads()
+        self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, heads)
         self._liveness = Liveness(program, scheduler.layouts)
         self._soundness = Soundness(program, scheduler.layouts, [member.type for member in team])
 
@@ -87,56 +93,48 @@ class Machine:
         readings: list[Reading | None] = [None] * len(self.program.core.device_calls)
         agent = Agent(member, block, limits, readings, open=member.kind == "coordinator")
         agent.fenced = member.id in self._fenced
+        self._scheduler.set_clock(agent, 0)
         w = block.w
         w[layout.W_CLASS] = record
         w[layout.W_GENERATION] = generation
         block.visit(self._here)
         self.agents[member.id] = agent
         try:
-            self._scheduler.with_room(agent, lambda: self._begin(agent, record))
+            self._scheduler.with_room(agent, lambda: self._scheduler.born(agent, record))
         except Trap as trap:
             self._scheduler.die(agent, f"LimitException: {trap.message}")
         except Exception as error:
             self._break(agent, 0, error)
         return agent
 
-    def _begin(self, agent: Agent, record: int) -> None:
-        block, core = agent.block, self.program.core
-        w = block.w
-        w[layout.W_SELF] = block.allocate(OBJECT, record, self.layouts.class_words[record])
-        numbers = count(1)
-        for i, field in enumerate(core.classes[record].fields, w[layout.W_SELF] + 1):
-            if field.type == DEVICE:
-                w[i] = next(numbers)
-        w[layout.W_ID] = block.new_string(agent.id)
-        texts = (agent.id, *agent.member.arguments)
-        init = core.classes[record].init
-        strings = core.methods[init].slots[1]
-        array = block.allocate(layout.ARRAY, strings, 1 + len(texts))
-        for i, text in enumerate(texts, array + 1):
-            w[i] = block.new_string(text)
-        identity = self._scheduler.spawn(agent, init, [w[layout.W_SELF], array], 0)
-        self._turns.last(agent, identity)
-
-    def admit(self, member: Member, image: bytes | memoryview, limits: Limits) -> Agent:
+    def admit(self, member: Member, image: bytes | memoryview, limits: Limits, asleep: float = 0.0) -> Agent:
         """Inject a coordinator that came from another host; raises BlockError when its bytes are not sound.
+
+        `asleep` is for how many seconds it is known to have been on its way: its time limits count them.
 
         It is frozen at its portal call, which is here now, until `go` or `resume`. Another start of it that
         is here goes on no more: of two starts one host never runs both.
         """
-        agent = self.restore(member, image, limits)
+        agent = self.restore(member, image, limits, asleep)
         agent.block.w[layout.W_HOPS] += 1
         agent.block.visit(self._here)
         return agent
 
-    def restore(self, member: Member, image: bytes | memoryview, limits: Limits) -> Agent:
-        """As `admit`, of a block that was packed on this very host: it has made no hop since."""
+    def restore(
+        self, member: Member, image: bytes | memoryview, limits: Limits, asleep: float = 0.0
+    ) -> Agent:
+        """As `admit`, of a block that was packed on this very host: it has made no hop since.
+
+        `asleep` is for how many seconds the host was down, as far as it can tell.
+        """
         block = self._soundness.check(image, limits.heap // 8)
         agent = Agent(member, block, limits, [], open=True, frozen=True, kept=True)
         agent.fenced = member.id in self._fenced
         if (other := self.agents.get(member.id)) is not None:
             other.ended = "dropped"
         self.agents[member.id] = agent
+        self._scheduler.set_clock(agent, block.w[layout.W_CLOCK] + int(max(0.0, asleep) * 1e9))
+        self._limits.look(agent)
         return agent
 
     def go(self, agent: Agent) -> None:
@@ -149,28 +147,41 @@ class Machine:
         """The bytes of a frozen coordinator, live data only."""
         self._liveness.clear_dead(agent.block)
         compact(agent.block, self.layouts)
+        self.note_clock(agent)
         return agent.block.image()
 
+    def note_clock(self, agent: Agent) -> None:
+        """Let the block of a coordinator tell the time of now on the coordinator's own clock.
+
+        What was packed earlier and is sent now has waited meanwhile: its time limits count that.
+        """
+        agent.block.w[layout.W_CLOCK] = min(self._scheduler.clock_of(agent), layout.COUNT_LIMIT - 1)
+
     def calling(self, agent: Agent) -> tuple[Member, str] | None:
-        """The resource and the portal that a frozen coordinator stands at; None when its proxy is null."""
-        w = agent.block.w
-        thread = place_of(agent.block, _only_thread(agent))
-        pc = w[thread + THREAD_PC]
-        slot = self.program.quads[pc].a
-        proxy = w[w[thread + THREAD_FRAME] + FRAME_SLOTS + slot] if slot >= 0 else 0
-        if not proxy:
-            return None
-        portal = self.program.core.methods[self.engine.group(pc).head.a]
-        return self.team[w[proxy + PROXY_MEMBER]], portal.name
+        """The resource and the portal that a frozen coordinator stands at; None when its proxy is null.
+
+        Of a `together` it is the first call that it wants to begin, or to fetch where it wants to be.
+        """
+        return self._visits.calling(agent)
 
     def release(self, agent: Agent) -> None:
         """Forget a coordinator that has left."""
         self._scheduler.release(agent)
 
     def resume(self, agent: Agent, kind: str, message: str, source: str = "") -> None:
-        """Let a frozen coordinator go on with an exception in the statement that called the portal."""
+        """Let a frozen coordinator go on with an exception in the statement that called the portal.
+
+        In a `together` it is that of the calls which cannot begin or be fetched; a RestartException is the
+        coordinator's own and is thrown at once, unless it is leaving the block already.
+        """
         agent.frozen = False
-        self.refuse(agent, _only_thread(agent), kind, message, source)
+        head = self._visits.head(agent)
+        if self._limits.strike(agent, message):
+            return
+        if head == "leave" or (head and kind != "RestartException"):
+            self._together.failed(agent, _only_thread(agent), kind, message)
+        else:
+            self.refuse(agent, _only_thread(agent), kind, message, source)
 
     def abandon(self, agent: Agent, kind: str, message: str) -> bool:
         """Throw a built-in exception in a coordinator that waits for a portal of this host.
@@ -179,17 +190,78 @@ class Machine:
 
         False, and nothing happens, when it waits for none: when it runs, sleeps, or is frozen.
         """
-        if agent.ended or not portals.abandon(self._scheduler, agent):
+        if agent.ended or self._visits.head(agent) == "leave":
+            return False
+        if not self._begun.stop_waiting(agent) and not portals.abandon(self._scheduler, agent):
             return False
         called = self.calling(agent)
         self.refuse(agent, _only_thread(agent), kind, message, called[0].id if called else "")
         return True
 
-    def caller(self, resource: Agent, thread: int) -> Agent | None:
-        """The coordinator whose portal call a thread serves; None for a thread of the resource's own."""
+    def goes_on(self, agent: Agent) -> bool:
+        """Whether a frozen coordinator that was restored may `go` where it stands, by the same generation.
+
+        It may when it is at its `together` only to fetch or to leave: nothing it did there is unknown. Else
+        it must be told by `resume` (RestartException) that its call may have begun.
+        """
+        return self._visits.goes_on(agent)
+
+    # --- calls that were begun here -------------------------------------------------------------------
+
+    def begun_calls(self) -> list[Begun]:
+        """The calls that were begun here and not yet fetched, in the order of their beginning."""
+        return list(self._scheduler.begun.values())
+
+    def kept_result(self, key: Key) -> None:
+        """What came back (`World.came_back`) is kept; may be called from there."""
+        self._begun.kept(key)
+
+    def cancel_begun(self, agent: str, below: int | None, reason: str) -> list[Key]:
+        """Cancel the calls that starts of a coordinator before `below` (None: all starts) have begun here.
+
+        Their portals get a CancelledException with this reason, and what they give is dropped. Returns which
+        calls they were: they are forgotten.
+        """
+        return self._begun.cancel(agent, below, reason)
+
+    def end_begun(self, agent: str, kind: str, reason: str) -> None:
+        """The calls of a coordinator that run here come back at once with an exception, as `abandon` does it.
+
+        Their portals go on alone, may command no device, and what they give is dropped.
+        """
+        self._begun.end(agent, kind, reason)
+
+    def restore_begun(self, calls: Iterable[Begun]) -> None:
+        """What this host has kept in an earlier life; before any coordinator is restored.
+
+        Those without a (sound) result are lost: whoever fetches them gets a RestartException.
+        """
+        self._begun.restore(calls, self._soundness)
+
+    def forget_begun(self, keys: Iterable[Key]) -> None:
+        """Nobody will fetch these; portals that still run for them go on alone."""
+        self._begun.forget(keys)
+
+    def fetched(self, agent: Agent) -> list[Key]:
+        """The calls that the coordinator has fetched here since this was last asked; each is told once.
+
+        What the host has kept of them may go when the block with their results is on the disk, here or where
+        it went.
+        """
+        keys, agent.fetched = agent.fetched, []
+        return keys
+
+    # --- who calls ------------------------------------------------------------------------------------
+
+    def caller(self, resource: Agent, thread: int) -> Agent | Begun | None:
+        """The coordinator whose portal call a thread serves; None for a thread of the resource's own.
+
+        Of a call that a `together` has begun it is the record of that: it has the coordinator's `id`,
+        `generation`, `fenced` and `ended` as they were at the beginning, wherever that is by now.
+        """
         number = resource.block.w[place_of(resource.block, thread) + THREAD_CALL]
         found = self._scheduler.calls.get(number)
-        return found[0] if found is not None else None
+        return found if found is None or isinstance(found, Begun) else found[0]
 
     def is_left(self, resource: Agent, thread: int) -> bool:
         """Whether a thread serves a portal call that was taken from its caller: nobody waits for it."""
@@ -199,8 +271,8 @@ class Machine:
     # --- answers from the world -----------------------------------------------------------------------
 
     def answer(self, agent: Agent, thread: int, value: DeviceValue, kind: int, device: str) -> None:
-        """The value (of a type, by index) of the device instruction a thread waits for."""
-        if agent.ended:
+        """The value (of a type, by index) of the device instruction a thread waits for, if it still does."""
+        if agent.ended or not place_of(agent.block, thread):
             return
         try:
             self._scheduler.complete(
@@ -212,7 +284,11 @@ class Machine:
             self._break(agent, thread, error)
 
     def refuse(self, agent: Agent, thread: int, kind: str, message: str, source: str = "") -> None:
-        """Throw a built-in exception where a waiting thread stands."""
+        """Throw a built-in exception where a waiting thread stands, if it is still there."""
+        if agent.ended or not place_of(agent.block, thread):
+            return
+        if kind == CANCELLED and thread in agent.cancels:
+            agent.cancels[thread] = ""
         try:
             self._scheduler.refuse(agent, thread, kind, message, source)
         except Exception as error:
@@ -228,6 +304,11 @@ class Machine:
         """
         turns = self._turns
         turns.wake()
+        for agent, ring in turns.ringing():
+            try:
+                ring()
+            except Exception as error:
+                self._break(agent, 0, error)
         for _ in range(ROUND):
             if not turns:
                 break
@@ -268,32 +349,27 @@ class Machine:
     def _handle(self, agent: Agent, thread: int, leave: Exit) -> None:
         match leave:
             case Outside():
-                self._outsiders.carry_out(agent, thread, leave)
+                self._carry_out(agent, thread, leave)
             case Spent():
                 self._turns.last(agent, thread)
             case Done():
                 self._done(agent, thread, leave.word)
             case NoRoom():
-                self._make_room(agent, thread, leave.words)
+                self._scheduler.make_room(agent, thread, leave.words)
             case Blocked():
                 self._scheduler.set_state(agent, thread, BLOCKED)
                 agent.blocked.append(thread)
+                if agent.cancels.get(thread):
+                    agent.blocked.remove(thread)
+                    self._cancelling.strike(agent, thread)
             case Thrown():
                 self._scheduler.uncaught(agent, thread, leave.place)
 
-    def _make_room(self, agent: Agent, thread: int, words: int) -> None:
-        block = agent.block
-        collect(block, self.layouts, words)
-        if block.top + words <= block.limit:
-            self._turns.next(agent, thread)
-            return
-        message = f"the heap is over its limit of {agent.limits.heap} bytes"
+    def _carry_out(self, agent: Agent, thread: int, leave: Outside) -> None:
         try:
-            thrown = new_exception(block, "LimitException", message, agent.id)
-        except Full:
-            self._scheduler.die(agent, f"LimitException: {message}", thread)
-            return
-        self._scheduler.throw(agent, thread, thrown)
+            self._outsiders.carry_out(agent, thread, leave)
+        except Full as full:
+            self._scheduler.make_room(agent, thread, full.words)
 
     def _done(self, agent: Agent, thread: int, word: int) -> None:
         scheduler = self._scheduler

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from msgspec import structs
 
@@ -12,7 +13,9 @@ from lfield.bytecode.program import ARRAY, HELD, PROXY, DeviceCall
 from lfield.errors import ConstraintError, DeviceError
 from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
+from lfield.vm.cancelling import Cancelling
 from lfield.vm.contract import Outside
+from lfield.vm.limits import TimeLimits
 from lfield.vm.memory import layout
 from lfield.vm.memory.layout import PARKED, PROXY_MEMBER, WAITING
 from lfield.vm.memory.threads import place_of, still_image
@@ -32,8 +35,18 @@ Handler = Callable[[Agent, int, int, list[int]], None]
 class Outsiders:
     """One method per kind of head; each ends by completing the thread's group, now or later."""
 
-    def __init__(self, scheduler: Scheduler, team: Sequence[Member], here: int, dice: random.Random) -> None:
+    def __init__(
+        self,
+        scheduler: Scheduler,
+        team: Sequence[Member],
+        here: int,
+        dice: random.Random,
+        cancelling: Cancelling,
+        limits: TimeLimits,
+        together: Mapping[str, Handler],
+    ) -> None:
         self._scheduler, self._team, self._here, self._dice = scheduler, team, here, dice
+        self._cancelling, self._limits = cancelling, limits
         self._shapes = Shapes(scheduler.program)
         kinds: dict[str, Handler] = {
             "pcall": self._pcall,
@@ -49,13 +62,19 @@ class Outsiders:
             "agent": self._agent,
             "host": self._host,
             "device": self._device,
+            "limit": self._limit,
+            **together,
         }
         self._by_code: dict[int, Handler] = {
             row.code: kinds.get(row.name) or self._output(row.name) for row in BY_CODE.values() if row.exits
         }
 
     def carry_out(self, agent: Agent, thread: int, leave: Outside) -> None:
-        """Do what a thread asked for."""
+        """Do what a thread asked for, unless its time is over or its call is cancelled. Raises Full."""
+        if agent.cancels and self._cancelling.waits(agent, thread, leave.op, leave.operand):
+            return
+        if agent.overdue and self._limits.strike(agent):
+            return
         if agent.polls:
             self._note_poll(agent, thread, BY_CODE[leave.op].name)
         self._by_code[leave.op](agent, thread, leave.operand, leave.words)
@@ -66,12 +85,6 @@ class Outsiders:
             agent.asked.add(thread)
         elif name not in ("yield", "agent", "host"):
             agent.polls.pop(thread, None)
-
-    def _go_on(self, agent: Agent, thread: int, word: int = 0) -> None:
-        """Complete a group that took no time: the thread keeps its turn."""
-        scheduler = self._scheduler
-        scheduler.engine.complete(agent.block, place_of(agent.block, thread), word)
-        scheduler.turns.next(agent, thread)
 
     # --- output ---------------------------------------------------------------------------------------
 
@@ -84,7 +97,7 @@ class Outsiders:
                 self._scheduler.world.log(agent, text)
             else:
                 self._write(agent, thread, text)
-            self._go_on(agent, thread)
+            self._scheduler.go_on(agent, thread)
 
         return output
 
@@ -146,16 +159,23 @@ class Outsiders:
         scheduler.turns.sleep(agent, thread, min(seconds, 1e9) if seconds > 0 else 0.0)
 
     def _now(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        self._go_on(agent, thread, word_of(self._scheduler.clock.time()))
+        self._scheduler.go_on(agent, thread, word_of(self._scheduler.clock.time()))
+
+    def _limit(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        seconds = real_of(words[0])
+        if math.isnan(seconds):
+            self._scheduler.refuse(agent, thread, "ArithmeticException", "a time limit is not a number")
+            return
+        self._scheduler.go_on(agent, thread, self._limits.end(agent, seconds))
 
     def _random(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
-        self._go_on(agent, thread, word_of(self._dice.random()))
+        self._scheduler.go_on(agent, thread, word_of(self._dice.random()))
 
     def _random_int(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         if words[0] <= 0:
             self._scheduler.refuse(agent, thread, "ArithmeticException", f"random({words[0]}) has no result")
             return
-        self._go_on(agent, thread, self._dice.randrange(words[0]))
+        self._scheduler.go_on(agent, thread, self._dice.randrange(words[0]))
 
     # --- the team -------------------------------------------------------------------------------------
 

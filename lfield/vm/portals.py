@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from lfield.bytecode.program import REFERENCES, TRACE
 from lfield.vm.agent import Agent, Member
+from lfield.vm.begun import Begun
 from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
+from lfield.vm.memory.block import Block
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import CALLING, PROXY_START, THREAD_PC, W_GENERATION, W_SELF, W_SEQUENCE
+from lfield.vm.memory.parcels import parcel_made, parcel_of, plain_parcel
 from lfield.vm.memory.threads import count, place_of
 from lfield.vm.scheduler import Scheduler
 
@@ -19,26 +24,11 @@ _RESTARTED = (
 def call(
     scheduler: Scheduler, member: Member, caller: Agent, thread: int, method: int, words: list[int]
 ) -> None:
-    """A `pcall` to a resource of this host, whose proxy is the first word: begin its portal.
-
-    An older copy than the newest that the resource has served is refused. A proxy that was called in another
-    life of this host is told first, by an exception: the fields of its resource are lost.
-    """
-    resource = scheduler.agents.get(member.id)
-    if resource is None or resource.ended:
-        why = f"it died of {resource.report.splitlines()[0]}" if resource else "its host does not run it"
-        scheduler.refuse(
-            caller, thread, "UnreachableResourceException", f"{member.id} is gone: {why}", member.id
-        )
-        return
-    w, start, who = caller.block.w, words[0] + PROXY_START, caller.member.id
-    copy = w[W_GENERATION], w[W_SEQUENCE]
-    if copy < resource.callers.get(who, copy) and (why := _outdated(scheduler, resource, caller, copy)):
-        scheduler.refuse(caller, thread, "UnreachableResourceException", why, member.id)
-        return
-    if w[start] and w[start] != scheduler.life:
-        w[start] = scheduler.life
-        scheduler.refuse(caller, thread, "RestartException", _RESTARTED.format(member.id), member.id)
+    """A `pcall` to a resource of this host, whose proxy is the first word: begin its portal."""
+    try:
+        resource = called(scheduler, member, caller, words[0])
+    except Trap as trap:
+        scheduler.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
     scheduler.set_state(caller, thread, CALLING)
     if not resource.open:
@@ -47,14 +37,31 @@ def call(
     if not _may_begin(scheduler, caller, method in scheduler.acting):
         return
     try:
-        served = begin(scheduler, resource, caller, thread, method, words)
+        served = begin(scheduler, resource, caller, (caller, thread), method, words)
     except Trap as trap:
         scheduler.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
-    w[start] = scheduler.life
-    resource.callers[who] = copy
-    caller.kept = False
     scheduler.turns.next(resource, served)
+
+
+def called(scheduler: Scheduler, member: Member, caller: Agent, proxy: int) -> Agent:
+    """The resource of this host that a proxy leads to, if it serves this caller; else raises Trap.
+
+    An older copy than the newest that the resource has served is refused. A proxy that was called in another
+    life of this host is told first, by an exception: the fields of its resource are lost.
+    """
+    resource = scheduler.agents.get(member.id)
+    if resource is None or resource.ended:
+        why = f"it died of {resource.report.splitlines()[0]}" if resource else "its host does not run it"
+        raise Trap("UnreachableResourceException", f"{member.id} is gone: {why}")
+    w, start = caller.block.w, proxy + PROXY_START
+    copy = w[W_GENERATION], w[W_SEQUENCE]
+    if copy < resource.callers.get(caller.id, copy) and (why := _outdated(scheduler, resource, caller, copy)):
+        raise Trap("UnreachableResourceException", why)
+    if w[start] and w[start] != scheduler.life:
+        w[start] = scheduler.life
+        raise Trap("RestartException", _RESTARTED.format(member.id))
+    return resource
 
 
 def _outdated(scheduler: Scheduler, resource: Agent, caller: Agent, copy: tuple[int, int]) -> str:
@@ -81,9 +88,17 @@ def _may_begin(scheduler: Scheduler, caller: Agent, acts: bool) -> bool:
 
 
 def begin(
-    scheduler: Scheduler, resource: Agent, caller: Agent, thread: int, method: int, words: list[int]
+    scheduler: Scheduler,
+    resource: Agent,
+    caller: Agent,
+    waits: tuple[Agent, int] | Begun,
+    method: int,
+    words: list[int],
 ) -> int:
-    """Copy the arguments and make the portal's thread; returns its id. Raises Trap at a limit."""
+    """Copy the arguments and make the portal's thread, not yet in the queue; returns its id.
+
+    The proxy is the first of the words; `waits` is who hears of the end. Raises Trap at a limit.
+    """
     limit = resource.limits.threads
     if count(resource.block) >= limit:
         raise Trap("LimitException", f"{resource.id} serves its limit of {limit} threads")
@@ -103,7 +118,11 @@ def begin(
         return scheduler.spawn(resource, method, into, number)
 
     served = scheduler.with_room(resource, work)
-    scheduler.calls[number] = (caller, thread)
+    scheduler.calls[number] = waits
+    w = caller.block.w
+    w[words[0] + PROXY_START] = scheduler.life
+    resource.callers[caller.id] = w[W_GENERATION], w[W_SEQUENCE]
+    caller.kept = False
     return served
 
 
@@ -113,7 +132,30 @@ def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word
     if number not in scheduler.calls:
         scheduler.forget(resource, thread)
         return
-    caller, waiter = scheduler.calls[number]
+    waits = scheduler.calls[number]
+    if isinstance(waits, Begun):
+        _give(scheduler, resource, waits, word)
+    else:
+        _return(scheduler, resource, *waits, word)
+    # Until here whoever waits would hear of the resource's end.
+    del scheduler.calls[number]
+    scheduler.forget(resource, thread)
+
+
+def _give(scheduler: Scheduler, resource: Agent, begun: Begun, word: int) -> None:
+    """What a begun call gives is put aside, until its coordinator fetches it."""
+    core = scheduler.program.core
+    if word and core.types[core.methods[begun.method].result].kind in REFERENCES:
+        parcel = parcel_of(resource.block, word, scheduler.program.digest, scheduler.layouts)
+    else:
+        parcel = plain_parcel(word)
+    scheduler.come_back(begun, "done", parcel)
+
+
+def _return(scheduler: Scheduler, resource: Agent, caller: Agent, waiter: int, word: int) -> None:
+    if caller.over:
+        scheduler.refuse(caller, waiter, "TimeLimitException", caller.over, resource.id)
+        return
     place = place_of(caller.block, waiter)
     group = scheduler.engine.group(caller.block.w[place + THREAD_PC])
     if group.kind in REFERENCES and word:
@@ -123,9 +165,6 @@ def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word
     else:
         scheduler.engine.complete(caller.block, place, word)
         scheduler.turns.next(caller, waiter)
-    # Until here whoever waits would hear of the resource's end.
-    del scheduler.calls[number]
-    scheduler.forget(resource, thread)
 
 
 def fail(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:
@@ -138,25 +177,36 @@ def fail(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown
 
 
 def _throw(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:
-    caller, waiter = scheduler.calls[number]
+    waits = scheduler.calls[number]
     lines = traceback.lines(resource.block, scheduler.program, place_of(resource.block, thread))
+    here = "\n".join(f"    {line} in {resource.id}" for line in lines)
 
-    def work() -> int:
-        block = caller.block
-        copy = deep_copy(resource.block, [thrown], block, scheduler.layouts)[0]
-        if block.w[copy] >> 8 & 0xFFFFFF < scheduler.program.builtins:
-            text = block.text(block.w[copy + 1 + TRACE])
-            here = "\n".join(f"    {line} in {resource.id}" for line in lines)
-            block.w[copy + 1 + TRACE] = block.new_string(f"{text}\n{here}" if text else here)
-        return copy
+    def copy(block: Block) -> int:
+        copied = deep_copy(resource.block, [thrown], block, scheduler.layouts)[0]
+        if block.w[copied] >> 8 & 0xFFFFFF < scheduler.program.builtins:
+            text = block.text(block.w[copied + 1 + TRACE])
+            block.w[copied + 1 + TRACE] = block.new_string(f"{text}\n{here}" if text else here)
+        return copied
 
+    if isinstance(waits, Begun):
+        scheduler.come_back(waits, "thrown", parcel_made(scheduler.program.digest, copy))
+    else:
+        _rethrow(scheduler, resource, *waits, copy)
+    del scheduler.calls[number]
+
+
+def _rethrow(
+    scheduler: Scheduler, resource: Agent, caller: Agent, waiter: int, copy: Callable[[Block], int]
+) -> None:
+    if caller.over:
+        scheduler.refuse(caller, waiter, "TimeLimitException", caller.over, resource.id)
+        return
     try:
-        copied = scheduler.with_room(caller, work)
+        copied = scheduler.with_room(caller, lambda: copy(caller.block))
     except Trap as trap:
         scheduler.refuse(caller, waiter, trap.kind, trap.message, resource.id)
     else:
         scheduler.throw(caller, waiter, copied)
-    del scheduler.calls[number]
 
 
 def abandon(scheduler: Scheduler, caller: Agent) -> bool:
@@ -164,10 +214,20 @@ def abandon(scheduler: Scheduler, caller: Agent) -> bool:
 
     A portal that has begun goes on to its end, and what it gives or throws is dropped.
     """
+    return withdraw(scheduler, caller) or scheduler.calls.pop(call_of(scheduler, caller), None) is not None
+
+
+def withdraw(scheduler: Scheduler, caller: Agent) -> bool:
+    """A coordinator waits no more for a resource whose init is still busy; false when it did not."""
     for resource in scheduler.agents.values():
         left = [(waiting, thread) for waiting, thread in resource.waiting if waiting is not caller]
         if len(left) < len(resource.waiting):
             resource.waiting = left
             return True
-    number = next((n for n, (waiting, _) in scheduler.calls.items() if waiting is caller), 0)
-    return scheduler.calls.pop(number, None) is not None
+    return False
+
+
+def call_of(scheduler: Scheduler, caller: Agent) -> int:
+    """The number of the portal call that a coordinator waits for, 0 when there is none."""
+    calls = scheduler.calls.items()
+    return next((n for n, waits in calls if not isinstance(waits, Begun) and waits[0] is caller), 0)

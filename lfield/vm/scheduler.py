@@ -5,19 +5,22 @@ It stands below portals and outside, which use its verbs, and knows neither; the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TypeVar
+from collections.abc import Callable
+from itertools import count
+from typing import Literal, TypeVar
 
 from lfield.bytecode.acting import acting_methods
-from lfield.bytecode.program import REFERENCES, Program
+from lfield.bytecode.program import DEVICE, REFERENCES, Program
 from lfield.clock import Clock
 from lfield.vm.agent import Agent
+from lfield.vm.begun import Begun, Key
 from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Full
+from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import collect
-from lfield.vm.memory.layout import CALLING, DEAD, THREAD_CALL, THREAD_PC, THREAD_STATE
+from lfield.vm.memory.layout import ARRAY, CALLING, DEAD, OBJECT, THREAD_CALL, THREAD_PC, THREAD_STATE
+from lfield.vm.memory.parcels import parcel_made
 from lfield.vm.memory.threads import new_thread, place_of, threads, unlink
 from lfield.vm.memory.values import new_exception
 from lfield.vm.reference import Engine
@@ -52,13 +55,26 @@ class Scheduler:
         self.agents: dict[str, Agent] = {}
         #: The portals whose callers are kept first: they may change something.
         self.acting = acting_methods(program)
-        #: The portal calls under way: for each number, who waits for it.
-        self.calls: dict[int, tuple[Agent, int]] = {}
+        #: The portal calls under way: for each number, who waits for it, or the record of a call that was
+        #: begun and is fetched later.
+        self.calls: dict[int, tuple[Agent, int] | Begun] = {}
+        #: The calls that a `together` has begun here, until they are fetched.
+        self.begun: dict[Key, Begun] = {}
         #: The number of the last portal call that began.
         self.last_call = 0
         self.turns = Turns(clock)
         self._failed = failed
         self._reference_arguments: dict[int, tuple[int, ...]] = {}
+
+    # --- time -----------------------------------------------------------------------------------------
+
+    def clock_of(self, agent: Agent) -> int:
+        """The time of a coordinator's own clock, in ns: for how long it has lived, on all its hosts."""
+        return round(self.clock.monotonic() * 1e9) + agent.offset
+
+    def set_clock(self, agent: Agent, now: int) -> None:
+        """Let a coordinator's own clock be this."""
+        agent.offset = now - round(self.clock.monotonic() * 1e9)
 
     # --- where threads are ----------------------------------------------------------------------------
 
@@ -71,6 +87,24 @@ class Scheduler:
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = state
 
     # --- beginning ------------------------------------------------------------------------------------
+
+    def born(self, agent: Agent, record: int) -> None:
+        """The object of a new agent, of a class by its index, and the thread of its init; raises Full."""
+        block, core = agent.block, self.program.core
+        w = block.w
+        w[layout.W_SELF] = block.allocate(OBJECT, record, self.layouts.class_words[record])
+        numbers = count(1)
+        for i, field in enumerate(core.classes[record].fields, w[layout.W_SELF] + 1):
+            if field.type == DEVICE:
+                w[i] = next(numbers)
+        w[layout.W_ID] = block.new_string(agent.id)
+        texts = (agent.id, *agent.member.arguments)
+        init = core.classes[record].init
+        array = block.allocate(ARRAY, core.methods[init].slots[1], 1 + len(texts))
+        for i, text in enumerate(texts, array + 1):
+            w[i] = block.new_string(text)
+        identity = self.spawn(agent, init, [w[layout.W_SELF], array], 0)
+        self.turns.last(agent, identity)
 
     def spawn(self, agent: Agent, method: int, words: list[int], call: int) -> int:
         """A thread of an agent, not yet in the queue; raises Full."""
@@ -101,6 +135,11 @@ class Scheduler:
 
     # --- going on -------------------------------------------------------------------------------------
 
+    def go_on(self, agent: Agent, thread: int, word: int = 0) -> None:
+        """Give a thread the word of a head that took no time: it keeps its turn."""
+        self.engine.complete(agent.block, place_of(agent.block, thread), word)
+        self.turns.next(agent, thread)
+
     def complete(self, agent: Agent, thread: int, word: Callable[[], int]) -> None:
         """Give a waiting thread the word its head asked for, and its turn."""
         try:
@@ -116,7 +155,9 @@ class Scheduler:
         if agent.ended:
             return
         try:
-            thrown = self.with_room(agent, lambda: new_exception(agent.block, kind, message, source))
+            thrown = self.with_room(
+                agent, lambda: new_exception(agent.block, self.layouts, kind, message, source)
+            )
         except Trap:
             self.die(agent, f"{kind}: {message} (and no room left to throw it)")
             return
@@ -125,6 +166,7 @@ class Scheduler:
     def throw(self, agent: Agent, thread: int, thrown: int) -> None:
         """Throw the object at `thrown` where a thread stands."""
         agent.kept = False
+        agent.over = ""
         if self.engine.throw(agent.block, place_of(agent.block, thread), thrown):
             if agent.blocked:
                 self.unblock(agent)
@@ -176,6 +218,21 @@ class Scheduler:
             except Full as full:
                 words += full.words
 
+    def make_room(self, agent: Agent, thread: int, words: int) -> None:
+        """A thread's instruction lacks so many words: it runs again when there are, else it throws."""
+        block = agent.block
+        collect(block, self.layouts, words)
+        if block.top + words <= block.limit:
+            self.turns.next(agent, thread)
+            return
+        message = f"the heap is over its limit of {agent.limits.heap} bytes"
+        try:
+            thrown = new_exception(block, self.layouts, "LimitException", message, agent.id)
+        except Full:
+            self.die(agent, f"LimitException: {message}", thread)
+            return
+        self.throw(agent, thread, thrown)
+
     # --- ending ---------------------------------------------------------------------------------------
 
     def uncaught(self, agent: Agent, thread: int, thrown: int) -> None:
@@ -199,35 +256,55 @@ class Scheduler:
             agent.block.w[place + THREAD_STATE] = DEAD
         agent.report = "\n".join(lines)
         agent.ended = "died"
-        for waiting, waiter in self._abandoned(agent):
-            self.refuse(
-                waiting, waiter, "UnreachableResourceException", f"{agent.id} has died: {reason}", agent.id
-            )
+        self._tell_of_death(agent, f"{agent.id} has died: {reason}")
         if agent.member.kind == "coordinator":
             self.release(agent)
         self.world.ended(agent)
 
-    def _abandoned(self, resource: Agent) -> Iterator[tuple[Agent, int]]:
-        """Everybody who waits for a resource that has just died."""
-        yield from resource.waiting
-        resource.waiting = []
-        if resource.member.kind != "resource" or not resource.block.w[layout.W_THREADS]:
+    def _tell_of_death(self, resource: Agent, message: str) -> None:
+        """Everybody who waits for a resource that has just died hears of it."""
+        waiting, resource.waiting = resource.waiting, []
+        calls: list[tuple[Agent, int] | Begun] = [*waiting]
+        if resource.member.kind == "resource" and resource.block.w[layout.W_THREADS]:
+            numbers = [resource.block.w[place + THREAD_CALL] for place in threads(resource.block)]
+            calls += [self.calls.pop(number) for number in numbers if number in self.calls]
+        for call in calls:
+            if isinstance(call, Begun):
+                self.fail_begun(call, "UnreachableResourceException", message, resource.id)
+            else:
+                self.refuse(*call, "UnreachableResourceException", message, resource.id)
+
+    def come_back(self, begun: Begun, state: Literal["done", "thrown"], parcel: bytes) -> None:
+        """A call that was begun here has its end: the host keeps it, whoever waits here looks again."""
+        if begun.state != "running":
             return
-        for place in list(threads(resource.block)):
-            number = resource.block.w[place + THREAD_CALL]
-            if number in self.calls:
-                yield self.calls.pop(number)
+        begun.state, begun.parcel = state, parcel
+        if not begun.dropped:
+            self.world.came_back(begun)
+        waiter, begun.waiter = begun.waiter, None
+        if waiter is not None:
+            self.turns.next(*waiter)
+
+    def fail_begun(self, begun: Begun, kind: str, message: str, source: str) -> None:
+        """A call that was begun here ends by a built-in exception."""
+
+        def make(block: Block) -> int:
+            return new_exception(block, self.layouts, kind, message, source)
+
+        self.come_back(begun, "thrown", parcel_made(self.program.digest, make))
 
     def release(self, agent: Agent) -> None:
         """Forget a coordinator that has left or has ended."""
         if self.agents.get(agent.id) is agent:
             del self.agents[agent.id]
+        self.turns.quiet(agent)
 
     def forget(self, agent: Agent, thread: int) -> None:
         """A thread of an agent that goes on has come to its end."""
         unlink(agent.block, thread)
         agent.polls.pop(thread, None)
         agent.asked.discard(thread)
+        agent.cancels.pop(thread, None)
 
     def flush(self, agent: Agent, thread: int) -> None:
         """Write what a thread has left of a line."""

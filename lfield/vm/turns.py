@@ -1,9 +1,10 @@
-"""Whose turn it is: the queue of threads that can run, and the timers of those that sleep."""
+"""Whose turn it is: the queue of threads that can run, the timers of those that sleep, and alarms."""
 
 from __future__ import annotations
 
 from collections import deque
-from heapq import heappop, heappush
+from collections.abc import Callable, Iterator
+from heapq import heapify, heappop, heappush
 
 from lfield.clock import Clock
 from lfield.vm.agent import Agent
@@ -15,12 +16,18 @@ STREAK = 50
 
 
 class Turns:
-    """Threads by agent and id. A thread stands in the queue, or in one timer, or in neither."""
+    """Threads by agent and id. A thread stands in the queue, or in one timer, or in neither.
+
+    An alarm is something else to be done for an agent at a time, unless that has ended by then.
+    """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._ready: deque[tuple[Agent, int]] = deque()
         self._timers: list[tuple[float, int, Agent, int]] = []
+        self._alarms: list[tuple[float, int, Agent, Callable[[], None]]] = []
+        #: The timer of each thread that sleeps, by its number: others of it do not count any more.
+        self._asleep: dict[tuple[Agent, int], int] = {}
         self._timed = 0
         self._streak = 0
 
@@ -53,7 +60,25 @@ class Turns:
         """The thread is ready again after so many seconds."""
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = SLEEPING
         self._timed += 1
+        self._asleep[agent, thread] = self._timed
         heappush(self._timers, (self._clock.monotonic() + seconds, self._timed, agent, thread))
+
+    def drop(self, agent: Agent, thread: int) -> None:
+        """The thread waits neither for its turn nor for a time."""
+        self._asleep.pop((agent, thread), None)
+        if (agent, thread) in self._ready:
+            self._ready.remove((agent, thread))
+
+    def alarm(self, agent: Agent, seconds: float, ring: Callable[[], None]) -> None:
+        """Have something done for an agent after so many seconds, by whoever asks `ringing`."""
+        self._timed += 1
+        heappush(self._alarms, (self._clock.monotonic() + seconds, self._timed, agent, ring))
+
+    def quiet(self, agent: Agent) -> None:
+        """No alarm rings for the agent any more."""
+        if self._alarms:
+            self._alarms = [alarm for alarm in self._alarms if alarm[2] is not agent]
+            heapify(self._alarms)
 
     def wake(self) -> None:
         """Put the threads whose time has come into the queue."""
@@ -61,12 +86,30 @@ class Turns:
             return
         now = self._clock.monotonic()
         while self._timers and self._timers[0][0] <= now:
-            _, _, agent, thread = heappop(self._timers)
+            _, number, agent, thread = heappop(self._timers)
+            if self._asleep.get((agent, thread)) != number:
+                continue
+            del self._asleep[agent, thread]
             if not agent.ended:
                 self.last(agent, thread)
 
+    def ringing(self) -> Iterator[tuple[Agent, Callable[[], None]]]:
+        """The alarms whose time has come, each once."""
+        if not self._alarms:
+            return
+        now = self._clock.monotonic()
+        while self._alarms and self._alarms[0][0] <= now:
+            _, _, agent, ring = heappop(self._alarms)
+            if not agent.ended:
+                yield agent, ring
+
     def pause(self) -> float | None:
-        """Seconds until somebody can run: 0 for at once, None for never of itself."""
+        """Seconds until somebody can run or an alarm rings: 0 for at once, None for never of itself."""
         if self._ready:
             return 0.0
-        return max(0.0, self._timers[0][0] - self._clock.monotonic()) if self._timers else None
+        while self._alarms and self._alarms[0][2].ended:
+            heappop(self._alarms)
+        while self._timers and self._asleep.get(self._timers[0][2:]) != self._timers[0][1]:
+            heappop(self._timers)
+        due = [queue[0][0] for queue in (self._timers, self._alarms) if queue]
+        return max(0.0, min(due) - self._clock.monotonic()) if due else None

@@ -8,6 +8,7 @@ from typing import Final, Protocol
 from lfield.bytecode.program import DeviceCall
 from lfield.manifest import DeviceValue
 from lfield.vm.agent import Agent, Member
+from lfield.vm.begun import Beginning, Begun
 from lfield.vm.contract import Reading
 from lfield.vm.offers import Found
 
@@ -43,6 +44,36 @@ class World(Protocol):
         Of a fenced coordinator it is asked before every portal, of another one only before a portal that acts
         and while it is not `agent.kept`: whoever implements this sets that when the block is on the disk as
         it stands at this call. It is set when a coordinator comes, since its block was told then.
+        """
+
+    def begins(self, agent: Agent, calls: Sequence[Beginning]) -> bool:
+        """Whether the calls that the frozen coordinator's `together` has for this host may begin now.
+
+        True: they begin at once, and the block is as it was. False: nothing has begun. After `Machine.go`
+        this is asked again, unless `Machine.resume` says why they must not begin. It is asked before every
+        such visit: a host with a journal has a page for each call, and the block as it stands, on the disk
+        first.
+        """
+
+    def came_back(self, begun: Begun) -> None:
+        """A call that was begun here has come to its end (`begun.state`, `begun.parcel`).
+
+        When the host has kept that, or at once if it keeps nothing, it calls `Machine.kept_result`; only then
+        the coordinator can fetch it.
+        """
+
+    def give_up(self, agent: Agent) -> bool:
+        """The time limit of a frozen coordinator is over. Whether it is here and free to hear of it.
+
+        True: nothing was sent and nothing has begun, the host waits for it no longer; the machine throws.
+        False: it may have left, or hears soon: by `Machine.go`, `resume` or `release`.
+        """
+
+    def cancel(self, agent: Agent, thread: int) -> bool:
+        """The device instruction that a thread waits for shall be cancelled, as its manifest says.
+
+        True: `Machine.refuse` (CancelledException) or `answer` will come. False: it may not be cancelled (a
+        landing, a safe state): it comes to its end, and its answer comes as ever.
         """
 
     def superseded(self, agent: str, generation: int) -> bool:

@@ -28,7 +28,8 @@ class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     `sequence` is the highest transfer number of this start that was used or seen here. `where` is the host
     the copy went or wants to go to (FROZEN, PREPARED, IN DOUBT, MOVED), or the host it ended on (EXITED), and
     `receiver_memory` the memory of that host to which it was sent (PREPARED, IN DOUBT, MOVED).
-    `outcome` is set for EXITED, `detail` for EXITED and IN DOUBT.
+    `outcome` is set for EXITED, `detail` for EXITED, IN DOUBT and what is `unreadable`: it was to go on from
+    the block that this host has of it, and could not.
     """
 
     agent: Name
@@ -40,6 +41,7 @@ class Known(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     outcome: Literal["", "done", "died", "lost", "superseded"] = ""
     detail: Text = ""
     receiver_memory: Count = 0
+    unreadable: bool = False
 
 
 class Transfer(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

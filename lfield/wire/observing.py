@@ -87,6 +87,16 @@ class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=T
     where: MaybeName
 
 
+class BegunStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A portal call that a coordinator has begun here and fetches later: it runs, has ended, or is lost."""
+
+    agent: Name
+    generation: Count
+    resource: Name
+    portal: Text
+    state: Literal["running", "done", "thrown", "lost"]
+
+
 class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The journal of a host: how many commits it made in the last minute, and what it keeps for later.
 
@@ -105,7 +115,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     by how many seconds its signs of life for its guards were late, the longest of the last minute, and
     `silence` for how many it may give none; both None without devices. `journal` is None for a host that
     keeps nothing. `paused`: no agent runs here until the mission is resumed. For so many seconds yet its
-    `lease` lets coordinators act, None where they need none.
+    `lease` lets coordinators act, None where they need none. `begun` are the calls that were begun here and
+    are still to be fetched.
     """
 
     host: Name
@@ -123,6 +134,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     journal: JournalStatus | None = None
     lease: Age | None = None
     paused: bool = False
+    begun: Annotated[list[BegunStatus], Meta(max_length=4096)] = []
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):

@@ -10,6 +10,7 @@ FIGURES = {
     "hop": "hops.hop",
     "local": "hops.local",
     "agreement": "hops.agreement",
+    "together": "hops.together",
     "journal": "hops.journal",
     "engine": "machine.engine",
     "collector": "machine.collector",
@@ -23,6 +24,7 @@ FIGURES = {
     "can": "guards.can_bus",
     "dynamixel": "guards.dynamixel",
     "deadman": "guards.deadman",
+    "cancels": "guards.cancels",
     "deaths": "deaths.deaths",
     "query": "capability.query",
     "find": "capability.find",
@@ -31,6 +33,7 @@ FIGURES = {
     "traffic": "team.traffic",
     "leases": "team.leases",
     "recovery": "team.recovery",
+    "formation": "team.formation",
 }
 
 if __name__ == "__main__":

@@ -39,7 +39,9 @@ from lfield.bytecode.verify.records import BUILTIN_RECORDS, FIXED_TYPES
 # Classes behind the built-in ones.
 BOX, ARM, GUIDE, TOOL = range(len(BUILTIN_RECORDS), len(BUILTIN_RECORDS) + 4)
 # Types behind the fixed ones.
-T_BOX, T_ARM, T_PROXY, T_GUIDE, T_STRINGS, T_PROXIES, T_INTS, T_TOOL, T_OVERFLOW = range(8, 17)
+T_BOX, T_ARM, T_PROXY, T_GUIDE, T_STRINGS, T_PROXIES, T_INTS, T_TOOL, T_OVERFLOW = range(
+    len(FIXED_TYPES), len(FIXED_TYPES) + 9
+)
 # Methods.
 BOX_NEW, BOX_SUM, ARM_INIT, ARM_LIFT, GUIDE_INIT, TOOL_NEW, TOOL_SHOW = range(7)
 # Constants as operands.

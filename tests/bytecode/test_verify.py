@@ -95,7 +95,7 @@ def test_a_program_without_debug_information_is_accepted() -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda d: d.types.pop(0), "first eight types"),
+        (lambda d: d.types.pop(0), "first types"),
         (lambda d: d.types.append(TypeRecord(ARRAY, STRING)), "twice"),
         (lambda d: d.types.append(TypeRecord(ARRAY, len(d.types))), "earlier type"),
         (lambda d: d.types.append(TypeRecord(ARRAY, -1)), "earlier type"),

@@ -21,8 +21,8 @@ type: Lamp
 meaning: a lamp that can be turned
 safe_states: [off]
 instructions:
-  light: {parameters: {on: {type: boolean}}, effect: idempotent, blocking: true}
-  turn: {parameters: {angle: {type: real}}, result: real, blocking: true}
+  light: {parameters: {on: {type: boolean}}, effect: idempotent, blocking: true, cancel: never}
+  turn: {parameters: {angle: {type: real}}, result: real, blocking: true, cancel: leave}
 telemetry:
   angle: {type: real, max_age: 1.0}
 """,

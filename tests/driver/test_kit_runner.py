@@ -19,7 +19,7 @@ driver: servo
 type: Servo
 safe_states: [off]
 instructions:
-  turn: {parameters: {angle: {type: real}}, blocking: true}
+  turn: {parameters: {angle: {type: real}}, blocking: true, cancel: never}
 telemetry:
   angle: {type: real, rate: 20.0}
   heat: {type: real}

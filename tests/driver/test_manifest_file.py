@@ -16,7 +16,10 @@ options:
 limits:
   speed: {unit: rad/s}
 instructions:
-  turn: {parameters: {angle: {type: real, unit: rad}}, blocking: true, meaning: turns}
+  turn: {parameters: {angle: {type: real, unit: rad}}, blocking: true, meaning: turns, cancel: stop}
+  stop: {blocking: true, effect: idempotent, cancel: never}
+  look: {effect: query, blocking: true}
+  dim: {blocking: true, channel: light, cancel: leave}
   push: {parameters: {torque: {type: real, unit: N m}}}
   ask: {parameters: {address: {type: int}}, result: int, effect: query, blocking: true}
 telemetry:
@@ -29,11 +32,24 @@ def test_a_manifest_is_what_the_file_says():
     device = manifest.device
     assert (device.type, device.driver, device.safe_states) == ("Servo", "servo", ("hold", "off"))
     assert manifest.default_safe_state == "hold"
-    assert [i.name for i in device.instructions] == ["turn", "push", "ask", "angle", "release", "age"]
+    assert [i.name for i in device.instructions] == [
+        "turn",
+        "stop",
+        "look",
+        "dim",
+        "push",
+        "ask",
+        "angle",
+        "release",
+        "age",
+    ]
     turn, angle = device.instruction("turn"), device.instruction("angle")
     assert turn is not None
     assert [(p.name, p.type, p.unit) for p in turn.parameters] == [("angle", "real", "rad")]
     assert (turn.blocking, turn.effect, turn.result) == (True, "actuate", "void")
+    assert (turn.cancel, turn.may_be_cancelled) == ("stop", True)
+    cancelled = {i.name for i in device.instructions if i.may_be_cancelled}
+    assert cancelled == {"turn", "look", "dim", "ask"}, "not stop, a setpoint, release() or a quantity"
     assert angle is not None
     assert (angle.effect, angle.result, angle.unit, angle.blocking) == ("query", "real", "rad", False)
     assert device.telemetry[0].max_age == 0.5
@@ -52,7 +68,7 @@ options:
 waivers:
   no_homing: it moves before it has been homed
 instructions:
-  light: {parameters: {on: {type: boolean}}, blocking: true, channel: light}
+  light: {parameters: {on: {type: boolean}}, blocking: true, channel: light, cancel: leave}
 telemetry:
   length: {type: real, unit: m, rate: 20.0}
 """
@@ -92,6 +108,15 @@ def test_what_a_driver_for_a_team_needs_besides():
         ),
         (b"  push:", b"  release:", "'release' is already an instruction of this device type"),
         (b"effect: query, blocking: true", b"effect: query", "'ask' is a query that asks nobody"),
+        (b", cancel: stop", b"", "m.yaml:10:3: error[Y110]: 'turn' does not say what a cancel of it does"),
+        (b"cancel: stop", b"cancel: halt", "m.yaml:10:96: error[Y113]: there is no other instruction 'halt'"),
+        (b"cancel: stop", b"cancel: turn", "there is no other instruction 'turn'"),
+        (b"cancel: stop", b"cancel: push", "'push' has parameters, and nobody knows which to give it"),
+        (b"cancel: stop", b"cancel: angle", "there is no other instruction 'angle'"),
+        (b"cancel: stop", b"cancel: look", "'look' does not act and wait until that is done"),
+        (b"cancel: stop", b"cancel: dim", "'dim' is of the channel light, and 'turn' of motion"),
+        (b"result: int,", b"result: int, cancel: never,", "'ask' has nothing to cancel: only what blocks"),
+        (b"{torque: {type: real, unit: N m}}", b"{}, cancel: leave", "'push' has nothing to cancel"),
         (b"max_age: 0.5", b"max_age: 0", "'max_age' must be at least 0.001, not 0"),
         (b"unit: rad/s}", b"unit: rad/s, min: 1}", "'speed' takes no 'min'"),
         (b"limits:\n", b"fakes: {any: {id: 3, wings: 2}}\nlimits:\n", "'any' takes no 'wings'"),
@@ -156,6 +181,7 @@ def test_a_pure_sensor_needs_no_safe_state(written):
 def test_what_acts_needs_one():
     with pytest.raises(PluginError, match=r"at least one safe state, since dim\(\) acts") as error:
         load_manifest(
-            "m.yaml", EYE.replace(b"  ask:", b"  dim: {effect: idempotent, blocking: true}\n  ask:")
+            "m.yaml",
+            EYE.replace(b"  ask:", b"  dim: {effect: idempotent, blocking: true, cancel: never}\n  ask:"),
         )
     assert "a sensor needs none" in str(error.value)

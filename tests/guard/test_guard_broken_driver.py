@@ -66,9 +66,9 @@ driver: clumsy
 type: Thing
 safe_states: [off]
 instructions:
-  stumble: {blocking: true, effect: idempotent}
-  forget: {blocking: true, effect: idempotent}
-  overrun: {blocking: true, effect: idempotent}
+  stumble: {blocking: true, effect: idempotent, cancel: never}
+  forget: {blocking: true, effect: idempotent, cancel: never}
+  overrun: {blocking: true, effect: idempotent, cancel: never}
 """
 
 

@@ -7,25 +7,27 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from lfield.clock import ManualClock
 from lfield.guard.core import AGAIN, QUIET_BY, GuardCore
-from lfield.guard.effects import Cancel, Execute, Exit, LeaveOff, Look, MakeSafe, Quiet, Tell
+from lfield.guard.effects import Execute, Exit, Interrupt, LeaveOff, Look, MakeSafe, Quiet, Tell
 from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped
-from lfield.manifest import DeviceManifest, Instruction, Parameter
+from lfield.manifest import NEVER, DeviceManifest, Instruction, Parameter
 
 TTL, SILENCE, WITHIN = 0.5, 0.2, 120.0
+MOVING = ("go", "steer", "halt")
 
 MANIFEST = DeviceManifest(
     "Thing",
     "thing",
     (
-        Instruction("go", (Parameter("x", "real"),), blocking=True),
+        Instruction("go", (Parameter("x", "real"),), blocking=True, cancel="halt"),
         Instruction("steer", (Parameter("x", "real"),)),
         Instruction("grip", (), blocking=True, channel="gripper"),
         Instruction("ask", (), "int", effect="query", blocking=True),
         Instruction("release", effect="idempotent", blocking=True),
+        Instruction("halt", effect="idempotent", blocking=True, cancel=NEVER),
     ),
     safe_states=("stop",),
 )
-SENSOR = DeviceManifest("Eye", "eye", MANIFEST.instructions[3:])
+SENSOR = DeviceManifest("Eye", "eye", MANIFEST.instructions[3:5])
 
 
 class Rig:
@@ -147,9 +149,9 @@ def test_a_call_that_was_let_in_is_too_late_when_its_guard_stands_still_before_i
     rig = Rig()
     (execute,) = [e for e in rig.call("go", 1.0) if isinstance(e, Execute)]
     rig.clock.advance(TTL - 0.01)
-    assert rig.core.too_late(execute.call) == ""
+    assert rig.core.begins(execute.call) == ""
     rig.clock.advance(0.02)
-    assert "its guard got to it after 0.51 s" in rig.core.too_late(execute.call)
+    assert "its guard got to it after 0.51 s" in rig.core.begins(execute.call)
 
 
 def test_silence_latches_what_was_moved_and_only_release_frees_it():
@@ -157,7 +159,7 @@ def test_silence_latches_what_was_moved_and_only_release_frees_it():
     rig.call("go", 1.0)
     effects = rig.wait(0.25, beating=False)
     assert made_safe(effects) == ["a"]
-    assert [e.token for e in effects if isinstance(e, Cancel)] == [1]
+    assert [e.token for e in effects if isinstance(e, Interrupt)] == [1]
     assert "the host was silent" in told(effects, Refused)[0].reason
     rig.wait(5.0)
     (refused,) = told(rig.call("go", 1.0), Refused)
@@ -190,7 +192,7 @@ def test_the_newest_actuation_wins():
     rig = Rig()
     rig.call("go", 1.0)
     effects = rig.call("go", 2.0)
-    assert [e.token for e in effects if isinstance(e, Cancel)] == [1]
+    assert [e.token for e in effects if isinstance(e, Interrupt)] == [1]
     assert told(effects, Refused) == [Refused(1, "DeviceException", "go() was replaced by go()")]
 
 
@@ -381,7 +383,7 @@ def test_channels_run_side_by_side_and_stop_together():
     assert [type(e) for e in rig.call("grip")] == [Execute]
     assert told(rig.call("go", 2.0), Refused)[0].token == 1
     effects = rig.core.safe("", "asked")
-    assert sorted(e.token for e in effects if isinstance(e, Cancel)) == [2, 3]
+    assert sorted(e.token for e in effects if isinstance(e, Interrupt)) == [2, 3]
     assert len(told(effects, Refused)) == 2
 
 
@@ -505,6 +507,7 @@ class GuardMachine(RuleBasedStateMachine):
         self.running: dict[int, Call] = {}
         self.last_word = self.now
         self.setpoint: Call | None = None
+        self.answered: set[int] = set()
 
     @property
     def now(self):
@@ -518,16 +521,20 @@ class GuardMachine(RuleBasedStateMachine):
                 assert self.latched or not self.confirmed
             elif isinstance(effect, LeaveOff):
                 self.making -= 1
-            elif isinstance(effect, Cancel):
+            elif isinstance(effect, Interrupt):
                 self.running.pop(effect.token)
             elif isinstance(effect, Execute):
                 call = effect.call
-                acts = call.instruction in ("go", "steer")
+                acts = call.instruction in MOVING
                 assert not (acts and self.latched), "a latched device was moved"
                 if call.instruction == "steer":
                     assert self.now - call.sent < TTL, "a setpoint went out after its time-to-live"
                 self.running[call.token] = call
                 self.moved = self.moved or acts
+                assert self.rig.core.begins(call) == ""
+            elif isinstance(effect, Tell) and isinstance(effect.message, Done | Refused):
+                assert effect.message.token not in self.answered, "a call was answered twice"
+                self.answered.add(effect.message.token)
             elif isinstance(effect, Tell) and isinstance(effect.message, Latched):
                 if not effect.message.confirmed:
                     assert not self.latched
@@ -583,6 +590,7 @@ class GuardMachine(RuleBasedStateMachine):
 
     def _end(self, token, how):
         call = self.running[token]
+        cancelled = token < 0
         arguments = {"finished": (None,), "refused": ("DeviceException", "no"), "crashed": ("boom",)}[how]
         effects = getattr(self.rig.core, how)(token, *arguments)
         if any(done.token == token for done in told(effects, Done)):
@@ -590,10 +598,23 @@ class GuardMachine(RuleBasedStateMachine):
                 self.setpoint = call
             elif call.instruction == "go":
                 self.setpoint = None
+        if cancelled and how == "finished" and told(effects, Refused):
+            self.setpoint = None
         self.running.pop(token, None)
         self.see(effects)
-        if how == "crashed":
+        if how == "crashed" or (cancelled and how == "refused"):
             assert self.latched
+
+    @precondition(lambda self: any(token > 0 for token in self.running))
+    @rule(data=st.data(), age=st.just(0.0) | st.floats(0.0, 0.7))
+    def cancel(self, data, age):
+        """A cancelled motion is replaced by its end at once, unless the device has gone safe meanwhile."""
+        token = data.draw(st.sampled_from(sorted(token for token in self.running if token > 0)))
+        was = self.running[token]
+        self.see(self.rig.core.cancel(token, self.now - age))
+        self.last_word = max(self.last_word, self.now - age)
+        if was.instruction == "go":
+            assert self.latched or self.running[-token].instruction == "halt"
 
     @precondition(lambda self: self.making)
     @rule(good=st.booleans())
@@ -622,7 +643,7 @@ class GuardMachine(RuleBasedStateMachine):
         self.see(self.rig.core.tick())
         if self.moved and self.now >= self.last_word + SILENCE:
             assert self.latched, "the host was silent and the device is free"
-        acting = [c for c in self.running.values() if c.instruction in ("go", "steer")]
+        acting = [c for c in self.running.values() if c.instruction in MOVING]
         assert len(acting) <= 1
         if self.setpoint and not acting and self.now >= self.setpoint.sent + TTL:
             assert self.latched, "a setpoint is over and the device is free"

@@ -9,6 +9,7 @@ import pytest
 from lfield.host.core import HostCore
 from lfield.host.host import Host
 from lfield.host.logbook import Logbook
+from lfield.host.team.world import HostWorld
 from lfield.mobility.core import Mobility
 from lfield.net.peers import Peers, Session
 from lfield.vm import portals
@@ -76,7 +77,7 @@ IN_A_TURN = [
     (Outsiders, "_pcall"), (Outsiders, "_write"),
     (Turns, "last"), (Turns, "next"), (Turns, "sleep"),
     (portals, "call"), (portals, "begin"), (portals, "finish"), (portals, "fail"),
-    (HostCore, "write"), (HostCore, "log"), (HostCore, "depart"), (Liveness, "clear_dead"),
+    (HostWorld, "write"), (HostWorld, "log"), (HostWorld, "depart"), (Liveness, "clear_dead"),
 ]  # fmt: skip
 
 

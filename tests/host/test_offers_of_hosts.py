@@ -75,7 +75,7 @@ def known(running, agent):
 
 
 def offered(running, constraint=None):
-    found = running.host.core.offers(None, "Lift", constraint)
+    found = running.host.core.world.offers(None, "Lift", constraint)
     return [offer.agent for offer in found]
 
 
@@ -112,7 +112,7 @@ def test_however_often_something_changes_a_host_tells_it_at_a_bounded_rate(fleet
         before = team.network.sent["Report"]
         for step in range(500):
             devices.values["far.fc", "battery"] = (step / 500, 0.0)
-            bravo.host.core.offers(None, "Lift", None)
+            bravo.host.core.world.offers(None, "Lift", None)
             await asyncio.sleep(0.02)
         assert team.network.sent["Report"] - before <= 10.0 / LOOK_EVERY + 1
 
@@ -139,16 +139,16 @@ coordinator Foreman {
     async def story(team):
         alpha, *_ = await two_hosts(team, program)
         await asyncio.sleep(4.9)
-        alpha.host.core.offers(None, "Lift", None)
+        alpha.host.core.world.offers(None, "Lift", None)
         before = team.network.sent.copy()
         sent = {}
-        writes = alpha.host.core.log
+        writes = alpha.host.core.world.log
 
         def log(agent, text):
             sent.update(team.network.sent - before)
             writes(agent, text)
 
-        alpha.host.core.log = log
+        alpha.host.core.world.log = log
         await team.until(lambda: "2000 offers" in alpha.log)
         assert "2000 offers, 0 hops; small: payload 1 < 2.0" in alpha.log.replace("1.0 <", "1 <")
         assert not (sent.keys() - {"Ping", "Pong"})
@@ -162,16 +162,16 @@ def test_why_an_agent_is_not_offered(fleet):
         near.troubles["near.fc"] = Trouble("fc: in its safe state hold: the host was silent")
         far.troubles["far.fc"] = Trouble("fc: not heard", asyncio.get_running_loop().time() - 3.0)
         assert sorted(offered(alpha)) == ["far", "small"]
-        assert "near: fc: in its safe state hold: the host was silent" in alpha.host.core.explain(
+        assert "near: fc: in its safe state hold: the host was silent" in alpha.host.core.world.explain(
             None, "Lift", None
         )
         await asyncio.sleep(1.5)
         assert offered(alpha) == offered(bravo) == ["small"]
-        assert "far: fc: not heard for 4.5 s" in alpha.host.core.explain(None, "Lift", None)
+        assert "far: fc: not heard for 4.5 s" in alpha.host.core.world.explain(None, "Lift", None)
         team.network.partition("alpha", "bravo")
         await asyncio.sleep(12.0)
         assert offered(alpha) == []
-        assert "small: unreachable for 12 s" in alpha.host.core.explain(None, "Lift", None)
+        assert "small: unreachable for 12 s" in alpha.host.core.world.explain(None, "Lift", None)
         del far.troubles["far.fc"]
         team.network.heal("alpha", "bravo")
         await asyncio.sleep(3.0)
@@ -191,7 +191,7 @@ def test_a_resource_that_died_is_not_offered(fleet):
         assert "far" in offered(alpha)
         await asyncio.sleep(5.0)
         assert "far" not in offered(alpha)
-        assert "far: died of " in alpha.host.core.explain(None, "Lift", None)
+        assert "far: died of " in alpha.host.core.world.explain(None, "Lift", None)
 
     fleet(story)
 
@@ -314,8 +314,8 @@ def test_a_condition_that_cannot_be_read_is_an_error_with_its_mistakes(fleet):
     async def story(team):
         alpha, *_ = await two_hosts(team)
         with pytest.raises(ConstraintError):
-            alpha.host.core.offers(None, "Lift", "paylod >= 2.0")
+            alpha.host.core.world.offers(None, "Lift", "paylod >= 2.0")
         with pytest.raises(ConstraintError):
-            alpha.host.core.explain(None, "Lift", "payload >=")
+            alpha.host.core.world.explain(None, "Lift", "payload >=")
 
     fleet(story)

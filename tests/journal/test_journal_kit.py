@@ -15,12 +15,13 @@ from journal_bench import Bench, FileBench, SimulatedBench
 
 from lfield.errors import JournalError
 from lfield.journal.journal import Change, Journal
-from lfield.journal.pages import CopyPage, Fence, Key, Page, ProgramPage, Run, Starts, key_of
+from lfield.journal.pages import BegunPage, CopyPage, Fence, Key, Page, ProgramPage, Run, Starts, key_of
 
 KINDS = ("file", "simulated")
 #: One page of each kind.
 PAGES: tuple[Page, ...] = (
     CopyPage("scout", 3, "RUN", sequence=7, hops=5, program=b"\1" * 32, block=bytes(5000)),
+    BegunPage("scout", 3, 8, "arm", "lift", "done", bytes(300), b"\1" * 32),
     Starts(3),
     Run(True),
     Fence("scout", 2),
@@ -119,6 +120,26 @@ def test_calls_of_one_turn_are_one_commit(bench: Bench) -> None:
     assert bench.open().pages() == [Starts(49)]
 
 
+def test_what_is_written_and_what_is_removed_are_one_change(bench: Bench) -> None:
+    journal = bench.open()
+    bench.run(journal.keep(PAGES))
+    new = CopyPage("scout", 3, "PREPARED", sequence=8, block=b"with all results")
+    bench.run(journal.change([Change([new], [key_of(PAGES[1])])]))
+    assert journal.commits_last_minute(bench.clock.monotonic()) == 2
+    left = by_key(bench.open().pages())
+    assert left == by_key([new, *PAGES[2:]])
+
+
+def test_a_page_says_when_it_was_kept(bench: Bench) -> None:
+    before = bench.clock.time()
+    journal = bench.open()
+    assert not journal.times
+    bench.run(journal.keep(PAGES))
+    times = bench.open().times
+    assert times.keys() == by_key(PAGES).keys()
+    assert all(before <= kept <= bench.clock.time() for kept in times.values())
+
+
 def test_a_full_disk_is_told_and_the_journal_recovers(bench: Bench) -> None:
     journal = bench.open()
     bench.run(journal.keep([Starts(1)]))
@@ -166,6 +187,19 @@ def test_a_damaged_page_is_told_and_makes_another_memory(bench: Bench) -> None:
     assert again.identity != journal.identity
     last = bench.open()
     assert (last.identity, len(bench.told)) == (again.identity, 1)
+
+
+def test_with_a_promise_the_record_of_starts_is_lost(bench: Bench) -> None:
+    """So a host counts as one that may have promised what it does not know."""
+    journal = bench.open()
+    bench.run(journal.keep(PAGES))
+    journal.close()
+    bench.damage(Key("fence", "scout"))
+    left = [page for page in PAGES if not isinstance(page, Fence | Starts)]
+    assert by_key(bench.open().pages()) == by_key(left)
+    (told,) = bench.told
+    assert told.startswith("the fence of scout, as of ")
+    assert by_key(bench.open().pages()) == by_key(left)
 
 
 def test_it_counts_the_commits_of_a_minute(bench: Bench) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from lfield.journal.opening import lost
 from lfield.journal.pages import (
     VERSION,
+    BegunPage,
     CopyPage,
     Fence,
     KeptState,
@@ -39,6 +40,12 @@ PAGES: st.SearchStrategy[Page] = st.one_of(
         *(COUNTS, COUNTS, WORDS, WORDS, WORDS, COUNTS),
         st.sampled_from(["", *get_args(Outcome)]),
         *(WORDS, WORDS, HASHES, st.binary(max_size=200), WORDS),
+    ),
+    st.builds(
+        BegunPage,
+        *(WORDS, COUNTS, COUNTS, WORDS, WORDS),
+        st.sampled_from(["", "done", "thrown"]),
+        *(st.binary(max_size=200), HASHES),
     ),
     st.builds(Starts, COUNTS),
     st.builds(Run, st.booleans()),

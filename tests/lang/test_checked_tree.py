@@ -2,7 +2,7 @@
 
 from typing import TypeVar
 
-from lang_expectations import ROVER
+from lang_expectations import CAPABILITIES, ROVER
 
 from lfield.lang import tree
 from lfield.lang.frontend import check_text
@@ -219,3 +219,92 @@ def test_string_escapes() -> None:
     (text,) = call(r'print("\n\t\r\0\"\\\u{e9}\u{1F916}");', tree.Library).arguments
     assert isinstance(text, tree.Literal_)
     assert text.value == '\n\t\r\0"\\é\N{ROBOT FACE}'
+
+
+ARM = "resource Arm { init(string[] arg) { } portal lift(real m) emit real { return m; } portal stop() { } }"
+
+
+def boss(statements: str, before: str = "") -> list[tree.Stmt]:
+    """The statements of a coordinator that knows an arm."""
+    known = f'Arm arm = findArm("a"); real x; real[] a = new real[3]; {before}'
+    text = f"{ARM} coordinator Boss {{ init(string[] arg) {{ {known} {statements} }} }}"
+    checked = check_text(text, capabilities=CAPABILITIES).or_raise()
+    (init,) = next(unit for unit in checked.units if unit.name == "Boss").methods
+    return init.body
+
+
+def test_a_together_begins_its_calls() -> None:
+    calls = "x = arm.lift(1); if (i > 2) a[i + 1] = arm.lift(2); arm.stop(); print(1);"
+    block = boss(f"together {{ {calls} }}", "int i = 1;")[-1]
+    assert isinstance(block, tree.Together)
+    first, choice, last, printed = block.body
+    assert isinstance(first, tree.Begin)
+    assert isinstance(first.call, tree.PortalCall)
+    assert isinstance(first.call.arguments[0], tree.ToReal)
+    assert isinstance(first.target, tree.LocalGet)
+    assert first.target.local.name == "x"
+    assert isinstance(choice, tree.If)
+    (second,) = choice.then
+    assert isinstance(second, tree.Begin)
+    assert isinstance(second.target, tree.Element)
+    assert isinstance(second.target.index, tree.Binary)
+    assert isinstance(last, tree.Begin)
+    assert last.target is None
+    assert isinstance(printed, tree.Evaluate)
+
+
+def test_a_together_inside_another_one_begins_its_own_calls() -> None:
+    outer = boss("together { arm.stop(); try { together { x = arm.lift(1); } } finally { print(1); } }")[-1]
+    assert isinstance(outer, tree.Together)
+    begun, attempt = outer.body
+    assert isinstance(begun, tree.Begin)
+    assert isinstance(attempt, tree.Try)
+    (inner,) = attempt.body
+    assert isinstance(inner, tree.Together)
+    assert isinstance(inner.body[0], tree.Begin)
+    assert isinstance(inner.body[0].target, tree.LocalGet)
+
+
+def test_portals_of_offers_are_begun_and_what_offers_tell_is_asked_in_place() -> None:
+    offers = "Lift[] who = findLift();"
+    portal = "portal lift(real height) emit real { return height; } portal stop() { }"
+    crane = f"resource Crane {{ init(string[] arg) {{ }} {portal} }}"
+    text = "together { h = who[0].lift(2); who[1].stop(); print(who[0].score()); who[0].way(); }"
+    init = f"coordinator Boss {{ init(string[] arg) {{ {offers} real h; {text} }} }}"
+    units = check_text(f"{crane} {init}", capabilities=CAPABILITIES).or_raise().units
+    block = next(unit for unit in units if unit.name == "Boss").methods[0].body[-1]
+    assert isinstance(block, tree.Together)
+    kinds = [type(one) for one in block.body]
+    assert kinds == [tree.Begin, tree.Begin, tree.Evaluate, tree.Evaluate]
+    first = block.body[0]
+    assert isinstance(first, tree.Begin)
+    assert isinstance(first.call, tree.Call)
+    assert first.call.method.unit.capability
+
+
+def test_within_has_its_seconds_as_a_real() -> None:
+    (block,) = boss("within (2) { arm.stop(); }")[-1:]
+    assert isinstance(block, tree.Within)
+    assert isinstance(block.seconds, tree.ToReal)
+    (call_,) = block.body
+    assert isinstance(call_, tree.Evaluate)
+    assert isinstance(call_.value, tree.PortalCall)
+
+
+def test_finally_is_the_last_part_of_its_try() -> None:
+    outer = boss("try try arm.stop(); finally { x = 1; } catch (Exception e) x = 2;")[-1]
+    assert isinstance(outer, tree.Try)
+    assert (len(outer.catches), outer.last) == (1, None)
+    (inner,) = outer.body
+    assert isinstance(inner, tree.Try)
+    assert inner.catches == []
+    assert inner.last is not None
+    assert len(inner.last) == 1
+    (empty,) = boss("try arm.stop(); finally { }")[-1:]
+    assert isinstance(empty, tree.Try)
+    assert empty.last == []
+
+
+def test_every_exception_is_asked_for_the_others() -> None:
+    others = call("Exception e = new NullException(); e.others();", tree.Library)
+    assert (others.operation, others.type) == ("exc_others", array_of(EXCEPTION))

@@ -40,6 +40,12 @@ PIECES = sorted(
         "switch",
         "static",
         "specific",
+        "together",
+        "within",
+        "finally",
+        "together {",
+        "within (2) {",
+        "finally {",
         "extends",
     }
 )
@@ -149,6 +155,7 @@ def test_deep_nesting_is_an_error_and_no_crash() -> None:
         "try " * depth,
         "x ? " * depth,
     ]
+    inits += ["together { " * depth, "within (1) { " * depth, "try { } finally { " * depth]
     for text in inits:
         checked = check_text(f"resource Arm {{ init(string[] arg) {{ {text} }} }}")
         assert "L211" in {d.code for d in checked.diagnostics}, text[:40]
@@ -169,8 +176,22 @@ def test_the_deepest_program_allowed_checks() -> None:
         "print(" + "(" * 90 + "1" + ")" * 90 + ");",
         "print(" + "1 + (" * 48 + "1" + ")" * 48 + ");",
         "if (true) " * 90 + ";",
+        "try { } finally { " * 49 + "return; " + "}" * 49,
     ]:
         assert check_text(f"resource Arm {{ init(string[] arg) {{ {text} }} }}").program is not None
+
+
+def test_calls_of_a_together_stand_in_chains_as_long_as_they_like() -> None:
+    length = 3_000
+    ladder = "if (x > 1) arm.go(); " + "else if (x > 2) arm.go(); " * length
+    limit = "within (" + "1 + " * length + "1) { arm.go(); }"
+    unclosed = "within (arm.go(;\n" * length
+    for text, code in ((f"together {{ {ladder} }}", None), (limit, None), (unclosed, "L205")):
+        arm = "resource Arm { init(string[] arg) { } portal go() { } }"
+        init = f'init(string[] arg) {{ Arm arm = findArm("a"); int x; {text} }}'
+        checked = check_text(f"{arm} coordinator Boss {{ {init} }}")
+        assert {d.code for d in checked.diagnostics} >= ({code} if code else set())
+        assert (checked.program is None) == (code is not None)
 
 
 def test_a_long_chain_of_classes_is_no_problem() -> None:

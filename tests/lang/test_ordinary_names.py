@@ -18,6 +18,9 @@ LIKE_KEYWORDS = [
     "initial",
     "whilst",
     "trys",
+    "together",
+    "within",
+    "finally",
 ]
 HABITS = [
     *suggest.FOREIGN_TYPES,
@@ -70,3 +73,60 @@ def test_as_a_field_a_method_a_portal_and_a_local(word: str) -> None:
 @pytest.mark.parametrize("word", sorted({*LIKE_KEYWORDS, *suggest.FOREIGN_TYPES, *suggest.FOREIGN_VALUES}))
 def test_as_a_class(word: str) -> None:
     assert [d.render() for d in check_text(UNITS.replace("WORD", word)).diagnostics] == []
+
+
+#: `WORD` where a statement begins, behind a `try`, and with whatever follows a name.
+STATEMENTS = """
+resource Arm {
+    int WORD;
+    init(string[] arg) {
+        WORD(5);
+        WORD (5);
+        WORD = 3;
+        WORD += 1;
+        WORD one;
+        WORD[] some = {one};
+        some[0] = new WORD();
+        some[0].WORD(WORD);
+        this.WORD(new int[] {1, 2}[0]);
+        WORD(new int[] {1, 2}[0]);
+        try yield(); catch (Exception e) { }
+        WORD(5);
+        try yield(); catch (Exception e) { }
+        WORD = 3;
+        try yield(); catch (Exception e) { }
+        WORD two;
+        {
+            WORD(5);
+            { }
+        }
+        if (WORD > 2) WORD(5); else WORD(6);
+        for (WORD = 1; WORD < 3; WORD = 4) WORD(5);
+        for (WORD each : some) each.WORD(1);
+    }
+    private void WORD(int a) { }
+}
+class WORD {
+    public int WORD;
+    public WORD() { }
+    public void WORD(int a) { WORD = a; }
+}
+coordinator Boss {
+    init(string[] arg) {
+        Machine one = findMachine(arg[1]);
+        one.WORD(3);
+        string WORD = one.WORD("a");
+        WORD = WORD + one.WORD(WORD);
+    }
+}
+resource Machine {
+    init(string[] arg) { }
+    portal WORD(int a) { }
+    portal WORD(string WORD) emit string { return WORD; }
+}
+"""
+
+
+@pytest.mark.parametrize("word", ["together", "within", "finally"])
+def test_a_word_of_0_4_is_a_name_where_no_block_follows(word: str) -> None:
+    assert [d.render() for d in check_text(STATEMENTS.replace("WORD", word)).diagnostics] == []

@@ -179,6 +179,15 @@ def test_a_condition_nested_without_end(data: bytes) -> None:
         assert told in reason(sealed(data, registry=registry.replace(old, msgspec.msgpack.encode(new))))
 
 
+@pytest.mark.parametrize("word", ["mode", "park"], ids=["needs_arguments", "is_not_there"])
+def test_a_cancel_that_nothing_does(data: bytes, word: str) -> None:
+    drivers = bytes(bundle.contents(data).parts["drivers"])
+    old, new = (msgspec.msgpack.encode({"cancel": name})[1:] for name in ("stop", word))
+    assert old in drivers
+    told = reason(sealed(data, drivers=drivers.replace(old, new)))
+    assert "nothing in Dynamixel does what a cancel of moveTo, moveUntil says" in told
+
+
 def test_a_table_of_other_parts(data: bytes) -> None:
     rows = [row for row in bundle.contents(data).table if row.name != "registry"]
     table = msgspec.msgpack.encode(rows)

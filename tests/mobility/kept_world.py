@@ -84,7 +84,7 @@ class KeptWorld(World):
         """What a host has put down so far is on its disk."""
         host = self.hosts[name]
         while batch := host.keeping.take(self.now + 60.0):
-            number, pages = batch
+            number, pages, _ = batch
             self.disks[name].update((key_of(page), page) for page in pages)
             self.carry_out(host, host.keeping.kept(number))
 

@@ -120,6 +120,27 @@ def test_without_a_link_it_waits_frozen_and_is_sent_when_there_is_one(a, b):
     assert a.mobility.linked(b.hello()) == [SendTransfer("b", transfer(1), b"block 1")]
 
 
+def test_who_waits_for_a_link_may_give_up_and_go_on_where_it_is(a, b):
+    a.mobility.depart(TOUR, "b", seal, 0.0)
+    assert a.mobility.give_up(TOUR, 1)
+    assert a.known().state == "RUN"
+    assert a.mobility.next_deadline() is None
+    assert a.mobility.linked(b.hello()) == []
+    # It may leave again, and under the number that was never sent.
+    assert a.mobility.depart(TOUR, "b", seal, 1.0) == [SendTransfer("b", transfer(1), b"block 1")]
+
+
+def test_what_was_sent_is_not_given_up(away):
+    assert not away.mobility.give_up(TOUR, 1)
+    assert away.known().state == "PREPARED"
+    assert not away.mobility.give_up(TOUR, 2)
+    assert not away.mobility.give_up("nobody", 1)
+
+
+def test_who_runs_has_nothing_to_give_up(a):
+    assert not a.mobility.give_up(TOUR, 1)
+
+
 def test_a_host_that_stays_away_is_unreachable(a):
     a.mobility.depart(TOUR, "b", seal, 0.0)
     (resume,) = a.mobility.tick(10.0)

@@ -17,13 +17,19 @@ class One:
     """A host of a, b, c with what it has of "Tour"; `now` is its clock."""
 
     def __init__(
-        self, here: str = "a", saved: Saved | None = None, fence: int = 0, members: str = "abc"
+        self,
+        here: str = "a",
+        saved: Saved | None = None,
+        fence: int = 0,
+        members: str = "abc",
+        *,
+        new: bool = False,
     ) -> None:
         self.now, self.here, self.copy = 100.0, here, saved
         others = [name for name in "abc" if name != here]
         fences = {"Tour": fence, "Gone": 7} if fence else {}
         given = Members(members, here, LEASE), others, ["Tour"], 77, self, fences, random.Random(1)
-        self.core = Quorum(*given)
+        self.core = Quorum(*given, new=new)
         self.core.begin(self.now)
 
     def saved(self, agent: str) -> Saved | None:

@@ -43,6 +43,16 @@ def test_a_coordinator_acts_under_a_lease_and_not_below_a_fence() -> None:
     assert not one.core.may_act("Tour", 2, one.now + LEASE)
 
 
+def test_who_may_have_promised_what_it_has_forgotten_gives_itself_no_lease() -> None:
+    one = One(saved=alive(), new=True)
+    one.lease()
+    assert not one.core.may_act("Tour", 1, one.now)
+    (*_, beat) = [beat for host, beat in told(one.pass_time(0.6), Heartbeat) if host == "c"]
+    one.hear("c", Ack(77, beat.number, []))
+    assert one.core.remembers
+    assert one.core.may_act("Tour", 1, one.now)
+
+
 def test_an_acknowledgement_of_another_life_is_nothing() -> None:
     one = One(saved=alive())
     one.pass_time(1.0)

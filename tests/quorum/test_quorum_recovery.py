@@ -54,6 +54,16 @@ def test_it_takes_the_interval_a_question_a_promise_and_a_lease() -> None:
     assert begun - 100.0 < INTERVAL + 0.81
 
 
+def test_who_may_have_promised_what_it_has_forgotten_does_not_count_its_own_promise() -> None:
+    one = suspecting(new=True)
+    one.hear("b", unknown())
+    generation = proposed(one.pass_time(0.5))
+    one.hear("b", Promise("Tour", generation, generation, None))
+    assert not [e for e in one.pass_time(LEASE * 1.05) if isinstance(e, TakeOver)]
+    one.hear("c", Promise("Tour", generation, generation, None))
+    assert [e.generation for e in one.pass_time(LEASE * 1.05) if isinstance(e, TakeOver)] == [generation]
+
+
 def test_all_who_answer_are_enough_at_once() -> None:
     one = suspecting()
     one.hear("b", unknown())

@@ -6,9 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from lfield.journal.pages import Key
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
+from lfield.mobility.copies import Copy
 from lfield.simulate.fleet import Fleet
+from lfield.vm.memory.layout import HEADER_WORDS
 
 PROGRAM = """
 resource Post {
@@ -186,6 +189,29 @@ def test_who_has_lost_its_promises_gives_no_lease_before_it_has_heard_all(tmp_pa
     run_until(fleet, "complete", 120.0)
 
 
+def test_who_cannot_read_a_promise_any_more_gives_no_lease_before_it_has_heard_all(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 12)
+    run_until(fleet, "stamp 5\n", 30.0)
+    gone = holder(fleet)
+    fleet.power_off(gone)
+    run_until(fleet, "was recovered on", 20.0)
+    (one, other) = {"alpha", "bravo", "charlie"} - {gone}
+    promised = one if other == holder(fleet) else other
+    fleet.crash(promised)
+    fleet.disks[promised].damage(Key("fence", "walker"))
+    # Whoever goes on is cut off, and the old holder is back: it must not act.
+    for name in (gone, promised):
+        fleet.cut(holder(fleet), name)
+    at = fleet.now
+    fleet.boot(gone)
+    fleet.boot(promised)
+    fleet.run(30.0)
+    assert said(fleet, "no lease is given before every member was heard: the journal here is new")
+    assert not [line for line in said(fleet, "stamp ") if line[0] > at + LEASE * 1.01]
+    fleet.heal_all()
+    run_until(fleet, "complete", 120.0)
+
+
 def test_a_coordinator_whose_interval_is_switched_off_waits_for_its_host(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, interval=-1.0), 8)
     run_until(fleet, "stamp 10\n", 30.0)
@@ -211,3 +237,37 @@ def test_without_journals_the_interval_has_no_effect_and_that_is_said(tmp_path: 
     fleet = Fleet(mission(tmp_path), 10, keeps=False)
     run_until(fleet, "heartbeatInterval has no effect here: alpha keeps no journal", 5.0)
     run_until(fleet, "complete", 60.0)
+
+
+def spoil(fleet: Fleet, host: str) -> Copy:
+    """What this host has kept of the walker is no sound block any more."""
+    copy = fleet.lives[host].core.mobility.newest("walker")
+    assert copy is not None
+    assert copy.block is not None
+    copy.block = bytes(copy.block[: 8 * HEADER_WORDS]) + b"\xff" * (len(copy.block) - 8 * HEADER_WORDS)
+    return copy
+
+
+def test_what_cannot_be_read_is_said_once_and_no_older_copy_goes_on(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 3)
+    run_until(fleet, "stamp 10\n", 30.0)
+    assert holder(fleet) == "bravo"
+    fleet.power_off("bravo")
+    copy, at = spoil(fleet, "alpha"), fleet.now
+    fleet.run(40.0)
+    (told,) = said(fleet, "goes on nowhere by itself")
+    assert told[1:] == (
+        "alpha",
+        "walker goes on nowhere by itself: the newest that is left of it is on alpha, and cannot be read; if "
+        "whoever had it is gone for good, 'lfield recover walker' goes on from an older copy, and "
+        "'lfield forget walker' ends it\n",
+    )
+    assert copy.known().unreadable
+    # alpha once, charlie twice: between them it had promised alpha, and heard of it by that.
+    assert len(said(fleet, "nobody was heard to hold walker")) == 3
+    assert len(said(fleet, "alpha has a newer copy of walker")) == 2
+    assert not said(fleet, "was recovered on")
+    assert not [line for line in said(fleet, "stamp ") if line[0] > at]
+    fleet.boot("bravo")
+    run_until(fleet, "complete", 90.0)
+    assert said(fleet, "walker was recovered on bravo")

@@ -29,6 +29,7 @@ from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import AgentReport, FactReport, ForeignHello, Hello, Ping, Pong, Refuse, Report
 from lfield.wire.observing import (
     AgentStatus,
+    BegunStatus,
     DeviceStatus,
     Forget,
     Forgotten,
@@ -79,6 +80,7 @@ MESSAGES = [
     STATUS,
     status(devices=[DeviceStatus("one.fc", {}, None, "why")], links=[LinkStatus("b", 2.5)]),
     status(journal=JournalStatus(3, "full", [ParkedStatus("one", 1, 2, HASH, "PREPARED", "b")])),
+    status(begun=[BegunStatus("Tour:one", 2, "arm", "lift", "running")]),
     Forget("Tour:one"),
     Forgotten([1, 3]),
     Ping(1),
@@ -235,6 +237,8 @@ def test_what_fits_its_checksum_and_is_no_message_is_a_wire_error(kind, start, b
         status(directory=[replace(TOLD, facts={"battery": ToldFact(1.0, "old")})]),
         status(directory=[replace(TOLD, facts={"battery": ToldFact([1.0], 1.0)})]),
         status(directory=[replace(TOLD, refusal="x" * (MAX_TEXT + 1))]),
+        status(begun=[BegunStatus("", 1, "arm", "lift", "done")]),
+        status(begun=[["Tour:one", 1, "arm", "lift", "flies"]]),
         Report(1, 0, 1, [AgentReport(0, "", None, [], [])] * 4097),
     ],
 )

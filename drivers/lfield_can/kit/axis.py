@@ -6,7 +6,7 @@ import asyncio
 import math
 import time
 
-from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, held, refused, rested
+from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, cancelled, held, refused, rested
 
 AXIS = Kit()
 
@@ -86,6 +86,25 @@ async def turns(bench: Bench) -> str:
         off.append(abs(bench.query("position") - goal))
         _see(off[-1] <= _tolerance(bench), f"moveTo() returned {off[-1]:.4f} rad from its goal")
     return f"{off[0]:.4f} rad off {abs(way):g} rad away, {off[1]:.4f} rad off back"
+
+
+@AXIS.check("a travel that is cancelled halts", moves=True, types=_TYPES)
+async def cancels(bench: Bench) -> str:
+    """It stands on its way, enabled, and goes on from there to the next goal, not to the old one."""
+    if not bench.query("referenced") and not bench.binding.waives("no_homing"):
+        raise NotTried("it has not been homed: home it, or add 'waivers: [no_homing]' to its binding")
+    await bench.call("enable")
+    start, way = bench.query("position"), _way(bench, 2.0 * TURN)
+    speed = _speed(bench)
+    told = await cancelled(bench, lambda: _turns(bench, speed), "moveTo", start + way, speed)
+    _see(abs(bench.query("velocity")) <= _standstill(bench), f"{told}, and it turns")
+    _see(bench.query("enabled"), f"{told}, and it is {bench.query('state')}")
+    stood = bench.query("position")
+    await asyncio.sleep(LATE)
+    moved = abs(bench.query("position") - stood)
+    _see(moved <= _tolerance(bench), f"{told}, and then it moved by {moved:.3f} rad")
+    await bench.call("moveTo", start, speed)
+    return f"{told}, {abs(start + way - stood):.2f} rad from its goal; then back"
 
 
 @AXIS.check("a velocity that is not renewed ends", moves=True, types=_TYPES)
@@ -169,6 +188,10 @@ async def _drive(bench: Bench, speed: float) -> float:
         await asyncio.sleep(bench.binding.ttl / 10.0)
     await bench.call("stop")
     raise CheckFailed(f"setVelocity({speed:g}) does not turn it")
+
+
+def _turns(bench: Bench, speed: float) -> bool:
+    return bool(abs(bench.query("velocity")) >= 0.3 * speed)
 
 
 async def _stands(bench: Bench) -> None:

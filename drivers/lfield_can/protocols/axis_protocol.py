@@ -108,6 +108,13 @@ class AxisProtocol:
         """Have it travel to a position, by its own profile."""
         raise NotImplementedError
 
+    async def begin_halt(self) -> None:
+        """Have it slow down, whatever motion is under way, and stay enabled; one that is not does nothing."""
+        raise NotImplementedError
+
+    async def end_halt(self) -> None:
+        """It stands: see to it that no goal from before acts again."""
+
     async def set_position(self, position: float) -> None:
         """One position setpoint."""
         raise NotImplementedError

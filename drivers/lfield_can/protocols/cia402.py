@@ -138,7 +138,29 @@ class Cia402(Cia402Node):
         """A profile to the goal, at once."""
         self._stream.stop()
         await self._set_mode(t.PROFILE_POSITION)
-        await self._new_setpoint(position, speed)
+        await self.objects.write(0x6081, 0, abs(self.units.to_velocity(speed)))
+        await self._new_setpoint(position)
+
+    async def begin_halt(self) -> None:
+        """The halt bit, in whatever mode it is: it brakes as its halt option code (0x605D) says."""
+        self._stream.stop()
+        if self.state.enabled:
+            await self._control(t.ENABLE | t.HALT)
+
+    async def end_halt(self) -> None:
+        """Into a mode in which nothing leads it away, and only then without the halt bit.
+
+        Without it a drive would go on to its old goal.
+        """
+        if not self.state.enabled:
+            return
+        if self.agreed.data.takes(t.TO_VELOCITY):
+            await self.objects.write(0x60FF, 0, 0)
+            await self._set_mode(t.PROFILE_VELOCITY)
+        elif self.state.position is not None:
+            await self._set_mode(t.PROFILE_POSITION)
+            await self._new_setpoint(self.state.position, t.ENABLE | t.HALT)
+        await self._control(t.ENABLE)
 
     async def set_position(self, position: float) -> None:
         """A new goal of the profile, or with `cyclic` a stream towards it within the speed limit."""
@@ -253,19 +275,18 @@ class Cia402(Cia402Node):
                 raise self.wiring.error(f"it did not go to the mode {t.MODES[mode]}")
         self._mode = mode
 
-    async def _new_setpoint(self, position: float, speed: float) -> None:
-        """The handshake of the profile position mode: set, acknowledged, taken back.
+    async def _new_setpoint(self, position: float, word: int = t.ENABLE) -> None:
+        """The handshake of the profile position mode: set, acknowledged, taken back; all along with `word`.
 
         The goal goes by SDO: as process data it could be overtaken by the control word, whose id comes first.
         """
-        await self.objects.write(0x6081, 0, abs(self.units.to_velocity(speed)))
         await self.objects.write(0x607A, 0, self.units.to_counts(position))
-        await self._control(t.ENABLE)
+        await self._control(word)
         await self.expect(
             lambda: not self.statusword & t.ACKNOWLEDGED, TAKEN, "it holds an old position goal"
         )
-        await self._control(t.ENABLE | t.NEW_SETPOINT | t.AT_ONCE)
+        await self._control(word | t.NEW_SETPOINT | t.AT_ONCE)
         await self.expect(
             lambda: bool(self.statusword & t.ACKNOWLEDGED), TAKEN, "it did not take the position"
         )
-        await self._control(t.ENABLE)
+        await self._control(word)

@@ -136,7 +136,7 @@ TARGET_REACHED, ACKNOWLEDGED, FAILED = 1 << 10, 1 << 12, 1 << 13
 
 # Control words (CiA 402-2, table of commands).
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, FAULT_RESET = 0x06, 0x07, 0x0F, 0x00, 0x02, 0x80
-NEW_SETPOINT, AT_ONCE = 0x10, 0x20
+NEW_SETPOINT, AT_ONCE, HALT = 0x10, 0x20, 0x100
 START_HOMING = 0x10
 
 #: State of the drive by the status word: (mask, value, name); the first that fits.

@@ -6,6 +6,7 @@ import math
 import struct
 from collections.abc import Callable, Mapping
 
+from lfield.driver import DeviceError
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols import odrive_tables as t
 from lfield_can.protocols.axis_protocol import AxisProtocol, Wiring
@@ -30,6 +31,8 @@ class Odrive(AxisProtocol):
         self._mode: tuple[int, int] | None = None
         #: Whether it was told to hold the position where it stands.
         self._holds = False
+        #: Whether a homing was asked for and is not known to be over: its heartbeat may not say so yet.
+        self._homing = False
 
     # -- what the device says ---------------------------------------------------------------------------
 
@@ -142,8 +145,14 @@ class Odrive(AxisProtocol):
 
     async def home(self) -> None:
         """Its own homing sequence; it ends in idle or closed loop."""
-        await self._enter(t.HOMING, lambda: self._axis_state == t.HOMING)
-        await self.expect(lambda: self._axis_state != t.HOMING, HOMED, "homing did not end")
+        self._homing = True
+        try:
+            await self._enter(t.HOMING, lambda: self._axis_state == t.HOMING)
+            await self.expect(lambda: self._axis_state != t.HOMING, HOMED, "homing did not end")
+        except DeviceError:
+            self._homing = False
+            raise
+        self._homing = False
         if self._errors or self._axis_state not in (t.IDLE, t.CLOSED_LOOP):
             raise self.wiring.error(f"homing failed ({self.state.fault or self.state.state})")
         self.state.referenced = True
@@ -156,6 +165,11 @@ class Odrive(AxisProtocol):
         if self._mode != (t.POSITION, t.TRAVEL):
             await self._hold_here(t.TRAVEL)
         await self._command(t.SET_POSITION, position * self.turns, 0, 0)
+
+    async def begin_halt(self) -> None:
+        """Velocity 0, out of a homing too; sent even if it was sent before, for it may have been lost."""
+        if self._homes or self._axis_state == t.CLOSED_LOOP:
+            await self._brake()
 
     async def set_position(self, position: float) -> None:
         """The same at the speed limit."""
@@ -182,14 +196,13 @@ class Odrive(AxisProtocol):
         if state == "torque_off":
             await self._command(t.SET_STATE, t.IDLE)
             return
-        # All is sent again even if it was sent before: it may have been lost, or another master has taken
-        # the axis over since. Then it is held where it now stands, never led back.
-        self._mode = None
-        if state == "torque_hold" and self._stands():
+        if state == "torque_hold" and self._stands() and not self._homes:
+            # It is held where it now stands, never led back to where it was held before.
+            self._mode = None
             await self._hold_here(t.DIRECT)
             self._holds = True
         else:
-            await self.set_velocity(0.0)
+            await self._brake()
 
     def is_safe(self, state: str, still: bool) -> bool:
         """An axis that is idle cannot hold, and need not."""
@@ -204,6 +217,23 @@ class Odrive(AxisProtocol):
         return velocity is not None and abs(velocity) <= self.binding.option("standstill")
 
     # -- parts ------------------------------------------------------------------------------------------
+
+    @property
+    def _homes(self) -> bool:
+        """Whether it is homing, in which it heeds no velocity."""
+        return self._homing or self._axis_state == t.HOMING
+
+    async def _brake(self) -> None:
+        """Velocity 0, in closed loop where it was homing.
+
+        All is sent again even if it was sent before: it may have been lost, or another master has taken the
+        axis over since.
+        """
+        self._mode = None
+        await self.set_velocity(0.0)
+        if self._homes:
+            self._homing = False
+            await self._command(t.SET_STATE, t.CLOSED_LOOP)
 
     async def _hold_here(self, input_mode: int) -> None:
         """Position mode at the present position."""

@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from lfield.driver import DeviceError
-from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, held, refused, rested
+from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, cancelled, held, refused, rested
 from lfield_mavlink.parts.guidance import CANNOT_TURN, HEADING_TOLERANCE
 
 MOTION = Kit()
@@ -72,6 +72,26 @@ async def trip(bench: Bench) -> str:
             f"at {bench.query('altitude'):.1f} m; {off[0]:.2f} m off when {_far(bench):g} m away, "
             f"{off[1]:.2f} m off when back; {turned}; held in {bench.query('mode')}"
         )
+
+
+@MOTION.check("what is cancelled on its way holds", moves=True)
+async def cancels(bench: Bench) -> str:
+    """It stays where it was given up, free for the next goal; a landing goes on to its end."""
+    async with _under_way(bench):
+        north, east, down = bench.query("position")
+        told = [await cancelled(bench, lambda: _moves(bench), "goTo", north + _far(bench), east, down)]
+        await _stops(bench)
+        left = math.dist(bench.query("position")[:2], (north + _far(bench), east))
+        _see(left > float(bench.binding.option("tolerance")), "its goTo() was cancelled and it went there")
+        if _kind(bench) == "copter":
+            told.append(await cancelled(bench, lambda: bench.query("climb") < -MOVES, "land"))
+            _see(not bench.query("armed"), "land() returned and its motors are on")
+            await bench.call("arm")
+            climbs = cancelled(bench, lambda: bench.query("climb") > MOVES, "takeoff", _height(bench))
+            told.append(await climbs)
+            await bench.until(lambda: abs(bench.query("climb")) < STANDS, 10.0, "it to climb no more")
+            _see(bench.query("altitude") < _height(bench), "its takeoff was cancelled and went on")
+        return "; ".join(told)
 
 
 @MOTION.check("its speed limit is kept", moves=True)
@@ -173,6 +193,10 @@ async def _fastest(bench: Bench, *goal: float) -> float:
     finally:
         going.cancel()
     return most
+
+
+def _moves(bench: Bench) -> bool:
+    return math.hypot(*bench.query("velocity")[:2]) > MOVES
 
 
 async def _stops(bench: Bench) -> None:

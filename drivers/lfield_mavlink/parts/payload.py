@@ -75,6 +75,13 @@ class Payload:
                 "winch", WINCH, lambda now: abs(now.line_length - goal) <= LINE_TOLERANCE, bound
             )
 
+    async def do_stop_winch(self) -> None:
+        """Hold the line: a speed of 0, since a winch that is relaxed lets go."""
+        rate = float(dialect.WINCH_RATE_CONTROL)
+        await self._vehicle.command(
+            "stopWinch", dialect.MAV_CMD_DO_WINCH, 1.0, rate, 0.0, 0.0, absent="winch"
+        )
+
     # -- servos and relays ----------------------------------------------------------------------------
 
     async def do_set_servo(self, number: int, position: float) -> None:

@@ -3,7 +3,19 @@
 from __future__ import annotations
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME
-from lfield.bytecode.program import ANY, OBJECT, Handler, Program, Quad, TypeRecord
+from lfield.bytecode.program import (
+    ANY,
+    CATCH,
+    FINALLY,
+    INT,
+    LANDING,
+    LIMIT,
+    OBJECT,
+    Handler,
+    Program,
+    Quad,
+    TypeRecord,
+)
 from lfield.bytecode.verify.groups import check_group
 from lfield.bytecode.verify.operands import MethodView
 from lfield.bytecode.verify.rules import RULES
@@ -61,13 +73,32 @@ def _check_handler(view: MethodView, handler: Handler, starts: set[int]) -> None
     whole = handler.start in starts and (handler.end in starts or handler.end == view.method.end)
     if not whole or handler.start >= handler.end:
         raise view.refused(handler.start, "a handler protects no run of whole instructions")
+    if handler.kind in (LIMIT, LANDING):
+        _check_region(view, handler)
+        return
+    if handler.kind not in (CATCH, FINALLY):
+        raise view.refused(handler.start, f"there are no handlers of kind {handler.kind}")
     if handler.target not in starts or handler.start <= handler.target < handler.end:
         raise view.refused(handler.start, "a handler leads nowhere, or into what it protects")
     if not 0 <= handler.catches < len(view.core.classes):
         raise view.refused(handler.start, "a handler catches a class that does not exist")
     if view.core.classes[handler.catches].kind != "class":
         raise view.refused(handler.start, "a handler catches something that is no class")
+    if handler.kind == FINALLY and handler.catches:
+        raise view.refused(handler.start, "a handler that takes anything names a class")
     # Class 0, Exception, takes any object, so only a slot of any class can hold what it catches.
     caught = TypeRecord(ANY) if handler.catches == 0 else TypeRecord(OBJECT, handler.catches)
     if view.types.record(view.target(handler.slot, handler.target)) not in (caught, TypeRecord(ANY)):
         raise view.refused(handler.target, "what a handler catches does not fit its slot")
+
+
+def _check_region(view: MethodView, handler: Handler) -> None:
+    """A row that leads nowhere: it says what its instructions are part of."""
+    if handler.target or handler.catches or (handler.kind == LANDING and handler.slot):
+        raise view.refused(handler.start, "a row that catches nothing leads somewhere")
+    if handler.kind == LANDING:
+        return
+    if view.scope != "coordinator":
+        raise view.refused(handler.start, "only coordinators have a time limit")
+    if view.target(handler.slot, handler.start) != INT:
+        raise view.refused(handler.start, "the end of a time limit is no int")

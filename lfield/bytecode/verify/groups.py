@@ -14,12 +14,15 @@ from lfield.bytecode.program import (
     ARRAY,
     BOOLEAN,
     DEVICE,
+    EXCEPTIONS,
     HELD,
     INT,
+    NULL,
     OBJECT,
     PROXY,
     REAL,
     STRING,
+    TICKET,
     VOID,
     Quad,
     TypeRecord,
@@ -30,7 +33,7 @@ _PUSH, _POP = BY_NAME["push"], BY_NAME["pop"]
 _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
 
 #: What resources and plain classes do not have, by the instruction that is about it.
-_OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat"}
+_OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"}
 
 #: Whether a type index is what a head takes or gives.
 Test = Callable[[MethodView, int], bool]
@@ -112,6 +115,48 @@ def _pcall(view: MethodView, pc: int, quad: Quad) -> Signature:
     return Signature([_proxy_of(callee.owner), *map(_accepts, arguments)], _given(callee.result))
 
 
+def _begin(view: MethodView, pc: int, quad: Quad) -> Signature:
+    """What `pcall` takes, behind the sentinel and the element that the result goes to."""
+    proxy, *arguments = _pcall(view, pc, quad).takes
+    result = view.core.methods[quad.a].result
+
+    def takes_result(view: MethodView, index: int) -> bool:
+        record = view.types.record(index)
+        return record.kind == NULL or (
+            record.kind == ARRAY and result != VOID and view.types.fits(result, record.of)
+        )
+
+    return Signature([_is_ticket, takes_result, _accepts(INT), proxy, *arguments], None)
+
+
+def _gather(view: MethodView, pc: int, quad: Quad) -> Signature:
+    _check_coordinator(view, pc)
+    return Signature([], _is_ticket)
+
+
+def _waits(view: MethodView, pc: int, quad: Quad) -> Signature:
+    _check_coordinator(view, pc)
+    return Signature([_is_ticket], None)
+
+
+def _leave(view: MethodView, pc: int, quad: Quad) -> Signature:
+    _check_coordinator(view, pc)
+    return Signature([_is_ticket, _accepts(ANY)], None)
+
+
+def _check_coordinator(view: MethodView, pc: int) -> None:
+    if view.scope != "coordinator":
+        raise view.refused(pc, "only coordinators work in parallel")
+
+
+def _is_ticket(view: MethodView, index: int) -> bool:
+    return view.types.kind(index) == TICKET
+
+
+def _others(view: MethodView, pc: int, quad: Quad) -> Signature:
+    return Signature([_accepts(ANY)], _accepts(EXCEPTIONS))
+
+
 def _find(view: MethodView, pc: int, quad: Quad) -> Signature:
     _check_find(view, pc, quad)
     return Signature([_accepts(STRING)], _proxy_of(quad.a))
@@ -182,6 +227,12 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], Signature]] = {
     "agent": _about,
     "host": _about,
     "device": _device,
+    "exc_others": _others,
+    "gather": _gather,
+    "begin": _begin,
+    "start": _waits,
+    "fetch": _waits,
+    "leave": _leave,
 }
 
 

@@ -7,8 +7,10 @@ from lfield.bytecode.program import (
     ARRAY,
     DEVICE,
     OBJECT,
+    OTHERS,
     PROXY,
     STRING,
+    TICKET,
     VOID,
     Core,
     MethodDebug,
@@ -31,6 +33,8 @@ _OWNERS = {
     "init": frozenset({"resource", "coordinator"}),
     "portal": frozenset({"resource"}),
 }
+#: What slots may hold beside values, by the scope of the method.
+_BESIDE_VALUES = {"resource": frozenset({DEVICE}), "coordinator": frozenset({TICKET})}
 
 
 def check_methods(core: Core) -> None:
@@ -61,8 +65,8 @@ def _check_shape(core: Core, table: TypeTable, method: MethodRecord) -> None:
         raise _refused(method, "it uses a type that does not exist")
     if table.record(method.slots[0]) != TypeRecord(OBJECT, method.owner):
         raise _refused(method, "its slot 0 is not the object it runs on")
-    holds_devices = scope_of(core.classes[method.owner]) == "resource"
-    if not all(table.is_value(i) or (holds_devices and i == DEVICE) for i in method.slots[1:]):
+    kinds = (core.types[i].kind for i in method.slots[1:] if not table.is_value(i))
+    if not _BESIDE_VALUES.get(scope_of(core.classes[method.owner]), frozenset()).issuperset(kinds):
         raise _refused(method, "a slot has a type no variable can have")
     if method.result != VOID and not table.is_value(method.result):
         raise _refused(method, "it has a result of a type no value can have")
@@ -117,9 +121,11 @@ def _may_cross(core: Core, record: TypeRecord) -> bool:
 def _parts(core: Core, record: TypeRecord) -> list[int]:
     if record.kind == ARRAY:
         return [record.of]
-    if record.kind == OBJECT:
-        return [field.type for field in core.classes[record.of].fields]
-    return []
+    if record.kind != OBJECT:
+        return []
+    # What else was thrown in a `together` stays behind when an exception crosses (copier.py).
+    fields = core.classes[record.of].fields
+    return [field.type for field in (fields[:OTHERS] if record.of < core.builtins else fields)]
 
 
 def check_debug(program: Program) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from lfield.bytecode.program import (
+    ANY,
     ARRAY,
     BUILTIN_CLASSES,
     DEVICE,
+    EXCEPTIONS,
     FACT_FIELDS,
     FACTS,
     HELD,
@@ -15,6 +17,7 @@ from lfield.bytecode.program import (
     PROXY,
     REAL,
     STRING,
+    TICKET,
     VOID,
     ClassRecord,
     Core,
@@ -25,12 +28,19 @@ from lfield.bytecode.program import (
 from lfield.bytecode.verify.types import TypeTable, scope_of
 from lfield.errors import ProgramFileError
 
-#: The eight types without parts that every program begins with.
-FIXED_TYPES = tuple(TypeRecord(kind) for kind in range(8))
+#: The types that every program begins with: eight without parts, and the arrays that `others()` gives.
+FIXED_TYPES = (*(TypeRecord(kind) for kind in range(8)), TypeRecord(ARRAY, ANY))
+assert FIXED_TYPES[EXCEPTIONS] == TypeRecord(ARRAY, ANY)
 
-_EXCEPTION_FIELDS = tuple(FieldRecord(name, STRING) for name in ("message", "source", "trace"))
+_TEXT_FIELDS = tuple(FieldRecord(name, STRING) for name in ("message", "source", "trace"))
+_EXCEPTION_FIELDS = (*_TEXT_FIELDS, FieldRecord("others", EXCEPTIONS))
 #: The built-in exception classes, exactly as every program has them.
 BUILTIN_RECORDS = tuple(ClassRecord(name, "class", "global", _EXCEPTION_FIELDS) for name in BUILTIN_CLASSES)
+#: What a program of lfield 0.3 begins with instead.
+_OLD_TYPES = FIXED_TYPES[:EXCEPTIONS]
+_OLD_RECORDS = tuple(
+    ClassRecord(name, "class", "global", _TEXT_FIELDS) for name in BUILTIN_CLASSES[:OLDEST_BUILTINS]
+)
 
 _TEXT, _NUMBER = TypeRecord(STRING), TypeRecord(REAL)
 _TEXTS, _NUMBERS = TypeRecord(ARRAY, STRING), TypeRecord(ARRAY, REAL)
@@ -45,15 +55,16 @@ _EFFECTS = frozenset({"query", "idempotent", "actuate"})
 
 def check_types(core: Core) -> None:
     """The fixed types first; then arrays of earlier types, objects and proxies; none twice."""
-    if core.types[: len(FIXED_TYPES)] != FIXED_TYPES:
-        raise ProgramFileError("its first eight types are not those of every program")
+    old = core.builtins == OLDEST_BUILTINS
+    fixed = _OLD_TYPES if old else FIXED_TYPES
+    if core.types[: len(fixed)] != fixed:
+        raise ProgramFileError("its first types are not those of every program")
     if len(set(core.types)) != len(core.types):
         raise ProgramFileError("a type is in its table twice")
-    known = core.builtins
-    if known < OLDEST_BUILTINS or core.classes[:known] != BUILTIN_RECORDS[:known]:
+    if core.classes[: core.builtins] != (_OLD_RECORDS if old else BUILTIN_RECORDS):
         raise ProgramFileError("its first classes are not the built-in exceptions")
     table = TypeTable(core)
-    for index in range(len(FIXED_TYPES), len(core.types)):
+    for index in range(len(fixed), len(core.types)):
         _check_type(core, table, index)
 
 
@@ -68,7 +79,7 @@ def _check_type(core: Core, table: TypeTable, index: int) -> None:
             raise ProgramFileError(f"type {index} is of class {record.of}, which does not exist")
         if record.kind == PROXY and core.classes[record.of].kind != "resource":
             raise ProgramFileError(f"type {index} is a proxy for something that is no resource")
-    else:
+    elif record != TypeRecord(TICKET):
         raise ProgramFileError(f"type {index} is of unknown kind {record.kind}")
 
 

@@ -18,8 +18,6 @@ from lfield.manifest import DEVICE_VALUE_TYPES
 #: L types that a canonical portal may take and emit.
 PORTAL_TYPES = (*DEVICE_VALUE_TYPES, "string[]")
 
-#: Methods that every offer has (offer.L), so that no canonical portal can have the name.
-RESERVED = frozenset({"agent", "host", "way", "score", "has", "attribute", "text", "age"})
 
 #: Types of L that no primitive can be named like.
 RESERVED_TYPES = frozenset({"Exception", "Offer", *BUILTIN_EXCEPTIONS})

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from lfield.journal.opening import lost, moment
-from lfield.journal.pages import CopyPage, Fence, Paused, ProgramPage, Run, Starts
+from lfield.journal.pages import BegunPage, CopyPage, Fence, Paused, ProgramPage, Run, Starts
 
 if TYPE_CHECKING:
     from lfield.journal.reading import Seen
@@ -19,6 +19,12 @@ _STATES = {
     "PREPARED": "may have left",
     "MOVED": "has left, this is its shadow",
     "EXITED": "has ended",
+}
+
+_OUTCOMES = {
+    "": "not known: it was under way",
+    "done": "has come to its end, and waits to be fetched",
+    "thrown": "has thrown an exception, which waits to be fetched",
 }
 
 
@@ -45,6 +51,8 @@ def journal_lines(seen: Seen) -> Iterator[str]:
     for entry, page in sorted(seen.pages, key=lambda found: found[0].key):
         if isinstance(page, CopyPage):
             yield from _copy_lines(page, entry.kept, programs)
+        elif isinstance(page, BegunPage):
+            yield from _begun_lines(page, entry.kept)
     for title, damaged in (("damaged", seen.damaged), ("moved aside", seen.aside)):
         for one in damaged:
             yield f"\n{title}: {lost(one.entry)}: {one.why}"
@@ -65,6 +73,13 @@ def _copy_lines(page: CopyPage, kept: float, programs: Mapping[bytes, ProgramPag
     if page.block:
         yield f"  block     {len(page.block)} bytes of program {page.program.hex()[:16]}"
         yield from (f"  {line}" for line in _stack(page, programs))
+
+
+def _begun_lines(page: BegunPage, kept: float) -> Iterator[str]:
+    yield f"\n{page.agent}, start {page.generation}: call {page.number} begun: {page.resource}.{page.portal}"
+    yield f"  as of     {moment(kept)}"
+    size = f", {len(page.parcel)} bytes" if page.parcel else ""
+    yield f"  outcome   {_OUTCOMES[page.outcome]}{size}"
 
 
 def _stack(page: CopyPage, programs: Mapping[bytes, ProgramPage]) -> Iterator[str]:

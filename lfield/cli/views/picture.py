@@ -90,6 +90,15 @@ def _device_state(device: DeviceStatus) -> str:
     return f"safe: {device.moving}" if device.moving else "safe, at rest"
 
 
+#: What becomes of a call that was begun.
+_BEGUN = {
+    "running": "has begun {0}",
+    "done": "{0} has ended, to be fetched",
+    "thrown": "{0} has thrown, to be fetched",
+    "lost": "{0} was lost in a restart",
+}
+
+
 def _agents(answers: Answers[Status]) -> Table:
     shown = Table(box=None, pad_edge=False)
     for column in ("HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED", "HEAP"):
@@ -107,9 +116,12 @@ def _agents(answers: Answers[Status]) -> Table:
         for known in answer.coordinators:
             is_past = known.generation < newest[known.agent]
             over = known.state == "EXITED" and known.where == host and not is_past
-            if known.state == "IN DOUBT" or over:
+            if known.state == "IN DOUBT" or known.unreadable or over:
                 state = f"{known.outcome or 'in doubt'}: {known.detail}".splitlines()[0].rstrip(": ")
                 _add(shown, host, known.agent, "", state, str(known.hops), "", "")
+        for begun in answer.begun:
+            state = _BEGUN[begun.state].format(f"{begun.resource}.{begun.portal}")
+            _add(shown, host, begun.agent, "", state, "", "", "")
         for parked in answer.journal.parked if answer.journal is not None else ():
             if parked.state != "MOVED":
                 _add(shown, host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
@@ -175,6 +187,7 @@ def _status(status: Status) -> dict[str, Any]:
         "paused": status.paused,
         "lease": status.lease,
         "journal": _journal_data(status.journal),
+        "begun": [asdict(begun) for begun in status.begun],
         "moving": {device.name: device.moving for device in status.devices if device.moving},
         "directory": _directory(status.directory),
     }

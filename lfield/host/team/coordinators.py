@@ -6,7 +6,7 @@ nothing waits. Pure, as the core that it is a part of.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
 from lfield.bytecode.encoding import encode
@@ -14,7 +14,7 @@ from lfield.clock import Clock
 from lfield.errors import BlockError
 from lfield.host.effects import CHANGED, Effect, Keep, Say
 from lfield.host.team.keeping import Keeping, Recovery
-from lfield.journal.pages import Page, ProgramPage, Run, Starts
+from lfield.journal.pages import Key, Page, ProgramPage, Run, Starts
 from lfield.mission.mission import Mission
 from lfield.mobility import effects as mobile
 from lfield.mobility.copies import Copy
@@ -32,7 +32,8 @@ from lfield.wire.messages import Hello, Room
 class Coordinators:
     """Those that are on a host, come or leave. `own` is its greeting, `pages` what its journal has kept.
 
-    What is to be done outside is added to `effects`; `unreachable_after` is in seconds.
+    `times` says when each was, in Unix time. What is to be done outside is added to `effects`;
+    `unreachable_after` is in seconds.
     """
 
     def __init__(
@@ -44,9 +45,10 @@ class Coordinators:
         effects: Callable[[Effect], None],
         unreachable_after: float,
         pages: Iterable[Page],
+        times: Mapping[Key, float],
     ) -> None:
         self._mission, self._own, self._machine, self._clock = mission, own, machine, clock
-        self._out = effects
+        self._out, self._times = effects, times
         self._members = {member.id: member for member in mission.team.coordinators}
         self.mobility = Mobility(
             own,
@@ -70,6 +72,8 @@ class Coordinators:
         self._saving: set[str] = set()
         #: Whether a start of a coordinator must not run any more.
         self.barred: Callable[[str, int], bool] = lambda agent, generation: False
+        #: The starts that were told that what they stood at may have begun in an earlier life of this host.
+        self.told: set[tuple[str, int]] = set()
         #: No coordinator is taken in any more.
         self.halted = False
         #: Answers to arrivals, until those that arrived have run.
@@ -245,6 +249,8 @@ class Coordinators:
 
         def seal(sequence: int) -> Buffer:
             agent.block.w[layout.W_SEQUENCE] = sequence
+            # It may have waited for long since it was packed, and its time limits go on.
+            self._machine.note_clock(agent)
             return image
 
         return seal
@@ -279,7 +285,7 @@ class Coordinators:
         member = self._members[copy.agent]
         try:
             limits = self._mission.bindings.limits(member.id)
-            agent = self._machine.restore(member, memoryview(copy.block), limits)
+            agent = self._machine.restore(member, memoryview(copy.block), limits, self._asleep(copy))
         except BlockError as error:
             self.say(f"{copy.agent} cannot go on: what was kept of it cannot be read: {error}")
             return None
@@ -288,8 +294,17 @@ class Coordinators:
         seal = self._sealer(agent)
         if runs:
             self.say(f"{copy.agent} goes on where it was kept")
+        if runs and self._machine.goes_on(agent):
+            self._machine.go(agent)
+        elif runs:
+            self.told.add((agent.id, agent.generation))
             self._resume(agent, RESTARTED, f"{self._own.host} was started again; {PERHAPS}")
         return seal
+
+    def _asleep(self, copy: Copy) -> float:
+        """For how many seconds a coordinator lay on the disk, as far as the wall clock tells; else 0."""
+        kept = self._times.get(Key("copy", copy.agent, copy.generation))
+        return 0.0 if kept is None else max(0.0, self._clock.time() - kept)
 
     def _start(self, agent: str, generation: int) -> None:
         member = self._members[agent]

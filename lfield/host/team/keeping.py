@@ -39,6 +39,8 @@ class Keeping:
 
     def __init__(self, first: Iterable[Page] = ()) -> None:
         self._pages: dict[Key, Page] = {key_of(page): page for page in first}
+        #: The pages that nobody needs any more.
+        self._gone: set[Key] = set()
         #: The number of the batch that pages go into now.
         self._number = 1
         self._behind: dict[str, deque[tuple[int, Effect]]] = {}
@@ -77,19 +79,31 @@ class Keeping:
     def page(self, page: Page, now: float, *, soon: bool = False) -> int:
         """A page to keep; the number of its batch."""
         self._pages[key_of(page)] = page
+        self._gone.discard(key_of(page))
         self._urgent = self._urgent or not soon
+        return self._batch(now)
+
+    def forget(self, keys: Iterable[Key], now: float) -> int:
+        """Nobody needs these pages any more, once those before are kept; the number of their batch."""
+        for key in keys:
+            self._pages.pop(key, None)
+            self._gone.add(key)
+        return self._batch(now)
+
+    def _batch(self, now: float) -> int:
         if self.due is None:
             self.due = now + SOON
         return self._number
 
-    def take(self, now: float) -> tuple[int, list[Page]] | None:
-        """The next batch, if one is due."""
-        if not self._pages or not (self._urgent or (self.due is not None and now >= self.due)):
+    def take(self, now: float) -> tuple[int, list[Page], list[Key]] | None:
+        """The next batch, if one is due: its number, what is to be kept, what is to be removed."""
+        if not self._urgent and (self.due is None or now < self.due):
             return None
-        pages, self._pages = list(self._pages.values()), {}
+        pages, keys = list(self._pages.values()), sorted(self._gone)
+        self._pages, self._gone = {}, set()
         number, self._number = self._number, self._number + 1
         self._urgent, self.due = False, None
-        return number, pages
+        return number, pages, keys
 
     def kept(self, number: int) -> list[Effect]:
         """All batches up to this one are on the disk: what need not wait any more."""

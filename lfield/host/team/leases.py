@@ -25,6 +25,7 @@ from lfield.quorum.core import Quorum
 from lfield.quorum.effects import Saved
 from lfield.quorum.members import Members
 from lfield.vm.agent import Agent
+from lfield.vm.begun import Begun
 from lfield.vm.machine import Machine
 from lfield.vm.memory.layout import W_INTERVAL, W_SEQUENCE
 from lfield.wire.fields import age
@@ -32,8 +33,22 @@ from lfield.wire.framing import Buffer
 from lfield.wire.messages import Hello
 from lfield.wire.quorum import Place, QuorumMessage
 
+#: Who has called a portal: a coordinator that waits here for it, or a call that it has begun here.
+Caller = Agent | Begun
+
 #: Why a host lets no coordinator act.
 ENDED = "the lease of {0} has ended: no majority of the team can be heard"
+#: What a host may have promised that does not know it any more.
+FORGOTTEN = (
+    "no lease is given before every member was heard: the journal here is new, or has lost a promise; "
+    "--first-start says that this host has never run this deployment"
+)
+#: An older copy would do again what has been done since: that is for a person to say.
+STUCK = (
+    "{0} goes on nowhere by itself: the newest that is left of it is on {1}, and cannot be read; if whoever "
+    "had it is gone for good, 'lfield recover {0}' goes on from an older copy, and 'lfield forget {0}' "
+    "ends it"
+)
 
 
 class Leases:
@@ -67,7 +82,7 @@ class Leases:
         )
         self._safe = {device.name: device.safe_state for device in mission.devices_of(own.host)}
         #: The devices that were used here for coordinators that run under leases.
-        self._used: dict[str, set[Agent]] = {}
+        self._used: dict[str, set[Caller]] = {}
         self._waiting: dict[str, Agent] = {}
         self._held = False
 
@@ -78,8 +93,7 @@ class Leases:
         if self.fenced:
             self.quorum.begin(self._clock.monotonic(), first=first)
             if not self.quorum.remembers:
-                told = "no lease is given before every member was heard: the journal here is new"
-                self._out(Say(f"{told}; --first-start says that this host has never run this deployment"))
+                self._out(Say(FORGOTTEN))
         elif self._mission.fenced:
             self._out(Say(f"heartbeatInterval has no effect here: {self._own.host} keeps no journal"))
 
@@ -120,17 +134,22 @@ class Leases:
     def _lost(self) -> None:
         """Calls that run under the lease fail, and what they have used goes safe."""
         reason = ENDED.format(self._own.host)
-        here = {agent for name, agent in self._machine.agents.items() if name in self.fenced}
+        here = {caller for caller in self._callers() if caller.id in self.fenced}
         used = {device: users & here for device, users in self._used.items()}
         if here:
             self._out(Say(reason))
-        for agent in sorted(here, key=lambda agent: agent.id):
-            self._machine.abandon(agent, RESTARTED, f"{reason}; {PERHAPS}")
+        for name in sorted({caller.id for caller in here}):
+            abandon(self._machine, name, f"{reason}; {PERHAPS}")
         for device, users in used.items():
             if users:
-                names = ", ".join(sorted(agent.id for agent in users))
+                names = ", ".join(sorted({caller.id for caller in users}))
                 self._out(MakeSafe(device, self._safe[device], f"{reason}; it was used for {names}"))
         self._used.clear()
+
+    def _callers(self) -> list[Caller]:
+        """The agents that are here, and the calls that run here for those that may be elsewhere."""
+        running = (begun for begun in self._machine.begun_calls() if begun.state == "running")
+        return [*self._machine.agents.values(), *running]
 
     @property
     def wanted(self) -> set[str]:
@@ -169,11 +188,17 @@ class Leases:
             self.quorum.hurry(now)
         return False
 
+    def give_up(self, agent: Agent) -> bool:
+        """Nobody wants to wait any longer for the lease that a coordinator needs; whether it did wait."""
+        if waits := self.is_waiting(agent):
+            del self._waiting[agent.id]
+        return waits
+
     def barred(self, agent: str, generation: int) -> bool:
         """Whether a start of a coordinator is taken in no more."""
         return self.quorum.barred(agent, generation)
 
-    def until(self, caller: Agent, device: str) -> float:
+    def until(self, caller: Caller, device: str) -> float:
         """Until when a device may be actuated for a coordinator, in seconds of this host's clock.
 
         Raises DeviceError when the time is over.
@@ -203,20 +228,20 @@ class Leases:
                     self._team.carry_out([Persist(effect.agent, page)])
                 case quorum.TakeOver() if self._team.mobility.recoverable(effect.agent):
                     self._out(Say(effect.reason))
-                    self._team.recover(effect.agent, effect.generation)
+                    if not self._team.recover(effect.agent, effect.generation):
+                        self._out(Say(STUCK.format(effect.agent, self._own.host)))
                 case quorum.Explain():
                     self._out(Say(effect.text))
 
     def _bar(self, name: str, generation: int, reason: str) -> None:
         """No start before this may run: what is here stops, and its devices go safe."""
-        agent = self._machine.agents.get(name)
+        barred = {c for c in self._callers() if c.id == name and c.generation < generation}
         self._team.carry_out(self._team.mobility.bar(name, generation, reason))
-        if agent is None or agent.generation >= generation:
-            return
-        self._waiting.pop(name, None)
+        if any(self._waiting.get(name) is caller for caller in barred):
+            del self._waiting[name]
         for device, users in self._used.items():
-            if agent in users:
-                users.discard(agent)
+            if users & barred:
+                users -= barred
                 why = f"{name}, which has used it, is barred: {reason}"
                 self._out(MakeSafe(device, self._safe[device], why))
 
@@ -230,6 +255,9 @@ class Leases:
         if copy.is_here:
             return Saved(Place(copy.generation, copy.sequence, left=False), alive=True, interval=0.0)
         block, left = copy.block, copy.state != "RUN"
+        if copy.unreadable:
+            # Nobody goes on with it, nor with what is older.
+            return Saved(Place(copy.generation, copy.sequence, left), alive=False, interval=0.0)
         sequence = _word(block, W_SEQUENCE) if block is not None else 0
         interval = _word(block, W_INTERVAL) / 1000.0 if block is not None else 0.0
         return Saved(Place(copy.generation, sequence, left), alive=False, interval=interval)
@@ -238,6 +266,13 @@ class Leases:
         """A generation that no other host makes, greater than all that are known."""
         known = (k.generation for k in self._team.mobility.knowledge() if k.agent == agent)
         return next_recovery(max([above, *known]), self._mission.team.number(self._own.host))
+
+
+def abandon(machine: Machine, coordinator: str, reason: str) -> None:
+    """What a coordinator has called on this host, and has begun here, has ended for it: it may have begun."""
+    if agent := machine.agents.get(coordinator):
+        machine.abandon(agent, RESTARTED, reason)
+    machine.end_begun(coordinator, RESTARTED, reason)
 
 
 def _word(block: Buffer, index: int) -> int:

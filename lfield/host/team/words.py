@@ -6,8 +6,9 @@ A person cannot see what this host has now, so its own knowledge comes first: wh
 from __future__ import annotations
 
 from lfield.host.team.coordinators import Coordinators
+from lfield.host.team.leases import abandon
 from lfield.journal.pages import Paused
-from lfield.mobility.departures import PERHAPS, RESTARTED
+from lfield.mobility.departures import PERHAPS
 from lfield.mobility.generations import next_recovery
 from lfield.vm.machine import Machine
 from lfield.wire.fields import clip
@@ -35,7 +36,8 @@ def recover(team: Coordinators, host: str, number: int, word: Recover, fence: in
     known = [row.generation for row in team.mobility.knowledge() if row.agent == word.agent]
     generation = next_recovery(max(word.above, fence, *known), number)
     if not team.recover(word.agent, generation):
-        return Recovered(0, f"what {host} has kept of {word.agent} cannot be read")
+        left = f"what {host} has kept of {word.agent} cannot be read"
+        return Recovered(0, f"{left}; ask again: another host may have an older copy")
     return Recovered(generation)
 
 
@@ -53,9 +55,10 @@ def pause(team: Coordinators, machine: Machine, now: float, *, on: bool) -> None
     if not on:
         team.mobility.postpone(now)
         return
-    for agent in list(machine.agents.values()):
-        if agent.member.kind == "coordinator":
-            machine.abandon(agent, RESTARTED, f"the mission was paused; {PERHAPS}")
+    begun = {call.agent for call in machine.begun_calls()}
+    here = {agent.id for agent in machine.agents.values() if agent.member.kind == "coordinator"}
+    for coordinator in sorted(begun | here):
+        abandon(machine, coordinator, f"the mission was paused; {PERHAPS}")
 
 
 def _why_not(team: Coordinators, host: str, word: Recover) -> str:

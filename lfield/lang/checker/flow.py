@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lfield.lang import messages
-from lfield.lang.chains import chain, further
+from lfield.lang.chains import bodies, chain, further, inside, statements, values
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.tree import (
     Block,
     Break,
-    Catch,
+    Call,
     Continue,
     If,
     Literal_,
@@ -19,9 +19,11 @@ from lfield.lang.tree import (
     Return,
     Stmt,
     Throw,
+    Together,
     Try,
+    Within,
 )
-from lfield.lang.types import UNKNOWN, VOID, Type, distance
+from lfield.lang.types import UNKNOWN, VOID, ClassType, Type, distance
 
 _CAUSES: dict[type[Stmt], str] = {
     Return: "return",
@@ -32,6 +34,9 @@ _CAUSES: dict[type[Stmt], str] = {
 }
 
 
+_TIME_LIMIT = ClassType("TimeLimitException")
+
+
 def check_flow(symbols: Symbols, method: Method) -> None:
     """Report the warnings of a method without errors. Falling off the end is legal (appendix D does it)."""
     falls_off = _Flow(symbols).ends(method.body)
@@ -39,33 +44,56 @@ def check_flow(symbols: Symbols, method: Method) -> None:
         symbols.report(messages.FALLS_OFF, method.end, method=f"{method.kind} {method.name}")
 
 
+def _cause(stopper: Stmt) -> str:
+    return _CAUSES.get(type(stopper), "statement that never ends")
+
+
+def _may_limit(body: Sequence[Stmt]) -> bool:
+    """Whether statements may throw a TimeLimitException of their own: by a `within`, a method or a throw."""
+    return any(
+        isinstance(one, Within | Throw)
+        or any(isinstance(part, Call) for value in values(one) for part in inside(value))
+        for one in statements(body)
+    )
+
+
 class _Flow:
     """A walk over the statements of a method."""
 
     def __init__(self, symbols: Symbols) -> None:
         self.symbols = symbols
+        #: Every `try` whose `finally` never comes to its end: what leaves it goes no further.
+        self.swallowing: set[Try] = set()
+        #: How many `within` stand around, without a `finally` between.
+        self.limits = 0
 
     def ends(self, body: Sequence[Stmt]) -> bool:
-        """Whether control can come to the end of these statements; the first unreachable one is reported."""
-        reached = True
-        blocker: Stmt | None = None
+        """Whether control can come to the end of these statements."""
+        return self.stopper(body) is None
+
+    def stopper(self, body: Sequence[Stmt]) -> Stmt | None:
+        """The first of these statements that control never comes past; the one behind it is reported."""
+        stopper: Stmt | None = None
+        told = False
         for one in body:
-            if not reached and blocker is not None:
-                cause = _CAUSES.get(type(blocker), "statement that never ends")
+            if stopper is not None and not told:
+                cause = _cause(stopper)
                 self.symbols.report(messages.UNREACHABLE, one.span, cause=cause)
-                blocker = None
+                told = True
             passes = self.passes(one)
-            if reached and not passes:
-                reached, blocker = False, one
-        return reached
+            if stopper is None and not passes:
+                stopper = one
+        return stopper
 
     def passes(self, one: Stmt) -> bool:
         """Whether control can come to the end of a statement."""
         match one:
             case Return() | Break() | Continue() | Throw():
                 return False
-            case Block():
+            case Block() | Together():
                 return self.ends(one.body)
+            case Within():
+                return self.within(one)
             case If():
                 ladder = [one, *reversed(chain(one, further))]
                 ends = [self.ends(rung.then) for rung in ladder]
@@ -73,37 +101,52 @@ class _Flow:
             case Loop():
                 self.ends(one.body)
                 endless = isinstance(one.condition, Literal_) and one.condition.value is True
-                return not endless or _has_break(one.body)
+                return not endless or self.has_break(one.body)
             case Try():
-                self.catches(one.catches)
+                self.catches(one)
                 ends = [self.ends(one.body), *(self.ends(clause.body) for clause in one.catches)]
-                return any(ends)
+                return self.last_ends(one) and any(ends)
         return True
 
-    def catches(self, clauses: Sequence[Catch]) -> None:
-        """Report a catch that an earlier one of the same try leaves nothing for."""
+    def within(self, one: Within) -> bool:
+        """Whether control can come to the end of a `within`."""
+        self.limits += 1
+        passes = self.ends(one.body)
+        self.limits -= 1
+        return passes
+
+    def last_ends(self, one: Try) -> bool:
+        """Whether control can come to the end of the `finally`; without one it is there already."""
+        limits, self.limits = self.limits, 0
+        leaving = self.stopper(one.last or [])
+        self.limits = limits
+        if leaving is None:
+            return True
+        self.swallowing.add(one)
+        self.symbols.report(messages.LOSING_FINALLY, leaving.span, cause=_cause(leaving))
+        return False
+
+    def catches(self, attempt: Try) -> None:
+        """Report a catch that an earlier one leaves nothing for, or that the `within` around it passes by."""
         earlier: list[Type] = []
-        for clause in clauses:
+        for clause in attempt.catches:
             kind = clause.local.type
+            if self.limits and kind == _TIME_LIMIT and not _may_limit(attempt.body):
+                self.symbols.report(messages.LIMIT_PASSES, clause.local.span)
             taker = next((e for e in earlier if distance(kind, e) is not None), None)
             if taker is not None:
                 self.symbols.report(messages.UNREACHABLE_CATCH, clause.local.span, earlier=f"catch ({taker})")
             earlier.append(kind)
 
-
-def _has_break(body: Sequence[Stmt]) -> bool:
-    """Whether a break in a loop's body leaves this loop."""
-    waiting = list(body)
-    while waiting:
-        match waiting.pop():
-            case Break():
+    def has_break(self, body: Sequence[Stmt]) -> bool:
+        """Whether a break in a loop's body leaves this loop."""
+        waiting = list(body)
+        while waiting:
+            one = waiting.pop()
+            if isinstance(one, Break):
                 return True
-            case Block() as one:
-                waiting += one.body
-            case If() as one:
-                waiting += [*one.then, *one.otherwise]
-            case Try() as one:
-                waiting += one.body
-                for clause in one.catches:
-                    waiting += clause.body
-    return False
+            if isinstance(one, Try) and one in self.swallowing:
+                waiting += one.last or []
+            elif not isinstance(one, Loop):
+                waiting += [inner for part in bodies(one) for inner in part]
+        return False

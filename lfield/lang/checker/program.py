@@ -12,6 +12,7 @@ from lfield.lang.checker.flow import check_flow
 from lfield.lang.checker.scope import Body, Scope
 from lfield.lang.checker.statements import statements
 from lfield.lang.checker.symbols import Symbols
+from lfield.lang.checker.together import begin_calls
 from lfield.lang.tree import CheckedProgram
 from lfield.manifest import DeviceManifest
 from lfield.text.source import Diagnostics
@@ -59,6 +60,7 @@ def _check_body(
         return
     body.scope = Scope(None, {p.name: p for p in method.parameters})
     method.body.extend(statements(body, written.body))
+    begin_calls(symbols, method.body, whole=len(symbols.found.found) == before and not written.broken)
     if len(symbols.found.found) == before and not written.broken:
         check_flow(symbols, method)
 

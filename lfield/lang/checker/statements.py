@@ -11,6 +11,7 @@ from lfield.lang.checker.expressions import assigned, assignment, condition, eva
 from lfield.lang.checker.fitting import converted, cost, expect, shown, unknown
 from lfield.lang.checker.operators import binary
 from lfield.lang.checker.scope import Body
+from lfield.lang.checker.together import limit, may_stand
 from lfield.lang.checker.visibility import visible_type
 from lfield.lang.library import ARRAY_LENGTH
 from lfield.lang.types import BOOLEAN, EXCEPTION, INT, NULL, UNKNOWN, VOID, ArrayType, ClassType
@@ -56,9 +57,13 @@ def _statement(body: Body, raw: syntax.Stmt) -> tree.Stmt | None:
         case syntax.Throw():
             return _throw(body, raw)
         case syntax.Try():
-            return tree.Try(
-                raw.span, _branch(body, raw.body), [_catch(body, clause) for clause in raw.catches]
-            )
+            return _try(body, raw)
+        case syntax.Together():
+            may_stand(body, raw.span)
+            return tree.Together(raw.span, _branch(body, raw.body))
+        case syntax.Within():
+            may_stand(body, raw.span)
+            return tree.Within(raw.span, limit(body, raw.seconds), _branch(body, raw.body))
         case syntax.BadStmt():
             body.scope.uncertain = True
     return None
@@ -209,6 +214,12 @@ def _throw(body: Body, raw: syntax.Throw) -> tree.Stmt:
         body.report(messages.THROW_TYPE, raw.value.span, given=shown(thrown.type))
         thrown = unknown(raw.span)
     return tree.Throw(raw.span, expect(body.symbols, thrown, EXCEPTION))
+
+
+def _try(body: Body, raw: syntax.Try) -> tree.Try:
+    tried = _branch(body, raw.body)
+    catches = [_catch(body, clause) for clause in raw.catches]
+    return tree.Try(raw.span, tried, catches, None if raw.last is None else _branch(body, raw.last))
 
 
 def _catch(body: Body, raw: syntax.Catch) -> tree.Catch:

@@ -88,14 +88,13 @@ def _elements(s: TokenStream, start: Span, made: TypeName | None) -> Expr:
     return s.bounded(Elements(start.to(s.previous.span), height, made, found))
 
 
-def parenthesised(s: TokenStream) -> Expr:
+def parenthesised(s: TokenStream, hint: str = "a condition stands in parentheses") -> Expr:
     """`(condition)`. A mistake inside is skipped, so that the statement after it is still read."""
     opening = s.current
     found: list[Expr] = []
 
     def parse() -> None:
         if not s.accept("("):
-            hint = "a condition stands in parentheses"
             raise s.fail(messages.EXPECTED_SYMBOL, hint=hint, what="'('", found=s.current)
         found.append(expression(s))
         s.close(")", opening)

@@ -1,4 +1,7 @@
-"""Statements (appendix A; `for`, `break` and `continue` added)."""
+"""Statements (appendix A; `for`, `break`, `continue`, `together`, `within` and `finally` added).
+
+The last three are words only where their block follows; everywhere else they are names like any other.
+"""
 
 from __future__ import annotations
 
@@ -24,15 +27,17 @@ from lfield.lang.syntax import (
     Return,
     Stmt,
     Throw,
+    Together,
     Try,
     While,
+    Within,
 )
 from lfield.text.source import Span
 from lfield.text.suggest import FOREIGN_STATEMENTS, closest
 
-#: Words before `{` or `(...) {` that a typing mistake may hide.
 _EACH = "write for (T x : array) { ... }"
-_HEADS = ("if", "else", "while", "for", "try", "catch")
+#: Words before `{` or `(...) {` that a typing mistake may hide.
+_HEADS = ("if", "else", "while", "for", "try", "catch", "together", "within", "finally")
 
 
 def block(s: TokenStream) -> list[Stmt]:
@@ -211,12 +216,14 @@ def _throw(s: TokenStream) -> Stmt:
 def _try(s: TokenStream) -> Stmt:
     span = s.advance().span
     body = statement(s)
-    if not s.at("catch") and not isinstance(body, BadStmt) and not s.at("finally"):
+    if not s.at("catch") and not isinstance(body, BadStmt) and not _at_finally(s):
         s.report(messages.TRY_WITHOUT_CATCH, span)
     catches: list[Catch] = []
     while s.at("catch"):
         catches.extend(_catch_clause(s))
-    return Try(span, body, catches)
+    if not _at_finally(s):
+        return Try(span, body, catches, None)
+    return Try(span, body, catches, _braced(s, s.advance()))
 
 
 def _catch_clause(s: TokenStream) -> list[Catch]:
@@ -238,13 +245,51 @@ def _catch_clause(s: TokenStream) -> list[Catch]:
     return found if well else []
 
 
+def _together(s: TokenStream) -> Stmt:
+    word = s.advance()
+    return Together(word.span, _braced(s, word))
+
+
+def _within(s: TokenStream) -> Stmt:
+    word = s.advance()
+    seconds = parenthesised(s, "its seconds stand in parentheses: within (30) { ... }")
+    return Within(word.span, seconds, _braced(s, word))
+
+
+def _finally(s: TokenStream) -> Stmt:
+    raise s.fail(messages.FINALLY_WITHOUT_TRY)
+
+
+def _at_finally(s: TokenStream) -> bool:
+    return s.at("finally") and _is_word(s)
+
+
+def _braced(s: TokenStream, word: Token) -> Stmt:
+    """The block behind a word; a statement without braces is reported."""
+    if s.at("("):
+        raise s.fail(messages.EXPECTED_SYMBOL, what="'{'", found=s.current)
+    if not s.at("{"):
+        s.report(messages.NEEDS_BODY, word.span, what=word.text)
+    return statement(s)
+
+
+def _is_word(s: TokenStream) -> bool:
+    """Whether `together`, `within` or `finally` begins its block here, or what no name can begin."""
+    following = s.ahead(1)
+    if following.kind is Kind.NAME:
+        return s.ahead(2).text in ("(", ".")
+    return following.kind is Kind.KEYWORD or _block_ahead(s) > 0
+
+
 def _simple(s: TokenStream) -> Stmt:
     """A declaration or an expression with its `;`."""
     if s.at_name():
         word = s.current.text
+        if word in _WORDS and _is_word(s):
+            return _WORDS[word](s)
         if word in FOREIGN_STATEMENTS and _is_foreign(s):
             return _foreign(s, word)
-        if _before_block(s) and (close := closest(word, _HEADS)):
+        if _block_ahead(s) and (close := closest(word, _HEADS)):
             return _misspelt(s, word, close)
     found = _declaration(s) if at_declaration(s) else _evaluate(s)
     s.semicolon()
@@ -254,26 +299,29 @@ def _simple(s: TokenStream) -> Stmt:
 def _is_foreign(s: TokenStream) -> bool:
     """Whether the word here is used as in its own language, and not as a name of this program."""
     following = s.ahead(1).text
-    return _before_block(s) if following == "(" else following not in ("=", ".", "[", ";", ",")
+    return _block_ahead(s) > 0 if following == "(" else following not in ("=", ".", "[", ";", ",")
 
 
-def _before_block(s: TokenStream) -> bool:
-    """Whether `word {` or `word (...) {` stands here."""
-    ahead, depth = 1, 0
+def _block_ahead(s: TokenStream) -> int:
+    """How far ahead the `{` of `word {` or `word (...) {` is; 0 where neither stands here."""
+    ahead, depth, braces, semicolons = 1, 0, 0, 0
     while depth > 0 or s.ahead(ahead).text == "(":
         token = s.ahead(ahead)
-        if token.kind is Kind.END or token.text in ("{", "}"):
-            return False
         depth += {"(": 1, ")": -1}.get(token.text, 0)
+        braces += {"{": 1, "}": -1}.get(token.text, 0)
+        semicolons += token.text == ";"
+        # Between braces stand the elements of an array; the head of a `for` has two semicolons.
+        if token.kind is Kind.END or braces < 0 or semicolons > (2 if braces == 0 else 0):
+            return 0
         ahead += 1
-    return s.ahead(ahead).text == "{"
+    return ahead if s.ahead(ahead).text == "{" else 0
 
 
 def _misspelt(s: TokenStream, word: str, close: str) -> Stmt:
     """`whlie (...) {` or `esle {`: reported; only its block is read."""
     span = s.current.span
     s.report(messages.MISSPELT_KEYWORD, span, word=word, close=close)
-    while not s.at("{"):
+    for _ in range(_block_ahead(s)):
         s.advance()
     return Block(span, [BadStmt(span), statement(s)])
 
@@ -322,4 +370,9 @@ _STATEMENTS: dict[str, Callable[[TokenStream], Stmt]] = {
     "return": _return,
     "throw": _throw,
     "try": _try,
+}
+_WORDS: dict[str, Callable[[TokenStream], Stmt]] = {
+    "together": _together,
+    "within": _within,
+    "finally": _finally,
 }

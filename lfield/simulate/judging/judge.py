@@ -7,7 +7,8 @@ I4  no portal call is started twice, and none is skipped without being told
 I5  at every moment some disk holds a state to go on from (`saved.py`)
 
 Of a coordinator that a majority may recover a copy may stand beside its successor, as long as it begins no
-call and commands no device once that one goes on (`calls.py`, `devices.py`). Beside them: no start has the
+call and commands no device once that one goes on (`calls.py`, `devices.py`). Calls that are begun together
+do not outlive their block (`blocks.py`). Beside them: no start has the
 number of an earlier one, nobody is called lost who lives, no device moves for nobody or has two owners, no
 host fails, and whoever may go on after the weather does.
 """
@@ -21,12 +22,14 @@ from dataclasses import dataclass, field
 from lfield.journal.pages import CopyPage, Page
 from lfield.mobility.generations import is_recovery
 from lfield.simulate.fleet import Fleet, Life
+from lfield.simulate.judging.blocks import Blocks
 from lfield.simulate.judging.breaches import Breach, Breaches
 from lfield.simulate.judging.calls import Calls
 from lfield.simulate.judging.devices import Devices
 from lfield.simulate.judging.saved import nowhere, shadowed
 from lfield.simulate.judging.witness import tap
 from lfield.vm.agent import Agent
+from lfield.vm.begun import Key
 from lfield.wire.coordinators import Transfer
 
 #: A coordinator and one start of it.
@@ -72,6 +75,7 @@ class Judge:
         self._breach = self.breaches.add
         self._calls = Calls(self.breaches, lambda agent: self._newest_at(agent, math.inf))
         self._devices = Devices(self.breaches, self._calls.made_for, self._newest_at)
+        self._blocks = Blocks(self.breaches, lambda: self.fleet.now, self._newest_at, self._on_disk)
         #: How much was seen: a judge who sees nothing finds nothing.
         self.seen = dict.fromkeys(("injections", "starts", "recoveries"), 0)
         #: When which recovery of each agent was the first to go on.
@@ -98,7 +102,7 @@ class Judge:
     @property
     def calls(self) -> int:
         """How many calls began."""
-        return self._calls.begun
+        return self._calls.begun + self._blocks.begun
 
     @property
     def restarts(self) -> int:
@@ -124,7 +128,7 @@ class Judge:
         """A number that is not new: of who had called nothing yet, or it tells nothing any more."""
         start = agent.id, agent.generation
         before = self._starts.get(start)
-        begun = self._calls.any_of(*start)
+        begun = any(of(*start) for of in (self._calls.any_of, self._blocks.any_of))
         moved = before and any(other.core.name != life.core.name for other in before.knew)
         if before and self.fleet.keeps and not moved and not begun:
             return
@@ -234,7 +238,17 @@ class Judge:
 
     def said(self, life: Life, agent: Agent, text: str) -> None:
         """A program has written something."""
-        self._calls.said(life, agent, text)
+        for line in text.splitlines():
+            if self._blocks.said(life, agent, line.split()) or " has thrown too: " in line:
+                continue
+            self._calls.said(life, agent, line)
+
+    def told(self, life: Life, key: Key) -> None:
+        """What a call gave that was begun here may be fetched from now on."""
+        self._blocks.told(life, key)
+
+    def _on_disk(self, name: str) -> list[Page] | None:
+        return self.fleet.disks[name].pages() if self.fleet.keeps else None
 
     # --- what is seen: devices and logs -----------------------------------------------------------------
 
@@ -307,6 +321,7 @@ class Judge:
     def healed(self) -> None:
         """The weather is over: from now on everybody must get on."""
         self._calls.ended.clear()
+        self._blocks.healed()
 
     def waits_for(self) -> list[str]:
         """The coordinators that may go on, and have not done so enough."""
@@ -318,7 +333,8 @@ class Judge:
         return {member.id: team.hosts[member.host] for member in team.coordinators}
 
     def _owed(self, agent: str) -> bool:
-        if agent in self._calls.over or self._calls.ended[agent] >= ENOUGH:
+        ended = self._calls.ended[agent] + self._blocks.closed[agent]
+        if agent in self._calls.over or ended >= ENOUGH:
             return False
         if agent in self.fleet.mission.fenced:
             return shadowed(agent, self.fleet.pages_left)

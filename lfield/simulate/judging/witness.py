@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from lfield.simulate.fleet import Life
 from lfield.vm.agent import Agent, Member
+from lfield.vm.begun import Key
 from lfield.wire.coordinators import Transfer
 from lfield.wire.framing import Buffer
 
@@ -40,6 +41,9 @@ class Sees(Protocol):
 
     def said(self, life: Life, agent: Agent, text: str) -> None:
         """A program has written something."""
+
+    def told(self, life: Life, key: Key) -> None:
+        """The machine is told that the result of a call that was begun is kept."""
 
 
 def tap(life: Life, sees: Sees) -> None:
@@ -92,9 +96,13 @@ def tap(life: Life, sees: Sees) -> None:
         sees.said(life, agent, text)
         go(agent, text)
 
+    def kept_result(go: Callable[[Key], None], key: Key) -> None:
+        sees.told(life, key)
+        go(key)
+
     for place, wire in (
-        (machine, start), (machine, admit), (machine, restore), (machine, resume),
-        (core, arrived), (core, run), (core, write), (core, log), (peers, send_transfer),
+        (machine, start), (machine, admit), (machine, restore), (machine, resume), (machine, kept_result),
+        (core, arrived), (core, run), (core.world, write), (core.world, log), (peers, send_transfer),
     ):  # fmt: skip
         _tap(place, wire)
 

@@ -17,6 +17,7 @@ from lfield.bytecode.program import Program
 from lfield.mission.bindings import USUAL_LEASE, Recovery
 from lfield.mission.load import load_mission
 from lfield.mission.mission import Mission
+from lfield.simulate.stories import crews
 from lfield.simulate.weather import Fault, Weather
 
 #: Every start of a coordinator draws a number; with its name that is its *life*.
@@ -88,6 +89,8 @@ RECOVERED = "heartbeatInterval(s2f(arg[4]));"
 _PROGRAMS: dict[bytes, Program] = {}
 #: What a walker does that never ends.
 FOR_EVER = -1
+#: What may strike in any story.
+USUAL = [kind for kind in Weather.__dataclass_fields__ if kind != "swap"]
 #: Seconds between two faults of a kind at least and at most, and how likely each kind is in a story.
 BETWEEN, LIKELY = (0.7, 6.0), 0.35
 #: So many stories are of hosts that keep journals; the others forget, as many a trial does.
@@ -97,13 +100,16 @@ KEEP = 0.75
 STAYS, STAYS_ON = 8, (26, 31, 31)
 #: Of what kinds stories of hosts with journals are. Of coordinators that a majority may recover they have
 #: nothing that leases do not hold under, and more time, in seconds.
-KEPT, NOT_FENCED, LONGER = ("plain", "plain", "fenced", "doubted"), ("disk_new", "race"), 6.0
+KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted")
+NOT_FENCED, LONGER = ("disk_new", "race"), 6.0
 #: What lets a host doubt another one that goes on; how likely each is then.
 DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
 #: Seconds between two of them, and of such a story, where there are many.
 OFTEN, DOUBTED = (2.0, 8.0), 8.0
 #: Seconds without a sign until a coordinator is recovered; how long a lease lasts.
 INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
+#: How likely a story of crews is one of coordinators that a majority may recover.
+CREWS_FENCED = 0.4
 #: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
 DISKS = (0.002, 0.002, 0.05)
 
@@ -148,7 +154,8 @@ class Story:
         if self.interval:
             words.append(f"{self.interval:g}")
         posts = max(1, self.hosts - self.witnesses)
-        return _mission(self.hosts, posts, self.walkers, self.arms, "&".join(words), self.lease)
+        team = self.hosts, posts, self.walkers, self.arms
+        return _mission(*team, "&".join(words), self.lease, crews.PROGRAM if self.kind == "crew" else PROGRAM)
 
     @property
     def forecast(self) -> list[Fault]:
@@ -171,7 +178,9 @@ def drawn(seed: int) -> Story:
     story = plain(seed)
     if not story.journals:
         return forgetful(seed)
-    return KINDS[random.Random(f"kind {seed}").choice(KEPT)](seed)
+    dice = random.Random(f"kind {seed}")
+    kind = dice.choice(KEPT)
+    return KINDS[dice.choice(DOUBTFUL) if kind == "doubted" else kind](seed)
 
 
 def plain(seed: int) -> Story:
@@ -182,7 +191,7 @@ def plain(seed: int) -> Story:
     arms = dice.choice((0, 0, 0, 1, 1, 2))
     means = {
         kind: dice.uniform(*BETWEEN)
-        for kind in Weather.__dataclass_fields__
+        for kind in USUAL
         if dice.random() < LIKELY and (arms or not kind.startswith("guard"))
     }
     seconds = dice.uniform(4.0, 10.0)
@@ -216,10 +225,9 @@ def fenced(seed: int) -> Story:
     means |= {kind: dice.uniform(*BETWEEN) for kind in DOUBTS if dice.random() < LIKELY_DOUBT}
     lease = dice.choice(LEASES)
     seconds = story.weather + LONGER + lease
-    return replace(
+    story = replace(
         story,
         kind="fenced",
-        means=means,
         weather=seconds,
         seconds=seconds,
         lost_after=None,
@@ -229,6 +237,8 @@ def fenced(seed: int) -> Story:
         lease=lease,
         witnesses=dice.choice((0, 1)),
     )
+    swaps = {"swap": dice.uniform(*OFTEN)} if dice.random() < LIKELY else {}
+    return replace(story, means=means | swaps)
 
 
 def doubted(seed: int) -> Story:
@@ -252,22 +262,52 @@ def doubted(seed: int) -> Story:
     )
 
 
+def parted(seed: int) -> Story:
+    """One of a small team in which whoever held a coordinator does not meet whoever went on with it.
+
+    Only who has promised knows of both, and that from its disk: it is started again in between.
+    """
+    mean = random.Random(f"parted {seed}").uniform(*OFTEN)
+    return replace(doubted(seed), kind="parted", means={"swap": mean})
+
+
+def crew(seed: int) -> Story:
+    """One of coordinators that have several resources work at a time; a majority may recover some of them."""
+    dice = random.Random(f"crew {seed}")
+    story = (fenced if dice.random() < CREWS_FENCED else plain)(seed)
+    means = {kind: mean for kind, mean in story.means.items() if not kind.startswith("guard")}
+    return replace(
+        story,
+        kind="crew",
+        means=means,
+        walkers=min(story.walkers, 2),
+        arms=0,
+        calls=FOR_EVER,
+        lost_after=None,
+        journals=True,
+    )
+
+
 #: Stories by what becomes of their coordinators.
 KINDS: Mapping[str, Callable[[int], Story]] = {
     "plain": plain,
     "forgetful": forgetful,
     "fenced": fenced,
     "doubted": doubted,
+    "parted": parted,
+    "crew": crew,
 }
 
 
 @lru_cache(maxsize=256)
-def _mission(hosts: int, posts: int, walkers: int, arms: int, words: str, lease: float) -> Mission:
+def _mission(
+    hosts: int, posts: int, walkers: int, arms: int, words: str, lease: float, program: str
+) -> Mission:
     lines = [f"//Post:p{n}@h{n}" for n in range(posts)]
     lines += [f"//@h{n}" for n in range(posts, hosts)]
     lines += [f"//Arm:a{n}@h{posts - 1 - n}" for n in range(min(arms, posts))]
     lines += [f"//Walker:w{n}@h{n % posts}?{words}" for n in range(walkers)]
-    program = PROGRAM.replace("//recovered", RECOVERED) if words.count("&") > 2 else PROGRAM
+    program = program.replace("//recovered", RECOVERED) if words.count("&") > 2 else program
     with tempfile.TemporaryDirectory(prefix="lfield-story-") as folder:
         deployment = Path(folder) / "story.dL"
         deployment.with_suffix(".L").write_text(program, encoding="utf-8")

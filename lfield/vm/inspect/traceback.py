@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import TypeVar
 
 from lfield.bytecode.program import MESSAGE, TRACE, Program
@@ -29,15 +30,26 @@ class Place:
 
 def stack(block: Block, program: Program, thread: int) -> list[Place]:
     """The frames of the thread at `thread`, innermost first."""
+    return list(_frames(block, program, block.w[thread + THREAD_FRAME], block.w[thread + THREAD_PC]))
+
+
+def _frames(block: Block, program: Program, frame: int, pc: int) -> Iterator[Place]:
     w = block.w
-    frame, pc = w[thread + THREAD_FRAME], w[thread + THREAD_PC]
-    places = []
     while frame:
         method = w[frame] >> 8 & 0xFFFFFF
-        places.append(Place(frame, method, pc, *program.line(method, pc)))
+        yield Place(frame, method, pc, *program.line(method, pc))
         pc = w[frame + FRAME_RETURN] - 1
         frame = w[frame + FRAME_CALLER]
-    return places
+
+
+def lines_down_to(block: Block, program: Program, frame: int, pc: int, last: int) -> list[str]:
+    """The lines from a frame that stands at `pc` to the one at `last`, of many the innermost."""
+    found = []
+    for place in islice(_frames(block, program, frame, pc), INNERMOST):
+        found.append(_line(program, place))
+        if place.frame == last:
+            break
+    return found
 
 
 def lines(block: Block, program: Program, thread: int) -> list[str]:

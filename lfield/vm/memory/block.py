@@ -65,8 +65,7 @@ class Block:
     @property
     def heap(self) -> int:
         """The first word of the heap."""
-        old = self.w[layout.W_MAGIC] >> 32 == layout.OLD_VERSION
-        return layout.OLD_HEADER_WORDS if old else HEADER_WORDS
+        return layout.HEADERS.get(self.w[layout.W_MAGIC] >> 32, HEADER_WORDS)
 
     @property
     def interval(self) -> float:

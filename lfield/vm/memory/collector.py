@@ -7,7 +7,7 @@ ever mistaken for one. The cost grows with live data, never with garbage.
 from __future__ import annotations
 
 from lfield.vm.memory.block import INITIAL_WORDS, RESERVE_WORDS, Block
-from lfield.vm.memory.layout import HEADER_WORDS, ROOTS, Layouts
+from lfield.vm.memory.layout import HEADER_WORDS, MAGIC, ROOTS, VERSION, W_MAGIC, Layouts
 
 
 def collect(block: Block, layouts: Layouts, room: int = 0) -> None:
@@ -32,11 +32,15 @@ def compact(block: Block, layouts: Layouts) -> None:
 
 
 def _compact(block: Block, layouts: Layouts) -> tuple[bytearray, int]:
-    """A copy of the block with only what is alive, and its top. Spoils the block's own bytes."""
+    """A copy of the block with only what is alive, and its top. Spoils the block's own bytes.
+
+    The copy has the header of this version: what is new in it is 0.
+    """
     old = block.w
-    data = bytearray(8 * block.top)
+    data = bytearray(8 * (block.top + HEADER_WORDS - block.heap))
     new = memoryview(data).cast("q")
-    new[:HEADER_WORDS] = old[:HEADER_WORDS]
+    new[: block.heap] = old[: block.heap]
+    new[W_MAGIC] = MAGIC | VERSION << 32
     top = HEADER_WORDS
     scan = 0
     references: tuple[int, ...] | range = ROOTS

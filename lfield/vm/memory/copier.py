@@ -7,7 +7,7 @@ from lfield.vm.memory.layout import Layouts
 
 
 def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) -> list[int]:
-    """Copy everything the references in `roots` lead to; returns the references in the target.
+    """Copy everything the references in `roots` lead to, but for what stays; returns the references there.
 
     One call keeps aliases among all its roots. Raises Full, with the words it needs, before it writes
     anything. The words around the references are copied as they are, so both blocks must be of the same
@@ -26,9 +26,9 @@ def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) 
         moved[old] = place
         place += size
     for old in order:
-        new = moved[old]
+        new, stays = moved[old], _staying(layouts, w[old])
         for offset in layouts.references(w[old]):
-            into[new + offset] = moved[w[old + offset]]
+            into[new + offset] = 0 if offset == stays else moved[w[old + offset]]
     target.top = place
     return [moved[root] for root in roots]
 
@@ -48,5 +48,11 @@ def _closure(source: Block, roots: list[int], layouts: Layouts) -> tuple[list[in
         order.append(place)
         head = w[place]
         words += head >> 32
-        pending.extend(w[place + offset] for offset in layouts.references(head))
+        stays = _staying(layouts, head)
+        pending.extend(w[place + offset] for offset in layouts.references(head) if offset != stays)
     return order, words
+
+
+def _staying(layouts: Layouts, head: int) -> int:
+    """The offset of the reference that is not followed, 0 for none."""
+    return layouts.stays.get(head & 0xFFFFFFFF, 0)

@@ -11,17 +11,20 @@ collector works, a negative header is the negated new place of what moved.
     PROXY    class index     see PROXY_* below
     FRAME    method index    caller, return pc, depth, slots
     THREAD   -               see THREAD_* below
+    TICKET   type index      see TICKET_* below; the type of its target array, 0 for no target
 """
 
 from __future__ import annotations
 
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
-from lfield.bytecode.program import REFERENCES, Program, TypeRecord
+from lfield.bytecode.program import OTHERS, REFERENCES, Program, TypeRecord
 
 MAGIC = int.from_bytes(b"LBLK", "little")
-VERSION = 2
+VERSION = 3
 #: Blocks of lfield 0.3, inside its dumps: a proxy remembers no start.
 OLD_VERSION = 1
+#: Blocks from before there were tickets and time limits: they travel no more, but journals have them.
+EARLIER_VERSION = 2
 
 # The block's header, by word.
 W_MAGIC = 0  # magic, version in the upper half
@@ -40,9 +43,11 @@ W_HOPS = 15  # migrations made
 W_TRAIL = 16  # the last hosts, as numbers from 1 in the order of the deployment; a ring
 TRAIL_LENGTH = 16
 W_INTERVAL = W_TRAIL + TRAIL_LENGTH  # heartbeat interval of its shadows in ms, 0 for none (appendix I)
-HEADER_WORDS = W_INTERVAL + 1
-#: Blocks of the version before have no interval.
-OLD_HEADER_WORDS = W_INTERVAL
+W_CLOCK = W_INTERVAL + 1  # the agent's clock in ns, when it was last packed: how long it has lived
+W_TICKETS = W_INTERVAL + 2  # the number of the last ticket
+HEADER_WORDS = W_INTERVAL + 3
+#: How many words each version has before its heap.
+HEADERS = {OLD_VERSION: W_INTERVAL, EARLIER_VERSION: W_CLOCK, VERSION: HEADER_WORDS}
 
 #: The longest heartbeat interval: a day, in milliseconds.
 MOST_INTERVAL = 86_400_000
@@ -51,7 +56,7 @@ MOST_INTERVAL = 86_400_000
 ROOTS = (W_SELF, W_ID, W_THREADS)
 
 # Kinds of things on the heap.
-OBJECT, ARRAY, STRING, PROXY, FRAME, THREAD = 1, 2, 3, 4, 5, 6
+OBJECT, ARRAY, STRING, PROXY, FRAME, THREAD, TICKET = 1, 2, 3, 4, 5, 6, 7
 
 # A proxy. MEMBER is the number of the resource in the deployment, START the life of its host in which it was
 # called last: 0 before the first call, else below START_LIMIT.
@@ -66,6 +71,19 @@ FRAME_CALLER, FRAME_RETURN, FRAME_DEPTH, FRAME_SLOTS = 1, 2, 3, 4
 THREAD_ID, THREAD_STATE, THREAD_FRAME, THREAD_PC, THREAD_NEXT, THREAD_CALL = 1, 2, 3, 4, 5, 6
 THREAD_WORDS = 7
 THREAD_REFERENCES = (THREAD_FRAME, THREAD_NEXT)
+
+# A ticket: one portal call of a `together` (decision 46). CALL is a frame of the portal METHOD, with the
+# arguments in its slots, until the call has begun. The result goes to element INDEX of ARRAY. NEXT is the
+# ticket collected before: numbers fall along it. The ticket with the NUMBER 0 is the sentinel that holds all
+# of one `together`: it has only NEXT, the newest.
+TICKET_PROXY, TICKET_CALL, TICKET_METHOD, TICKET_ARRAY, TICKET_INDEX, TICKET_STATE = 1, 2, 3, 4, 5, 6
+TICKET_GENERATION, TICKET_NUMBER, TICKET_VALUE, TICKET_THROWN, TICKET_NEXT = 7, 8, 9, 10, 11
+TICKET_WORDS = 12
+TICKET_REFERENCES = (TICKET_PROXY, TICKET_CALL, TICKET_ARRAY, TICKET_THROWN, TICKET_NEXT)
+#: States of a ticket. TOLD is one that has begun and shall be cancelled: its host has been told.
+COLLECTED, BEGUN, TOLD, BACK = 1, 2, 3, 4
+#: Numbers and clocks stay below this.
+COUNT_LIMIT = 1 << 62
 
 # Thread states.
 READY, PARKED, SLEEPING, BLOCKED, CALLING, WAITING, DEAD = range(7)
@@ -97,19 +115,32 @@ class Layouts:
             for m in core.methods
         ]
 
+        #: By the low half of a header: the one reference of the thing that stays behind when it is copied to
+        #: another block, which is what else a `together` has thrown. It may lead to what crosses no portal.
+        self.stays = {
+            OBJECT | i << 8: 1 + OTHERS for i in range(core.builtins) if len(core.classes[i].fields) > OTHERS
+        }
         #: Offsets of the references by the low half of a header; arrays that hold references are not in it.
         self.offsets = self._by_half(core.types)
 
     def _by_half(self, types: tuple[TypeRecord, ...]) -> dict[int, tuple[int, ...]]:
-        offsets: dict[int, tuple[int, ...]] = {STRING: (), THREAD: THREAD_REFERENCES}
+        offsets: dict[int, tuple[int, ...]] = {
+            STRING: (),
+            THREAD: THREAD_REFERENCES,
+            TICKET: TICKET_REFERENCES,
+        }
         for i, found in enumerate(self.class_references):
             offsets[OBJECT | i << 8] = found
             offsets[PROXY | i << 8] = ()
         for i, found in enumerate(self.frame_references):
             offsets[FRAME | i << 8] = found
         for i, record in enumerate(types):
-            if record.kind == ARRAY_TYPE and not self.array_references[i]:
+            if record.kind != ARRAY_TYPE:
+                continue
+            if not self.array_references[i]:
                 offsets[ARRAY | i << 8] = ()
+            value = (TICKET_VALUE,) if self.array_references[i] else ()
+            offsets[TICKET | i << 8] = (*TICKET_REFERENCES, *value)
         return offsets
 
     def references(self, head: int) -> tuple[int, ...] | range:

@@ -7,7 +7,7 @@ coordinator stands in when it first hops from them, then kept.
 from __future__ import annotations
 
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME
-from lfield.bytecode.program import MethodRecord, Program
+from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Program
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, FRAME_SLOTS, THREAD_FRAME, THREAD_PC, Layouts
 from lfield.vm.memory.threads import threads
@@ -50,7 +50,7 @@ class Liveness:
         """What the handlers around an instruction will read."""
         live = 0
         for handler in record.handlers:
-            if handler.start <= pc < handler.end:
+            if handler.start <= pc < handler.end and handler.kind in (CATCH, FINALLY):
                 live |= sets[handler.target - record.entry] & ~(1 << handler.slot)
         return live
 

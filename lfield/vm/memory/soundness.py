@@ -9,20 +9,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lfield.bytecode.opcodes import BY_NAME
-from lfield.bytecode.program import ANY, PROXY, REFERENCES, STRING, Program
+from lfield.bytecode.program import ANY, PROXY, REFERENCES, STRING, TICKET, Program
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
 from lfield.bytecode.program import OBJECT as OBJECT_TYPE
 from lfield.errors import BlockError
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import INITIAL_WORDS, Block
+from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import (
+    COUNT_LIMIT,
     FRAME,
     FRAME_CALLER,
     FRAME_DEPTH,
     FRAME_RETURN,
     FRAME_SLOTS,
     OBJECT,
-    OLD_HEADER_WORDS,
     PROXY_MEMBER,
     PROXY_START,
     PROXY_WORDS,
@@ -34,34 +35,50 @@ from lfield.vm.memory.layout import (
     THREAD_PC,
     THREAD_STATE,
     THREAD_WORDS,
+    TICKET_NUMBER,
+    TICKET_REFERENCES,
+    TICKET_VALUE,
+    TICKET_WORDS,
     Layouts,
 )
+from lfield.vm.memory.parcels import WORD
+from lfield.vm.memory.tickets import check_ticket
 
-#: For a reference: the low half of the header its target must have; ANY_OBJECT accepts every object.
-ANY_OBJECT = -1
+#: For a reference: the low half of the header its target must have, or one of these: any object, any thing of
+#: a kind, the sentinel of a `together`.
+ANY_OBJECT, ANY_PROXY, ANY_FRAME, ANY_ARRAY, ANY_TICKET, SENTINEL = range(-1, -7, -1)
+_KINDS = {ANY_PROXY: layout.PROXY, ANY_FRAME: FRAME, ANY_ARRAY: layout.ARRAY, ANY_TICKET: layout.TICKET}
+_TICKET_EXPECTS = dict(
+    zip(TICKET_REFERENCES, (ANY_PROXY, ANY_FRAME, ANY_ARRAY, ANY_OBJECT, ANY_TICKET), strict=True)
+)
 Expected = tuple[tuple[int, int], ...]
 
 STATES = len(layout.STATE_NAMES)
 #: More migrations than any coordinator makes; so that counting them never leaves a word.
 MOST_HOPS = 1 << 48
-_MAGIC, _OLD_MAGIC = (layout.MAGIC | version << 32 for version in (layout.VERSION, layout.OLD_VERSION))
+_MAGIC, _EARLIER_MAGIC, _OLD_MAGIC = (
+    layout.MAGIC | version << 32 for version in (layout.VERSION, layout.EARLIER_VERSION, layout.OLD_VERSION)
+)
 _WRONG = "wrong magic or version"
-_PCALL, _PUSH, _CALL = BY_NAME["pcall"].code, BY_NAME["push"].code, BY_NAME["call"].code
+_PUSH, _CALL = BY_NAME["push"].code, BY_NAME["call"].code
+#: Where coordinators leave, and where they are kept.
+_TRAVELS = frozenset(BY_NAME[name].code for name in ("pcall", "start", "fetch", "leave"))
 
 
 class Soundness:
     """The checks for blocks of one program; `members` are the types of the team's agents by number."""
 
     def __init__(self, program: Program, layouts: Layouts, members: Sequence[str]) -> None:
-        self.program = program
+        self.program, self._layouts = program, layouts
         self._portal_calls = _portal_calls(program)
         #: The class index of every member of the team, by its number.
         self.members = [self.program.class_index.get(name, -1) for name in members]
         core = self.program.core
         self._type_expects = [self._expected(i) for i in range(len(core.types))]
         #: By the low half of a header: the size a thing must have (0: any), and what its references lead to.
-        self._sizes: dict[int, int] = {layout.STRING: 0, THREAD: THREAD_WORDS}
+        self._sizes: dict[int, int] = {layout.STRING: 0, THREAD: THREAD_WORDS, layout.TICKET: TICKET_WORDS}
         self._expects: dict[int, Expected] = {layout.STRING: (), THREAD: ()}
+        self._expects[layout.TICKET] = tuple(_TICKET_EXPECTS.items())
         for i, record in enumerate(core.classes):
             self._sizes[OBJECT | i << 8] = layouts.class_words[i]
             self._sizes[layout.PROXY | i << 8] = PROXY_WORDS
@@ -75,6 +92,8 @@ class Soundness:
                 self._sizes[layout.ARRAY | i << 8] = 0
                 if self._type_expects[kind.of] is None:
                     self._expects[layout.ARRAY | i << 8] = ()
+                self._sizes[layout.TICKET | i << 8] = TICKET_WORDS
+                self._expects[layout.TICKET | i << 8] = self._of_ticket(i, kind.of)
 
     def _expected(self, kind: int) -> int | None:
         """The expected header half for references of a type, None for types that hold none."""
@@ -89,7 +108,15 @@ class Soundness:
             return layout.OBJECT | record.of << 8
         if record.kind == PROXY:
             return layout.PROXY | record.of << 8
+        if record.kind == TICKET:
+            return SENTINEL
         return ANY_OBJECT if record.kind == ANY else 0
+
+    def _of_ticket(self, array: int, element: int) -> Expected:
+        """What the references of a ticket lead to whose target is in an array of a type (by index)."""
+        expects = {**_TICKET_EXPECTS, layout.TICKET_ARRAY: layout.ARRAY | array << 8}
+        value = self._type_expects[element]
+        return tuple((expects if value is None else {**expects, TICKET_VALUE: value}).items())
 
     def _references(self, kinds: list[int] | tuple[int, ...], first: int) -> Expected:
         pairs = ((first + i, self._type_expects[kind]) for i, kind in enumerate(kinds))
@@ -98,18 +125,36 @@ class Soundness:
     def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """A travelling coordinator's block from its bytes (`limit` in words); raises BlockError."""
         block = self._adopt(image, limit)
-        if block.w[layout.W_MAGIC] != _MAGIC:
+        if block.w[layout.W_MAGIC] not in (_MAGIC, _EARLIER_MAGIC):
             raise BlockError(_WRONG, word=layout.W_MAGIC)
         starts = self._walk(block, self._sizes)
         self._check_references(block, starts)
         self._check_coordinator(block, starts)
+        if block.w[layout.W_MAGIC] == _EARLIER_MAGIC:
+            # It is moved, and has the header of today afterwards.
+            collect(block, self._layouts)
         return block
+
+    def is_parcel(self, parcel: bytes, thrown: bool) -> bool:
+        """Whether bytes are what a call gave, or what it has thrown (`lfield.vm.memory.parcels`)."""
+        if len(parcel) == WORD:
+            return not thrown
+        try:
+            block = self._adopt(parcel, len(parcel) // 8)
+            if block.w[layout.W_MAGIC] != _MAGIC:
+                return False
+            starts = self._walk(block, self._sizes)
+            self._check_references(block, starts)
+        except BlockError:
+            return False
+        root = starts.get(block.w[layout.W_SELF], 0) & 0xFF
+        return root == OBJECT or (not thrown and root in (layout.ARRAY, layout.STRING, layout.PROXY))
 
     def check_heap(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """Any agent's block from its bytes, sound enough to be read; raises BlockError.
 
-        Blocks of the version before are read too: they only lack the last word of the header and the second
-        one of a proxy.
+        Blocks of both versions before are read too: they only lack the last words of the header, and those
+        of 0.3 the second one of a proxy.
         """
         block = self._adopt(image, limit)
         sizes = self._sizes
@@ -117,7 +162,7 @@ class Soundness:
             sizes = {
                 half: PROXY_START if half & 0xFF == layout.PROXY else size for half, size in sizes.items()
             }
-        elif block.w[layout.W_MAGIC] != _MAGIC:
+        elif block.w[layout.W_MAGIC] not in (_MAGIC, _EARLIER_MAGIC):
             raise BlockError(_WRONG, word=layout.W_MAGIC)
         starts = self._walk(block, sizes)
         self._check_references(block, starts)
@@ -152,7 +197,7 @@ class Soundness:
 
     def _adopt(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         size = len(image)
-        if size % 8 or size < 8 * OLD_HEADER_WORDS:
+        if size % 8 or size < 8 * layout.HEADERS[layout.OLD_VERSION]:
             raise BlockError(f"{size} bytes are no whole block")
         if size > 8 * limit:
             raise BlockError(f"{size} bytes are over the limit of {8 * limit}")
@@ -168,6 +213,10 @@ class Soundness:
             raise BlockError("its size is not what it says", word=layout.W_TOP)
         if not 0 <= block.interval <= layout.MOST_INTERVAL / 1000:
             raise BlockError("its heartbeat interval is not sound", word=layout.W_INTERVAL)
+        if block.heap > layout.W_TICKETS and not (
+            0 <= w[layout.W_CLOCK] < COUNT_LIMIT and 0 <= w[layout.W_TICKETS] < COUNT_LIMIT
+        ):
+            raise BlockError("its clock is not sound", word=layout.W_CLOCK)
         return block
 
     def _walk(self, block: Block, sizes: dict[int, int]) -> dict[int, int]:
@@ -223,9 +272,18 @@ class Soundness:
                 found = starts.get(target, 0)
                 if found != expected and not self._is_kind(found, expected):
                     raise BlockError("a reference leads to no thing of its type", word=place + offset)
+                if expected == SENTINEL and w[target + TICKET_NUMBER]:
+                    raise BlockError("a together is held by one of its calls", word=place + offset)
+        for place, half in starts.items():
+            if half & 0xFF == layout.TICKET:
+                check_ticket(self.program, w, starts, place)
 
     def _is_kind(self, found: int, expected: int) -> bool:
-        """Whether what a reference leads to is an object of a class that is a kind of the one expected."""
+        """Whether what a reference leads to is of a kind, or an object of a class that is a kind of one."""
+        if expected == SENTINEL:
+            return found == layout.TICKET
+        if expected in _KINDS:
+            return found & 0xFF == _KINDS[expected]
         if found & 0xFF != OBJECT:
             return False
         return expected == ANY_OBJECT or (
@@ -281,10 +339,10 @@ class Soundness:
 
 
 def _portal_calls(program: Program) -> frozenset[int]:
-    """The instructions at which a coordinator may stand when it travels: the first of each portal call."""
+    """The instructions where a coordinator may stand when it travels: the first of each group that leaves."""
     found = set()
     for pc, quad in enumerate(program.quads):
-        if quad.op != _PCALL:
+        if quad.op not in _TRAVELS:
             continue
         while program.quads[pc - 1].op == _PUSH:
             pc -= 1

@@ -71,6 +71,12 @@ def place_of(block: Block, identity: int) -> int:
     return place
 
 
+def serving(block: Block, call: int) -> int:
+    """The id of the thread that serves the portal call with that number; 0 when there is none."""
+    w = block.w
+    return next((w[place + THREAD_ID] for place in threads(block) if w[place + THREAD_CALL] == call), 0)
+
+
 def unlink(block: Block, identity: int) -> None:
     """Take a thread out of the list; the collector takes the rest."""
     w = block.w

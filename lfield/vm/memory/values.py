@@ -19,7 +19,7 @@ from lfield.bytecode.program import (
 from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.layout import ARRAY, OBJECT
+from lfield.vm.memory.layout import ARRAY, OBJECT, Layouts
 
 #: The longest message an exception made by the machine carries, in characters, and its room in words.
 MESSAGE_LENGTH = 1000
@@ -90,12 +90,13 @@ def _array_for(block: Block, program: Program, kind: int, values: list[float] | 
     return place
 
 
-def new_exception(block: Block, kind: str, message: str, source: str = "") -> int:
+def new_exception(block: Block, layouts: Layouts, kind: str, message: str, source: str = "") -> int:
     """An object of a built-in exception class; raises Full before anything that matters is written."""
+    record = BUILTIN_CLASSES.index(kind)
     with block.reserve():
         text = block.new_string(message[:MESSAGE_LENGTH])
         about = block.new_string(source)
-        place = block.allocate(OBJECT, BUILTIN_CLASSES.index(kind), 4)
+        place = block.allocate(OBJECT, record, layouts.class_words[record])
     block.w[place + 1 + MESSAGE] = text
     block.w[place + 1 + SOURCE] = about
     return place

@@ -95,14 +95,15 @@ def leave(result: Argument | None, synchronized: bool, destinations: dict[int, i
     return step
 
 
-def outside(arguments: list[Argument], op: int, operand: int, checked: str) -> Step:
-    """A head that leaves the engine; `checked` names what must not be null (the first argument), or ''."""
+def outside(arguments: list[Argument], op: int, operand: int, checked: dict[int, str]) -> Step:
+    """A head that leaves the engine; `checked` has what arguments must not be null for."""
 
     def step(m: Registers) -> int:
         w, slots = m.w, m.slots
         words = [constant if slot is None else w[slots + slot] for slot, constant in arguments]
-        if checked and not words[0]:
-            raise null_use(checked)
+        for number, what in checked.items():
+            if not words[number]:
+                raise null_use(what)
         m.exit = Outside(op, operand, words)
         return LEAVE
 

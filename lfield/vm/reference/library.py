@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from lfield.bytecode.program import MESSAGE, SOURCE
+from lfield.bytecode.program import EXCEPTIONS, MESSAGE, OTHERS, SOURCE
 from lfield.vm.contract import Trap
 from lfield.vm.memory import layout
 from lfield.vm.memory.values import real_text
@@ -136,6 +136,13 @@ def _exception_type(m: Registers, place: int) -> int:
     return m.block.new_string(_class_name(m, place))
 
 
+def _exception_others(m: Registers, place: int) -> int:
+    if not place:
+        raise null_use("exception")
+    known = m.w[place] >> 8 & 0xFFFFFF < m.builtins and m.w[place + 1 + OTHERS]
+    return known or m.block.allocate(layout.ARRAY, EXCEPTIONS, 1)
+
+
 def _heartbeat_interval(m: Registers, seconds: float) -> None:
     if seconds == -1:
         m.w[layout.W_INTERVAL] = 0
@@ -187,4 +194,5 @@ FUNCTIONS: dict[str, Function] = {
     "exc_message": _exception_text(MESSAGE),
     "exc_type": _exception_type,
     "exc_source": _exception_text(SOURCE),
+    "exc_others": _exception_others,
 }

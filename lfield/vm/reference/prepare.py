@@ -205,19 +205,27 @@ class _Preparer:
             words = self.layouts.frame_words[head.a]
             return calls.call(arguments, head.a, words, entry, back, callee.name)
         if row.exits:
-            checked = ""
-            if row.name == "pcall":
-                checked = f"portal '{self.core.methods[head.a].name}'"
-            elif row.name in ("write_str", "print_str", "find", "agent", "host"):
-                checked = f"'{row.name.partition('_')[0]}'"
-            elif row.name == "device" and self.core.device_calls[head.a].field == HELD:
-                checked = f"device of '{self.core.device_calls[head.a].instruction}'"
-            ask = calls.outside(arguments, head.op, head.a, checked)
+            ask = calls.outside(arguments, head.op, head.a, self.checked(row, head.a))
             if row.name == "device" and not arguments and self.device_result(head.a) in PLAIN:
                 return calls.reading(ask, head.a, into, after)
             return ask
         reals = [kind == "real" for kind in row.takes or ()]
         return _pure(FUNCTIONS[row.name], self.getters(operands, reals), into, row.gives == "real", after)
+
+    def checked(self, row: Opcode, operand: int) -> dict[int, str]:
+        """Which arguments of a head that leaves must not be null, and what each one is for."""
+        match row.name:
+            case "pcall":
+                return {0: f"portal '{self.core.methods[operand].name}'"}
+            case "begin":
+                return {0: "'together'", 3: f"portal '{self.core.methods[operand].name}'"}
+            case "start" | "fetch" | "leave":
+                return {0: "'together'"}
+            case "write_str" | "print_str" | "find" | "agent" | "host":
+                return {0: f"'{row.name.partition('_')[0]}'"}
+            case "device" if self.core.device_calls[operand].field == HELD:
+                return {0: f"device of '{self.core.device_calls[operand].instruction}'"}
+        return {}
 
     def getters(self, operands: list[int], reals: list[bool]) -> list[tuple[bool, int | None, Any]]:
         """For each argument of a pure function: whether it is real, its slot, or the constant's value."""

@@ -120,7 +120,7 @@ class Engine:
     def _made(self, block: Block, kind: str, message: str, source: str = "") -> int:
         """An exception object of a built-in class, or 0 when there is no room for it."""
         try:
-            return new_exception(block, kind, message, source)
+            return new_exception(block, self.layouts, kind, message, source)
         except Full:
             return 0
 

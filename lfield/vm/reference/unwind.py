@@ -1,29 +1,71 @@
-"""Finding who catches: walks the frames of a thread, innermost first."""
+"""Finding who takes what is thrown: walks the rows of handlers around a place, frame by frame.
+
+A `finally` takes anything. A `catch` takes what is of its class, but not inside a `within` whose time is
+over: what is given up does not go on. The code of a `finally` still runs as ever, its own catches included.
+"""
 
 from __future__ import annotations
 
-from lfield.bytecode.program import Handler, Program
-from lfield.vm.memory.block import Block
+from collections.abc import Iterator
+
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.bytecode.program import (
+    CATCH,
+    FINALLY,
+    LANDING,
+    LIMIT,
+    OVER,
+    TRACE,
+    Handler,
+    MethodRecord,
+    Program,
+)
+from lfield.vm.inspect.traceback import INNERMOST, lines_down_to
+from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, FRAME_SLOTS, OBJECT
 from lfield.vm.reference.calls import release
 
+_THROW = BY_NAME["throw"].code
 
-def find_handler(
-    block: Block, program: Program, frame: int, pc: int, thrown: int
-) -> tuple[int, Handler] | None:
-    """The frame and handler that catch the object at `thrown`, or None. Changes nothing."""
+#: A frame and one of its method's rows.
+Row = tuple[int, Handler]
+
+
+def rows_around(block: Block, program: Program, frame: int, pc: int) -> Iterator[Row]:
+    """Every row around the instruction at `pc` of a frame and around the calls to it, innermost first."""
     w = block.w
-    head = w[thrown]
-    kinds = program.kinds[head >> 8 & 0xFFFFFF if head & 0xFF == OBJECT else 0]
     while frame:
-        method = program.core.methods[w[frame] >> 8 & 0xFFFFFF]
-        for handler in method.handlers:
-            if handler.start <= pc < handler.end and handler.catches in kinds:
-                return frame, handler
+        for handler in program.core.methods[w[frame] >> 8 & 0xFFFFFF].handlers:
+            if handler.start <= pc < handler.end:
+                yield frame, handler
         # A caller stands behind its call; the call itself is the instruction before.
         pc = w[frame + FRAME_RETURN] - 1
         frame = w[frame + FRAME_CALLER]
-    return None
+
+
+def find_handler(block: Block, program: Program, frame: int, pc: int, thrown: int) -> Row | None:
+    """The frame and handler that take the object at `thrown`, or None. Changes nothing."""
+    head = block.w[thrown]
+    kinds = program.kinds[head >> 8 & 0xFFFFFF if head & 0xFF == OBJECT else 0]
+    catch: Row | None = None  # the innermost that matches, while a limit around it may be over
+    last: Row | None = None  # who takes it if that is so
+    for row in rows_around(block, program, frame, pc):
+        handler = row[1]
+        if handler.kind == FINALLY and catch is None:
+            return row
+        if handler.kind == FINALLY:
+            last = last or row
+        elif handler.kind == CATCH and catch is None and handler.catches in kinds:
+            if not program.has_limits:
+                return row
+            catch = row
+        elif handler.kind == LANDING and catch is not None:
+            return catch
+        elif handler.kind == LIMIT and block.w[row[0] + FRAME_SLOTS + handler.slot] == OVER:
+            if last is not None:
+                return last
+            catch = None
+    return catch
 
 
 def unwind(
@@ -31,6 +73,8 @@ def unwind(
 ) -> None:
     """Leave all frames down to `target`, giving back the monitors they hold, and bind the object."""
     w = block.w
+    if handler.kind == FINALLY:
+        _keep_trace(block, program, frame, pc, target, thrown)
     while frame != target:
         method = program.core.methods[w[frame] >> 8 & 0xFFFFFF]
         if method.synchronized and pc != method.entry:
@@ -38,3 +82,31 @@ def unwind(
         pc = w[frame + FRAME_RETURN] - 1
         frame = w[frame + FRAME_CALLER]
     w[target + FRAME_SLOTS + handler.slot] = thrown
+
+
+def _keep_trace(block: Block, program: Program, frame: int, pc: int, target: int, thrown: int) -> None:
+    """A `finally` throws the object again: note where it comes from, as far as there is room for it.
+
+    Only built-in exceptions can say that. What passes one `finally` after the other is noted once.
+    """
+    w = block.w
+    method = program.core.methods[w[frame] >> 8 & 0xFFFFFF]
+    if w[thrown] >> 8 & 0xFFFFFF >= program.builtins or (
+        frame == target and _throws_again(program, method, pc)
+    ):
+        return
+    before = block.text(w[thrown + 1 + TRACE]).splitlines()
+    if len(before) >= INNERMOST:
+        return
+    lines = [f"    {line}" for line in lines_down_to(block, program, frame, pc, target)]
+    try:
+        with block.reserve():
+            w[thrown + 1 + TRACE] = block.new_string("\n".join([*before, *lines][:INNERMOST]))
+    except Full:
+        return
+
+
+def _throws_again(program: Program, method: MethodRecord, pc: int) -> bool:
+    """Whether an instruction is the end of a `finally` that an exception has led to."""
+    quad = program.quads[pc]
+    return quad.op == _THROW and any(h.kind == FINALLY and h.slot == quad.a for h in method.handlers)

@@ -11,8 +11,6 @@ the table shows these too.
 
 from __future__ import annotations
 
-import asyncio
-import io
 from collections import Counter
 from pathlib import Path
 
@@ -21,19 +19,9 @@ from harness.figure import Figure, Opener
 from harness.processes import Processes
 from harness.samples import Contender
 from harness.words import COUNT
-
-from lfield.clock import SystemClock
-from lfield.host.host import Host, Options
-from lfield.host.logbook import Logbook
-from lfield.host.process.until_done import until_done
-from lfield.mission.load import load_mission
-from lfield.mission.mission import Mission
-from lfield.simulate.network import MemoryNetwork
+from hops.memory_team import carry_out
 
 SIZES = (2, 4, 8, 16, 32, 64)
-
-#: Seconds without a link after which a host counts as gone; none goes here.
-_LOST_AFTER = 30.0
 
 _PROGRAM = """
 resource Voter {
@@ -73,37 +61,12 @@ def broadcasting(checkout: Checkout, processes: Processes) -> Contender:
 
 def agree(folder: Path, count: int) -> Counter[str]:
     """Let so many resources, each on a host of its own, agree on their greatest wish; what was sent."""
-    (folder / "vote.L").write_text(_PROGRAM, encoding="utf-8")
-    lines = [f"//Voter:v{i}@h{i}?{7 * i % count}" for i in range(count)]
-    deploy = folder / "vote.dL"
-    deploy.write_text("\n".join([*lines, f"//Vote:vote@h{count - 1}"]), encoding="utf-8")
-    return asyncio.run(_agree(load_mission(deploy)))
-
-
-async def _agree(mission: Mission) -> Counter[str]:
-    loop = asyncio.get_running_loop()
-    network = MemoryNetwork(SystemClock(), on_pending=lambda: loop.call_soon(network.step))
-    written = {name: io.StringIO() for name in mission.team.hosts}
-    hosts = [_host(mission, name, network, out) for name, out in written.items()]
-    try:
-        # At once: a host with coordinators waits for the others' greetings before it starts them.
-        await asyncio.gather(*(host.start() for host in hosts))
-        (fate,) = await until_done(hosts[-1], _LOST_AFTER)
-        if fate.outcome != "done":
-            raise RuntimeError(f"{fate.agent} {fate.outcome}: {fate.detail}")
-        sent: Counter[str] = network.sent.copy()
-    finally:
-        for host in hosts:
-            await host.stop()
-    decisions = {int(out.getvalue()) for out in written.values()}
-    if decisions != {max(7 * i % len(hosts) for i in range(len(hosts)))}:
+    voters = [f"//Voter:v{i}@h{i}?{7 * i % count}" for i in range(count)]
+    sent, written = carry_out(folder, _PROGRAM, [*voters, f"//Vote:vote@h{count - 1}"])
+    decisions = {int(text) for text in written}
+    if decisions != {max(7 * i % count for i in range(count))}:
         raise RuntimeError(f"they decided on {decisions}")
     return sent
-
-
-def _host(mission: Mission, name: str, network: MemoryNetwork, out: io.StringIO) -> Host:
-    address = mission.team.addresses[mission.team.number(name)]
-    return Host(mission, name, network.transport(name), Logbook(out, io.StringIO()), Options(address))
 
 
 _CASES = {f"N = {count}": count for count in SIZES}

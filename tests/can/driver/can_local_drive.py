@@ -119,7 +119,7 @@ class LocalDrive:
         self.acknowledged = self.reached = False
         self.controls: list[int] = []
         self.beats: list[float] = []
-        self.silent = self.stuck = False
+        self.silent = self.stuck = self.deaf_to_halt = False
 
     async def live(self) -> None:
         self.attach()
@@ -245,7 +245,8 @@ class LocalDrive:
     def move(self) -> None:
         self.velocity = 0.0
         mode = self.get(0x6061)
-        if self.state == 0x0237 and not self.stuck:
+        halted = bool(self.controls and self.controls[-1] & 0x100) and not self.deaf_to_halt
+        if self.state == 0x0237 and not (self.stuck or halted):
             if mode in (3, 9):
                 self.velocity = self.get(0x60FF)
             elif mode == 1 and self.travel:

@@ -125,6 +125,58 @@ def test_a_drive_that_only_positions(rig):
     assert any("it does not take velocities" in note for note in b.notes)
 
 
+@pytest.mark.parametrize("without", [set(), {0x1402, 0x1602, 0x60FF}], ids=["velocities", "positions_only"])
+def test_a_halt_stands_on_the_way_enabled_and_its_old_goal_is_over(rig, without):
+    """This drive goes on to its goal as soon as the halt bit goes, as CiA 402-2 has it."""
+    b = rig(LocalDrive(without=without))
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        going = asyncio.ensure_future(axis.execute("moveTo", [6.0, 4.0]))
+        await b.until(lambda: b.values["position"] > 0.5)
+        going.cancel()
+        await axis.execute("halt", [])
+        stood = b.drive.position
+        assert b.values["velocity"] == pytest.approx(0.0, abs=0.05)
+        assert b.values["enabled"] is True
+        await asyncio.sleep(0.3)
+        assert b.drive.position == pytest.approx(stood, abs=20)
+        assert not b.drive.controls[-1] & 0x100, "the next motion needs it gone"
+        await axis.execute("moveTo", [0.0, 10.0])
+        assert b.values["position"] == pytest.approx(0.0, abs=0.01)
+
+    b.run_real(mission)
+
+
+def test_an_axis_that_does_not_halt_is_an_exception(rig, monkeypatch):
+    monkeypatch.setattr("lfield_can.axis.HALTS_BY", 0.3)
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        await axis.execute("setVelocity", [3.0])
+        await b.until(lambda: b.values["velocity"] == pytest.approx(3.0, abs=0.01))
+        b.drive.deaf_to_halt = True
+        with pytest.raises(
+            DeviceError, match=r"halt: it does not stand after 0.3 s \(operation enabled, 3 rad/s\)"
+        ):
+            await axis.execute("halt", [])
+
+    b.run_real(mission)
+
+
+def test_a_halt_of_a_drive_that_is_off_changes_nothing(rig):
+    b = rig()
+
+    async def mission(axis):
+        sent = len(b.drive.controls)
+        await axis.execute("halt", [])
+        assert b.drive.controls[sent:] == []
+        assert b.values["enabled"] is False
+
+    b.run_real(mission)
+
+
 def test_the_drive_hears_a_heartbeat_as_soon_as_it_watches_for_it(rig):
     """It begins to watch with the first one: a guard that dies before it would never be missed."""
     b = rig(ttl=5.0)

@@ -29,6 +29,7 @@ class Axis:
         self.speed = 1.0
         self.stuck = self.silent = self.refuses = False
         self.commands: list[int] = []
+        self.homing: asyncio.TimerHandle | None = None
 
     def say(self, command: int, layout: str, *values) -> None:
         if not self.silent:
@@ -39,8 +40,10 @@ class Axis:
         self.commands.append(command)
         if command == 0x07 and not self.refuses:
             self.state = struct.unpack("<I", frame.data)[0]
+            if self.homing is not None:
+                self.homing.cancel()
             if self.state == 11:
-                asyncio.get_running_loop().call_later(1.0, self.homed)
+                self.homing = asyncio.get_running_loop().call_later(1.0, self.homed)
         elif command == 0x0B:
             self.mode = struct.unpack("<II", frame.data)
         elif command == 0x0C:
@@ -288,6 +291,58 @@ def test_homing(rig):
         await axis.execute("enable", [])
         await axis.execute("moveTo", [1.0, 1.0])
         assert b.values["referenced"]
+
+    b.run(mission)
+
+
+def test_a_halt_stands_on_the_way_in_closed_loop(rig):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        going = asyncio.ensure_future(axis.execute("moveTo", [20.0, 2.0]))
+        await b.until(lambda: b.values["position"] > 1.0)
+        going.cancel()
+        await axis.execute("halt", [])
+        stood = b.axis.position
+        await asyncio.sleep(1.0)
+        assert b.axis.position == pytest.approx(stood, abs=0.01)
+        assert (b.axis.state, b.values["enabled"]) == (8, True)
+        await axis.execute("moveTo", [0.0, 10.0])
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("after", [0.0, 0.3], ids=["before_a_heartbeat_says_so", "under_way"])
+def test_a_halt_ends_a_homing(rig, after):
+    b = rig()
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        homing = asyncio.ensure_future(axis.execute("home", []))
+        await b.until(lambda: b.axis.state == 11)
+        await asyncio.sleep(after)
+        homing.cancel()
+        await axis.execute("halt", [])
+        assert b.axis.state == 8
+        assert not b.values["referenced"]
+
+    b.run(mission)
+
+
+@pytest.mark.parametrize("state", ["brake", "torque_hold"])
+def test_a_safe_state_ends_a_homing(rig, state):
+    b = rig(safe_state=state)
+
+    async def mission(axis):
+        await axis.execute("enable", [])
+        homing = asyncio.ensure_future(axis.execute("home", []))
+        await b.until(lambda: b.values["state"] == "homing")
+        homing.cancel()
+        await axis.make_safe()
+        assert b.axis.state == 8
+        await asyncio.sleep(2.0)
+        assert (b.axis.state, b.axis.velocity) == (8, 0.0)
 
     b.run(mission)
 

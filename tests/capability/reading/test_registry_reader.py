@@ -10,9 +10,9 @@ from registry_expectations import BASE, GOLDEN
 from lfield.capability import ways
 from lfield.capability.model import Argument, Live, Registry, Weights
 from lfield.capability.reading.reader import check_files, read_registry, shipped
-from lfield.capability.reading.signatures import RESERVED
 from lfield.capability.types.generate import prelude
 from lfield.errors import InputFileError, ProgramError
+from lfield.lang.capabilities import OFFER_METHODS
 from lfield.lang.parser import parse
 from lfield.text.source import Diagnostic, Diagnostics
 
@@ -304,4 +304,4 @@ def test_a_finding_is_drawn_with_a_caret_and_a_hint(write) -> None:
 
 def test_no_portal_may_be_named_like_what_offers_tell_of_themselves():
     offer = parse(prelude(), Diagnostics()).units[0]
-    assert {method.name for method in offer.methods if method.public} == RESERVED
+    assert {method.name for method in offer.methods if method.public} == OFFER_METHODS

@@ -18,7 +18,8 @@ from lfield.capability.model import AttributeType, Better, Weights
 from lfield.capability.reading.draft import MAX_NAME
 from lfield.capability.reading.reader import check_files, shipped, shipped_folder
 from lfield.capability.reading.rules import MAX_NEEDS
-from lfield.capability.reading.signatures import PORTAL_TYPES, RESERVED
+from lfield.capability.reading.signatures import PORTAL_TYPES
+from lfield.lang.capabilities import OFFER_METHODS
 from lfield.manifest import Effect
 
 SCHEMA = json.loads((shipped_folder() / "schema.json").read_text(encoding="utf-8"))
@@ -44,7 +45,7 @@ def test_the_schema_lists_what_the_reader_knows() -> None:
     assert set(known["portal"]["properties"]["effect"]["enum"]) == set(get_args(Effect))
     assert set(known["attribute"]["properties"]["type"]["enum"]) == set(get_args(AttributeType))
     assert set(known["attribute"]["properties"]["better"]["enum"]) == set(get_args(Better))
-    assert set(known["primitive"]["properties"]["portals"]["propertyNames"]["not"]["enum"]) == RESERVED
+    assert set(known["primitive"]["properties"]["portals"]["propertyNames"]["not"]["enum"]) == OFFER_METHODS
     assert known["composition"]["properties"]["needs"]["maxProperties"] == MAX_NEEDS
     assert known["name"]["maxLength"] == MAX_NAME
     weights = SCHEMA["properties"]["ranking"]["properties"]["weights"]["properties"]

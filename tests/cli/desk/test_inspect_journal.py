@@ -17,7 +17,7 @@ from lfield.cli.main import main
 from lfield.clock import ManualClock
 from lfield.journal.file import FileJournal
 from lfield.journal.opening import Owner
-from lfield.journal.pages import CopyPage, Fence, Page, Paused, ProgramPage, Run, Starts
+from lfield.journal.pages import BegunPage, CopyPage, Fence, Page, Paused, ProgramPage, Run, Starts
 from lfield.vm.inspect import dump
 
 DUMP = Path(__file__).parents[2] / "formats" / "dump-0.3.block"
@@ -132,6 +132,26 @@ def test_a_damaged_page_is_named_and_all_others_are_shown(tmp_path: Path) -> Non
     said = inspect(tmp_path)
     assert (said.status, said.err) == (0, "")
     assert "\nmoved aside: the copy of digger, start 1" in said.out
+
+
+def test_calls_that_were_begun_are_shown_with_what_became_of_them(tmp_path: Path) -> None:
+    made = journal(tmp_path)
+    under_way, ended = (
+        BegunPage("boss", 4, 1, "left", "lift"),
+        BegunPage("boss", 4, 2, "right", "lift", "done", bytes(16)),
+    )
+    asyncio.run(made.keep([under_way, ended]))
+    made.close()
+    as_of = "  as of     2027-01-15 08:00:00 UTC\n"
+    assert (
+        f"\nboss, start 4: call 1 begun: left.lift\n{as_of}  outcome   not known: it was under way\n"
+        f"\nboss, start 4: call 2 begun: right.lift\n{as_of}"
+        "  outcome   has come to its end, and waits to be fetched, 16 bytes\n"
+    ) in inspect(tmp_path).out
+    sql(tmp_path, "UPDATE pages SET body = x'00' WHERE number = 2")
+    damaged = inspect(tmp_path)
+    assert damaged.status == 65
+    assert "damaged: call 2 that was begun here by start 4 of boss, as of" in damaged.out
 
 
 def test_of_a_truncated_journal_is_shown_what_is_left(tmp_path: Path) -> None:

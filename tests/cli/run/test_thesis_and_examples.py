@@ -135,21 +135,22 @@ def test_first_flight(lfield):
         flight.wait_for(word)
     assert flight.wait() == 0, flight.said
     lines = [line.partition(" | ")[2] for line in flight.out]
-    assert [line for line in lines if "taking off" in line] == [
+    assert {line for line in lines if "taking off" in line} == {
         "lead: taking off to 2.0 m", "wing: taking off to 3.5 m",
-    ]  # fmt: skip
+    }  # fmt: skip
     places = re.findall(r"^(\w+): at \((-?[\d.]+), (-?[\d.]+)\) at ([\d.]+) m$", "\n".join(lines), re.M)
-    assert [place[0] for place in places] == ["lead", "wing"] * 3
-    for lead, wing in zip(places[::2], places[1::2], strict=True):
-        assert abs(float(lead[1]) + float(wing[1])) < 1.5, "the wingman mirrors the leader"
+    leads, wings = ([place for place in places if place[0] == name] for name in ("lead", "wing"))
+    assert len(leads) == 3
+    for lead, wing in zip(leads, wings, strict=True):
+        assert abs(float(lead[1]) + float(wing[1])) < 1.5, "each mirrors the other"
         assert abs(float(lead[2]) + float(wing[2])) < 1.5
         assert abs(float(wing[3]) - float(lead[3]) - 1.5) < 1.0
-    assert lines[-2:] == ["lead: landed", "wing: landed"]
+    assert set(lines[-2:]) == {"lead: landed", "wing: landed"}
     assert re.search(r"pilot: never closer than [\d.]+ m; batteries lead \d+ %, wing \d+ %", flight.said)
     hops = re.search(r"pilot: the coordinator migrated (\d+) times", flight.said)
-    # takeoff, 2 reports, 3 legs, landing, summary: once out and once back for each but the last.
+    # Takeoff, reports, 3 legs, landing: out to begin and back to fetch; the summary ends on the other host.
     assert hops
-    assert int(hops[1]) >= 11
+    assert int(hops[1]) == 13
     assert lfield.left() == []
 
 
@@ -164,9 +165,9 @@ def test_mixed_team(lfield):
     steps = re.findall(r"^(\w+) +\| courier: (.*)$", team.said, re.M)
     assert [(host, text.split(",")[0].split(" at ")[0]) for host, text in steps[:4]] == [
         ("sky", "the copter has the parcel"),
-        ("dock", "the hook is"),
+        ("sky", "the hook is"),
         ("sky", "the hand has the parcel; the copter may land"),
-        ("dock", "the hook is back"),
+        ("sky", "the hook is back"),
     ]
     assert "at 1.20 m" in steps[1][1]
     assert "closed on nothing" not in team.said

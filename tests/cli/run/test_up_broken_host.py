@@ -16,6 +16,7 @@ coordinator Pilot {
 #: Loaded by Python before anything else: soon after the line of the coordinator nothing works in the host.
 BROKEN = """
 import lfield.host.core as core
+import lfield.host.team.world as world
 import os
 
 going_on, air = core.HostCore.run, []
@@ -25,13 +26,13 @@ def run(self):
         raise ZeroDivisionError("planted")
     return going_on(self)
 
-say = core.HostCore.log
+say = world.HostWorld.log
 
 def log(self, agent, text):
     air.append(text)
     say(self, agent, text)
 
-core.HostCore.run, core.HostCore.log = run, log
+core.HostCore.run, world.HostWorld.log = run, log
 """
 
 

@@ -1,5 +1,7 @@
 """`lfield pause` and `resume` on a mission that flies."""
 
+import re
+
 import pytest
 
 pytestmark = pytest.mark.process
@@ -73,3 +75,16 @@ def test_a_host_that_is_not_reached_is_named(lfield, own):
     paused = lfield("pause", "--no-wait", ghost, "--map", "ghost=127.0.0.1:1", env=own)
     assert lfield.status(paused) == 69
     assert "ghost: NOT REACHED" in paused.said
+
+
+def test_a_device_that_does_not_come_to_rest_in_time_is_named_and_its_host_is_paused(lfield, own):
+    high = PROGRAM.replace("fc.takeoff(2.0)", "fc.takeoff(8.0)")
+    deployment = lfield.mission(high, DEPLOYMENT, DEVICES.replace("waivers", "rest_within: 1, waivers"))
+    words = ("up", "--deploy", deployment, *lfield.maps(["alpha"]), "--host", "alpha", "--sim")
+    host = lfield.start(*words, env=own)
+    host.wait_for("flies 1")
+    paused = lfield("pause", env=own)
+    assert lfield.status(paused) == 3, paused.said
+    assert "alpha: lead.fc: safe" in paused.out
+    assert re.match(r"alpha: lead\.fc: NOT AT REST after \d s; last seen: ", paused.err[-1]), paused.said
+    assert "paused: alpha; 'lfield resume' lets the mission go on" in lfield("ps", env=own).said

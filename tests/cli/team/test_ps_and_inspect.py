@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from lfield.cli.views import picture
 from lfield.errors import AddressError
 from lfield.wire.coordinators import Known
-from lfield.wire.observing import AgentStatus, DeviceStatus, LinkStatus, Status, Told, ToldFact
+from lfield.wire.observing import AgentStatus, BegunStatus, DeviceStatus, LinkStatus, Status, Told, ToldFact
 
 pytestmark = pytest.mark.process
 
@@ -131,6 +131,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "lease": None,
             "paused": False,
             "journal": None,
+            "begun": [],
             "moving": {"near.arm": "4 m up"},
             "directory": {
                 "near": {
@@ -176,6 +177,26 @@ def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
         ["HOST", "LATE", "SILENCE", "LEASE", "JOURNAL"],
         ["alpha", "0.031", "s", "0.2", "s", "1.5", "s", "keeps", "nothing"],
         ["carol", "keeps", "nothing"],
+    ]
+
+
+def test_what_was_begun_and_is_to_be_fetched(capsys):
+    begun = [BegunStatus("tom", 1, "near", "lift", state) for state in ("running", "done", "lost")]
+    status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], begun=begun)
+    told = json.loads(picture.as_json({"alpha": status}))
+    assert told["alpha"]["begun"][0] == {
+        "agent": "tom",
+        "generation": 1,
+        "resource": "near",
+        "portal": "lift",
+        "state": "running",
+    }
+    picture.show({"alpha": status})
+    rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert rows[1:4] == [
+        "alpha tom has begun near.lift",
+        "alpha tom near.lift has ended, to be fetched",
+        "alpha tom near.lift was lost in a restart",
     ]
 
 

@@ -272,6 +272,35 @@ def test_torque_hold_stays_where_it_is():
     bench.run(story)
 
 
+def test_stop_stays_on_the_way_and_follows_the_next_goal():
+    bench = Bench()
+
+    async def story(servo):
+        await stiff(servo)
+        moving = asyncio.ensure_future(call(servo, "moveTo", 1.5))
+        await asyncio.sleep(0.4)
+        moving.cancel()
+        await call(servo, "stop")
+        assert bench.values["velocity"] == pytest.approx(0.0, abs=0.03)
+        stood = bench.values["position"]
+        assert 0.2 < stood < 1.2
+        await asyncio.sleep(1.0)
+        assert bench.values["position"] == pytest.approx(stood, abs=0.02)
+        await call(servo, "moveTo", 0.0)
+
+    bench.run(story)
+
+
+def test_stop_leaves_what_is_limp_limp():
+    bench = Bench()
+
+    async def story(servo):
+        await call(servo, "stop")
+        assert bench.servos[1].table["torque_enable"] == 0
+
+    bench.run(story)
+
+
 @pytest.mark.parametrize("delay", [0.0, 0.001, 0.002, 0.003, 0.004, 0.005])
 def test_a_change_of_mode_that_is_cut_off_leaves_it_limp(delay):
     bench = Bench(safe_state="torque_off")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lfield.host.team.keeping import Keeping
-from lfield.journal.pages import CopyPage
+from lfield.journal.pages import BegunPage, CopyPage, key_of
 from lfield.mobility.effects import Began, Finished, Go, Persist, Send, Supersede
 from lfield.wire.coordinators import Accepted
 
@@ -17,6 +17,20 @@ def test_an_answer_waits_for_the_page_before_it_and_other_coordinators_do_not() 
     batch = keeping.take(0.0)
     assert batch is not None
     assert keeping.kept(batch[0]) == [ANSWER, Go("w", 1)]
+
+
+def test_what_nobody_needs_goes_with_what_is_kept_meanwhile_and_is_not_written_before() -> None:
+    keeping = Keeping()
+    begun = BegunPage("w", 1, 3, "arm", "lift")
+    keeping.page(begun, 0.0)
+    keeping.put([KEPT], 0.0)
+    keeping.forget([key_of(begun)], 0.0)
+    assert keeping.take(0.0) == (1, [KEPT.page], [key_of(begun)])
+    # By itself it is in no hurry.
+    keeping.forget([key_of(begun)], 1.0)
+    assert keeping.take(1.0) is None
+    assert keeping.due is not None
+    assert keeping.take(keeping.due) == (2, [], [key_of(begun)])
 
 
 def test_what_stops_a_copy_waits_for_nothing() -> None:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import io
 
 import pytest
+from rich.console import Console
 
+from lfield.cli.views.picture import picture
 from lfield.errors import AddressError, CoordinatorAlive, UsageError
 from lfield.mobility.generations import STRIDE
 from lfield.operator.addressed import Place
@@ -151,5 +154,69 @@ def test_the_answer_waits_for_the_disk(fleet, request_):
         assert "told: guest was recovered" not in home.log
         team.disks["home"].broken = False
         await asked
+
+    fleet(story)
+
+
+TRIP = PROGRAM.replace("findPost(arg[1]).stay(1000.0)", "FIRST; findPost(arg[2]).stay(1000.0)").replace(
+    "FIRST", "findPost(arg[1]).stay(0.1)"
+)
+LONGER = "//Guest:guest@home?post&last\n//Post:post@away\n//Post:last@far\n"
+
+
+def test_what_cannot_be_read_is_told_and_a_person_may_go_on_from_an_older_copy(fleet):
+    async def story(team):
+        home, away, far = await team.up(team.mission(TRIP, LONGER), keeps=True)
+        await team.until(lambda: far.output)
+        await team.until(lambda: outcomes(away) == {1: "MOVED"})
+        await far.host.stop()
+        names = {Place("", host): host for host in ("home", "away", "far")}
+        desk = team.network.transport("desk")
+
+        async def told():
+            answers = await ask_all(desk, {host: f"{host}:8181" for host in ("home", "away")}, STATUS)
+            return {Place("", host): answer for host, answer in answers.items()}
+
+        belief = believed("guest", await told(), names)
+        assert belief.place == Place("", "away")
+        copy = away.host.mobility.newest("guest")
+        copy.block = bytes(len(copy.block))
+        answer = await ask(desk, "away:8181", recover(belief.word))
+        assert (answer.generation, answer.reason) == (
+            0,
+            "what away has kept of guest cannot be read; ask again: another host may have an older copy",
+        )
+        out = io.StringIO()
+        Console(file=out, width=200).print(
+            picture({place.host: answer for place, answer in (await told()).items()})
+        )
+        assert "in doubt: what was kept of it here cannot be read" in out.getvalue()
+        belief = believed("guest", await told(), names)
+        assert belief.place == Place("", "home")
+        assert belief.lines[1] == (
+            "  away has a newer one, of after 1 hop, that cannot be read: what guest did in between may be "
+            "done again"
+        )
+        answer = await ask(desk, "home:8181", recover(belief.word))
+        assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
+        await team.until(lambda: outcomes(away)[1] == "superseded")
+        assert not away.host.mobility.newest("guest")
+
+    fleet(story)
+
+
+def test_when_nothing_can_be_read_a_person_is_told_where_it_is(fleet):
+    async def story(team):
+        home, away = await with_guest_away(team)
+        await away.host.stop()
+        copy = home.host.mobility.newest("guest")
+        copy.block = bytes(len(copy.block))
+        await ask(team.network.transport("desk"), "home:8181", recover(Recover("guest", 1, 1, 1)))
+        answers = await looked(team, "home")
+        with pytest.raises(UsageError, match="what home has kept of guest cannot be read: there is nothing"):
+            believed("guest", answers, NAMES)
+        assert list(what_can_be_done({place.host: answer for place, answer in answers.items()})) == [
+            "guest: start away again; if that is gone for good, end it: lfield forget guest"
+        ]
 
     fleet(story)

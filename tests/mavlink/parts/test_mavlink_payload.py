@@ -49,6 +49,22 @@ def test_the_winch_is_done_when_the_line_is_out(bench):
     b.run(mission)
 
 
+def test_a_winch_that_is_cancelled_holds_its_line(bench):
+    b = bench()
+
+    async def mission(fc):
+        winding = asyncio.ensure_future(fc.execute("winch", [10.0, 1.0]))
+        await b.until(lambda: b.autopilot.payload.line > 2.0)
+        winding.cancel()
+        await fc.execute("stopWinch", [])
+        held = b.autopilot.payload.line
+        await asyncio.sleep(5.0)
+        assert b.autopilot.payload.line == pytest.approx(held, abs=0.1)
+        assert 2.0 < held < 4.0
+
+    b.run(mission)
+
+
 def test_a_relay_is_switched(bench):
     b = bench()
 

@@ -8,13 +8,15 @@ from typing import Any
 
 from planted_bugs import Bug, Patch
 
+from lfield.host.team.keeping import Keeping
 from lfield.host.team.leases import Leases
 from lfield.journal.pages import Fence
 from lfield.mobility.effects import Effect, Persist
 from lfield.quorum.core import Quorum
 from lfield.quorum.members import Members
 from lfield.quorum.recovery import Recoveries
-from lfield.simulate.stories.story import doubted
+from lfield.simulate.seeds import Draws
+from lfield.simulate.stories.story import doubted, parted
 from lfield.vm.agent import Agent
 from lfield.wire.quorum import Ack, Heartbeat
 
@@ -65,8 +67,6 @@ def a_wait_that_is_shorter_than_the_lease(patch: Patch) -> None:
 
 def the_fence_is_not_on_disk(patch: Patch) -> None:
     """As on a disk, but its page is never written."""
-    from lfield.host.team.keeping import Keeping
-
     put = Keeping.put
 
     def forgets(self: Keeping, effects: Any, now: float) -> list[Effect]:
@@ -101,8 +101,8 @@ def running_without_a_lease(patch: Patch) -> None:
     patch.setattr(Leases, "_lost", lambda self: None)
 
 
-def _bug(plant: Any, why: str, seed: int) -> Bug:
-    return Bug(plant, why, TWO_ACT, seed, doubted)
+def _bug(plant: Any, why: str, seed: int, draws: Draws = doubted) -> Bug:
+    return Bug(plant, why, TWO_ACT, seed, draws)
 
 
 QUORUM_BUGS = [
@@ -124,15 +124,11 @@ QUORUM_BUGS = [
         "the one acknowledgement that carried the fence was lost with its link",
         585,
     ),
-]
-
-#: What no story of the first 700 finds, for there is another defence: greetings tell of a recovery as soon as
-#: two hosts have a link again. A copy acts beside its successor only while whoever has promised hears the old
-#: host and not the new one, from before it forgot its promise until that one goes on.
-NOT_YET = [
+    # Greetings and acknowledgements would tell whoever forgot: it is found where those who know never meet.
     _bug(
         the_fence_is_not_on_disk,
         "whoever has promised is started again, and gives a lease to what it has barred",
-        0,
+        12,
+        parted,
     ),
 ]

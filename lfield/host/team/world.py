@@ -1,0 +1,124 @@
+"""What the machine of a host asks, and which part of the host answers: the machine's `World`. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from lfield.bytecode.program import DeviceCall
+from lfield.host.effects import CHANGED, Died, Effect, Say, Write
+from lfield.host.offers import Offers
+from lfield.host.team.begun import BegunPages
+from lfield.host.team.commands import Commands
+from lfield.host.team.coordinators import Coordinators
+from lfield.host.team.leases import Leases
+from lfield.manifest import DeviceValue
+from lfield.mission.team import Team
+from lfield.vm.agent import Agent, Member
+from lfield.vm.begun import Beginning, Begun
+from lfield.vm.contract import Reading
+from lfield.vm.offers import Found
+from lfield.vm.world import Pending
+
+
+class HostWorld:
+    """The answers of one host. `effects` takes what is to be done outside, `reach` a host to be linked with.
+
+    The machine is made with it, and the parts of the host with the machine: they `join` last.
+    """
+
+    def __init__(self, team: Team, effects: Callable[[Effect], None], reach: Callable[[str], None]) -> None:
+        self._team, self._out, self._reach = team, effects, reach
+        self._coordinators: Coordinators
+        self._leases: Leases
+        self._begun: BegunPages
+        self._commands: Commands
+        self._offers: Offers
+
+    def join(
+        self,
+        coordinators: Coordinators,
+        leases: Leases,
+        begun: BegunPages,
+        commands: Commands,
+        offers: Offers,
+    ) -> None:
+        """The parts that answer."""
+        self._coordinators, self._leases, self._begun = coordinators, leases, begun
+        self._commands, self._offers = commands, offers
+
+    def write(self, agent: Agent, text: str) -> None:
+        """Program output."""
+        self._out(Write(text))
+
+    def log(self, agent: Agent, text: str) -> None:
+        """A line of `print`."""
+        self._out(Say(f"{agent.id}: {text}"))
+
+    def may_begin(self, agent: Agent, acts: bool) -> bool:
+        """Whether a portal of this host may begin now.
+
+        Where its caller stands is kept before one that acts, and some callers need a lease.
+        """
+        return self._leases.may_begin(agent) and (agent.kept or not acts or self._begun.save(agent))
+
+    def begins(self, agent: Agent, calls: Sequence[Beginning]) -> bool:
+        """Whether the calls of a `together` may begin here now: each has a page first."""
+        return self._begun.begins(agent, calls)
+
+    def came_back(self, begun: Begun) -> None:
+        """A call that was begun here has come to its end: that is kept before it is told."""
+        self._begun.came_back(begun)
+
+    def give_up(self, agent: Agent) -> bool:
+        """Whether a frozen coordinator may go on at once, since nobody wants to wait for it any longer."""
+        return self._leases.give_up(agent) or self._coordinators.mobility.give_up(agent.id, agent.generation)
+
+    def cancel(self, agent: Agent, thread: int) -> bool:
+        """Whether what a thread waits for of a device is cancelled."""
+        return self._commands.cancel(agent, thread)
+
+    def superseded(self, agent: str, generation: int) -> bool:
+        """Whether that start of a coordinator was stopped because an earlier one goes on."""
+        return self._coordinators.mobility.superseded(agent, generation)
+
+    def host_of(self, member: Member) -> str:
+        """The name of the host where an agent of the team lives."""
+        return self._team.hosts[member.host]
+
+    def depart(self, agent: Agent, resource: Member) -> None:
+        """A frozen coordinator wants to the host of a resource."""
+        self._reach(self._team.hosts[resource.host])
+        self._coordinators.depart(agent, resource)
+        self._begun.leaves(agent)
+
+    def device(
+        self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
+    ) -> DeviceValue | Pending:
+        """A device instruction: telemetry is known here, anything else is the guard's."""
+        return self._commands.device(agent, thread, call, values)
+
+    def reading(self, agent: Agent, call: DeviceCall) -> Reading | None:
+        """What the engine may read by itself from now on."""
+        return self._commands.reading(agent, call)
+
+    def offers(self, agent: Agent, capability: str, constraint: str | None) -> list[Found]:
+        """Who offers a capability now, best first."""
+        return self._offers.offers(capability, constraint)
+
+    def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
+        """Why everybody else does not."""
+        return self._offers.explain(capability, constraint)
+
+    def ended(self, agent: Agent) -> None:
+        """A coordinator is done, or an agent has died."""
+        if agent.ended == "died":
+            self._report_death(agent)
+        if agent.member.kind == "coordinator":
+            self._coordinators.ended(agent)
+        self._out(CHANGED)
+
+    def _report_death(self, agent: Agent) -> None:
+        visited = " → ".join(self._team.hosts[n] for n in agent.block.trail() if n < len(self._team.hosts))
+        where = f"\n    hosts visited: {visited}" if agent.member.kind == "coordinator" else ""
+        self._out(Say(f"{agent.id} died of an uncaught {agent.report}{where}"))
+        self._out(Died(agent))

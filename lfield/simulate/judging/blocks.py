@@ -1,0 +1,193 @@
+"""What programs say of their blocks of calls that are begun together (`stories/crews.py`).
+
+A crew that is recovered elsewhere goes back to a block: what came after that is lost to it.
+
+No piece of work begins twice, none begins before its page is on the disk, none is told of before its result
+is there, and none outlives its block: not when all have come back, not its time limit, and not the start
+that has begun it, once another one goes on and everybody can be reached.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+from lfield.journal.pages import BegunPage, Page
+from lfield.mobility.generations import is_recovery
+from lfield.simulate.fleet import Life
+from lfield.simulate.judging.breaches import Breaches
+from lfield.vm.agent import Agent
+from lfield.vm.begun import Key
+from lfield.vm.memory.layout import THREAD_ID
+from lfield.vm.memory.threads import threads
+
+#: So many seconds after its limit a piece of work may still be seen: its process may have stood still, twice.
+SLACK = 15.0
+
+
+@dataclass(slots=True, eq=False)
+class _Piece:
+    """One piece of work: how often it began, when last, for which start, and whether it came to its end."""
+
+    begun: int = 0
+    at: float = 0.0
+    generation: int = 0
+    given: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class _Block:
+    """One block: its time limit in seconds, its pieces, and how it was closed, '' before."""
+
+    limit: float = 0.0
+    how: str = ""
+    pieces: defaultdict[int, _Piece] = field(default_factory=lambda: defaultdict(_Piece))
+
+
+class Blocks:
+    """The blocks of all crews. `newest_at` says which start of an agent was the last to go on before a time.
+
+    `pages` gives what is on the disk of a host, None of one that keeps nothing.
+    """
+
+    def __init__(
+        self,
+        breaches: Breaches,
+        now: Callable[[], float],
+        newest_at: Callable[[str, float], int],
+        pages: Callable[[str], Iterable[Page] | None],
+    ) -> None:
+        self._breaches, self._now, self._newest_at, self._pages = breaches, now, newest_at, pages
+        self._blocks: defaultdict[tuple[str, int], _Block] = defaultdict(_Block)
+        self._begun_for: set[tuple[str, int]] = set()
+        #: Which start of it each life of a crew is at.
+        self._at: defaultdict[str, int] = defaultdict(int)
+        #: How many pieces began, and how many blocks of each agent were closed, since the weather.
+        self.begun = 0
+        self.closed: defaultdict[str, int] = defaultdict(int)
+        self._healed = float("inf")
+
+    def healed(self) -> None:
+        """The weather is over."""
+        self._healed = self._now()
+        self.closed.clear()
+
+    def any_of(self, agent: str, generation: int) -> bool:
+        """Whether a start of an agent has begun anything."""
+        return (agent, generation) in self._begun_for
+
+    def said(self, life: Life, agent: Agent, words: list[str]) -> bool:
+        """A program has written a line; whether it is about a block."""
+        match words:
+            case ["opens" | "closes", who, number, *_] if not self._goes_on(
+                who, agent.generation, int(number)
+            ):
+                pass
+            case ["opens", who, number, limit]:
+                self._blocks[who, int(number)].limit = float(limit)
+            case ["closes", who, number, how, *given]:
+                self._closes(life.core.name, agent, (who, int(number)), how, given)
+            case ["sets", who, number, piece]:
+                self._sets(life, agent, (who, int(number)), int(piece))
+            case ["steps", who, number, piece]:
+                self._steps(life, agent, (who, int(number)), int(piece))
+            case ["gives", who, number, piece]:
+                self._blocks[who, int(number)].pieces[int(piece)].given = True
+            case ["leaves", *_]:
+                pass
+            case _:
+                return False
+        return True
+
+    def _goes_on(self, who: str, generation: int, number: int) -> bool:
+        """A start of it is at this block; whether it is no older one than another that has gone on."""
+        if generation > self._at[who]:
+            if is_recovery(generation):
+                later = [key for key in self._blocks if key[0] == who and key[1] > number]
+                for key in later:
+                    del self._blocks[key]
+            self._at[who] = generation
+        return generation == self._at[who]
+
+    # --- what crews say -------------------------------------------------------------------------------
+
+    def _closes(self, host: str, agent: Agent, key: tuple[str, int], how: str, given: list[str]) -> None:
+        block, (who, number) = self._blocks[key], key
+        block.how = how
+        self.closed[agent.id] += 1
+        if how != "came-back":
+            return
+        wanted = [str(10 * number + piece) for piece in range(len(given))]
+        if given != wanted:
+            found = f"block {number} of {who} came back with {' '.join(given)}, not {' '.join(wanted)}"
+            self._breaches.add("I4", (host,), found)
+        for piece in range(len(given)):
+            if not block.pieces[piece].given:
+                found = f"block {number} of {who} came back, and piece {piece} has not come to its end"
+                self._breaches.add("I4", (host,), found)
+
+    # --- what resources say ---------------------------------------------------------------------------
+
+    def _sets(self, life: Life, resource: Agent, key: tuple[str, int], number: int) -> None:
+        self.begun += 1
+        (who, block), host = key, life.core.name
+        name = who.partition(".")[0]
+        generation, what = _caller(life, resource, name), f"piece {number} of block {block} of {who}"
+        if not generation:
+            # It was taken from its caller before it came to its first line.
+            return
+        self._begun_for.add((name, generation))
+        if generation < self._newest_at(name, self._now()):
+            self._breaches.add("I1", (host,), f"{what} began for start {generation}; a later goes on")
+            return
+        self._goes_on(who, generation, block)
+        piece = self._blocks[key].pieces[number]
+        piece.begun, piece.at, piece.generation = piece.begun + 1, self._now(), generation
+        if piece.begun > 1:
+            self._breaches.add("I4", (host,), f"{what} began again, on {resource.id}")
+        pages = self._pages(host)
+        if pages is not None and not any(
+            isinstance(page, BegunPage)
+            and (page.agent, page.generation, page.resource) == (name, generation, resource.id)
+            for page in pages
+        ):
+            self._breaches.add("begun", (host,), f"{what} began on {resource.id}, and no page says so")
+
+    def _steps(self, life: Life, resource: Agent, key: tuple[str, int], number: int) -> None:
+        block, piece = self._blocks[key], self._blocks[key].pieces[number]
+        name, now = key[0].partition(".")[0], self._now()
+        what = f"piece {number} of block {key[1]} of {key[0]} goes on"
+        if not _caller(life, resource, name):
+            # It was taken from its caller: it may command nothing, and nobody waits for it.
+            return
+        if block.how == "came-back":
+            self._outlives(life, f"{what}, and its block has all results")
+        if now > piece.at + block.limit + SLACK:
+            self._outlives(
+                life, f"{what}, {now - piece.at:.1f} s after it began under a limit of {block.limit} s"
+            )
+        if now > self._healed + SLACK and piece.generation < self._newest_at(name, now - SLACK):
+            self._outlives(life, f"{what} for start {piece.generation}, and a later one goes on")
+
+    def _outlives(self, life: Life, found: str) -> None:
+        self._breaches.add("outlives", (life.core.name,), found)
+
+    # --- what is seen of the machine ------------------------------------------------------------------
+
+    def told(self, life: Life, key: Key) -> None:
+        """What a call gave may be fetched from now on: its host says that it is kept."""
+        pages = self._pages(life.core.name)
+        if pages is not None and not any(
+            isinstance(page, BegunPage) and (page.agent, page.generation, page.number) == key and page.outcome
+            for page in pages
+        ):
+            found = f"what call {key[2]} of {key[0]} gave is told, and it is on no disk"
+            self._breaches.add("told", (life.core.name,), found)
+
+
+def _caller(life: Life, resource: Agent, name: str) -> int:
+    """The newest start of an agent that a resource works for now; 0 for none."""
+    block, machine = resource.block, life.core.machine
+    callers = (machine.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))
+    return max((caller.generation for caller in callers if caller and caller.id == name), default=0)

@@ -1,0 +1,186 @@
+"""The time limits of coordinators: `within` (decision 48).
+
+The end of a limit is in a slot of the frame, in ns on the coordinator's own clock, and a row of its method
+says which instructions it is about. Nothing is looked at until an alarm rings: one for each coordinator, for
+the nearest end of all limits around the place where it stands.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+
+from lfield.bytecode.program import LANDING, LIMIT, OVER
+from lfield.vm import portals
+from lfield.vm.agent import Agent
+from lfield.vm.begun import Begun
+from lfield.vm.cancelling import Cancelling, rouse
+from lfield.vm.memory import layout
+from lfield.vm.memory.layout import (
+    CALLING,
+    COUNT_LIMIT,
+    FRAME_SLOTS,
+    PARKED,
+    SLEEPING,
+    THREAD_FRAME,
+    THREAD_ID,
+    THREAD_PC,
+    THREAD_STATE,
+)
+from lfield.vm.memory.threads import serving
+from lfield.vm.reference.unwind import rows_around
+from lfield.vm.scheduler import Scheduler
+
+TIME_LIMIT = "TimeLimitException"
+#: How soon it is looked again whether a `finally` that a limit must not cut has come to its end, in seconds.
+SOON = 0.05
+#: The clocks are read in different units: so many ns make no difference.
+_SLACK = 1000
+
+
+class TimeLimits:
+    """Sets them, and throws when they are over.
+
+    `called(agent)` is what a frozen coordinator calls, as `resource.portal()`. `stop_waiting(agent)` takes
+    one that waits here for its begun calls out of that; false when it does not.
+    """
+
+    def __init__(
+        self,
+        scheduler: Scheduler,
+        cancelling: Cancelling,
+        called: Callable[[Agent], str],
+        stop_waiting: Callable[[Agent], bool],
+    ) -> None:
+        self._scheduler, self._cancelling = scheduler, cancelling
+        self._called, self._stop_waiting = called, stop_waiting
+
+    def end(self, agent: Agent, seconds: float) -> int:
+        """The end of a limit that begins now, for its slot; the agent is looked at then.
+
+        What is not above 0 is over at once; what is beyond any mission is as good as none.
+        """
+        now = self._scheduler.clock_of(agent)
+        agent.overdue = agent.overdue or seconds <= 0
+        end = min(now + int(max(0.0, min(seconds, 1e9)) * 1e9), COUNT_LIMIT - 1)
+        self._arm(agent, max(1, end))
+        return max(1, end)
+
+    def look(self, agent: Agent) -> None:
+        """A coordinator has come, with the limits that it is under."""
+        if ends := [agent.block.w[word] for word, _ in self._around(agent)]:
+            self._arm(agent, min(ends))
+
+    def nearest(self, agent: Agent) -> float | None:
+        """In how many seconds the first limit around a coordinator is over; None without any."""
+        ends = [agent.block.w[word] for word, shielded in self._around(agent) if not shielded]
+        return (min(ends) - self._scheduler.clock_of(agent)) / 1e9 if ends else None
+
+    def strike(self, agent: Agent, why: str = "") -> bool:
+        """Throw in a coordinator that runs or was just resumed, if the time is over; false if it is not."""
+        due = self._due(agent)
+        agent.overdue = not due and any(self._is_over(agent, word) for word, _ in self._around(agent))
+        if due:
+            thread = agent.block.w[agent.block.w[layout.W_THREADS] + THREAD_ID]
+            self._throw(agent, thread, due, f": {why}" if why else "")
+        return bool(due)
+
+    # --- alarms ---------------------------------------------------------------------------------------
+
+    def _arm(self, agent: Agent, end: int) -> None:
+        """Let the alarm ring at this end, unless it rings earlier."""
+        scheduler = self._scheduler
+        seconds = max(0.0, (end - scheduler.clock_of(agent)) / 1e9)
+        at = scheduler.clock.monotonic() + seconds
+        if at < agent.alarm:
+            agent.alarm = at
+            scheduler.turns.alarm(agent, seconds, lambda: self._ring(agent, at))
+
+    def _ring(self, agent: Agent, at: float) -> None:
+        if agent.alarm != at or self._scheduler.agents.get(agent.id) is not agent:
+            return
+        agent.alarm = math.inf
+        w = agent.block.w
+        around = [word for word, _ in self._around(agent)]
+        later = [w[word] for word in around if not self._is_over(agent, word)]
+        if later:
+            self._arm(agent, min(later))
+        if due := self._due(agent):
+            self._over(agent, due)
+        elif len(later) < len(around):
+            agent.overdue = True
+            self._arm(agent, self._scheduler.clock_of(agent) + int(SOON * 1e9))
+
+    # --- what is over ---------------------------------------------------------------------------------
+
+    def _around(self, agent: Agent) -> Iterator[tuple[int, bool]]:
+        """The limits around the place where a coordinator stands, innermost first.
+
+        For each the word of its slot, and whether a `finally` that has begun stands between.
+        """
+        w = agent.block.w
+        thread = w[layout.W_THREADS]
+        frame, pc = w[thread + THREAD_FRAME], w[thread + THREAD_PC]
+        if w[thread + THREAD_STATE] in (SLEEPING, PARKED):
+            pc -= 1
+        shielded = False
+        for within, row in rows_around(agent.block, self._scheduler.program, frame, pc):
+            shielded = shielded or row.kind == LANDING
+            word = within + FRAME_SLOTS + row.slot
+            if row.kind == LIMIT and w[word] > 0:
+                yield word, shielded
+
+    def _due(self, agent: Agent) -> list[int]:
+        """The words of the limits that are over and may throw."""
+        around = self._around(agent)
+        return [word for word, shielded in around if not shielded and self._is_over(agent, word)]
+
+    def _is_over(self, agent: Agent, word: int) -> bool:
+        return agent.block.w[word] <= self._scheduler.clock_of(agent) + _SLACK
+
+    def _over(self, agent: Agent, due: list[int]) -> None:
+        """A limit is over: whatever the coordinator does is given up, or cancelled and waited for."""
+        scheduler = self._scheduler
+        w = agent.block.w
+        record = w[layout.W_THREADS]
+        thread, state = w[record + THREAD_ID], w[record + THREAD_STATE]
+        if agent.frozen:
+            called = self._called(agent)
+            if not scheduler.world.give_up(agent):
+                agent.overdue = True
+                return
+            agent.frozen = False
+            self._throw(agent, thread, due, f" before {called} could begin" if called else "")
+        elif state == CALLING and (number := portals.call_of(scheduler, agent)):
+            self._cancel(agent, number, due)
+        elif state == CALLING:
+            waited = not self._stop_waiting(agent) and portals.withdraw(scheduler, agent)
+            self._throw(agent, thread, due, " before the call could begin" if waited else "")
+        else:
+            rouse(scheduler, agent, thread)
+            self._throw(agent, thread, due, "")
+
+    def _cancel(self, agent: Agent, number: int, due: list[int]) -> None:
+        """The call that the coordinator waits for is cancelled; it throws when that has come to its end."""
+        called = self._called(agent)
+        for word in due:
+            agent.block.w[word] = OVER
+        agent.over = f"the time is over; {called} was cancelled"
+        for resource in list(self._scheduler.agents.values()):
+            if resource.member.kind == "resource" and serving(resource.block, number):
+                self._cancelling.call(resource, number, f"the time limit of {agent.id} is over")
+                return
+
+    def _throw(self, agent: Agent, thread: int, due: list[int], what: str) -> None:
+        for word in due:
+            agent.block.w[word] = OVER
+        self._scheduler.refuse(agent, thread, TIME_LIMIT, f"the time is over{what}", agent.id)
+
+    def cancel_at_end(self, agent: Agent, resource: Agent, begun: Begun) -> None:
+        """A call that was begun is cancelled here when the time of whoever began it is over."""
+        left = self.nearest(agent)
+        if left is not None:
+            reason = f"the time limit of {agent.id} is over"
+            ring = partial(self._cancelling.call, resource, begun.call, reason)
+            self._scheduler.turns.alarm(resource, max(0.0, left), ring)

@@ -1,0 +1,133 @@
+"""The tickets of a block: the portal calls of a `together`, newest first behind a sentinel (decision 46)."""
+
+from __future__ import annotations
+
+from lfield.bytecode.program import ANY, Program
+from lfield.bytecode.program import OBJECT as OBJECT_TYPE
+from lfield.errors import BlockError
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import (
+    BACK,
+    BEGUN,
+    COLLECTED,
+    COUNT_LIMIT,
+    FRAME,
+    FRAME_CALLER,
+    FRAME_RETURN,
+    PROXY,
+    TICKET,
+    TICKET_ARRAY,
+    TICKET_CALL,
+    TICKET_GENERATION,
+    TICKET_INDEX,
+    TICKET_METHOD,
+    TICKET_NEXT,
+    TICKET_NUMBER,
+    TICKET_PROXY,
+    TICKET_STATE,
+    TICKET_THROWN,
+    TICKET_VALUE,
+    TICKET_WORDS,
+    TOLD,
+)
+
+_HALF = 0xFFFFFFFF
+
+
+def collected(block: Block, sentinel: int) -> list[int]:
+    """The places of the tickets of one `together`, in the order in which they were collected."""
+    w = block.w
+    found = []
+    ticket = w[sentinel + TICKET_NEXT]
+    while ticket:
+        found.append(ticket)
+        ticket = w[ticket + TICKET_NEXT]
+    found.reverse()
+    return found
+
+
+def new_ticket(
+    block: Block, sentinel: int, method: int, proxy: int, call: int, target: tuple[int, int]
+) -> int:
+    """One more call in a `together`; `target` is array (0: none) and index. Raises Full before it is in."""
+    w = block.w
+    array, index = target
+    place = block.allocate(TICKET, w[array] >> 8 & 0xFFFFFF if array else 0, TICKET_WORDS)
+    w[layout.W_TICKETS] += 1
+    w[place + TICKET_NUMBER] = w[layout.W_TICKETS]
+    w[place + TICKET_PROXY] = proxy
+    w[place + TICKET_CALL] = call
+    w[place + TICKET_METHOD] = method
+    w[place + TICKET_ARRAY] = array
+    w[place + TICKET_INDEX] = index
+    w[place + TICKET_STATE] = COLLECTED
+    w[place + TICKET_NEXT] = w[sentinel + TICKET_NEXT]
+    w[sentinel + TICKET_NEXT] = place
+    return place
+
+
+def check_ticket(program: Program, w: memoryview[int], starts: dict[int, int], place: int) -> None:
+    """Whether a ticket is sound; that its references lead to things of their types is known.
+
+    `starts` has the low half of the header of everything on the heap. Raises BlockError.
+    """
+    number, state = w[place + TICKET_NUMBER], w[place + TICKET_STATE]
+    if not number:
+        _check_sentinel(w, starts, place)
+        return
+    if not 0 < number <= w[layout.W_TICKETS] or not 0 <= w[place + TICKET_GENERATION] < COUNT_LIMIT:
+        raise BlockError("a ticket has no sound number", word=place)
+    if not COLLECTED <= state <= BACK:
+        raise BlockError("a ticket is in no sound state", word=place)
+    _check_next(w, starts, place, number)
+    _check_call(program, w, starts, place)
+    _check_target(program, w, starts, place)
+    if state in (COLLECTED, BEGUN, TOLD) and (w[place + TICKET_VALUE] or w[place + TICKET_THROWN]):
+        raise BlockError("a ticket has a result before it is back", word=place)
+
+
+def _check_sentinel(w: memoryview[int], starts: dict[int, int], place: int) -> None:
+    if starts[place] != TICKET or any(w[place + i] for i in range(1, TICKET_NEXT)):
+        raise BlockError("what holds a together has a call of its own", word=place)
+    _check_next(w, starts, place, COUNT_LIMIT)
+
+
+def _check_next(w: memoryview[int], starts: dict[int, int], place: int, number: int) -> None:
+    """Numbers fall along a chain, so that none is a circle."""
+    before = w[place + TICKET_NEXT]
+    if before and not 0 < w[before + TICKET_NUMBER] < number:
+        raise BlockError("the tickets of a together are no chain", word=place)
+
+
+def _check_call(program: Program, w: memoryview[int], starts: dict[int, int], place: int) -> None:
+    """The portal, the proxy that leads to its resource, and the frame that has its arguments."""
+    method, call = w[place + TICKET_METHOD], w[place + TICKET_CALL]
+    methods = program.core.methods
+    if not 0 <= method < len(methods) or methods[method].kind != "portal":
+        raise BlockError("a ticket is for no portal", word=place)
+    if starts.get(w[place + TICKET_PROXY]) != PROXY | methods[method].owner << 8:
+        raise BlockError("a ticket leads to no resource that has its portal", word=place)
+    if bool(call) != (w[place + TICKET_STATE] == COLLECTED):
+        raise BlockError("a ticket has arguments after its call has begun, or none before", word=place)
+    if call and (starts[call] != FRAME | method << 8 or w[call + FRAME_CALLER] or w[call + FRAME_RETURN]):
+        raise BlockError("the arguments of a ticket are not those of its portal", word=place)
+
+
+def _check_target(program: Program, w: memoryview[int], starts: dict[int, int], place: int) -> None:
+    """The element that the result goes to, which can hold it."""
+    array, index, kind = w[place + TICKET_ARRAY], w[place + TICKET_INDEX], starts[place] >> 8
+    if not kind:
+        if array or index or w[place + TICKET_VALUE]:
+            raise BlockError("a ticket has a result and no target", word=place)
+        return
+    if not array or not 0 <= index < (w[array] >> 32) - 1:
+        raise BlockError("the target of a ticket is no element of its array", word=place)
+    core = program.core
+    gives, takes = core.methods[w[place + TICKET_METHOD]].result, core.types[kind].of
+    if gives == takes:
+        return
+    result, element = core.types[gives], core.types[takes]
+    general = element.kind == ANY or (element.kind == OBJECT_TYPE and element.of in program.kinds[result.of])
+    if result.kind != OBJECT_TYPE or not general:
+        raise BlockError("the target of a ticket cannot hold what its portal gives", word=place)

@@ -1,0 +1,71 @@
+"""The calls that were begun on this host: what became of them, and who hears of it (decision 46)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from lfield.vm.agent import Agent
+from lfield.vm.begun import Begun, Key
+from lfield.vm.cancelling import Cancelling
+from lfield.vm.memory.soundness import Soundness
+from lfield.vm.scheduler import Scheduler
+
+
+class BegunCalls:
+    """Keeps `scheduler.begun`: from the beginning of a call until its coordinator has fetched it."""
+
+    def __init__(self, scheduler: Scheduler, cancelling: Cancelling) -> None:
+        self._scheduler, self._cancelling = scheduler, cancelling
+
+    def kept(self, key: Key) -> None:
+        """What came back is kept: whoever waits here for it goes on."""
+        begun = self._scheduler.begun.get(key)
+        if begun is None or begun.kept:
+            return
+        begun.kept = True
+        waiter, begun.waiter = begun.waiter, None
+        if waiter is not None:
+            self._scheduler.turns.next(*waiter)
+
+    def restore(self, calls: Iterable[Begun], soundness: Soundness) -> None:
+        """What the host has kept in an earlier life: what ran then is lost, and what cannot be read."""
+        for begun in calls:
+            begun.kept = True
+            if begun.state == "running" or not soundness.is_parcel(begun.parcel, begun.state == "thrown"):
+                begun.state = "lost"
+            self._scheduler.begun[begun.key] = begun
+
+    def forget(self, keys: Iterable[Key]) -> None:
+        """Nobody will fetch them."""
+        for key in keys:
+            if begun := self._scheduler.begun.pop(key, None):
+                begun.dropped = True
+
+    def cancel(self, agent: str, below: int | None, reason: str) -> list[Key]:
+        """Those of the starts of a coordinator before `below` (None: of all) are cancelled and forgotten."""
+        found = [begun for begun in self._of(agent) if below is None or begun.generation < below]
+        keys = [begun.key for begun in found]
+        self.forget(keys)
+        for begun in found:
+            resource = self._scheduler.agents.get(begun.resource)
+            if begun.state == "running" and resource is not None:
+                self._cancelling.call(resource, begun.call, reason)
+        return keys
+
+    def end(self, agent: str, kind: str, reason: str) -> None:
+        """Those of a coordinator that run come back at once; their portals go on alone."""
+        for begun in list(self._of(agent)):
+            if begun.state == "running":
+                self._scheduler.calls.pop(begun.call, None)
+                message = f"{reason} ({begun.resource}.{begun.portal})"
+                self._scheduler.fail_begun(begun, kind, message, begun.resource)
+
+    def stop_waiting(self, agent: Agent) -> bool:
+        """A coordinator waits no more for what it has begun here; false when it did not."""
+        waited = [b for b in self._of(agent.id) if b.waiter is not None and b.waiter[0] is agent]
+        for begun in waited:
+            begun.waiter = None
+        return bool(waited)
+
+    def _of(self, agent: str) -> Iterator[Begun]:
+        return (begun for begun in self._scheduler.begun.values() if begun.agent == agent)

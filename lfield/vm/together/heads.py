@@ -1,0 +1,179 @@
+"""`start`, `fetch` and `leave`: a coordinator goes round the hosts of its `together` (decision 46).
+
+Each head does what there is to do on this host and then leaves for the next one, or is complete. It is run
+again from its beginning wherever the coordinator comes to, and whenever something has come back: all that it
+has done is in the tickets. At most one visit a host begins what is there, and one fetches it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from lfield.vm.agent import Agent
+from lfield.vm.cancelling import Cancelling
+from lfield.vm.contract import Trap
+from lfield.vm.inspect import traceback
+from lfield.vm.limits import TIME_LIMIT, TimeLimits
+from lfield.vm.memory.layout import (
+    BACK,
+    BEGUN,
+    CALLING,
+    COLLECTED,
+    TICKET_ARRAY,
+    TICKET_CALL,
+    TICKET_INDEX,
+    TICKET_NEXT,
+    TICKET_STATE,
+    TICKET_VALUE,
+    TOLD,
+)
+from lfield.vm.scheduler import Scheduler
+from lfield.vm.together.beginning import Beginnings, collect, gather
+from lfield.vm.together.outcomes import Outcomes
+from lfield.vm.together.visits import Ticket, Visits
+
+Handler = Callable[[Agent, int, int, list[int]], None]
+
+
+class Together:
+    """The heads of `together`, for the coordinators of one host."""
+
+    def __init__(
+        self, scheduler: Scheduler, visits: Visits, cancelling: Cancelling, limits: TimeLimits
+    ) -> None:
+        self._scheduler, self._visits, self._cancelling = scheduler, visits, cancelling
+        self._outcomes = Outcomes(scheduler, visits)
+        self._beginnings = Beginnings(scheduler, visits, self._outcomes, limits)
+
+    def heads(self) -> dict[str, Handler]:
+        """By name, what carries them out. Raise Full: they are run again then."""
+        return {
+            "gather": self._gather,
+            "begin": self._guarded(self._begin),
+            "start": self._guarded(self._start),
+            "fetch": self._guarded(self._fetch),
+            "leave": self._guarded(self._leave),
+        }
+
+    def _guarded(self, head: Handler) -> Handler:
+        """A heap that cannot hold what came back is an exception where the coordinator stands."""
+
+        def carry_out(agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+            try:
+                head(agent, thread, operand, words)
+            except Trap as trap:
+                self._scheduler.refuse(agent, thread, trap.kind, trap.message)
+
+        return carry_out
+
+    def failed(self, agent: Agent, thread: int, kind: str, message: str) -> None:
+        """What a frozen coordinator waited for cannot be: its calls there are back with an exception."""
+        try:
+            for number in [ticket.number for ticket in self._visits.wanted(agent)]:
+                self._outcomes.throw(agent, thread, number, kind, message)
+        except Trap as trap:
+            self._scheduler.refuse(agent, thread, trap.kind, trap.message)
+            return
+        self._scheduler.turns.next(agent, thread)
+
+    def _gather(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        self._scheduler.go_on(agent, thread, gather(agent))
+
+    def _begin(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        collect(self._scheduler, agent, operand, words)
+        self._scheduler.go_on(agent, thread)
+
+    # --- begin, fetch ---------------------------------------------------------------------------------
+
+    def _start(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        if self._all_begun(agent, thread):
+            self._scheduler.go_on(agent, thread)
+
+    def _all_begun(self, agent: Agent, thread: int) -> bool:
+        """Whether no call is only collected any more; else the coordinator waits, or leaves to begin one."""
+        if not self._beginnings.begin_here(agent, thread):
+            return False
+        return not self._departs(agent, thread, COLLECTED)
+
+    def _departs(self, agent: Agent, thread: int, state: int) -> bool:
+        """Whether a coordinator leaves for the next host that has tickets in a state."""
+        away = self._visits.away(self._visits.tickets(agent, thread), state)
+        if not away:
+            return False
+        self._scheduler.freeze(agent, thread)
+        self._scheduler.world.depart(agent, self._visits.resource(away[0]))
+        return True
+
+    def _fetch(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        if not self._all_begun(agent, thread):
+            return
+        self._outcomes.expire(agent, thread, BEGUN)
+        if self._waits(agent, thread, BEGUN) or self._departs(agent, thread, BEGUN):
+            return
+        found = self._visits.tickets(agent, thread)
+        if any(ticket.thrown for ticket in found):
+            self._throw(agent, thread)
+            return
+        w = agent.block.w
+        for ticket in found:
+            if array := w[ticket.place + TICKET_ARRAY]:
+                w[array + 1 + w[ticket.place + TICKET_INDEX]] = w[ticket.place + TICKET_VALUE]
+        self._clear(agent, thread)
+
+    def _waits(self, agent: Agent, thread: int, state: int) -> bool:
+        """Take what has come back of the tickets in a state; whether something here has not yet."""
+        found = self._visits.tickets(agent, thread)
+        numbers = [t.number for t in found if t.state == state and self._visits.is_here(t)]
+        for number in numbers:
+            begun = self._outcomes.take(agent, thread, number)
+            if begun is not None:
+                self._scheduler.set_state(agent, thread, CALLING)
+                begun.waiter = agent, thread
+                return True
+        return False
+
+    def _throw(self, agent: Agent, thread: int) -> None:
+        """Throw what the first call in program order has thrown; the others are beside it."""
+        first = self._outcomes.first(agent, thread)
+        agent.block.w[self._visits.words(agent, thread)[0] + TICKET_NEXT] = 0
+        self._scheduler.throw(agent, thread, first)
+
+    # --- leave ----------------------------------------------------------------------------------------
+
+    def _leave(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        """First all are told, host by host, then they are waited for."""
+        for state in (BEGUN, TOLD):
+            self._outcomes.expire(agent, thread, state)
+        for ticket in self._visits.tickets(agent, thread):
+            if ticket.state == COLLECTED:
+                ticket.w[ticket.place + TICKET_STATE], ticket.w[ticket.place + TICKET_CALL] = BACK, 0
+            elif ticket.state == BEGUN and self._visits.is_here(ticket):
+                self._tell(agent, ticket)
+        if self._departs(agent, thread, BEGUN) or self._waits(agent, thread, TOLD):
+            return
+        if not self._departs(agent, thread, TOLD):
+            self._report(agent, thread)
+            self._clear(agent, thread)
+
+    def _tell(self, agent: Agent, ticket: Ticket) -> None:
+        """Cancel a call that runs here, if it still does."""
+        ticket.w[ticket.place + TICKET_STATE] = TOLD
+        begun = self._scheduler.begun.get((agent.id, ticket.generation, ticket.number))
+        resource = self._scheduler.agents.get(self._visits.resource(ticket).id)
+        if begun is not None and begun.state == "running" and resource is not None:
+            reason = f"{agent.id} has left the together that called {self._visits.portal(ticket)}()"
+            self._cancelling.call(resource, begun.call, reason)
+
+    def _report(self, agent: Agent, thread: int) -> None:
+        """What was thrown, if anything was, says what became of the calls."""
+        if not self._visits.tickets(agent, thread):
+            return
+        thrown = self._visits.words(agent, thread)[1]
+        if thrown and traceback.describe(agent.block, self._scheduler.program, thrown)[0] == TIME_LIMIT:
+            self._outcomes.explain(agent, thread)
+        self._outcomes.beside(agent, thread)
+
+    def _clear(self, agent: Agent, thread: int) -> None:
+        """All calls are back, and nothing is asked of them any more."""
+        agent.block.w[self._visits.words(agent, thread)[0] + TICKET_NEXT] = 0
+        self._scheduler.go_on(agent, thread)

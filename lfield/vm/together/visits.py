@@ -1,0 +1,177 @@
+"""What a coordinator's `together` has to do, and where it must go for that. Looks only; changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lfield.bytecode.opcodes import BY_CODE, BY_NAME
+from lfield.vm.agent import Agent, Member
+from lfield.vm.begun import Beginning
+from lfield.vm.memory import layout
+from lfield.vm.memory.layout import (
+    BEGUN,
+    COLLECTED,
+    FRAME_SLOTS,
+    PROXY_MEMBER,
+    THREAD_FRAME,
+    THREAD_ID,
+    THREAD_PC,
+    TICKET_GENERATION,
+    TICKET_METHOD,
+    TICKET_NUMBER,
+    TICKET_PROXY,
+    TICKET_STATE,
+    TICKET_THROWN,
+    TOLD,
+)
+from lfield.vm.memory.threads import place_of
+from lfield.vm.memory.tickets import collected
+from lfield.vm.scheduler import Scheduler
+
+#: The heads that visit hosts, each with the states of the tickets that it travels for, in this order.
+TRAVELS = {"start": (COLLECTED,), "fetch": (COLLECTED, BEGUN), "leave": (BEGUN, TOLD)}
+
+
+_PUSH = BY_NAME["push"].code
+
+
+class Ticket:
+    """A ticket, as it is in the block now: whoever collects or packs that must look for it again."""
+
+    __slots__ = ("place", "w")
+
+    def __init__(self, w: memoryview[int], place: int) -> None:
+        self.w, self.place = w, place
+
+    @property
+    def number(self) -> int:
+        """Its number; they rise in the order of collection."""
+        return self.w[self.place + TICKET_NUMBER]
+
+    @property
+    def state(self) -> int:
+        """COLLECTED, BEGUN, TOLD or BACK."""
+        return self.w[self.place + TICKET_STATE]
+
+    @property
+    def generation(self) -> int:
+        """Which start of the coordinator has begun it."""
+        return self.w[self.place + TICKET_GENERATION]
+
+    @property
+    def method(self) -> int:
+        """The portal, by its index."""
+        return self.w[self.place + TICKET_METHOD]
+
+    @property
+    def proxy(self) -> int:
+        """The proxy that the portal is called on."""
+        return self.w[self.place + TICKET_PROXY]
+
+    @property
+    def member(self) -> int:
+        """The resource, by its number."""
+        return self.w[self.proxy + PROXY_MEMBER]
+
+    @property
+    def thrown(self) -> int:
+        """The exception that it has come back with, or 0."""
+        return self.w[self.place + TICKET_THROWN]
+
+
+class Visits:
+    """Looks at the tickets of the coordinators on one host (`here`, a number); `team` is everybody."""
+
+    def __init__(self, scheduler: Scheduler, team: Sequence[Member], here: int) -> None:
+        self._scheduler, self._team, self._here = scheduler, team, here
+        self._program = scheduler.program
+
+    def head(self, agent: Agent) -> str:
+        """The name of the head that a coordinator stands at; '' when it is none that travels for tickets."""
+        place = agent.block.w[layout.W_THREADS]
+        pc = agent.block.w[place + THREAD_PC]
+        group = self._scheduler.engine.prepared.groups.get(pc)
+        name = BY_CODE[group.head.op].name if group is not None else ""
+        return name if name in TRAVELS else ""
+
+    def words(self, agent: Agent, thread: int) -> list[int]:
+        """The arguments of the group that a coordinator stands at, as they are in the block now."""
+        w = agent.block.w
+        place = place_of(agent.block, thread)
+        slots = w[place + THREAD_FRAME] + FRAME_SLOTS
+        quads, pc = self._program.quads, w[place + THREAD_PC]
+        words = []
+        while quads[pc].op == _PUSH:
+            # The only constant among them is null.
+            words.append(w[slots + quads[pc].a] if quads[pc].a >= 0 else 0)
+            pc += 1
+        return words
+
+    def tickets(self, agent: Agent, thread: int) -> list[Ticket]:
+        """Those of the `together` that a coordinator stands at, in the order of collection."""
+        sentinel = self.words(agent, thread)[0]
+        return [Ticket(agent.block.w, place) for place in collected(agent.block, sentinel)]
+
+    def of_thread(self, agent: Agent) -> list[Ticket]:
+        """Those of a coordinator's only thread."""
+        w = agent.block.w
+        return self.tickets(agent, w[w[layout.W_THREADS] + THREAD_ID])
+
+    def is_here(self, ticket: Ticket) -> bool:
+        """Whether its resource is on this host."""
+        return self._team[ticket.member].host == self._here
+
+    def resource(self, ticket: Ticket) -> Member:
+        """Its resource."""
+        return self._team[ticket.member]
+
+    def name(self, ticket: Ticket) -> str:
+        """The call in a word: `resource.portal()`."""
+        return f"{self.resource(ticket).id}.{self.portal(ticket)}()"
+
+    def portal(self, ticket: Ticket) -> str:
+        """The portal's name."""
+        return self._program.core.methods[ticket.method].name
+
+    def beginning(self, ticket: Ticket) -> Beginning:
+        """What the host is told of a call that shall begin."""
+        acts = ticket.method in self._scheduler.acting
+        return Beginning(ticket.number, self.resource(ticket).id, self.portal(ticket), acts)
+
+    def away(self, tickets: list[Ticket], state: int) -> list[Ticket]:
+        """The tickets in a state that are on one other host, the one that was collected first."""
+        away = [ticket for ticket in tickets if ticket.state == state and not self.is_here(ticket)]
+        host = self.resource(away[0]).host if away else self._here
+        return [ticket for ticket in away if self.resource(ticket).host == host]
+
+    def wanted(self, agent: Agent) -> list[Ticket]:
+        """The tickets that a frozen coordinator waits for: to begin them here, or to get to their host."""
+        head, found = self.head(agent), self.of_thread(agent)
+        if head != "leave" and (mine := [t for t in found if t.state == COLLECTED and self.is_here(t)]):
+            return mine
+        return next((away for state in TRAVELS[head] if (away := self.away(found, state))), [])
+
+    def calling(self, agent: Agent) -> tuple[Member, str] | None:
+        """The resource and the portal that a frozen coordinator waits for, the first of several."""
+        if self.head(agent):
+            wanted = self.wanted(agent)
+            return (self.resource(wanted[0]), self.portal(wanted[0])) if wanted else None
+        w = agent.block.w
+        thread = w[layout.W_THREADS]
+        words = self.words(agent, w[thread + THREAD_ID])
+        if not words or not words[0]:
+            return None
+        portal = self._scheduler.engine.group(w[thread + THREAD_PC]).head.a
+        return self._team[w[words[0] + PROXY_MEMBER]], self._program.core.methods[portal].name
+
+    def called(self, agent: Agent) -> str:
+        """The same in a word, `resource.portal()`; '' for none."""
+        resource, portal = self.calling(agent) or (None, "")
+        return f"{resource.id}.{portal}()" if resource else ""
+
+    def goes_on(self, agent: Agent) -> bool:
+        """Whether nothing is unknown of what a restored coordinator did where it stands."""
+        head = self.head(agent)
+        if head in ("", "leave"):
+            return bool(head)
+        return not any(t.state == COLLECTED and self.is_here(t) for t in self.of_thread(agent))

@@ -1,0 +1,282 @@
+"""Parallel work, time limits and `finally`: a sound program, and each refusal of the verifier."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import msgspec
+import pytest
+
+from lfield.bytecode.disassemble import disassemble
+from lfield.bytecode.encoding import decode, encode
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.bytecode.program import (
+    ARRAY,
+    BUILTIN_CLASSES,
+    EXCEPTIONS,
+    FINALLY,
+    INT,
+    LANDING,
+    LIMIT,
+    OLDEST_BUILTINS,
+    REAL,
+    TICKET,
+    Core,
+    FieldRecord,
+    MethodRecord,
+    Program,
+    Quad,
+    TypeRecord,
+    encode_quads,
+)
+from lfield.bytecode.verify import verify
+from lfield.bytecode.verify.records import BUILTIN_RECORDS
+from lfield.errors import ProgramFileError
+from lfield.testing.golden import compile_text
+
+SOUND = compile_text(
+    """
+    resource Arm {
+      init(string[] arg) { try { yield(); } finally { print("done"); } }
+      portal lift(real height) emit real { return height; }
+      portal stop() { }
+    }
+    coordinator Boss {
+      init(string[] arg) {
+        Arm arm = findArm("arm"); int[] counts = new int[2]; real got; int n = 3;
+        within (2.0) {
+          together { got = arm.lift(1.0); arm.stop(); sleep(1.0); }
+        }
+        try { n = n + 1; } catch (Exception e) { n = e.others().length(); } finally { n = n + 2; }
+      }
+    }
+    """
+)
+BOSS, ARM = SOUND.class_index["Boss"], SOUND.class_index["Arm"]
+INIT, ARM_INIT = (
+    next(i for i, m in enumerate(SOUND.core.methods) if m.owner == c and m.kind == "init")
+    for c in (BOSS, ARM)
+)
+LIFT = next(i for i, m in enumerate(SOUND.core.methods) if m.name == "lift")
+TICKETS = SOUND.core.types.index(TypeRecord(TICKET))
+_PUSH = BY_NAME["push"].code
+
+Change = Callable[[Core], Core]
+
+
+def test_the_sound_program_is_accepted_and_is_the_same_after_a_file() -> None:
+    assert decode(encode(SOUND)).core == SOUND.core
+
+
+def refused(change: Change, reason: str) -> None:
+    core = change(SOUND.core)
+    with pytest.raises(ProgramFileError, match=reason):
+        verify(Program(core, SOUND.debug, b""))
+
+
+def _quads(change: Callable[[list[Quad]], None]) -> Change:
+    def changed(core: Core) -> Core:
+        quads = list(SOUND.quads)
+        change(quads)
+        return msgspec.structs.replace(core, code=encode_quads(quads))
+
+    return changed
+
+
+def _at(quads: list[Quad], name: str, which: int = 0) -> int:
+    return [pc for pc, quad in enumerate(quads) if quad.op == BY_NAME[name].code][which]
+
+
+def _pushed(name: str, back: int, operand: int, which: int = 0) -> Change:
+    """The push so many before a head gets another operand."""
+
+    def change(quads: list[Quad]) -> None:
+        pc = _at(quads, name, which) - back
+        assert quads[pc].op == _PUSH
+        quads[pc] = Quad(_PUSH, operand, 0, 0)
+
+    return _quads(change)
+
+
+def _slot(kind: int, method: int = INIT) -> int:
+    return SOUND.core.methods[method].slots.index(kind, 1)
+
+
+def _method(index: int, **fields: object) -> Change:
+    def change(core: Core) -> Core:
+        methods = list(core.methods)
+        methods[index] = msgspec.structs.replace(methods[index], **fields)
+        return msgspec.structs.replace(core, methods=tuple(methods))
+
+    return change
+
+
+def _slots(index: int, *kinds: int) -> Change:
+    return _method(index, slots=(*SOUND.core.methods[index].slots, *kinds))
+
+
+def _row(first: int, index: int = INIT, **fields: object) -> Change:
+    """The first row of a kind gets other fields."""
+    rows = list(SOUND.core.methods[index].handlers)
+    which = next(i for i, row in enumerate(rows) if row.kind == first)
+    rows[which] = msgspec.structs.replace(rows[which], **fields)
+    return _method(index, handlers=tuple(rows))
+
+
+INTS = SOUND.core.types.index(TypeRecord(ARRAY, INT))
+REALS = SOUND.core.types.index(TypeRecord(ARRAY, REAL))
+NOTHING = -1 - SOUND.core.constants.index(None)
+NUMBER = _slot(INT)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        # begin of lift: sentinel, array, index, proxy, height
+        (_pushed("begin", 5, NUMBER), "not what is taken"),
+        (_pushed("begin", 4, _slot(INTS)), "not what is taken"),
+        (_pushed("begin", 4, NUMBER), "not what is taken"),
+        (_pushed("begin", 3, _slot(REALS)), "not what is taken"),
+        (_pushed("begin", 2, _slot(INTS)), "not what is taken"),
+        (_pushed("begin", 1, NUMBER), "not what is taken"),
+        # begin of stop: there is no result to put anywhere
+        (_pushed("begin", 3, _slot(REALS), 1), "not what is taken"),
+        (
+            _quads(lambda q: q.__setitem__(_at(q, "begin"), Quad(BY_NAME["begin"].code, INIT, 0, 0))),
+            "a portal",
+        ),
+        (_pushed("start", 1, NUMBER), "not what is taken"),
+        (_pushed("fetch", 1, NUMBER), "not what is taken"),
+        (_pushed("leave", 2, NUMBER), "not what is taken"),
+        (_pushed("leave", 1, NUMBER), "not what is taken"),
+        (_pushed("limit", 1, NUMBER), "not what is taken"),
+        (_pushed("exc_others", 1, NUMBER), "not what is taken"),
+        (
+            _quads(
+                lambda q: q.__setitem__(_at(q, "gather") + 1, Quad(BY_NAME["pop"].code, _slot(INTS), 0, 0))
+            ),
+            "does not fit the slot",
+        ),
+        (
+            _quads(lambda q: q.__setitem__(_at(q, "yield"), Quad(BY_NAME["gather"].code, 0, 0, 0))),
+            "only coordinators work in parallel",
+        ),
+        (
+            _quads(lambda q: q.__setitem__(_at(q, "yield"), Quad(BY_NAME["limit"].code, 0, 0, 0))),
+            "only coordinators have a time limit",
+        ),
+    ],
+)
+def test_instructions(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+def test_a_result_may_be_dropped() -> None:
+    verify(Program(_pushed("begin", 4, NOTHING)(SOUND.core), SOUND.debug, b""))
+
+
+def _field(core: Core) -> Core:
+    classes = list(core.classes)
+    classes[BOSS] = msgspec.structs.replace(classes[BOSS], fields=(FieldRecord("a", TICKETS),))
+    return msgspec.structs.replace(core, classes=tuple(classes))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_slots(ARM_INIT, TICKETS), "a type no variable can have"),
+        (_slots(LIFT, TICKETS), "a type no variable can have"),
+        (_method(INIT, result=TICKETS), "a result of a type"),
+        (_field, "a type no field can have"),
+        (
+            lambda core: msgspec.structs.replace(core, types=(*core.types, TypeRecord(ARRAY, TICKETS))),
+            "no earlier type of values",
+        ),
+        (
+            lambda core: msgspec.structs.replace(core, types=(*core.types, TypeRecord(TICKET, 1))),
+            "unknown kind",
+        ),
+    ],
+)
+def test_tickets_are_in_slots_of_coordinators_only(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_row(LIMIT, kind=9), "no handlers of kind 9"),
+        (_row(LIMIT, kind=-1), "no handlers of kind -1"),
+        (_row(LIMIT, target=SOUND.core.methods[INIT].end - 1), "leads somewhere"),
+        (_row(LIMIT, catches=1), "leads somewhere"),
+        (_row(LIMIT, slot=_slot(TICKETS)), "is no int"),
+        (_row(LIMIT, slot=999), "no slot 999"),
+        (_row(LIMIT, slot=0), "slot 0 cannot be written"),
+        (_row(LIMIT, end=SOUND.core.methods[INIT].end + 1), "no run of whole instructions"),
+        (_row(LANDING, slot=1), "leads somewhere"),
+        (_row(LANDING, target=1), "leads somewhere"),
+        (_row(FINALLY, catches=1), "names a class"),
+        (_row(FINALLY, target=0), "leads nowhere"),
+        (_row(FINALLY, slot=NUMBER), "does not fit its slot"),
+        (_row(LANDING, ARM_INIT, kind=LIMIT), "only coordinators have a time limit"),
+    ],
+)
+def test_rows(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+def test_a_listing_says_what_rows_are_for() -> None:
+    text = disassemble(SOUND)
+    for words in (
+        r"finally \^\d+ at L\d+",
+        r"\d landing$",
+        r"limit \^\d+$",
+        r"catch Exception",
+        r"\^\d+ +ticket$",
+    ):
+        assert re.search(words, text, re.MULTILINE), words
+
+
+# --- programs of lfield 0.3 ---------------------------------------------------------------------------
+
+
+def _old(name: str) -> Core:
+    """The core of a program with one resource of that name, as lfield 0.3 has made it."""
+    classes = [
+        msgspec.structs.replace(record, fields=record.fields[:3])
+        for record in BUILTIN_RECORDS[:OLDEST_BUILTINS]
+    ]
+    made = compile_text("resource R { init(string[] arg) { } }")
+    own = made.core.classes[-1]
+    types = [TypeRecord(t.kind, OLDEST_BUILTINS) if t.kind == 9 else t for t in made.core.types]
+    del types[EXCEPTIONS]
+    kinds = {
+        t: types.index(TypeRecord(9, OLDEST_BUILTINS) if made.core.types[t].kind == 9 else made.core.types[t])
+        for t in made.core.methods[0].slots
+    }
+    method: MethodRecord = msgspec.structs.replace(
+        made.core.methods[0], owner=OLDEST_BUILTINS, slots=tuple(kinds[t] for t in made.core.methods[0].slots)
+    )
+    return msgspec.structs.replace(
+        made.core,
+        types=tuple(types),
+        classes=(*classes, msgspec.structs.replace(own, name=name)),
+        methods=(method,),
+    )
+
+
+@pytest.mark.parametrize("name", ["R", *BUILTIN_CLASSES[OLDEST_BUILTINS:]])
+def test_a_program_that_knows_fewer_exceptions_may_have_classes_of_their_names(name: str) -> None:
+    program = Program(_old(name), SOUND.debug, b"")
+    program.debug = msgspec.structs.replace(SOUND.debug, methods=())
+    verify(program)
+    assert program.builtins == OLDEST_BUILTINS
+    assert program.units == {name: "resource"}
+
+
+def test_the_beginnings_of_two_versions_are_not_mixed() -> None:
+    old = _old("R")
+    mixed = (old.classes[0], *BUILTIN_RECORDS[1:OLDEST_BUILTINS], *old.classes[OLDEST_BUILTINS:])
+    refused(lambda core: msgspec.structs.replace(old, classes=mixed), "built-in exceptions")
+    refused(lambda core: msgspec.structs.replace(core, types=core.types[:EXCEPTIONS]), "first types")

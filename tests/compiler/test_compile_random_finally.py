@@ -1,0 +1,155 @@
+"""Random nests of try, catch, finally and loops are left as a few lines of Python leave them.
+
+`tick()` is true every third time, so that exits are taken now and then, on the second round of a loop too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield.testing.golden import run_text
+
+#: How a statement ends: "on", "break", "continue", "return 3", or "throw" and a class.
+Way = str
+
+
+@dataclass
+class Life:
+    """What a run has written, and how often it has ticked."""
+
+    trace: list[str]
+    ticks: int = 0
+
+    def tick(self) -> bool:
+        """True every third time."""
+        self.ticks += 1
+        return self.ticks % 3 == 0
+
+
+@dataclass(frozen=True)
+class Step:
+    """A statement as L text, and what it does."""
+
+    text: str
+    run: Callable[[Life], Way]
+
+
+def _leaving(text: str, way: Way) -> Step:
+    return Step(text, lambda life: way)
+
+
+def _said(number: int) -> Step:
+    def run(life: Life) -> Way:
+        life.trace.append(str(number))
+        return "on"
+
+    return Step(f"say({number});", run)
+
+
+def _block(steps: list[Step]) -> Step:
+    def run(life: Life) -> Way:
+        for step in steps:
+            if (way := step.run(life)) != "on":
+                return way
+        return "on"
+
+    return Step(" ".join(step.text for step in steps), run)
+
+
+def _maybe(body: Step) -> Step:
+    return Step(f"if (tick()) {{ {body.text} }}", lambda life: body.run(life) if life.tick() else "on")
+
+
+def _loop(name: str, body: Step) -> Step:
+    def run(life: Life) -> Way:
+        for _ in range(3):
+            way = body.run(life)
+            if way == "break":
+                break
+            if way not in ("on", "continue"):
+                return way
+        return "on"
+
+    return Step(f"for (int {name} = 0; {name} < 3; {name} = {name} + 1) {{ {body.text} }}", run)
+
+
+def _try(name: str, body: Step, caught: str, catch: Step | None, last: Step | None) -> Step:
+    def run(life: Life) -> Way:
+        way = body.run(life)
+        if catch is not None and way.startswith("throw") and (caught == "Exception" or way.endswith(caught)):
+            way = catch.run(life)
+        end = last.run(life) if last is not None else "on"
+        return way if end == "on" else end
+
+    text = f"try {{ {body.text} }}"
+    if catch is not None:
+        text += f" catch ({caught} {name}) {{ {catch.text} }}"
+    if last is not None:
+        text += f" finally {{ {last.text} }}"
+    return Step(text, run)
+
+
+_CLASSES = ("NullException", "IndexException")
+
+
+@st.composite
+def steps(draw: st.DrawFn, depth: int, loops: int = 0) -> Step:
+    """A statement of at most `depth` levels, inside so many loops."""
+    kinds = ["said", "throw", "return", "own", *(["break", "continue"] if loops else [])]
+    deep = ["try", "try", "try", "loop", "maybe", "block"] if depth else []
+    kind = draw(st.sampled_from(deep or kinds) if draw(st.booleans()) else st.sampled_from(kinds))
+    if kind == "said":
+        return _said(draw(st.integers(0, 99)))
+    if kind == "throw":
+        name = draw(st.sampled_from(_CLASSES))
+        return _maybe(_leaving(f'throw new {name}("x");', f"throw {name}"))
+    if kind == "own":
+        return _maybe(_leaving("fail();", "throw IndexException"))
+    if kind == "return":
+        number = draw(st.integers(0, 9))
+        return _maybe(_leaving(f"return {number};", f"return {number}"))
+    if kind in ("break", "continue"):
+        return _maybe(_leaving(f"{kind};", kind))
+    if kind == "loop":
+        return _loop("ijklmn"[loops], draw(steps(depth - 1, loops + 1)))
+    inner = [draw(steps(depth - 1, loops)) for _ in range(draw(st.integers(1, 3)))]
+    if kind == "maybe":
+        return _maybe(_block(inner))
+    if kind == "block":
+        return _block(inner)
+    which = draw(st.sampled_from(["catch", "finally", "both"]))
+    catch = draw(steps(depth - 1, loops)) if which != "finally" else None
+    last = draw(steps(depth - 1, loops)) if which != "catch" else None
+    return _try(f"e{depth}", _block(inner), draw(st.sampled_from(("Exception", *_CLASSES))), catch, last)
+
+
+_PROGRAM = """
+resource R {{
+    int ticks = 0;
+    init(string[] arg) {{
+        for (int round = 0; round < 4; round = round + 1) {{
+            try {{ print("return " + i2s(work(7))); }}
+            catch (Exception e) {{ print("throw " + e.type()); }}
+        }}
+    }}
+    private int work(int given) {{ {body} return -1; }}
+    private void say(int n) {{ print(n); }}
+    private void fail() {{ int[] a = new int[1]; a[2] = 0; }}
+    private boolean tick() {{ ticks = ticks + 1; return ticks % 3 == 0; }}
+}}
+"""
+
+
+@given(steps(5))
+@settings(deadline=None, max_examples=80)
+def test_every_way_out(step: Step) -> None:
+    life = Life([])
+    for _ in range(4):
+        way = step.run(life)
+        life.trace.append("return -1" if way == "on" else way)
+    desk, _ = run_text(_PROGRAM.format(body=step.text))
+    assert desk.output == life.trace

@@ -1,0 +1,139 @@
+"""What `together`, `within` and `finally` become."""
+
+from __future__ import annotations
+
+import pytest
+from listing import instructions
+
+from lfield.bytecode.disassemble import disassemble
+from lfield.testing.golden import compile_text
+
+ARM = """
+resource Arm {
+    init(string[] arg) { }
+    portal lift(int n) emit int { return n; }
+    portal stop() { }
+}
+class Sum {
+    public int a;
+    public Sum(int a) { this.a = a; }
+    public int get() { return a; }
+    public int told() { print(a); return a; }
+    public int deep() { return told(); }
+}
+"""
+
+
+def boss(body: str, members: str = "") -> str:
+    return (
+        f'{ARM} coordinator Boss {{ init(string[] arg) {{ Arm arm = findArm("arm"); work(arm, new Sum(1)); }}'
+        f" private void work(Arm arm, Sum sum) {{ {body} }} {members} }}"
+    )
+
+
+def heads(body: str) -> list[str]:
+    """The instructions of `work` that leave the engine or the method."""
+    words = ("gather", "begin", "start", "fetch", "leave", "limit", "pcall", "call", "print_int", "sleep")
+    found = (line.split(",")[0] for line in instructions(compile_text(boss(body)), "Boss.work"))
+    return [word for word in found if word in words]
+
+
+def test_a_together_is_gathered_collected_and_fetched() -> None:
+    assert instructions(compile_text(boss("int n = 5; together { n = arm.lift(3); }")), "Boss.work") == [
+        "move, ^3, 5",
+        "newarray, ^4, int[], 1",
+        "move, ^5, 0",
+        "pute, ^4, ^5, ^3",
+        "gather",
+        "pop, ^6",
+        "push, ^6",
+        "push, ^4",
+        "push, 0",
+        "push, ^1",
+        "push, 3",
+        "begin, Arm.lift(int)",
+        "push, ^6",
+        "fetch",
+        "jmp, L20",
+        "push, ^6",
+        "push, ^7",
+        "leave",
+        "throw, ^7",
+        "gete, ^3, ^4, 0",
+        "rtn",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("body", "expected"),
+    [
+        ("together { arm.stop(); arm.stop(); }", "gather begin begin fetch leave"),
+        # What only computes does not wait for anybody.
+        ("together { arm.lift(sum.get()); arm.lift(new Sum(2).a); }",
+         "gather call begin call begin fetch leave"),
+        ("together { int k = sum.get(); arm.lift(k); if (k > sum.get()) arm.stop(); }",
+         "gather call begin call begin fetch leave"),
+        # What does more begins what is collected.
+        ("together { arm.stop(); print(1); arm.stop(); }",
+         "gather begin start print_int begin fetch leave"),
+        ("together { arm.stop(); sleep(1); }", "gather begin start sleep fetch leave"),
+        ("together { arm.stop(); arm.lift(sum.deep()); }",
+         "gather begin start call begin fetch leave"),
+        ("together { arm.stop(); while (sum.deep() > 3) arm.stop(); }",
+         "gather begin begin start call fetch leave"),
+        ("together { arm.stop(); if (sum.a > 3) return; }", "gather begin start fetch leave"),
+        ("while (true) { together { arm.stop(); while (true) break; if (sum.a > 3) break; } }",
+         "gather begin start fetch leave"),
+        ("together { arm.stop(); throw sum; }", "gather begin start leave"),
+        ("together { arm.stop(); together { arm.stop(); print(1); } arm.stop(); }",
+         "gather begin start gather begin start print_int fetch leave begin fetch leave"),
+        ("together { arm.stop(); within (3) { print(1); } }",
+         "gather begin start limit print_int fetch leave"),
+        ("together { arm.stop(); try { print(1); } finally { print(2); } }",
+         "gather begin start print_int print_int fetch leave"),
+        # A loop of its own is no way out.
+        ("together { for (int i = 0; i < 3; i = i + 1) { if (i == 1) continue; arm.stop(); } }",
+         "gather begin fetch leave"),
+    ],
+)  # fmt: skip
+def test_what_is_collected_begins_before_what_takes_time(body: str, expected: str) -> None:
+    assert heads(body) == expected.split()
+
+
+def test_a_time_limit_is_a_row() -> None:
+    text = boss("within (2) { arm.stop(); }")
+    assert instructions(compile_text(text), "Boss.work") == [
+        "push, 2.0",
+        "limit",
+        "pop, ^3",
+        "push, ^1",
+        "pcall, Arm.stop()",
+        "rtn",
+    ]
+    assert "limit ^3\n" in disassemble(compile_text(text))
+
+
+def test_an_empty_time_limit_is_no_row() -> None:
+    assert "limit ^" not in disassemble(compile_text(boss("within (2) { }")))
+
+
+def test_the_code_of_a_finally_is_there_once() -> None:
+    ways = "if (sum.a > 1) break; if (sum.a > 2) return; continue;"
+    assert heads(f"while (true) {{ try {{ {ways} }} finally {{ print(7); }} }}") == ["print_int"]
+
+
+def test_nests_of_finally_are_no_longer_than_their_text() -> None:
+    def size(depth: int) -> int:
+        nest = "print(1);"
+        for _ in range(depth):
+            nest = f"try {{ if (sum.a > 1) return; }} finally {{ {nest} }}"
+        return len(instructions(compile_text(boss(nest)), "Boss.work"))
+
+    assert size(12) - size(8) == size(8) - size(4)
+
+
+def test_a_program_without_the_new_words_has_none_of_their_code() -> None:
+    program = compile_text(boss("try { arm.stop(); } catch (Exception e) { print(1); }"))
+    assert {row.kind for method in program.core.methods for row in method.handlers} == {0}
+    assert not {quad.op for quad in program.quads} & set(range(1600, 1700))
+    assert "ticket" not in disassemble(program)

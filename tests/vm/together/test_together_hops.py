@@ -1,0 +1,350 @@
+"""A together over several hosts: how far the coordinator goes; what is unreachable, kept, lost or told."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from joined_hosts import Joined
+
+from lfield.bytecode.program import Program
+from lfield.errors import BlockError
+from lfield.testing.golden import compile_text
+from lfield.vm.begun import Begun
+from lfield.vm.memory import layout
+
+POSTS = """
+class Card { public string text; public Card(string t) { text = t; } }
+resource Post {
+  string name; int done;
+  init(string[] arg) { name = arg[0]; }
+  portal work(real s, Card card) emit Card {
+    try { sleep(s); } catch (CancelledException e) { print(name + " cancelled"); sleep(0.5); throw e; }
+    done = done + 1; card.text = card.text + name; return card;
+  }
+  portal count() emit int { return done; }
+  portal fail(string why) { throw new ConversionException(why); }
+  portal synchronized one(real s) { sleep(s); done = done + 1; }
+}
+coordinator Boss {
+  init(string[] arg) {
+    Post[] r = findPost(); Card[] c = new Card[r.length()]; Card mine = new Card("c"); int x = 0; int y = 0;
+    real begun = now();
+    %s
+  }
+}
+"""
+ALL = "together { for (int i = 0; i < r.length(); i = i + 1) c[i] = r[i].work(2.0, mine); }"
+TOLD = 'for (int i = 0; i < r.length(); i = i + 1) print(c[i].text); print("after " + f2s(now() - begun, 1));'
+
+
+@cache
+def program(body: str) -> Program:
+    return compile_text(POSTS % body)
+
+
+def run(body: str, hosts: int) -> Joined:
+    joined = Joined(program(body), hosts)
+    joined.run()
+    return joined
+
+
+@pytest.mark.parametrize("hosts", [1, 2, 3, 5, 16])
+def test_a_round_takes_two_hops_a_host_at_most_and_no_longer_than_its_longest_call(hosts: int) -> None:
+    joined = run(ALL + TOLD, hosts)
+    assert joined.printed == [*[f"cr{i}" for i in range(hosts)], "after 2.0"]
+    # Out to each other host, and back from the last one to each that has not been fetched.
+    assert joined.hops == 2 * (hosts - 1)
+    assert joined.hops <= 2 * hosts
+
+
+def test_one_visit_begins_all_calls_of_a_host_and_the_last_host_is_fetched_first() -> None:
+    body = 'together { r[0].count(); r[1].count(); r[2].count(); r[1].fail("no"); r[0].count(); }'
+    joined = run(f"try {{ {body} }} catch (ConversionException e) {{ print(e.message()); }}", 3)
+    assert joined.route == [0, 1, 2, 0, 1]
+    asked = [[len(calls) for calls in place.asked] for place in joined.places]
+    assert asked == [[2], [2], [1]]
+    assert joined.printed == ["no"]
+
+
+def test_what_is_only_here_needs_no_hop() -> None:
+    joined = run("together { x = r[0].count(); y = r[0].count(); } print(x + y);", 2)
+    assert (joined.hops, joined.printed) == (0, ["0"])
+
+
+def test_a_host_that_cannot_be_reached_is_an_exception_of_its_calls_and_the_others_go_on() -> None:
+    joined = Joined(
+        program(f"try {{ {ALL} }} catch (Exception e) {{ print(e.message()); }} print(r[2].count());"), 3
+    )
+    joined.cut.add(1)
+    joined.run()
+    assert joined.printed == ["host 1 cannot be reached", "1"]
+    assert joined.route == [0, 2, 0, 2]
+
+
+def test_a_host_that_is_lost_between_begin_and_fetch_is_one_too() -> None:
+    joined = Joined(program(f"try {{ {ALL} }} catch (Exception e) {{ print(e.source()); }}"), 3)
+    joined.run(until=1.0)
+    joined.cut.add(1)
+    joined.run()
+    assert joined.printed == ["r1"]
+
+
+def test_calls_wait_for_their_host_to_let_them_begin() -> None:
+    joined = Joined(program(ALL + TOLD), 2)
+    joined.places[1].lets = False
+    joined.run()
+    host, boss = joined.boss
+    assert (host, boss.frozen, joined.machines[1].begun_calls()) == (1, True, [])
+    assert joined.machines[1].calling(boss) == (joined.team[1], "work")
+    assert not joined.machines[1].goes_on(boss)
+    joined.places[1].lets = True
+    joined.machines[1].go(boss)
+    joined.run()
+    assert joined.printed == ["cr0", "cr1", "after 4.0"]
+
+
+def test_calls_that_their_host_refuses_have_not_begun() -> None:
+    joined = Joined(program(f"try {{ {ALL} }} catch (LimitException e) {{ print(e.message()); }}"), 2)
+    joined.places[1].lets = False
+    joined.run()
+    joined.machines[1].resume(joined.boss[1], "LimitException", "the disk is full")
+    joined.run()
+    assert joined.printed == ["the disk is full"]
+    assert not joined.machines[1].begun_calls()
+
+
+def test_what_came_back_is_fetched_only_when_it_is_kept_and_then_told_to_the_host() -> None:
+    joined = Joined(program(ALL + TOLD), 2)
+    joined.places[1].keeps = False
+    joined.run()
+    assert joined.boss[0] == 1
+    [begun] = joined.places[1].unkept
+    assert (begun.key, begun.state, begun.portal) == (("boss", 1, 2), "done", "work")
+    joined.machines[1].kept_result(begun.key)
+    agent = joined.boss[1]
+    joined.still()
+    assert joined.machines[1].fetched(agent) == [begun.key]
+    assert joined.machines[1].fetched(agent) == []
+    joined.run()
+    assert joined.printed == ["cr0", "cr1", "after 2.0"]
+
+
+def test_a_restarted_host_has_lost_what_ran() -> None:
+    joined = Joined(
+        program(f"try {{ {ALL} {TOLD} }} catch (RestartException e) {{ print(e.message()); }}"), 3
+    )
+    joined.run(until=1.0)
+    [begun] = joined.machines[1].begun_calls()
+    joined.restart(1, [Begun(*begun.key, begun.resource, begun.portal)])
+    joined.run()
+    assert joined.printed == ["its host was started again while r1.work() ran; it may have been done"]
+    assert joined.machines[1].begun_calls() == []
+
+
+def test_a_restarted_host_gives_what_it_has_kept() -> None:
+    joined = Joined(program(ALL.replace("2.0", "2.0 - i") + TOLD), 3)
+    joined.run(until=1.5)
+    [begun] = joined.machines[1].begun_calls()
+    page = Begun(*begun.key, begun.resource, begun.portal, state="done", parcel=begun.parcel)
+    joined.restart(1, [page])
+    joined.run()
+    assert joined.printed == ["cr0", "cr1", "cr2", "after 2.0"]
+
+
+def test_a_result_that_is_no_sound_block_is_lost() -> None:
+    joined = Joined(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.source()); }}"), 2)
+    joined.run(until=1.0)
+    [begun] = joined.machines[1].begun_calls()
+    machine = joined.machines[0]
+    machine.restore_begun([Begun(*begun.key, "r0", "work", state="done", parcel=b"12345678" * 50)])
+    assert machine.begun_calls()[-1].state == "lost"
+
+
+def test_another_start_of_the_coordinator_fetches_nothing_of_the_earlier_one() -> None:
+    joined = Joined(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message()); }}"), 3)
+    joined.run(until=1.0)
+    host, boss = joined.boss
+    assert (host, boss.frozen) == (2, False)
+    boss.block.w[layout.W_GENERATION] = 7
+    joined.run()
+    said = "boss was recovered since it called r%d.work(); it may have been done"
+    assert joined.printed == [
+        *(f"r{i}.work() has thrown too: RestartException: {said % i}" for i in (1, 2)),
+        said % 0,
+    ]
+    assert joined.machines[1].cancel_begun("boss", 1, "fenced") == []
+    assert joined.machines[1].cancel_begun("boss", 7, "fenced") == [("boss", 1, 2)]
+
+
+def test_cancelled_calls_of_an_earlier_start_are_told_and_forgotten() -> None:
+    joined = Joined(program(ALL), 2)
+    joined.run(until=1.0)
+    assert joined.machines[0].cancel_begun("boss", None, "boss is forgotten") == [("boss", 1, 1)]
+    assert joined.machines[0].begun_calls() == []
+    joined.still()
+    assert joined.places[0].output == ["r0 cancelled"]
+    assert joined.machines[0].cancel_begun("boss", None, "again") == []
+
+
+def test_a_pause_ends_what_runs_and_its_portal_goes_on_alone() -> None:
+    joined = Joined(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message()); }}"), 2)
+    joined.run(until=1.0)
+    joined.machines[0].end_begun("boss", "RestartException", "the mission was paused")
+    [begun] = joined.machines[0].begun_calls()
+    assert (begun.state, begun.kept) == ("thrown", True)
+    joined.run()
+    assert joined.printed == ["the mission was paused (r0.work)"]
+
+
+def test_who_calls_is_known_though_it_has_moved_on() -> None:
+    joined = Joined(program(ALL), 2)
+    joined.run(until=1.0)
+    resource = joined.machines[0].agents["r0"]
+    thread = resource.block.w[resource.block.w[layout.W_THREADS] + layout.THREAD_ID]
+    caller = joined.machines[0].caller(resource, thread)
+    assert caller is not None
+    assert (caller.id, caller.generation, caller.ended, caller.fenced) == ("boss", 1, "", False)
+    assert not joined.machines[0].is_left(resource, thread)
+    joined.machines[0].end_begun("boss", "RestartException", "paused")
+    assert joined.machines[0].is_left(resource, thread)
+
+
+LIMIT = "catch (TimeLimitException e) { print(e.message()); }"
+LEAVES = (
+    "try { together { "
+    "for (int i = 0; i < r.length(); i = i + 1) r[i].work(9.0, mine); sleep(1.0); x = x / y; } } "
+)
+
+
+def test_whoever_leaves_tells_all_hosts_first_and_then_waits_for_them() -> None:
+    joined = run(
+        LEAVES + 'catch (ArithmeticException e) { print("left after " + f2s(now() - begun, 1)); }', 3
+    )
+    assert joined.route == [0, 1, 2, 0, 1, 0, 2]
+    assert joined.places[2].output == ["r2 cancelled", "left after 1.5"]
+    assert [place.output[0] for place in joined.places] == ["r0 cancelled", "r1 cancelled", "r2 cancelled"]
+    assert [machine.begun_calls() for machine in joined.machines] == [[], [], []]
+
+
+def test_whoever_leaves_while_a_host_is_cut_off_leaves_all_the_same() -> None:
+    joined = Joined(program(LEAVES + 'catch (ArithmeticException e) { print("left"); }'), 3)
+    joined.run(until=0.5)
+    joined.cut.add(0)
+    joined.run()
+    assert "left" in joined.printed
+    assert not any("boss" in machine.agents for machine in joined.machines)
+
+
+def test_a_restored_coordinator_that_only_fetches_goes_on() -> None:
+    joined = Joined(program(ALL + TOLD), 2)
+    joined.run(until=1.0)
+    host, boss = joined.boss
+    image = bytes(joined.machines[host].pack(boss))
+    restored = joined.machines[host].restore(boss.member, image, boss.limits)
+    assert joined.machines[host].goes_on(restored)
+    joined.machines[host].go(restored)
+    joined.run()
+    assert joined.printed == ["cr0", "cr1", "after 2.0"]
+
+
+def test_a_fence_of_the_lease_throws_where_a_coordinator_fetches() -> None:
+    joined = Joined(
+        program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message() + f2s(now() - begun)); }}"),
+        2,
+    )
+    joined.run(until=1.0)
+    host, boss = joined.boss
+    assert joined.machines[host].abandon(boss, "RestartException", "the lease is over, after ")
+    assert not joined.machines[host].abandon(boss, "RestartException", "twice")
+    joined.run()
+    assert joined.printed == ["r0 cancelled", "r1 cancelled", "the lease is over, after 1.5"]
+
+
+def test_a_time_limit_is_held_where_the_calls_run() -> None:
+    body = "try { within (1.0) { " + ALL + " } } catch (TimeLimitException e) { print(e.message()); }"
+    joined = run(body + " print(now() - begun);", 3)
+    said = "the time is over; r0.work() was cancelled; r1.work() was cancelled; r2.work() was cancelled"
+    # Each host has cancelled its own by itself, at the same time.
+    assert joined.printed == ["r0 cancelled", "r1 cancelled", "r2 cancelled", said, "1.5"]
+
+
+def test_a_time_limit_counts_the_flight_and_the_sleep_of_hosts() -> None:
+    joined = Joined(
+        program(f"try {{ within (5.0) {{ r[1].work(9.0, mine); }} }} {LIMIT}"),
+        2,
+    )
+    joined.still()
+    agent, _ = joined.places[0].departures.pop()
+    image = bytes(joined.machines[0].pack(agent))
+    joined.machines[0].release(agent)
+    arrived = joined.machines[1].admit(agent.member, image, agent.limits, asleep=4.5)
+    joined.machines[1].go(arrived)
+    joined.run(until=0.6)
+    assert joined.places[1].output == ["r1 cancelled"]
+    joined.run()
+    assert joined.printed[-1] == "the time is over; r1.work() was cancelled"
+
+
+def test_a_time_limit_gives_up_a_departure_that_has_not_begun() -> None:
+    body = "within (5.0) { r[1].count(); } "
+    joined = Joined(program(f"try {{ {body} }} catch (TimeLimitException e) {{ print(e.message()); }}"), 2)
+    assert joined.still() == 5.0
+    joined.clock.advance(5.0)
+    joined.still()
+    assert joined.printed == ["the time is over before r1.count() could begin"]
+    assert not joined.places[0].departures
+
+
+def test_a_time_limit_that_cannot_give_up_is_told_when_the_coordinator_hears() -> None:
+    joined = Joined(
+        program(
+            "try { within (5.0) { r[1].count(); } } catch (TimeLimitException e) { print(e.message()); }"
+        ),
+        2,
+    )
+    joined.still()
+    agent, _ = joined.places[0].departures.pop()
+    joined.clock.advance(6.0)
+    joined.still()
+    assert joined.printed == []
+    joined.machines[0].resume(agent, "UnreachableResourceException", "host 1 is silent", "r1")
+    joined.still()
+    assert joined.printed == ["the time is over: host 1 is silent"]
+
+
+def test_hostile_tickets_are_refused() -> None:
+    joined = Joined(program(ALL), 2)
+    joined.still()
+    agent, _ = joined.places[0].departures.pop()
+    image = bytes(joined.machines[0].pack(agent))
+    w = memoryview(bytearray(image)).cast("q")
+    tickets = [
+        i for i in range(layout.HEADER_WORDS, len(w)) if w[i] & 0xFF == layout.TICKET and w[i] >> 32 == 12
+    ]
+    newest = next(place for place in tickets if w[place + layout.TICKET_NUMBER] == 2)
+    faults = [
+        (layout.TICKET_NEXT, newest),
+        (layout.TICKET_NUMBER, 1),
+        (layout.TICKET_NUMBER, 99),
+        (layout.TICKET_NUMBER, 0),
+        (layout.TICKET_STATE, 0),
+        (layout.TICKET_STATE, 9),
+        (layout.TICKET_STATE, layout.BACK),
+        (layout.TICKET_METHOD, 0),
+        (layout.TICKET_METHOD, 10_000),
+        (layout.TICKET_INDEX, 2),
+        (layout.TICKET_INDEX, -1),
+        (layout.TICKET_ARRAY, 0),
+        (layout.TICKET_PROXY, 0),
+        (layout.TICKET_CALL, 0),
+        (layout.TICKET_CALL, newest),
+        (layout.TICKET_VALUE, newest),
+        (layout.TICKET_THROWN, newest),
+        (layout.TICKET_GENERATION, -1),
+    ]
+    for field, word in faults:
+        hostile = memoryview(bytearray(image)).cast("q")
+        hostile[newest + field] = word
+        with pytest.raises(BlockError):
+            joined.machines[1].admit(agent.member, hostile.tobytes(), agent.limits)
