@@ -46,6 +46,8 @@ class Movers(Members):
     async def do_stop(self) -> None:
         """Stay where they are now, seen to stand still; what is limp stays so."""
         await self._make_safe("torque_hold")
+        # While it slowed down by its profile it went past that place, and would come back to it.
+        await self._make_safe("torque_hold")
         self.tell(await self.observe())
 
     async def travel(self, what: str, angles: Angles) -> None:

@@ -122,9 +122,9 @@ class Guards:
         """Have what a thread of an agent waits for be given up; whether it is.
 
         True: its answer comes as that of every call, once. It is a DeviceError of kind CancelledException
-        when the device has done what its manifest says of a cancel, or could not; or the result, when that
-        was on its way. False: nothing is under way, or it may not be cancelled and goes on to its end. To
-        cancel twice is to cancel once.
+        when the device has done what its manifest says of a cancel, or could not; the result, when that was
+        on its way; or what became of it when its guard dies. False: nothing is under way, or it may not be
+        cancelled and goes on to its end. To cancel twice is to cancel once.
         """
         return any(guard.cancel(agent, thread) for guard in self._guards)
 

@@ -441,7 +441,7 @@ TOGETHER_USED = _message(
 )
 TOGETHER_ALIAS = _message(
     "L810",
-    "'{name}' may be the same array as '{array}', which this together assigns at its end",
+    "'{name}' may share its elements with '{array}', which this together assigns at its end",
     "use it before or after the block; only its length may be asked inside",
 )
 TOGETHER_TYPE = _message(

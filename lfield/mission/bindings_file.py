@@ -57,7 +57,7 @@ from lfield.text.source import Diagnostics
 from lfield.text.suggest import did_you_mean
 from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Node, Scalar, describe, read
-from lfield.vm.contract import Limits
+from lfield.vm.contract import MAX_TIDY, Limits
 
 _UNITS = {"B": 1, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 _SIZE = re.compile(r"([0-9]{1,12})\s*(B|KiB|MiB|GiB)")
@@ -176,6 +176,7 @@ class BindingsReader:
             array_length=fields.integer("array_length", defaults.array_length, minimum=1, maximum=1 << 29),
             string_length=fields.integer("string_length", defaults.string_length, minimum=1, maximum=1 << 31),
             threads=fields.integer("threads", defaults.threads, minimum=1, maximum=1 << 16),
+            tidy=fields.number("tidy", defaults.tidy, minimum=0.0, maximum=MAX_TIDY),
         )
 
     def _size(self, fields: Fields, key: str, default: int) -> int:

@@ -21,7 +21,7 @@ from lfield.mission.bindings import (
     each_needed,
 )
 from lfield.mission.team import Row
-from lfield.vm.contract import Limits
+from lfield.vm.contract import MAX_TIDY, Limits
 from lfield.wire.fields import MAX_NAME
 
 #: Agents are counted in 16 bits in the reports of hosts.
@@ -121,7 +121,8 @@ def _limits(bindings: Bindings) -> Iterator[str]:
 
 def _sound(limits: Limits) -> bool:
     counts = (limits.call_depth, limits.array_length, limits.string_length, limits.threads)
-    return MIN_HEAP <= limits.heap <= MAX_HEAP and all(0 < count <= 1 << 31 for count in counts)
+    sized = MIN_HEAP <= limits.heap <= MAX_HEAP and 0.0 <= limits.tidy <= MAX_TIDY
+    return sized and all(0 < count <= 1 << 31 for count in counts)
 
 
 def _finite(numbers: Iterable[float]) -> bool:

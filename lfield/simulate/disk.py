@@ -62,6 +62,7 @@ class JournalDisk:
                 if forgets(found):
                     self._entries.pop(NO_RECORD, None)
                 tell(f"{lost(found)}, is damaged in the journal ({error}); it was moved aside")
+        pages = {key: found for key, found in pages.items() if key in self._entries}
         self.identity = self.identity or self.dice.getrandbits(63)
         return SimulatedJournal(self, self.identity, pages, clock)
 

@@ -13,6 +13,8 @@ from lfield.bytecode.program import BOOLEAN, INT, REAL
 
 #: The kinds of values that are one word and need no room on a heap.
 PLAIN = (BOOLEAN, INT, REAL)
+#: The longest time that a cancelled portal may be given to tidy up, in seconds.
+MAX_TIDY = 600.0
 
 
 @dataclass(frozen=True, slots=True)

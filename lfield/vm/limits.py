@@ -119,6 +119,8 @@ class TimeLimits:
 
         For each the word of its slot, and whether a `finally` that has begun stands between.
         """
+        if not self._scheduler.program.has_limits:
+            return
         w = agent.block.w
         thread = w[layout.W_THREADS]
         frame, pc = w[thread + THREAD_FRAME], w[thread + THREAD_PC]

@@ -116,6 +116,7 @@ class Machine:
         is here goes on no more: of two starts one host never runs both.
         """
         agent = self.restore(member, image, limits, asleep)
+        self._begun.tidy_up(agent)
         agent.block.w[layout.W_HOPS] += 1
         agent.block.visit(self._here)
         return agent

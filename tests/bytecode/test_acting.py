@@ -29,6 +29,7 @@ class Point {
   public void move(int by) { x = x + by; }
   public void moveNext(int by) { next.move(by); }
   public void link(Point p) { next = p; }
+  public void tidy() { try { x = x + 1; } finally { x = x - 1; } }
   public int far() { return x; }
 }
 resource Robot {
@@ -46,6 +47,8 @@ QUERIES = """
   portal chosen(boolean b) emit Point { Point p = null; if (b) p = new Point(1); p.x = 2; return p; }
   portal looked() emit int { return helper(3); }
   portal caught() emit int { try { return log[9]; } catch (IndexException e) { return random(3); } }
+  portal tidied() emit int { try { return log[9]; } finally { print("tidied"); } }
+  portal tidiedItself() emit int { Point p = new Point(1); try { p.tidy(); } finally { p.x = 3; } return 1; }
   portal synchronized refused() { throw new DeviceException("no"); }
 """
 ACTS = """
@@ -54,6 +57,7 @@ ACTS = """
   portal counts() emit int { count = count + 1; return count; }
   portal logs() { log[0] = 1; }
   portal logsAlias() { int[] l = log; l[1] = 2; }
+  portal tidies() { try { print("tidies"); } finally { count = 0; } }
   portal moves() { at.move(1); }
   portal movesAlias(boolean b) { Point p = new Point(1); if (b) p = at; p.x = 2; }
   portal movesInside() { Point p = new Point(1); p.next = at; p.next.x = 3; }

@@ -60,6 +60,7 @@ INIT, ARM_INIT = (
 )
 LIFT = next(i for i, m in enumerate(SOUND.core.methods) if m.name == "lift")
 TICKETS = SOUND.core.types.index(TypeRecord(TICKET))
+UNEXPLAINED = msgspec.structs.replace(SOUND.debug, methods=())
 _PUSH = BY_NAME["push"].code
 
 Change = Callable[[Core], Core]
@@ -72,7 +73,7 @@ def test_the_sound_program_is_accepted_and_is_the_same_after_a_file() -> None:
 def refused(change: Change, reason: str) -> None:
     core = change(SOUND.core)
     with pytest.raises(ProgramFileError, match=reason):
-        verify(Program(core, SOUND.debug, b""))
+        verify(Program(core, UNEXPLAINED, b""))
 
 
 def _quads(change: Callable[[list[Quad]], None]) -> Change:
@@ -268,8 +269,7 @@ def _old(name: str) -> Core:
 
 @pytest.mark.parametrize("name", ["R", *BUILTIN_CLASSES[OLDEST_BUILTINS:]])
 def test_a_program_that_knows_fewer_exceptions_may_have_classes_of_their_names(name: str) -> None:
-    program = Program(_old(name), SOUND.debug, b"")
-    program.debug = msgspec.structs.replace(SOUND.debug, methods=())
+    program = Program(_old(name), UNEXPLAINED, b"")
     verify(program)
     assert program.builtins == OLDEST_BUILTINS
     assert program.units == {name: "resource"}
@@ -280,3 +280,12 @@ def test_the_beginnings_of_two_versions_are_not_mixed() -> None:
     mixed = (old.classes[0], *BUILTIN_RECORDS[1:OLDEST_BUILTINS], *old.classes[OLDEST_BUILTINS:])
     refused(lambda core: msgspec.structs.replace(old, classes=mixed), "built-in exceptions")
     refused(lambda core: msgspec.structs.replace(core, types=core.types[:EXCEPTIONS]), "first types")
+
+
+def test_the_new_instructions_need_the_new_exceptions() -> None:
+    core = _old("R")
+    for name in ("exc_others", "gather", "begin", "start", "fetch", "leave", "limit"):
+        quads = [Quad(BY_NAME[word].code, 0, 0, 0) for word in ("frame", name, "rtn")]
+        method = msgspec.structs.replace(core.methods[0], end=3)
+        changed = msgspec.structs.replace(core, methods=(method,), code=encode_quads(quads))
+        refused(lambda _, changed=changed: changed, f"{name} needs exceptions")

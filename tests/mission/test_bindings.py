@@ -29,7 +29,7 @@ agents:
         driver: mavlink
         endpoint: "tcp:127.0.0.1:5760"
         kind: rover
-  tour: {threads: 4}
+  tour: {threads: 4, tidy: 2.5}
 defaults: {heap: 512 KiB, string_length: 1000}
 unreachable_after: 4
 """
@@ -76,6 +76,7 @@ def test_limits_of_agents_go_over_the_defaults(written, plugins):
     alpha, tour = bindings.limits("alpha"), bindings.limits("tour")
     assert (alpha.heap, alpha.call_depth, alpha.string_length) == (2 << 20, 50, 1000)
     assert (tour.heap, tour.threads, tour.string_length) == (512 << 10, 4, 1000)
+    assert (alpha.tidy, tour.tidy) == (5.0, 2.5)
     assert read_bindings(None, {"x": {}}, plugins).limits("x").heap == 1 << 20
 
 
@@ -96,6 +97,7 @@ def test_limits_of_agents_go_over_the_defaults(written, plugins):
         ("{speed: 5}", "{sped: 5}", "error[Y111]: 'limits' takes no 'sped'"),
         ("kind: rover", "kind: boat", ":13:15: error[Y113]: 'kind' is one of copter, rover"),
         ("heap: 2 MiB", "heap: 2 MB", ":3:11: error[Y112]: 'heap' must be a size from 4 KiB to 2 GiB"),
+        ("tidy: 2.5", "tidy: -1", "error[Y113]: 'tidy' must be from 0 to 600, not -1"),
         ("heap: 2 MiB", "heap: 1 B", "error[Y112]: 'heap' must be a size"),
         ("heap: 2 MiB", "heep: 2 MiB", ":3:5: error[Y111]: 'alpha' takes no 'heep'"),
         (

@@ -23,7 +23,7 @@ from lfield.simulate.judging.judge import Judge
 from lfield.simulate.judging.saved import nowhere
 from lfield.simulate.seeds import run, told
 from lfield.simulate.stories.shrink import command, smallest
-from lfield.simulate.stories.story import FOR_EVER, drawn, fenced
+from lfield.simulate.stories.story import FOR_EVER, crew, drawn, fenced
 from lfield.simulate.stories.trial import tell
 from lfield.simulate.weather import Weather
 from lfield.vm.memory.layout import W_GENERATION
@@ -42,6 +42,17 @@ def test_stories_of_all_kinds_of_weather_keep_every_promise(first: int) -> None:
     assert calls > 200
     assert restarts > 5
     assert set(struck) >= Weather.__dataclass_fields__.keys() - {"guard_kill", "guard_stop"}
+
+
+def test_stories_of_crews_keep_every_promise() -> None:
+    calls = recovered = 0
+    for seed in range(16):
+        verdict = told(seed, crew)
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        calls += verdict.calls
+        recovered += verdict.recovered
+    assert calls > 200
+    assert recovered > 0
 
 
 def test_a_judge_sees_what_it_judges() -> None:
@@ -117,16 +128,16 @@ def test_a_breach_is_told_with_the_command_that_repeats_it_and_made_smaller(
         return self._resume(copy, "UnreachableResourceException", "it took too long")
 
     monkeypatch.setattr(Departures, "overdue", overdue)
-    found = told(6)
+    found = told(13)
     breach = found.breaches[0]
     assert (breach.name, len(breach.hosts)) == ("I1", 2)
     small = smallest(found, most=40)
     assert small.breaches[0].name == "I1"
     assert len(small.faults) < len(found.faults)
     assert tell(small.story).digest == small.digest
-    assert command(small.story).startswith("python -m lfield.simulate --story 6 --")
+    assert command(small.story).startswith("python -m lfield.simulate --story 13 --")
     said = Console(file=io.StringIO(), width=200)
-    tally = run(range(6, 7), processes=1, console=said)
+    tally = run(range(13, 14), processes=1, console=said)
     assert [verdict.digest for verdict in tally.broken] == [found.digest]
     assert "1 seeds, 1 breaches (I1 1)" in said.file.getvalue()
 

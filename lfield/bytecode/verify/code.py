@@ -5,6 +5,7 @@ from __future__ import annotations
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME
 from lfield.bytecode.program import (
     ANY,
+    BUILTIN_CLASSES,
     CATCH,
     FINALLY,
     INT,
@@ -98,7 +99,7 @@ def _check_region(view: MethodView, handler: Handler) -> None:
         raise view.refused(handler.start, "a row that catches nothing leads somewhere")
     if handler.kind == LANDING:
         return
-    if view.scope != "coordinator":
+    if view.scope != "coordinator" or view.core.builtins < len(BUILTIN_CLASSES):
         raise view.refused(handler.start, "only coordinators have a time limit")
     if view.target(handler.slot, handler.start) != INT:
         raise view.refused(handler.start, "the end of a time limit is no int")

@@ -13,6 +13,7 @@ from lfield.bytecode.program import (
     ANY,
     ARRAY,
     BOOLEAN,
+    BUILTIN_CLASSES,
     DEVICE,
     EXCEPTIONS,
     HELD,
@@ -34,6 +35,9 @@ _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
 
 #: What resources and plain classes do not have, by the instruction that is about it.
 _OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"}
+
+#: What makes, or reads, exceptions that a program of lfield 0.3 does not have.
+_YOUNG = frozenset({"exc_others", "gather", "begin", "start", "fetch", "leave", "limit"})
 
 #: Whether a type index is what a head takes or gives.
 Test = Callable[[MethodView, int], bool]
@@ -84,6 +88,8 @@ def _check_pop(view: MethodView, quads: tuple[Quad, ...], head: int, signature: 
 
 
 def _signature(view: MethodView, pc: int, row: Opcode, quad: Quad) -> Signature:
+    if row.name in _YOUNG and view.core.builtins < len(BUILTIN_CLASSES):
+        raise view.refused(pc, f"{row.name} needs exceptions that the program does not have")
     special = _SPECIAL.get(row.name)
     if special is not None:
         return special(view, pc, quad)

@@ -128,3 +128,5 @@ def _frame_lines(frame: FrameView) -> Iterator[str]:
     yield f"  at {frame.method} ({where})    {frame.text}"
     for name, value in frame.locals:
         yield f"       {name} = {value}"
+    for call in frame.calls:
+        yield f"       together: {call}"

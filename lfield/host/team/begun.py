@@ -120,7 +120,9 @@ class BegunPages:
         self._on_disk = number
         while self._back and self._back[0][0] <= number:
             _, key = self._back.popleft()
-            self._machine.kept_result(key)
+            # What its start has begun may have been cancelled meanwhile.
+            if key in self._pages:
+                self._machine.kept_result(key)
 
     def save(self, agent: Agent) -> bool:
         """As `Coordinators.save`: what it has fetched is in the block that is kept."""

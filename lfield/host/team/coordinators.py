@@ -227,7 +227,10 @@ class Coordinators:
         """What a frozen coordinator waits for, in a word or two: it is only kept, or it leaves."""
         if self.trouble and self.keeping.holds_back(agent.id):
             return "waits for its disk"
-        return "leaving" if self.is_leaving(agent) else "being kept"
+        if not self.is_leaving(agent):
+            return "being kept"
+        called = self._machine.calling(agent) if self._machine.goes_on(agent) else None
+        return f"fetches from {self._mission.team.hosts[called[0].host]}" if called else "leaving"
 
     def is_leaving(self, agent: Agent) -> bool:
         """Whether a frozen coordinator wants to another host, or may be there."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from lfield.journal.pages import CopyPage, Key, Page, Paused, ProgramPage, Run, Starts, key_of
+from lfield.journal.pages import BegunPage, CopyPage, Key, Page, Paused, ProgramPage, Run, Starts, key_of
 from lfield.mobility.effects import (
     Began,
     Departed,
@@ -130,9 +130,12 @@ class Recovery:
         ended = _outdated(copies)
         old = {key_of(page) for page in ended}
         needed = {mission, *(page.program for page in copies)}
-        #: Starts that ended so long ago that nobody asks any more, and programs of which no block is left.
+        over = {(page.agent, page.generation) for page in copies if page.state == "EXITED"}
+        #: Starts that ended so long ago that nobody asks any more, what those have begun that have ended, and
+        #: programs of which no block is left.
         self.outdated: list[Page] = [
             *ended,
+            *(p for p in pages if isinstance(p, BegunPage) and (p.agent, p.generation) in over),
             *(page for page in pages if isinstance(page, ProgramPage) and page.digest not in needed),
         ]
         self.copies = [

@@ -4,7 +4,7 @@ A crew that is recovered elsewhere goes back to a block: what came after that is
 
 No piece of work begins twice, none begins before its page is on the disk, none is told of before its result
 is there, and none outlives its block: not when all have come back, not its time limit, and not the start
-that has begun it, once another one goes on and everybody can be reached.
+that has begun it, once its own host bars that.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from lfield.journal.pages import BegunPage, Page
+from lfield.journal.pages import BegunPage, CopyPage, Fence, Page
 from lfield.mobility.generations import is_recovery
 from lfield.simulate.fleet import Life
 from lfield.simulate.judging.breaches import Breaches
@@ -24,6 +24,8 @@ from lfield.vm.memory.threads import threads
 
 #: So many seconds after its limit a piece of work may still be seen: its process may have stood still, twice.
 SLACK = 15.0
+#: And so many after its host has barred its start.
+SOON = 1.0
 
 
 @dataclass(slots=True, eq=False)
@@ -63,14 +65,23 @@ class Blocks:
         self._begun_for: set[tuple[str, int]] = set()
         #: Which start of it each life of a crew is at.
         self._at: defaultdict[str, int] = defaultdict(int)
-        #: How many pieces began, and how many blocks of each agent were closed, since the weather.
-        self.begun = 0
+        #: How many pieces began, how many blocks were closed since a host was started again, and how many of
+        #: each agent were closed, since the weather.
+        self.begun = self.restarts = 0
         self.closed: defaultdict[str, int] = defaultdict(int)
-        self._healed = float("inf")
+        #: Up to which start, and since when, the journal of a host bars a crew.
+        self._barred: dict[tuple[str, str], tuple[int, float]] = {}
+
+    def look(self, kept: Iterable[tuple[str, Page]]) -> None:
+        """See what is on the disks of all hosts."""
+        for host, page in kept:
+            if not isinstance(page, Fence | CopyPage) or not is_recovery(page.generation):
+                continue
+            if page.generation > self._barred.get((host, page.agent), (0, 0.0))[0]:
+                self._barred[host, page.agent] = page.generation, self._now()
 
     def healed(self) -> None:
         """The weather is over."""
-        self._healed = self._now()
         self.closed.clear()
 
     def any_of(self, agent: str, generation: int) -> bool:
@@ -116,6 +127,7 @@ class Blocks:
         block, (who, number) = self._blocks[key], key
         block.how = how
         self.closed[agent.id] += 1
+        self.restarts += how == "restarted"
         if how != "came-back":
             return
         wanted = [str(10 * number + piece) for piece in range(len(given))]
@@ -133,7 +145,10 @@ class Blocks:
         self.begun += 1
         (who, block), host = key, life.core.name
         name = who.partition(".")[0]
-        generation, what = _caller(life, resource, name), f"piece {number} of block {block} of {who}"
+        generation, what = (
+            max(_callers(life, resource, name), default=0),
+            f"piece {number} of block {block} of {who}",
+        )
         if not generation:
             # It was taken from its caller before it came to its first line.
             return
@@ -158,7 +173,7 @@ class Blocks:
         block, piece = self._blocks[key], self._blocks[key].pieces[number]
         name, now = key[0].partition(".")[0], self._now()
         what = f"piece {number} of block {key[1]} of {key[0]} goes on"
-        if not _caller(life, resource, name):
+        if piece.generation not in _callers(life, resource, name):
             # It was taken from its caller: it may command nothing, and nobody waits for it.
             return
         if block.how == "came-back":
@@ -167,8 +182,9 @@ class Blocks:
             self._outlives(
                 life, f"{what}, {now - piece.at:.1f} s after it began under a limit of {block.limit} s"
             )
-        if now > self._healed + SLACK and piece.generation < self._newest_at(name, now - SLACK):
-            self._outlives(life, f"{what} for start {piece.generation}, and a later one goes on")
+        barred, since = self._barred.get((life.core.name, name), (0, now))
+        if piece.generation < barred and now > since + SOON:
+            self._outlives(life, f"{what} for start {piece.generation}, and its host bars that")
 
     def _outlives(self, life: Life, found: str) -> None:
         self._breaches.add("outlives", (life.core.name,), found)
@@ -186,8 +202,8 @@ class Blocks:
             self._breaches.add("told", (life.core.name,), found)
 
 
-def _caller(life: Life, resource: Agent, name: str) -> int:
-    """The newest start of an agent that a resource works for now; 0 for none."""
+def _callers(life: Life, resource: Agent, name: str) -> set[int]:
+    """The starts of an agent that a resource works for now."""
     block, machine = resource.block, life.core.machine
     callers = (machine.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))
-    return max((caller.generation for caller in callers if caller and caller.id == name), default=0)
+    return {caller.generation for caller in callers if caller and caller.id == name}

@@ -19,13 +19,14 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass, field
 
-from lfield.journal.pages import CopyPage, Page
+from lfield.journal.pages import CopyPage, Fence, Page
 from lfield.mobility.generations import is_recovery
 from lfield.simulate.fleet import Fleet, Life
 from lfield.simulate.judging.blocks import Blocks
 from lfield.simulate.judging.breaches import Breach, Breaches
 from lfield.simulate.judging.calls import Calls
 from lfield.simulate.judging.devices import Devices
+from lfield.simulate.judging.results import Results
 from lfield.simulate.judging.saved import nowhere, shadowed
 from lfield.simulate.judging.witness import tap
 from lfield.vm.agent import Agent
@@ -76,6 +77,7 @@ class Judge:
         self._calls = Calls(self.breaches, lambda agent: self._newest_at(agent, math.inf))
         self._devices = Devices(self.breaches, self._calls.made_for, self._newest_at)
         self._blocks = Blocks(self.breaches, lambda: self.fleet.now, self._newest_at, self._on_disk)
+        self._results = Results(self.breaches, self._home)
         #: How much was seen: a judge who sees nothing finds nothing.
         self.seen = dict.fromkeys(("injections", "starts", "recoveries"), 0)
         #: When which recovery of each agent was the first to go on.
@@ -107,7 +109,7 @@ class Judge:
     @property
     def restarts(self) -> int:
         """How many exceptions told a walker that it goes on elsewhere, or again."""
-        return self._calls.restarts
+        return self._calls.restarts + self._blocks.restarts
 
     def _newest_at(self, agent: str, when: float) -> int:
         """The last recovery of an agent that had gone on at that time, 0 for none."""
@@ -247,6 +249,10 @@ class Judge:
         """What a call gave that was begun here may be fetched from now on."""
         self._blocks.told(life, key)
 
+    def _home(self, member: int) -> str:
+        team = self.fleet.mission.team
+        return team.hosts[team.members[member].host]
+
     def _on_disk(self, name: str) -> list[Page] | None:
         return self.fleet.disks[name].pages() if self.fleet.keeps else None
 
@@ -267,6 +273,11 @@ class Judge:
         kept = [(name, page) for name, disk in self.fleet.disks.items() for page in disk.pages()]
         for name, page in kept:
             self._is_saved(name, page)
+        self._blocks.look(kept)
+        barred = {(page.agent, page.generation) for _, page in kept if isinstance(page, Fence)}
+        safe = [(a, s) for a, s in going if s and not any(a == b and s < g for b, g in barred)]
+        identities = {name: disk.identity for name, disk in self.fleet.disks.items()}
+        self._results.look(kept, identities, [start for start in safe if not self._doubtful(start)])
         pages = (page for _, page in kept)
         for agent, start in nowhere(pages, [(agent, start) for agent, start in going if start]):
             if not self._doubtful((agent, start)):

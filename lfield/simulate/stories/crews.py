@@ -9,8 +9,9 @@ from __future__ import annotations
 
 #: Of so many pieces of work a block is.
 PIECES = 3
-#: Seconds that a piece of work takes that nobody will wait for, and one of the others.
-LONG, SHORT = 25.0, 0.6
+#: Seconds that a piece of work takes that nobody will wait for, the longest in a block that has all time, and
+#: most others.
+LONG, UNLIMITED, SHORT = 25.0, 8.0, 0.6
 
 PROGRAM = """
 resource Post {
@@ -45,6 +46,8 @@ coordinator Walker {
             number = number + 1;
             int first = random(posts.length());
             real limit = 1.0 + 3.0 * random();
+            real most = LONG;
+            if (random(4) == 0) { limit = 1000.0; most = UNLIMITED; }
             for (int n = 0; n < got.length(); n = n + 1) got[n] = -1;
             print("opens " + life + " " + i2s(number) + " " + f2s(limit, 3));
             string how = "came-back";
@@ -53,7 +56,7 @@ coordinator Walker {
                     together {
                         for (int piece = 0; piece < PIECES; piece = piece + 1) {
                             real seconds = SHORT;
-                            if (random(6) == 0) seconds = LONG;
+                            if (random(4) == 0) seconds = most;
                             int at = first + piece;
                             while (at >= posts.length()) at = at - posts.length();
                             got[piece] = posts[at].work(life, number, piece, seconds);
@@ -81,6 +84,5 @@ coordinator Walker {
     }
 }
 """
-PROGRAM = (
-    PROGRAM.replace("PIECES", str(PIECES)).replace("LONG", f"{LONG:.1f}").replace("SHORT", f"{SHORT:.1f}")
-)
+for _name, _value in (("PIECES", PIECES), ("UNLIMITED", UNLIMITED), ("LONG", LONG), ("SHORT", SHORT)):
+    PROGRAM = PROGRAM.replace(_name, str(_value))

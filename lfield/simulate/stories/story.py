@@ -108,8 +108,8 @@ DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
 OFTEN, DOUBTED = (2.0, 8.0), 8.0
 #: Seconds without a sign until a coordinator is recovered; how long a lease lasts.
 INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
-#: How likely a story of crews is one of coordinators that a majority may recover.
-CREWS_FENCED = 0.4
+#: So many of the stories of hosts with journals are of crews.
+CREWS = 0.2
 #: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
 DISKS = (0.002, 0.002, 0.05)
 
@@ -178,6 +178,8 @@ def drawn(seed: int) -> Story:
     story = plain(seed)
     if not story.journals:
         return forgetful(seed)
+    if random.Random(f"together {seed}").random() < CREWS:
+        return crew(seed)
     dice = random.Random(f"kind {seed}")
     kind = dice.choice(KEPT)
     return KINDS[dice.choice(DOUBTFUL) if kind == "doubted" else kind](seed)
@@ -274,7 +276,7 @@ def parted(seed: int) -> Story:
 def crew(seed: int) -> Story:
     """One of coordinators that have several resources work at a time; a majority may recover some of them."""
     dice = random.Random(f"crew {seed}")
-    story = (fenced if dice.random() < CREWS_FENCED else plain)(seed)
+    story = dice.choice((plain, fenced, doubted))(seed)
     means = {kind: mean for kind, mean in story.means.items() if not kind.startswith("guard")}
     return replace(
         story,

@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from lfield.bytecode.program import ANY, BOOLEAN, DEVICE, INT, PROXY, REAL, REFERENCES, STRING, Program
+from lfield.bytecode.program import (
+    ANY,
+    BOOLEAN,
+    DEVICE,
+    INT,
+    PROXY,
+    REAL,
+    REFERENCES,
+    STRING,
+    TICKET,
+    MethodRecord,
+    Program,
+)
 from lfield.text.visible import clipped, in_one_line
 from lfield.vm.inspect.traceback import stack
 from lfield.vm.memory import layout
@@ -19,22 +31,33 @@ from lfield.vm.memory.layout import (
     THREAD_STATE,
 )
 from lfield.vm.memory.threads import threads
+from lfield.vm.memory.tickets import collected
 from lfield.vm.memory.values import real_of, real_text
 
 #: How much of a string and how many elements or fields are shown.
 SHOWN_CHARACTERS = 60
 SHOWN_PARTS = 8
+_TICKET_STATES = {
+    layout.COLLECTED: "has not begun",
+    layout.BEGUN: "has begun",
+    layout.TOLD: "shall be cancelled",
+    layout.BACK: "is back",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class FrameView:
-    """One activation record: `Owner.method`, where it stands, the source line, and its named slots."""
+    """One activation record: `Owner.method`, where it stands, the source line, and its named slots.
+
+    `calls` are those of each `together` that it is in, with what has become of them.
+    """
 
     method: str
     file: str
     line: int
     text: str
     locals: tuple[tuple[str, str], ...]
+    calls: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +135,30 @@ class _Decoder:
                     at.line,
                     self.source(at.method, at.line),
                     shown,
+                    tuple(self.calls(method, at.frame)),
                 )
             )
         return ThreadView(
             w[place + THREAD_ID], STATE_NAMES[w[place + THREAD_STATE]], w[place + THREAD_CALL], tuple(frames)
         )
+
+    def calls(self, method: MethodRecord, frame: int) -> Iterator[str]:
+        """The calls of the togethers of a frame, each in the order of collection."""
+        for slot, kind in enumerate(method.slots):
+            sentinel = self.block.w[frame + FRAME_SLOTS + slot]
+            if self.program.core.types[kind].kind == TICKET and sentinel:
+                yield from (self.call(ticket) for ticket in collected(self.block, sentinel))
+
+    def call(self, ticket: int) -> str:
+        """One call of a together: which portal, and how far it is."""
+        w = self.block.w
+        number = w[w[ticket + layout.TICKET_PROXY] + layout.PROXY_MEMBER]
+        name = self.members[number] if number < len(self.members) else str(number)
+        portal = self.program.core.methods[w[ticket + layout.TICKET_METHOD]].name
+        state = _TICKET_STATES[w[ticket + layout.TICKET_STATE]]
+        if thrown := w[ticket + layout.TICKET_THROWN]:
+            state += f" with {self.program.core.classes[w[thrown] >> 8 & 0xFFFFFF].name}"
+        return f"{name}.{portal}() {state}"
 
     def source(self, method: int, line: int) -> str:
         if not line:
@@ -198,5 +240,6 @@ class _Decoder:
             layout.STRING: "string",
             layout.PROXY: "proxy",
             layout.THREAD: "thread",
+            layout.TICKET: "call of a together",
         }
         return names[kind]

@@ -23,6 +23,7 @@ from lfield.vm.memory.layout import (
     FRAME_DEPTH,
     FRAME_RETURN,
     FRAME_SLOTS,
+    HEADER_WORDS,
     OBJECT,
     PROXY_MEMBER,
     PROXY_START,
@@ -276,6 +277,8 @@ class Soundness:
                     raise BlockError("a together is held by one of its calls", word=place + offset)
         for place, half in starts.items():
             if half & 0xFF == layout.TICKET:
+                if block.heap < HEADER_WORDS:
+                    raise BlockError("its version knows no tickets", word=place)
                 check_ticket(self.program, w, starts, place)
 
     def _is_kind(self, found: int, expected: int) -> bool:

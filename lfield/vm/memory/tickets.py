@@ -47,6 +47,16 @@ def collected(block: Block, sentinel: int) -> list[int]:
     return found
 
 
+def under_way(block: Block) -> set[int]:
+    """The numbers of all calls that a block still waits for; it has just been packed."""
+    w, found, place = block.w, set(), block.heap
+    while place < block.top:
+        if w[place] & 0xFF == TICKET and w[place + TICKET_STATE] in (BEGUN, TOLD):
+            found.add(w[place + TICKET_NUMBER])
+        place += w[place] >> 32
+    return found
+
+
 def new_ticket(
     block: Block, sentinel: int, method: int, proxy: int, call: int, target: tuple[int, int]
 ) -> int:

@@ -100,8 +100,7 @@ def _keep_trace(block: Block, program: Program, frame: int, pc: int, target: int
         return
     lines = [f"    {line}" for line in lines_down_to(block, program, frame, pc, target)]
     try:
-        with block.reserve():
-            w[thrown + 1 + TRACE] = block.new_string("\n".join([*before, *lines][:INNERMOST]))
+        w[thrown + 1 + TRACE] = block.new_string("\n".join([*before, *lines][:INNERMOST]))
     except Full:
         return
 

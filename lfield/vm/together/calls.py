@@ -8,6 +8,7 @@ from lfield.vm.agent import Agent
 from lfield.vm.begun import Begun, Key
 from lfield.vm.cancelling import Cancelling
 from lfield.vm.memory.soundness import Soundness
+from lfield.vm.memory.tickets import under_way
 from lfield.vm.scheduler import Scheduler
 
 
@@ -44,13 +45,26 @@ class BegunCalls:
     def cancel(self, agent: str, below: int | None, reason: str) -> list[Key]:
         """Those of the starts of a coordinator before `below` (None: of all) are cancelled and forgotten."""
         found = [begun for begun in self._of(agent) if below is None or begun.generation < below]
-        keys = [begun.key for begun in found]
-        self.forget(keys)
-        for begun in found:
+        self._cancel(found, reason)
+        return [begun.key for begun in found]
+
+    def _cancel(self, calls: list[Begun], reason: str) -> None:
+        self.forget([begun.key for begun in calls])
+        for begun in calls:
             resource = self._scheduler.agents.get(begun.resource)
             if begun.state == "running" and resource is not None:
                 self._cancelling.call(resource, begun.call, reason)
-        return keys
+
+    def tidy_up(self, agent: Agent) -> None:
+        """A coordinator has come: what it has begun here and waits for no more is cancelled and forgotten.
+
+        Its block has ended without it, since this host could not be reached.
+        """
+        begun = [call for call in self._of(agent.id) if call.generation == agent.generation]
+        waited = under_way(agent.block) if begun else set()
+        left = [call for call in begun if call.number not in waited]
+        self._cancel(left, f"the together of {agent.id} has ended without it")
+        agent.fetched += [call.key for call in left]
 
     def end(self, agent: str, kind: str, reason: str) -> None:
         """Those of a coordinator that run come back at once; their portals go on alone."""

@@ -110,7 +110,9 @@ class Visits:
     def tickets(self, agent: Agent, thread: int) -> list[Ticket]:
         """Those of the `together` that a coordinator stands at, in the order of collection."""
         sentinel = self.words(agent, thread)[0]
-        return [Ticket(agent.block.w, place) for place in collected(agent.block, sentinel)]
+        # A block that came from elsewhere may have none; the engine throws when it comes to that.
+        found = collected(agent.block, sentinel) if sentinel else []
+        return [Ticket(agent.block.w, place) for place in found]
 
     def of_thread(self, agent: Agent) -> list[Ticket]:
         """Those of a coordinator's only thread."""

@@ -15,10 +15,10 @@ from harness.figure import Figure
 from harness.paced import Round
 from harness.processes import Processes
 from harness.samples import Contender, timed
-from lfield_can.frames import Frame
 
 from lfield import loop
-from lfield_can.bus import Bus
+from lfield_can.bus.bus import Bus
+from lfield_can.bus.frames import Frame
 
 FLYING = 8
 SINGLE, SEVERAL = "an echo, one at a time", f"an echo, {FLYING} under way"

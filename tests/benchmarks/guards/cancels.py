@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from deaths.device_log import DeviceLog
-from harness.checkout import Checkout
+from guards.copters import bindings, fake_copters
+from harness.checkout import Checkout, Mission
 from harness.figure import Figure, Opener
 from harness.paced import Round
 from harness.processes import Processes
@@ -34,6 +35,8 @@ ANSWERED, STANDING = "to the answer", "until it stood"
 CANCELS = 5
 #: m/s at which a vehicle is cancelled, and of its limit; metres of its way.
 FAST, SPEED, FAR = 4.0, 5.0, 80.0
+#: Seconds of a time limit, in which it comes to full speed.
+LIMIT = 5.0
 #: rad/s of an axis and a servo, and rad of their way.
 TURNS, WAY = 2.0, 3.0
 
@@ -121,12 +124,34 @@ def _axis(device: str, **options: Any) -> Opener:
     return _opener(CAN, "CanAxis", fake, given, _turn)
 
 
+def _within(checkout: Checkout, processes: Processes) -> Contender:
+    """cancels.L: the time limit of a coordinator, through machine and host; from the end of its time."""
+    return lambda: _limited(checkout)
+
+
+def _limited(checkout: Checkout) -> Round:
+    with Processes() as own:
+        path, found = own.folder() / "log", Round({ANSWERED: [], STANDING: []})
+        port = fake_copters(checkout, own, (1,), "--param", "WPNAV_SPEED=500", "--log", str(path))
+        log, program = DeviceLog(path), Path(__file__).with_suffix(".L").read_text(encoding="utf-8")
+        agents = ["//Copter:copter@here", f"//Impatient:boss@here?{CANCELS}&{LIMIT}&{FAR}"]
+        devices = bindings([(port, 1)]).replace("v0:", "copter:")
+        (host,) = Mission(own.folder(), program, agents, devices).up(checkout, own)
+        while len(found[ANSWERED]) < CANCELS:
+            late = float(host.line().removeprefix("over "))
+            over = time.monotonic() - late
+            found[ANSWERED].append(late)
+            found[STANDING].append(loop.run(_stood(log, over)) - over)
+    return found
+
+
 _PX4_SPEEDS = ("MPC_XY_VEL_MAX", "MPC_XY_CRUISE", "MPC_VEL_MANUAL")
 
 FIGURE = Figure(
     "A motion that is cancelled on its way",
     {
         "ArduCopter": _copter("1:copter:ardupilot --set-up --param WPNAV_SPEED=500"),
+        "ArduCopter, within in L": _within,
         "PX4": _copter(
             f"1:copter:px4 --set-up hold {' '.join(f'--param {name}=5' for name in _PX4_SPEEDS)}",
             safe_state="hold",

@@ -115,6 +115,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
                     "outcome": "died",
                     "detail": "Exception: no",
                     "receiver_memory": 0,
+                    "unreadable": False,
                 }
             ],
             "linked": ["bravo"],

@@ -90,6 +90,21 @@ def test_a_host_that_is_lost_between_begin_and_fetch_is_one_too() -> None:
     assert joined.printed == ["r1"]
 
 
+def test_a_call_that_its_block_has_ended_without_is_cancelled_when_the_coordinator_comes_by() -> None:
+    body = f"try {{ {ALL} }} catch (Exception e) {{ print(e.source()); }} sleep(1.0); print(r[1].count());"
+    joined = Joined(program(body.replace("2.0", "i % 2 * 45.0 + 5.0")), 3)
+    joined.run(until=1.0)
+    joined.cut.add(1)
+    joined.run(until=4.5)
+    assert joined.printed == ["r1"]
+    assert joined.machines[1].begun_calls()
+    joined.cut.clear()
+    joined.run()
+    # It is told before anything else happens there, and tidies up meanwhile.
+    assert joined.places[1].output == ["0", "r1 cancelled"]
+    assert joined.machines[1].begun_calls() == []
+
+
 def test_calls_wait_for_their_host_to_let_them_begin() -> None:
     joined = Joined(program(ALL + TOLD), 2)
     joined.places[1].lets = False
@@ -128,6 +143,26 @@ def test_what_came_back_is_fetched_only_when_it_is_kept_and_then_told_to_the_hos
     assert joined.machines[1].fetched(agent) == []
     joined.run()
     assert joined.printed == ["cr0", "cr1", "after 2.0"]
+
+
+def test_a_resource_that_dies_is_an_exception_of_its_calls_kept_until_they_are_fetched() -> None:
+    body = f"try {{ {ALL} }} catch (UnreachableResourceException e) {{ print(e.source() + e.message()); }}"
+    joined = Joined(program(body), 3)
+    joined.run(until=1.0)
+    machine = joined.machines[1]
+    machine._scheduler.die(machine.agents["r1"], "a test")
+    [begun] = machine.begun_calls()
+    assert (begun.state, begun.kept) == ("thrown", True)
+    joined.run()
+    assert joined.printed == ["r1r1 has died: a test"]
+
+
+def test_calls_of_a_resource_that_is_gone_do_not_begin() -> None:
+    body = f"try {{ {ALL} }} catch (UnreachableResourceException e) {{ print(e.message()); }}"
+    joined = Joined(program(body), 2)
+    joined.machines[1]._scheduler.die(joined.machines[1].agents["r1"], "a test")
+    joined.run()
+    assert joined.printed == ["r1 is gone: it died of a test"]
 
 
 def test_a_restarted_host_has_lost_what_ran() -> None:

@@ -11,8 +11,9 @@ from lfield.lang import messages
 from lfield.lang.capabilities import is_portal
 from lfield.lang.chains import bodies, inside, parts, statements, values
 from lfield.lang.checker.symbols import Symbols
+from lfield.lang.checker.together.aliases import Aliases
 from lfield.lang.checker.together.targets import Begun, check_targets, taker
-from lfield.lang.checker.together.uses import Aliases, check_uses
+from lfield.lang.checker.together.uses import check_uses
 from lfield.lang.tree import (
     Assign,
     Begin,

@@ -12,7 +12,7 @@ from lfield.lang import messages
 from lfield.lang.chains import statements
 from lfield.lang.checker.fitting import shown
 from lfield.lang.checker.symbols import Symbols
-from lfield.lang.checker.together.uses import root
+from lfield.lang.checker.together.aliases import base, named
 from lfield.lang.tree import (
     Begin,
     Call,
@@ -40,7 +40,7 @@ def taker(
     symbols: Symbols, target: LocalGet | FieldGet | Element, call: PortalCall | Call
 ) -> LocalGet | Element | None:
     """The target, if it can take the result of a call; if not, it is reported."""
-    if isinstance(target, FieldGet) or not isinstance(root(target), Local):
+    if isinstance(target, FieldGet) or not isinstance(named(base(target)), Local):
         symbols.report(messages.TOGETHER_TARGET, target.span)
         return None
     if target.type != call.type and UNKNOWN not in (target.type, call.type):
@@ -56,7 +56,7 @@ def check_targets(symbols: Symbols, block: Together, begun: Sequence[Begun]) -> 
     first: dict[Local, int] = {}
     for one in begun:
         target = one.begin.target
-        local = None if target is None else root(target)
+        local = None if target is None else named(base(target))
         if target is None or not isinstance(local, Local):
             continue
         if local in declared:

@@ -1,4 +1,4 @@
-"""Random nests of try, catch, finally and loops are left as a few lines of Python leave them.
+"""Random nests of try, catch, finally, together, within and loops are left as a few lines of Python do.
 
 `tick()` is true every third time, so that exits are taken now and then, on the second round of a loop too.
 """
@@ -93,6 +93,17 @@ def _try(name: str, body: Step, caught: str, catch: Step | None, last: Step | No
     return Step(text, run)
 
 
+def _parallel(level: int, body: Step) -> Step:
+    """A call is begun beside what the body does; whatever way leads out, it has come to its end then."""
+
+    def run(life: Life) -> Way:
+        way = body.run(life)
+        life.trace.append("0")
+        return way
+
+    return Step(f"try together {{ arm.work({level}); {body.text} }} finally {{ told({level}); }}", run)
+
+
 _CLASSES = ("NullException", "IndexException")
 
 
@@ -100,7 +111,7 @@ _CLASSES = ("NullException", "IndexException")
 def steps(draw: st.DrawFn, depth: int, loops: int = 0) -> Step:
     """A statement of at most `depth` levels, inside so many loops."""
     kinds = ["said", "throw", "return", "own", *(["break", "continue"] if loops else [])]
-    deep = ["try", "try", "try", "loop", "maybe", "block"] if depth else []
+    deep = ["try", "try", "try", "loop", "maybe", "block", "within", "together"] if depth else []
     kind = draw(st.sampled_from(deep or kinds) if draw(st.booleans()) else st.sampled_from(kinds))
     if kind == "said":
         return _said(draw(st.integers(0, 99)))
@@ -121,6 +132,10 @@ def steps(draw: st.DrawFn, depth: int, loops: int = 0) -> Step:
         return _maybe(_block(inner))
     if kind == "block":
         return _block(inner)
+    if kind == "within":
+        return Step(f"within (9999) {{ {_block(inner).text} }}", _block(inner).run)
+    if kind == "together":
+        return _parallel(depth, _block(inner))
     which = draw(st.sampled_from(["catch", "finally", "both"]))
     catch = draw(steps(depth - 1, loops)) if which != "finally" else None
     last = draw(steps(depth - 1, loops)) if which != "catch" else None
@@ -128,9 +143,16 @@ def steps(draw: st.DrawFn, depth: int, loops: int = 0) -> Step:
 
 
 _PROGRAM = """
-resource R {{
-    int ticks = 0;
+resource Arm {{
+    int[] now = new int[9];
+    init(string[] arg) {{ while (true) yield(); }}
+    portal work(int n) {{ try {{ now[n] = now[n] + 1; sleep(0.1); }} finally {{ now[n] = now[n] - 1; }} }}
+    portal working(int n) emit int {{ return now[n]; }}
+}}
+coordinator R {{
+    int ticks = 0; Arm arm;
     init(string[] arg) {{
+        arm = findArm("arm");
         for (int round = 0; round < 4; round = round + 1) {{
             try {{ print("return " + i2s(work(7))); }}
             catch (Exception e) {{ print("throw " + e.type()); }}
@@ -138,6 +160,7 @@ resource R {{
     }}
     private int work(int given) {{ {body} return -1; }}
     private void say(int n) {{ print(n); }}
+    private void told(int n) {{ print(arm.working(n)); }}
     private void fail() {{ int[] a = new int[1]; a[2] = 0; }}
     private boolean tick() {{ ticks = ticks + 1; return ticks % 3 == 0; }}
 }}
@@ -145,7 +168,7 @@ resource R {{
 
 
 @given(steps(5))
-@settings(deadline=None, max_examples=80)
+@settings(deadline=None, max_examples=60)
 def test_every_way_out(step: Step) -> None:
     life = Life([])
     for _ in range(4):

@@ -1,0 +1,115 @@
+"""Names of arrays: which of them may be names of one array, or of arrays one inside the other.
+
+Those that one method gives are seen: whatever it assigns anywhere counts, in whichever order. What other
+methods do with an array is not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from lfield.lang.chains import inside, statements, values
+from lfield.lang.tree import (
+    Assign,
+    Declare,
+    Element,
+    Elements,
+    Expr,
+    Field,
+    FieldGet,
+    Local,
+    LocalGet,
+    Stmt,
+)
+from lfield.lang.types import ArrayType
+
+#: What has a name.
+Named = Local | Field
+
+
+def named(expr: Expr) -> Named | None:
+    """The variable or field that an expression is."""
+    match expr:
+        case LocalGet():
+            return expr.local
+        case FieldGet():
+            return expr.field
+    return None
+
+
+def base(expr: Expr) -> Expr:
+    """The array in `array[i][j]`; any other expression itself."""
+    while isinstance(expr, Element):
+        expr = expr.array
+    return expr
+
+
+def depth(expr: Expr) -> int:
+    """How many indexes stand in `array[i][j]`."""
+    found = 0
+    while isinstance(expr, Element):
+        expr, found = expr.array, found + 1
+    return found
+
+
+class Aliases:
+    """The names of a method's arrays."""
+
+    def __init__(self, body: Sequence[Stmt]) -> None:
+        self._same: dict[Named, Named] = {}
+        self._inside: list[tuple[Named, Named]] = []
+        for one in statements(body):
+            if isinstance(one, Declare) and one.value is not None:
+                self._join(one.local, 0, one.value)
+            for part in (part for value in values(one) for part in inside(value)):
+                if isinstance(part, Assign) and (name := named(base(part.target))) is not None:
+                    self._join(name, depth(part.target), part.value)
+        self._around: dict[Named, set[Named]] = {}
+        self._within: dict[Named, set[Named]] = {}
+        for inner, outer in self._inside:
+            self._around.setdefault(self.of(inner), set()).add(self.of(outer))
+            self._within.setdefault(self.of(outer), set()).add(self.of(inner))
+
+    def of(self, name: Named) -> Named:
+        """The one that stands for all names of an array."""
+        while name in self._same:
+            name = self._same[name]
+        return name
+
+    def related(self, name: Named) -> set[Named]:
+        """What stands for its array, for those inside it and for those around it."""
+        one = self.of(name)
+        return _reached(one, self._around) | _reached(one, self._within)
+
+    def _join(self, name: Named, level: int, value: Expr) -> None:
+        """After `name = value` (level 0), or `name[i] = value` (1) and so on."""
+        if not isinstance(value.type, ArrayType):
+            return
+        if isinstance(value, Assign):
+            self._join(name, level, value.value)
+        elif isinstance(value, Elements):
+            for one in value.elements:
+                self._join(name, level + 1, one)
+        elif (source := named(base(value))) is not None:
+            self._relate(name, level, source, depth(value))
+
+    def _relate(self, name: Named, level: int, source: Named, found: int) -> None:
+        """What is so deep in one is what is so deep in the other."""
+        if level < found:
+            self._inside.append((name, source))
+        elif level > found:
+            self._inside.append((source, name))
+        elif self.of(source) != self.of(name):
+            self._same[self.of(source)] = self.of(name)
+
+
+def _reached(start: Named, ways: Mapping[Named, set[Named]]) -> set[Named]:
+    """All that can be reached, the start too."""
+    found: set[Named] = set()
+    waiting = [start]
+    while waiting:
+        one = waiting.pop()
+        if one not in found:
+            found.add(one)
+            waiting += ways.get(one, ())
+    return found

@@ -1,0 +1,152 @@
+"""A program with `together`, `within` and `finally` that somebody has changed is refused, or does no harm.
+
+What the verifier lets through runs on a machine; after every round of it all blocks must be sound, and no
+agent may have ended by a bug of ours.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+
+import msgspec
+import pytest
+
+from lfield.bytecode.opcodes import BY_CODE, TABLE
+from lfield.bytecode.program import Core, Handler, MethodRecord, Program, Quad, encode_quads
+from lfield.bytecode.verify import verify
+from lfield.clock import ManualClock
+from lfield.errors import ProgramFileError
+from lfield.testing.golden import Desk, compile_text, team_for
+from lfield.vm.contract import Limits
+from lfield.vm.machine import Machine
+from lfield.vm.memory.soundness import Soundness
+
+SOUND = compile_text(
+    """
+    resource Arm {
+      int n = 0;
+      init(string[] arg) { try { yield(); } finally { print("up"); } while (true) yield(); }
+      portal lift(real height) emit real { sleep(1.0); return height; }
+      portal name(string s) emit string { try { sleep(3.0); return s; } finally { n = n + 1; } }
+      portal stop() { throw new DeviceException("stuck"); }
+      portal told(DeviceException e) { print(e.others().length()); }
+    }
+    coordinator Boss {
+      init(string[] arg) {
+        Arm[] arms = findArm(); real got; int n = 3; string[] names = new string[3];
+        try within (2.0) {
+          together {
+            got = arms[0].lift(1.0); arms[1].stop(); print(1);
+            names[1] = arms[0].name("b"); inner(arms); names[2] = arms[1].name("a");
+          }
+        }
+        catch (DeviceException e) { arms[0].told(e); }
+        catch (TimeLimitException e) { print(e.others().length()); }
+        try { n = n + 1; } catch (Exception e) { n = e.others().length(); } finally { n = n + 2; }
+        print(inner(arms));
+      }
+      private int inner(Arm[] arms) {
+        while (true) {
+          together { arms[0].lift(2.0); arms[1].lift(3.0); if (arms.length() > 5) break; }
+          within (1) { try { together { arms[0].lift(4.0); } } finally { print("in"); } }
+          if (hops() == 0) return 3;
+        }
+        return 5;
+      }
+    }
+    """
+)
+TEAM = [("Arm", "a1", ""), ("Arm", "a2", ""), ("Boss", "boss", "")]
+NULL = -1 - SOUND.core.constants.index(None)
+ROUNDS = 60
+
+
+class Vandal:
+    """Changes a program in a few places, mostly so that types still fit."""
+
+    def __init__(self, seed: int) -> None:
+        self.dice = random.Random(seed)
+        self.quads = list(SOUND.quads)
+        self.methods = list(SOUND.core.methods)
+
+    def core(self) -> Core:
+        """The program, changed in up to three places."""
+        for _ in range(self.dice.choice([1, 1, 2, 3])):
+            self.dice.choice([self.operand, self.operand, self.operand, self.instruction, self.row])()
+        return msgspec.structs.replace(SOUND.core, code=encode_quads(self.quads), methods=tuple(self.methods))
+
+    def operand(self) -> None:
+        """Another slot of the same type, null, or another place to jump to."""
+        at = self.dice.randrange(len(self.quads))
+        quad = list(self.quads[at])
+        method = next(m for m in self.methods if m.entry <= at < m.end)
+        operands = BY_CODE[quad[0]].operands
+        spots = [i for i, operand in enumerate(operands) if operand.role in "DSVL"]
+        if not spots:
+            return
+        spot = self.dice.choice(spots)
+        quad[1 + spot] = self._other(method, operands[spot].role, quad[1 + spot])
+        self.quads[at] = Quad(*quad)
+
+    def _other(self, method: MethodRecord, role: str, number: int) -> int:
+        if role == "L":
+            return self.dice.randrange(method.entry, method.end)
+        if not 0 <= number < len(method.slots):
+            return number
+        same = [slot for slot, kind in enumerate(method.slots) if kind == method.slots[number]]
+        return self.dice.choice([*same, NULL])
+
+    def instruction(self) -> None:
+        """Another opcode, or the instruction of another place."""
+        at, other = (self.dice.randrange(len(self.quads)) for _ in range(2))
+        code = self.dice.choice(TABLE).code
+        self.quads[at] = self.dice.choice([self.quads[at]._replace(op=code), self.quads[other]])
+
+    def row(self) -> None:
+        """A row of handlers that is about something else, or in another place."""
+        index = self.dice.choice([i for i, m in enumerate(self.methods) if m.handlers])
+        method = self.methods[index]
+        rows = list(method.handlers)
+        at, other = (self.dice.randrange(len(rows)) for _ in range(2))
+        rows[at], rows[other] = rows[other], rows[at]
+        word = self.dice.choice(["start", "end", "target", "slot", "kind"])
+        number = self.dice.randint(method.entry, method.end)
+        if word == "kind":
+            rows[at] = Handler(rows[at].start, rows[at].end, 0, 0, rows[at].slot, self.dice.randrange(4))
+        elif word == "slot":
+            rows[at] = msgspec.structs.replace(rows[at], slot=self.dice.randrange(len(method.slots)))
+        else:
+            rows[at] = msgspec.structs.replace(rows[at], **{word: number})
+        self.methods[index] = msgspec.structs.replace(method, handlers=tuple(rows))
+
+
+def run(program: Program) -> None:
+    """Run it for some rounds, and look at every block after each."""
+    desk, clock = Desk(), ManualClock()
+    team = team_for(program, TEAM)
+    machine = desk.machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
+    soundness = Soundness(program, machine.layouts, [member.type for member in team])
+    for member in team:
+        machine.start(member, Limits(heap=1 << 16), generation=1)
+    for _ in range(ROUNDS):
+        pause = machine.run()
+        for agent in machine.agents.values():
+            if not agent.ended:
+                soundness.check_heap(bytes(agent.block.image()), agent.block.limit + 256)
+        if pause is None:
+            break
+        clock.advance(pause)
+    assert not [agent.report for agent in desk.endings if agent.report.startswith("bug in lfield")]
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_what_is_let_through_does_no_harm(part: int) -> None:
+    ran = 0
+    for seed in range(100 * part, 100 * part + 100):
+        program = Program(Vandal(seed).core(), SOUND.debug, SOUND.digest)
+        with contextlib.suppress(ProgramFileError):
+            verify(program)
+            ran += 1
+            run(program)
+    assert ran > 20

@@ -1,0 +1,78 @@
+"""What the checker lets through is compiled, and the verifier agrees: blocks in blocks, left in any way."""
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from lfield.bytecode.verify import verify
+from lfield.compiler.build import compile_program
+from lfield.lang.frontend import check_text
+
+UNITS = """
+resource Arm {
+    init(string[] arg) { }
+    portal go() { }
+    portal lift(real metres) emit real { return metres; }
+}
+coordinator Boss {
+    init(string[] arg) {
+        Arm arm = findArm("arm");
+        real x;
+        real[] a = new real[3];
+        int i;
+        BODY
+    }
+    private int count(Arm arm, int i) {
+        real x;
+        real[] a = new real[3];
+        COUNTED
+    }
+}
+"""
+STEPS = [
+    *("arm.go();", "x = arm.lift(1);", "a[i] = arm.lift(x);", "a[0] = arm.lift(2);", "a[1] = 3;"),
+    *("print(x);", "sleep(1);", "i += 1;", "break;", "continue;", "return;", "throw new Exception();"),
+]
+
+
+def blocks(step: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
+    """A statement with bodies of such steps."""
+    body = st.lists(step, max_size=4).map(" ".join)
+    heads = ["together", "within (i + 1)", "while (i < 3)", "while (true)", "if (i < 3)"]
+    one = st.tuples(st.sampled_from(heads), body).map(lambda parts: f"{parts[0]} {{ {parts[1]} }}")
+    handled = st.sampled_from(["", "NullException", "TimeLimitException", "Exception"])
+    attempt = st.tuples(body, handled, body, st.none() | body).map(lambda parts: tried(*parts))
+    return one | attempt
+
+
+def tried(body: str, handled: str, handler: str, last: str | None) -> str:
+    """A try with a catch, a finally, or both. A catch has a block of its own, for the name it binds."""
+    catch = f"catch ({handled} e) {{ {handler} }}" if handled and "catch (" not in body + handler else ""
+    last = "" if last is None and catch else f"finally {{ {last or ''} }}"
+    return f"try {{ {body} }} {catch} {last}"
+
+
+def whole(body: str) -> str:
+    """A program with the body in a method without a result, and in one that has one."""
+    return UNITS.replace("BODY", body).replace("COUNTED", body.replace("return;", "return i;"))
+
+
+BODIES = st.lists(st.recursive(st.sampled_from(STEPS), blocks, max_leaves=10), max_size=4).map(" ".join)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(BODIES)
+def test_whatever_checks_compiles_to_a_sound_program(body: str) -> None:
+    checked = check_text(whole(body))
+    if checked.program is not None:
+        verify(compile_program(checked.program))
+
+
+def test_bodies_of_every_kind_check() -> None:
+    """The property above speaks of something."""
+    for body in (
+        "together { arm.go(); x = arm.lift(1); a[i] = arm.lift(2); }",
+        "while (true) { together { arm.go(); try { break; } finally { sleep(1); } } }",
+        "within (i + 1) { try { arm.go(); } catch (NullException e) { } finally { together { arm.go(); } } }",
+    ):
+        checked = check_text(whole(body))
+        assert checked.errors == []

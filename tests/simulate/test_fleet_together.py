@@ -1,0 +1,187 @@
+"""Calls that are begun together, and hosts that die, are cut off or paused meanwhile. In virtual time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lfield.journal.pages import BegunPage
+from lfield.mission.load import load_mission
+from lfield.simulate.fleet import Fleet
+from lfield.wire.observing import Pause
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal work(int number, real seconds) emit int {
+        write("sets " + i2s(number) + "\\n");
+        try { sleep(seconds); }
+        catch (CancelledException e) { write("leaves " + i2s(number) + ": " + e.message() + "\\n"); throw e; }
+        write("gives " + i2s(number) + "\\n");
+        return 10 * number;
+    }
+}
+coordinator Boss {
+    init(string[] arg) {
+        int[] got = new int[2];
+        string how = "came back";
+        try {
+            //body
+        } catch (RestartException e) { how = "restarted at " + e.source() + ": " + e.message(); }
+          catch (TimeLimitException e) { how = "late"; }
+          catch (UnreachableResourceException e) { how = "unreachable"; }
+        print("boss: " + how + " " + i2s(got[0]) + " " + i2s(got[1]));
+        sleep(s2f(arg[1]));
+    }
+}
+"""
+BOTH = """
+            together {{
+                got[0] = findPost("one").work(1, {0});
+                got[1] = findPost("two").work(2, {1});
+            }}
+"""
+#: The boss begins at bravo, then at carol, where it stays until that is done.
+DEPLOYMENT = "//Post:zero@alpha\n//Post:one@bravo\n//Post:two@carol\n//Boss:boss@alpha?{0}\n"
+
+
+class Team(Fleet):
+    """Three hosts, of which two have work to do."""
+
+    def __init__(self, folder: Path, one: float, two: float, body: str = BOTH, rest: float = 100.0) -> None:
+        program = PROGRAM.replace("//body", body.format(one, two))
+        (folder / "mission.L").write_text(program)
+        (folder / "mission.dL").write_text(DEPLOYMENT.format(rest))
+        super().__init__(load_mission(folder / "mission.dL", simulate=True), 1)
+
+    def said(self, text: str, host: str = "") -> int:
+        """How often something was said."""
+        return sum(text in line and host in ("", name) for _, name, line in self.log)
+
+    def until(self, text: str) -> None:
+        """Let time go on until it is said."""
+        end = self.now + 60.0
+        while not self.said(text):
+            assert self.now < end, f"nobody has said {text!r}"
+            self.run(0.05)
+
+    def again(self, host: str) -> None:
+        """A host dies, and is started again at once."""
+        self.crash(host)
+        self.boot(host)
+        self.run(3.0)
+
+    def begun(self, host: str) -> list[str]:
+        """The outcomes of what a host has on its disk of calls that were begun there."""
+        return [page.outcome for page in self.disks[host].pages() if isinstance(page, BegunPage)]
+
+
+def test_what_was_begun_is_on_the_disk_and_goes_when_it_was_fetched(tmp_path: Path) -> None:
+    team = Team(tmp_path, 0.5, 2.0)
+    team.until("sets 2")
+    assert team.begun("bravo") == team.begun("carol") == [""]
+    team.until("gives 1")
+    team.run(0.1)
+    assert team.begun("bravo") == ["done"]
+    team.until("boss: came back 10 20")
+    # The last host keeps what it gave until the block is kept that has it: here, when the boss has ended.
+    assert team.begun("carol") == ["done"] or team.begun("bravo") == ["done"]
+    team = Team(tmp_path, 0.5, 2.0, rest=0.0)
+    team.until("boss: came back 10 20")
+    team.run(3.0)
+    assert team.begun("bravo") == team.begun("carol") == []
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_host_that_dies_between_begin_and_fetch_tells_of_its_restart_and_begins_nothing_twice(
+    tmp_path: Path, times: int
+) -> None:
+    team = Team(tmp_path, 8.0, 12.0)
+    team.until("sets 2")
+    for _ in range(times):
+        team.again("bravo")
+    team.until("boss: restarted at one")
+    assert team.said("its host was started again while one.work() ran; it may have been done")
+    assert team.said("sets 1") == team.said("sets 2") == 1
+    assert team.said("gives 2") == 1
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_host_that_dies_between_result_and_fetch_gives_the_result(tmp_path: Path, times: int) -> None:
+    team = Team(tmp_path, 1.0, 12.0)
+    team.until("gives 1")
+    team.run(0.1)
+    for _ in range(times):
+        team.again("bravo")
+    team.until("boss: came back 10 20")
+    assert team.said("sets 1") == team.said("sets 2") == 1
+
+
+def test_the_host_where_the_boss_waits_dies_and_it_goes_on_to_fetch_what_is_elsewhere(tmp_path: Path) -> None:
+    team = Team(tmp_path, 1.0, 12.0)
+    team.until("gives 1")
+    team.run(0.1)
+    team.again("carol")
+    # It stood there only to fetch: nothing that it did is unknown, but the call was lost.
+    team.until("boss: restarted at two")
+    assert team.said("boss goes on where it was kept", "carol") == 1
+    assert team.said("sets 1") == team.said("sets 2") == 1
+
+
+def test_a_boss_that_ends_leaves_no_call_behind_also_where_it_could_not_tell(tmp_path: Path) -> None:
+    team = Team(tmp_path, 40.0, 1.0, rest=0.0)
+    team.until("sets 2")
+    team.cut("bravo", "carol")
+    team.cut("bravo", "alpha")
+    team.until("gives 2")
+    team.run(1.0)
+    assert "fetches from bravo" in [agent.state for agent in team.lives["carol"].host.status().agents]
+    (begun,) = team.lives["bravo"].host.status().begun
+    assert (begun.agent, begun.resource, begun.portal, begun.state) == ("boss", "one", "work", "running")
+    team.until("boss: unreachable 0 0")
+    team.run(5.0)
+    assert team.said("leaves 1") == 0
+    team.heal("bravo", "carol")
+    team.heal("bravo", "alpha")
+    team.until("leaves 1: boss has ended (done)")
+    assert team.said("gives 1") == 0
+    team.run(3.0)
+    assert team.begun("bravo") == []
+
+
+def test_a_time_limit_ends_a_call_on_a_host_that_cannot_be_reached(tmp_path: Path) -> None:
+    body = "within (5.0) {{" + BOTH + "}}"
+    team = Team(tmp_path, 40.0, 1.0, body)
+    team.until("sets 2")
+    team.cut("bravo", "carol")
+    team.cut("bravo", "alpha")
+    began = team.now
+    team.until("leaves 1: the time limit of boss is over")
+    assert team.now < began + 5.5
+    team.until("boss: late")
+    # After the limit it went to tell, and waited for the host no longer than for any other hop.
+    assert team.now < began + 5.0 + 2 * 10.0 + 2.0
+
+
+def test_what_runs_for_a_boss_that_is_elsewhere_ends_when_its_host_is_paused(tmp_path: Path) -> None:
+    team = Team(tmp_path, 6.0, 12.0)
+    team.until("sets 2")
+
+    def say(*, lift: bool) -> None:
+        life = team.lives["bravo"]
+        life.process.loop.enter(lambda: life.host.received("", Pause(lift), Desk()))
+
+    say(lift=False)
+    team.run(2.0)
+    assert team.begun("bravo") == ["thrown"]
+    say(lift=True)
+    team.until("boss: restarted at one: the mission was paused; this call may have begun")
+    assert team.said("sets 1") == 1
+
+
+class Desk:
+    """Who says the word, and does not listen."""
+
+    def send(self, message: object) -> None:
+        """The answer."""

@@ -1,0 +1,225 @@
+"""A together in a block: interrupted anywhere, collected, packed, and changed by a peer."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from joined_hosts import Joined
+
+from lfield.bytecode.program import Program
+from lfield.errors import BlockError
+from lfield.testing.golden import compile_text
+from lfield.vm import machine as machine_module
+from lfield.vm.contract import Limits
+from lfield.vm.inspect.decode import view
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.collector import collect
+
+BUSY = """
+class Card { public string text; public Card self; public Card(string t) { text = t; self = this; } }
+resource Post {
+  string name; int done;
+  init(string[] arg) { name = arg[0]; }
+  portal stamp(Card card, real s) emit Card { sleep(s); card.text = card.text + name; return card; }
+  portal count(int n) emit int { sleep(0.5); done = done + n; return done; }
+  portal fail(string why) { sleep(0.2); throw new IndexException(why); }
+}
+coordinator Boss {
+  init(string[] arg) {
+    Post[] r = findPost(); Card[] c = new Card[3]; int[] n = new int[3]; Card mine = new Card("c"); int x = 0;
+    int zero = r[1].count(0);
+    together {
+      for (int i = 0; i < 3; i = i + 1) { c[i] = r[i].stamp(mine, 1.0 - i * 0.3); n[i] = r[i].count(i); }
+    }
+    for (int i = 0; i < 3; i = i + 1) print(c[i].text + b2s(c[i].self == c[i]) + i2s(n[i]));
+    try { together { x = r[1].count(5); r[2].fail("one"); mine.text = ""; r[0].fail("two"); } }
+    catch (IndexException e) { print(e.message() + e.others()[0].message() + i2s(x)); }
+    try {
+      within (3.0) { together { c[0] = r[2].stamp(mine, 9.0); sleep(0.1); x = r[0].count(1); } }
+    }
+    catch (TimeLimitException e) { print(e.message()); }
+    try { together { x = r[1].count(5); c[0] = r[2].stamp(mine, 4.0); sleep(1.0); print(1 / zero); } }
+    catch (ArithmeticException e) { print(i2s(x) + c[0].text); }
+  }
+}
+"""
+SAID = [
+    "cr0true0",
+    "cr1true1",
+    "cr2true2",
+    "r0.fail() has thrown too: IndexException: two",
+    "onetwo0",
+    "the time is over; r2.stamp() was cancelled",
+    "0cr0",
+]
+
+
+@cache
+def program() -> Program:
+    return compile_text(BUSY)
+
+
+class Collecting(Joined):
+    """Collects everything whenever it can, and packs and restores the coordinator on every hop."""
+
+    def still(self) -> float | None:
+        for _ in range(100_000):
+            pauses = [machine.run() for machine in self.machines]
+            for machine in self.machines:
+                for agent in machine.agents.values():
+                    collect(agent.block, machine.layouts)
+            if 0.0 not in pauses:
+                return min((pause for pause in pauses if pause is not None), default=None)
+        raise AssertionError("the machines never rest")
+
+
+@pytest.mark.parametrize("kind", [Joined, Collecting])
+@pytest.mark.parametrize("slice_length", [1, 2, 3, 17, 100_000])
+def test_what_is_said_is_the_same(
+    kind: type[Joined], slice_length: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine_module, "SLICE", slice_length)
+    monkeypatch.setattr(machine_module, "ROUND", 1 if kind is Collecting else 200)
+    joined = kind(program(), 3)
+    joined.run()
+    # The coordinator has spoken on several hosts; each line is said once.
+    assert sorted(joined.printed) == sorted(SAID)
+
+
+def test_a_heap_that_is_too_small_for_what_comes_back_is_an_exception() -> None:
+    text = """
+    resource Post { init(string[] arg) { } portal much() emit int[] { sleep(0.1); return new int[900]; } }
+    coordinator Boss { init(string[] arg) {
+      Post[] r = findPost(); int[] a = null; int[] b = null; int[] c = null;
+      try { together { a = r[0].much(); b = r[1].much(); c = r[0].much(); } }
+      catch (LimitException e) { print("too much"); }
+      together { a = r[1].much(); }
+      print(a.length());
+    } }"""
+    joined = Joined(compile_text(text), 2, limits=Limits(heap=8 * 2000))
+    joined.run()
+    assert joined.printed[-2:] == ["too much", "900"]
+
+
+@cache
+def images() -> tuple[tuple[int, bytes], ...]:
+    """Every block that has travelled, and where to."""
+    found: list[tuple[int, bytes]] = []
+
+    class Noting(Joined):
+        def leave(self, source, agent, target):  # type: ignore[no-untyped-def]
+            found.append((target, bytes(self.machines[source].pack(agent))))
+            super().leave(source, agent, target)
+
+    Noting(program(), 3).run()
+    return tuple(found)
+
+
+def test_only_what_is_alive_travels() -> None:
+    sizes = [len(image) for _, image in images()]
+    # A call that has begun leaves its arguments behind.
+    assert max(sizes) < 4000
+    assert min(sizes) < max(sizes)
+
+
+def kinds(image: bytes) -> list[int]:
+    """The kinds of the things on a heap, in their order."""
+    block = Block(bytearray(image), len(image) // 8, len(image) // 8)
+    found, place = [], block.heap
+    while place < block.top:
+        found.append(block.w[place] & 0xFF)
+        place += block.w[place] >> 32
+    return found
+
+
+def test_tickets_are_gone_when_their_together_is_over() -> None:
+    last = [kinds(image).count(layout.TICKET) for _, image in images()]
+    # The first hop is a call before all; in a round there are six calls and what holds them.
+    assert last[0] == 0
+    assert max(last) == 7
+
+
+def test_what_is_inspected_says_what_has_become_of_the_calls() -> None:
+    joined = Joined(program(), 3)
+    joined.cut.add(2)
+    seen: set[str] = set()
+    for _ in range(40):
+        joined.run(until=0.1)
+        for machine in joined.machines:
+            if (boss := machine.agents.get("boss")) is not None:
+                shown = view(boss.block, joined.program, [member.id for member in joined.team])
+                seen.update(
+                    call for thread in shown.threads for frame in thread.frames for call in frame.calls
+                )
+                assert any(name == "call of a together" for name, _, _ in shown.heap) or not seen
+    assert {
+        "r0.stamp() has begun",
+        "r2.count() is back with UnreachableResourceException",
+    } <= seen
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.data())
+def test_hostile_togethers_are_refused_or_harmless(data: st.DataObject) -> None:
+    """Whatever a peer changes in a block that carries tickets: BlockError, or a run like any other."""
+    target, sound = data.draw(st.sampled_from(images()))
+    image = bytearray(sound)
+    for _ in range(data.draw(st.integers(1, 3))):
+        word = data.draw(st.integers(0, len(image) // 8 - 1))
+        old = int.from_bytes(image[8 * word : 8 * word + 8], "little", signed=True)
+        near = st.integers(max(-(2**63), old - 3), min(2**63 - 1, old + 3))
+        new = data.draw(st.one_of(st.integers(-(2**63), 2**63 - 1), st.integers(0, len(image) // 8), near))
+        image[8 * word : 8 * word + 8] = new.to_bytes(8, "little", signed=True)
+    joined = Joined(program(), 3)
+    joined.machines[0].agents.pop("boss").ended = "dropped"
+    try:
+        agent = joined.machines[target].admit(joined.team[3], bytes(image), Limits())
+    except BlockError:
+        return
+    joined.machines[target].calling(agent)
+    joined.machines[target].goes_on(agent)
+    joined.machines[target].go(agent)
+    joined.run()
+    assert "bug in lfield" not in agent.report
+
+
+def test_a_block_of_the_version_before_goes_on() -> None:
+    """It has no clock and no tickets in its header: two words less before everything."""
+    target, image = images()[0]
+    assert layout.TICKET not in kinds(image)
+    earlier = in_version_2(image)
+    joined = Joined(program(), 3)
+    joined.machines[0].agents.pop("boss").ended = "dropped"
+    joined.machines[target].go(joined.machines[target].admit(joined.team[3], earlier, Limits()))
+    joined.run()
+    assert sorted(joined.printed) == sorted(SAID)
+
+
+def test_a_block_of_the_version_before_has_no_tickets() -> None:
+    target, image = images()[2]
+    assert layout.TICKET in kinds(image)
+    joined = Joined(program(), 3)
+    with pytest.raises(BlockError, match="knows no tickets"):
+        joined.machines[target].admit(joined.team[3], in_version_2(image), Limits())
+
+
+def in_version_2(image: bytes) -> bytes:
+    """The same block as the version before would have packed it, if it had known tickets."""
+    old = Block(bytearray(image), len(image) // 8, len(image) // 8)
+    w = old.w
+    less = layout.HEADER_WORDS - layout.HEADERS[layout.EARLIER_VERSION]
+    layouts = Joined(program(), 1).machines[0].layouts
+    place = old.heap
+    while place < old.top:
+        for offset in layouts.references(w[place]):
+            w[place + offset] -= less if w[place + offset] else 0
+        place += w[place] >> 32
+    for root in layout.ROOTS:
+        w[root] -= less if w[root] else 0
+    w[layout.W_MAGIC] = layout.MAGIC | layout.EARLIER_VERSION << 32
+    w[layout.W_TOP] = old.top - less
+    return old.data[: 8 * layout.W_CLOCK] + old.data[8 * layout.HEADER_WORDS :]
