@@ -180,6 +180,19 @@ def test_a_limit_whose_end_the_host_of_a_call_sees_first_is_told_as_one(tmp_path
     assert team.said("leaves 1") == 1
 
 
+def test_a_time_limit_counts_for_how_long_the_host_of_the_boss_was_down(tmp_path: Path) -> None:
+    team = Team(tmp_path, 40.0, 40.0, "within (8.0) {{" + BOTH + "}}")
+    team.until("sets 2")
+    team.crash("carol")
+    team.run(10.0)
+    assert team.said("leaves 1: the time limit of boss is over")
+    team.boot("carol")
+    began = team.now
+    team.until("boss: ")
+    assert team.said("boss: late")
+    assert team.now < began + 4.0
+
+
 def test_what_runs_for_a_boss_that_is_elsewhere_ends_when_its_host_is_paused(tmp_path: Path) -> None:
     team = Team(tmp_path, 6.0, 12.0)
     team.until("sets 2")
