@@ -48,7 +48,7 @@ QUERIES = """
   portal looked() emit int { return helper(3); }
   portal caught() emit int { try { return log[9]; } catch (IndexException e) { return random(3); } }
   portal tidied() emit int { try { return log[9]; } finally { print("tidied"); } }
-  portal tidiedItself() emit int { Point p = new Point(1); try { p.tidy(); } finally { p.x = 3; } return 1; }
+  portal tidiedItself() { Point p = new Point(1); try { p.tidy(); } finally { p.x = 3; } }
   portal synchronized refused() { throw new DeviceException("no"); }
 """
 ACTS = """
