@@ -298,7 +298,6 @@ class HostCore:
         self._effects += self.directory.linked(hello)
         if self.coordinators.room.trouble:
             self._effects.append(mobile.Send(hello.host, self.coordinators.room))
-        self.coordinators.carry_out(self.mobility.room(hello.host, ""))
         self.coordinators.carry_out(self.mobility.linked(hello))
         self._beginning.look()
         self._effects.append(CHANGED)

@@ -225,6 +225,7 @@ class Mobility:
     def unlinked(self, host: str) -> None:
         """The last link to a host is gone. What was on its way may have arrived or not."""
         self._links.pop(host, None)
+        self._departures.unlinked(host)
 
     def arrive(self, host: str, header: Transfer, block: Buffer) -> list[Effect]:
         """A coordinator has arrived from `host`; it is injected before this returns, or refused."""

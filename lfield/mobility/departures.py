@@ -40,7 +40,7 @@ class Departures:
     ) -> None:
         self._own, self._copies, self._links, self._endings = own, copies, links, endings
         self._unreachable_after = unreachable_after
-        #: The hosts that can keep nothing now, with the reason of each.
+        #: The hosts that can keep nothing now, with the reason of each, while there is a link.
         self._full: dict[str, str] = {}
 
     def depart(self, copy: Copy, host: str, seal: Callable[[int], Buffer], now: float) -> list[Effect]:
@@ -49,13 +49,18 @@ class Departures:
         return self._send(copy)
 
     def linked(self, peer: Hello) -> list[Effect]:
-        """Go on with the copies that wait for this host."""
+        """Go on with the copies that wait for this host. Whether it has room it says anew."""
+        self._full.pop(peer.host, None)
         effects: list[Effect] = []
         for copy in self._copies:
             if copy.target == peer.host and (copy.state in ("FROZEN", "PREPARED") or copy.gave_way):
                 # What is restored is not in the machine yet: it could not go on.
                 effects += [] if copy.restored and copy.seal is None else self._take_up(copy, peer)
         return effects
+
+    def unlinked(self, host: str) -> None:
+        """The link to a host is gone, and with it what that has said of its room: it may be dead."""
+        self._full.pop(host, None)
 
     def woken(self, copy: Copy, now: float) -> list[Effect]:
         """A copy that was sent before this host was started again is in the machine."""
@@ -134,7 +139,7 @@ class Departures:
 
         Who waits for a host that somebody has paused waits as long as that is linked and paused.
         """
-        if copy.state == "FROZEN" and self._full.get(copy.target) == PAUSED and copy.target in self._links:
+        if copy.state == "FROZEN" and self._full.get(copy.target) == PAUSED:
             copy.deadline += self._unreachable_after
             return []
         host, seconds = copy.target, f"{self._unreachable_after:g} s"

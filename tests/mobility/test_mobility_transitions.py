@@ -5,6 +5,7 @@ import pytest
 from lfield.journal.pages import CopyPage
 from lfield.mobility.copies import MAX_STARTS
 from lfield.mobility.core import Mobility
+from lfield.mobility.departures import PAUSED
 from lfield.mobility.effects import (
     Departed,
     Finished,
@@ -147,6 +148,26 @@ def test_a_host_that_stays_away_is_unreachable(a):
     assert resume == Resume(TOUR, 1, 0, UNREACHABLE, "b could not be reached within 10 s; is it up?")
     assert a.known().state == "RUN"
     assert a.mobility.tick(20.0) == []
+
+
+@pytest.mark.parametrize("said", [PAUSED, "its disk is full"])
+def test_what_a_host_said_of_its_room_is_not_believed_when_its_link_is_gone(a, b, said):
+    a.mobility.linked(b.hello())
+    assert a.mobility.room("b", said) == []
+    assert a.mobility.depart(TOUR, "b", seal, 0.0) == []
+    a.mobility.unlinked("b")
+    (resume,) = a.mobility.tick(10.0)
+    assert resume == Resume(TOUR, 1, 0, UNREACHABLE, "b could not be reached within 10 s; is it up?")
+    assert a.mobility.depart(TOUR, "b", seal, 20.0) == []
+    assert a.mobility.linked(Host("b", 2).hello()) == [SendTransfer("b", transfer(1, receiver=2), b"block 1")]
+
+
+def test_who_is_linked_anew_says_anew_whether_it_has_room(a, b):
+    a.mobility.linked(b.hello())
+    a.mobility.room("b", "its disk is full")
+    a.mobility.depart(TOUR, "b", seal, 0.0)
+    (sent,) = a.mobility.linked(b.hello())
+    assert sent == SendTransfer("b", transfer(1), b"block 1")
 
 
 def test_a_refusal_resumes_and_its_number_is_not_used_again(away):
