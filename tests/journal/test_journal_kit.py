@@ -15,7 +15,19 @@ from journal_bench import Bench, FileBench, SimulatedBench
 
 from lfield.errors import JournalError
 from lfield.journal.journal import Change, Journal
-from lfield.journal.pages import BegunPage, CopyPage, Fence, Key, Page, ProgramPage, Run, Starts, key_of
+from lfield.journal.pages import (
+    BegunPage,
+    CopyPage,
+    Fence,
+    Key,
+    Page,
+    Paused,
+    ProgramPage,
+    Run,
+    Starts,
+    Stopped,
+    key_of,
+)
 
 KINDS = ("file", "simulated")
 #: One page of each kind.
@@ -24,6 +36,8 @@ PAGES: tuple[Page, ...] = (
     BegunPage("scout", 3, 8, "arm", "lift", "done", bytes(300), b"\1" * 32),
     Starts(3),
     Run(True),
+    Paused(True),
+    Stopped("the emergency stop was pressed: fog"),
     Fence("scout", 2),
     ProgramPage(b"\1" * 32, bytes(100), ("scout", "arm"), ("Scout", "Arm"), ("barn", "field")),
 )
@@ -200,6 +214,15 @@ def test_with_a_promise_the_record_of_starts_is_lost(bench: Bench) -> None:
     (told,) = bench.told
     assert told.startswith("the fence of scout, as of ")
     assert by_key(bench.open().pages()) == by_key(left)
+
+
+def test_a_stop_that_cannot_be_read_is_named_and_no_start_is_lost_with_it(bench: Bench) -> None:
+    journal = bench.open()
+    bench.run(journal.keep([Starts(4), Paused(True), Stopped("fog")]))
+    journal.close()
+    bench.damage(Key("stopped"))
+    assert by_key(bench.open().pages()) == by_key([Starts(4), Paused(True)])
+    assert bench.told[0].startswith("whether an emergency stop holds here, as of ")
 
 
 def test_it_counts_the_commits_of_a_minute(bench: Bench) -> None:

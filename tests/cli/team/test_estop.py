@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import resource
 import signal
 
 import pytest
@@ -179,3 +180,55 @@ def test_a_host_that_ends_by_the_stop_is_seen_at_rest_first(lfield, own):
     assert (words[0], words[-1]) == ("safe", "at rest")
     assert len(words) > 2
     assert run.wait() == 1
+
+
+class Kept:
+    """One host that keeps a journal, and can be killed and started again."""
+
+    def __init__(self, lfield, environment):
+        devices = "silence: 2.0\nagents: {lead: {devices: {fc: {" + COPTER + "}}}}\n"
+        deployment = lfield.mission(PROGRAM, "//Copter:lead@alpha\n//Nobody:one@alpha\n", devices)
+        state = lfield.folder / "state"
+        words = ("--deploy", deployment, "--host", "alpha", "--sim", "--state", state)
+        words += tuple(lfield.maps(["alpha"]))
+        self._start = lambda: lfield.start("up", *words, env=environment)
+        self.host = self._start()
+        self.host.wait_for("flies")
+        (self.journal,) = state.rglob("host.journal")
+
+    def killed_and_started(self):
+        self.host.popen.kill()
+        self.host.popen.wait()
+        self.host = self._start()
+        return self.host
+
+
+def test_a_host_that_is_killed_and_started_again_is_still_stopped(lfield, own):
+    kept = Kept(lfield, own)
+    pressed = lfield("estop", "--no-wait", "--reason", "a child on the field", env=own)
+    assert (lfield.status(pressed), pressed.err) == (0, []), pressed.said
+    shown = lfield("inspect", kept.journal, env=own)
+    still = "the emergency stop was pressed: a child on the field"
+    assert f"stopped   until 'lfield estop --lift': {still}" in shown.out, shown.said
+    host = kept.killed_and_started()
+    host.wait_for(f"EMERGENCY STOP still holds: {still}; 'lfield estop --lift' ends it")
+    host.wait_for(f"lead.fc: is in its safe state 'land': {still}")
+    host.wait_for(f"lead died of an uncaught DeviceException: fc: held in its safe state because {still}")
+    assert f'"lead.fc": "{still}"' in lfield("ps", "--json", env=own).said
+    lifted = lfield("estop", "--lift", env=own)
+    assert (lfield.status(lifted), lifted.out[-1]) == (0, "alpha: lead.fc: may be released"), lifted.said
+    assert "stopped" not in lfield("inspect", kept.journal, env=own).said
+    host = kept.killed_and_started()
+    host.wait_for("flies")
+    assert "EMERGENCY" not in host.said
+
+
+def test_a_disk_that_takes_nothing_is_told_of(lfield, own):
+    kept = Kept(lfield, own)
+    resource.prlimit(kept.host.pid, resource.RLIMIT_FSIZE, (0, 0))
+    pressed = lfield("estop", "--no-wait", env=own)
+    assert "alpha: lead.fc: safe" in pressed.out, pressed.said
+    assert re.fullmatch(
+        r"alpha: the stop is not on the disk \(.+\): started again, this host may know nothing of it",
+        pressed.err[-1],
+    ), pressed.said
