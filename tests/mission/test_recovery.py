@@ -101,6 +101,23 @@ def test_what_makes_no_sense_is_drawn_at_its_place(write: Write, written: str, t
     assert "^" in said
 
 
+@pytest.mark.parametrize(
+    ("members", "told"),
+    [
+        ("h0", "'members' must be a list"),
+        ("{h0: 1}", "'members' must be a list"),
+        ("[3]", "'members' must be a list of texts, not the number 3"),
+        ("[]", "'members' must be 1 to 9 hosts, not 0"),
+        ("", "'members' must be 1 to 9 hosts, not 0"),
+    ],
+)
+def test_one_mistake_in_the_members_is_told_once(write: Write, members: str, told: str) -> None:
+    with pytest.raises(BindingError) as found:
+        load_mission(write(3, f"recovery:\n  members: {members}\n"))
+    (problem,) = found.value.problems
+    assert told in problem
+
+
 def test_ten_members_are_too_many(write: Write) -> None:
     names = ", ".join(f"h{n}" for n in range(10))
     assert "'members' must be 1 to 9 hosts, not 10" in wrong(write(11, f"recovery: {{members: [{names}]}}"))
