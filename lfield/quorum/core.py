@@ -78,6 +78,11 @@ class Quorum:
         """Whether this host knows all that it may ever have promised."""
         return self.members.remembers
 
+    @property
+    def unheard(self) -> list[str]:
+        """The members that must tell of their fences before this host counts."""
+        return sorted(self._unheard)
+
     def _recall(self) -> None:
         """With the fences of all other members it knows what it has promised."""
         self.members.remembers = not self._unheard
