@@ -208,6 +208,18 @@ def test_a_port_in_use(lfield):
     assert host.err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
 
 
+def test_who_finds_the_port_in_use_makes_no_journal(lfield, tmp_path):
+    # The first one may still run, though its folder was moved away: in its place nothing else may be put.
+    deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        words = ("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
+        hosts = [lfield(*words, "--state", tmp_path / "state", *fresh) for fresh in ((), ("--fresh",))]
+    assert [lfield.status(host) for host in hosts] == [69, 69]
+    assert all("the port is in use" in host.said for host in hosts)
+    assert not (tmp_path / "state").exists()
+
+
 def test_all_listens_where_map_says_and_elsewhere_on_free_ports(lfield):
     deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
     (port,) = lfield.ports.take(1)
