@@ -97,8 +97,8 @@ class Bindings:
         raise BindingError(
             [
                 f"devices go safe when their host was silent for {silence:g} s, and its lease ends after "
-                f"{lease:g} s, when another host may go on: write 'silence: {lease:g}' or less in the devices "
-                f"file, or 'recovery: {{lease: {silence:g}}}' or more"
+                f"{lease:g} s, when another host may go on: write 'silence: {lease:g}' or less in the "
+                f"devices file, or 'recovery: {{lease: {silence:g}}}' or more"
             ]
         )
 
