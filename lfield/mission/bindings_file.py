@@ -138,7 +138,7 @@ class BindingsReader:
         section.done()
         unreachable_after = top.number("unreachable_after", 10.0, minimum=0.1, maximum=86400.0)
         silence = top.number("silence", SILENCE, minimum=0.1, maximum=10.0)
-        recovery = self._recovery(top.section("recovery"))
+        recovery = self._recovery(top.section("recovery"), silence)
         agents: dict[str, Limits] = {}
         devices: dict[str, dict[str, DeviceBinding]] = {}
         for entry, fields in top.section("agents").entries():
@@ -152,8 +152,12 @@ class BindingsReader:
         top.done()
         return Bindings(agents, devices, defaults, unreachable_after, silence, recovery)
 
-    def _recovery(self, fields: Fields) -> Recovery:
+    def _recovery(self, fields: Fields, silence: float) -> Recovery:
         lease = fields.number("lease", USUAL_LEASE, minimum=SHORTEST_LEASE, maximum=LONGEST_LEASE)
+        if "lease" in fields and silence > lease:
+            said = f"'lease' must be no shorter than 'silence', which is {silence:g}, not {lease:g}"
+            hint = "the devices of a host that stands still would go on beside its successor"
+            fields.report("Y113", said, fields.value_span("lease"), hint)
         members = fields.texts("members")
         written = fields.node("members")
         if isinstance(written, Listing) or _is_empty(written):

@@ -304,8 +304,7 @@ class Machine:
         change that.
         """
         turns = self._turns
-        turns.wake()
-        for agent, ring in turns.ringing():
+        for agent, ring in turns.wake():
             try:
                 ring()
             except Exception as error:

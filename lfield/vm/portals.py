@@ -178,14 +178,16 @@ def fail(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown
 
 def _throw(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:
     waits = scheduler.calls[number]
-    lines = traceback.lines(resource.block, scheduler.program, place_of(resource.block, thread))
-    here = "\n".join(f"    {line} in {resource.id}" for line in lines)
+    trace = traceback.describe(resource.block, scheduler.program, thrown)[2]
+    place = place_of(resource.block, thread)
+    lines = traceback.lines(resource.block, scheduler.program, place, trace)
+    noted = [_placed(line, resource.id) for line in trace.splitlines()]
+    here = "\n".join([*noted, *(f"    {line} in {resource.id}" for line in lines)])
 
     def copy(block: Block) -> int:
         copied = deep_copy(resource.block, [thrown], block, scheduler.layouts)[0]
         if block.w[copied] >> 8 & 0xFFFFFF < scheduler.program.builtins:
-            text = block.text(block.w[copied + 1 + TRACE])
-            block.w[copied + 1 + TRACE] = block.new_string(f"{text}\n{here}" if text else here)
+            block.w[copied + 1 + TRACE] = block.new_string(here)
         return copied
 
     if isinstance(waits, Begun):
@@ -193,6 +195,11 @@ def _throw(scheduler: Scheduler, resource: Agent, thread: int, number: int, thro
     else:
         _rethrow(scheduler, resource, *waits, copy)
     del scheduler.calls[number]
+
+
+def _placed(line: str, resource: str) -> str:
+    """A line of a trace with the resource that it was in: what a `finally` has noted does not say it."""
+    return line if " in " in line.rpartition(")")[2] else f"{line} in {resource}"
 
 
 def _rethrow(

@@ -252,7 +252,7 @@ class Scheduler:
             lines += trace.splitlines()
         place = place_of(agent.block, thread) if thread else 0
         if place:
-            lines += [f"    {line}" for line in traceback.lines(agent.block, self.program, place)]
+            lines += [f"    {line}" for line in traceback.lines(agent.block, self.program, place, trace)]
             agent.block.w[place + THREAD_STATE] = DEAD
         agent.report = "\n".join(lines)
         agent.ended = "died"

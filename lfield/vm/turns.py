@@ -70,7 +70,7 @@ class Turns:
             self._ready.remove((agent, thread))
 
     def alarm(self, agent: Agent, seconds: float, ring: Callable[[], None]) -> None:
-        """Have something done for an agent after so many seconds, by whoever asks `ringing`."""
+        """Have something done for an agent after so many seconds, by whoever calls `wake`."""
         self._timed += 1
         heappush(self._alarms, (self._clock.monotonic() + seconds, self._timed, agent, ring))
 
@@ -80,28 +80,27 @@ class Turns:
             self._alarms = [alarm for alarm in self._alarms if alarm[2] is not agent]
             heapify(self._alarms)
 
-    def wake(self) -> None:
-        """Put the threads whose time has come into the queue."""
-        if not self._timers:
-            return
-        now = self._clock.monotonic()
-        while self._timers and self._timers[0][0] <= now:
+    def wake(self) -> Iterator[tuple[Agent, Callable[[], None]]]:
+        """Put the threads whose time has come into the queue, and give the alarms, each once.
+
+        In the order of their times, however late it is: a sleep that would have ended after an alarm has not.
+        """
+        now = self._clock.monotonic() if self._timers or self._alarms else 0.0
+        while self._alarms and self._alarms[0][0] <= now:
+            self._wake(self._alarms[0][0])
+            _, _, agent, ring = heappop(self._alarms)
+            if not agent.ended:
+                yield agent, ring
+        self._wake(now)
+
+    def _wake(self, until: float) -> None:
+        while self._timers and self._timers[0][0] <= until:
             _, number, agent, thread = heappop(self._timers)
             if self._asleep.get((agent, thread)) != number:
                 continue
             del self._asleep[agent, thread]
             if not agent.ended:
                 self.last(agent, thread)
-
-    def ringing(self) -> Iterator[tuple[Agent, Callable[[], None]]]:
-        """The alarms whose time has come, each once."""
-        if not self._alarms:
-            return
-        now = self._clock.monotonic()
-        while self._alarms and self._alarms[0][0] <= now:
-            _, _, agent, ring = heappop(self._alarms)
-            if not agent.ended:
-                yield agent, ring
 
     def pause(self) -> float | None:
         """Seconds until somebody can run or an alarm rings: 0 for at once, None for never of itself."""

@@ -177,6 +177,44 @@ def test_a_result_may_be_dropped() -> None:
     verify(Program(_pushed("begin", 4, NOTHING)(SOUND.core), SOUND.debug, b""))
 
 
+def _settled(*operands: int, kind: int = REALS) -> Change:
+    """The begin of stop becomes a settle, with other things pushed."""
+
+    def change(quads: list[Quad]) -> None:
+        pc = _at(quads, "begin", 1)
+        quads[pc - 4 : pc] = [Quad(_PUSH, operand, 0, 0) for operand in (*operands, 0, 0, 0, 0)[:4]]
+        quads[pc] = Quad(BY_NAME["settle"].code, kind, 0, 0)
+
+    return _quads(change)
+
+
+_SENTINEL, _ARRAY, _REAL = _slot(TICKETS), _slot(REALS), _slot(REAL)
+
+
+def test_a_result_that_is_there_is_settled() -> None:
+    for array in (_ARRAY, NOTHING):
+        verify(Program(_settled(_SENTINEL, array, NUMBER, _REAL)(SOUND.core), UNEXPLAINED, b""))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_settled(NUMBER, _ARRAY, NUMBER, _REAL), "not what is taken"),
+        (_settled(_SENTINEL, _slot(INTS), NUMBER, _REAL), "not what is taken"),
+        (_settled(_SENTINEL, _ARRAY, _REAL, _REAL), "not what is taken"),
+        (_settled(_SENTINEL, _ARRAY, NUMBER, NUMBER), "not what is taken"),
+        (_settled(_SENTINEL, _ARRAY, NUMBER, _REAL, kind=REAL), "an element of an array"),
+        (_settled(_SENTINEL, _ARRAY, NUMBER, _REAL, kind=10_000), "leads nowhere"),
+        (
+            _quads(lambda q: q.__setitem__(_at(q, "yield"), Quad(BY_NAME["settle"].code, REALS, 0, 0))),
+            "only coordinators work in parallel",
+        ),
+    ],
+)
+def test_what_is_settled_fits_its_target(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
 def _field(core: Core) -> Core:
     classes = list(core.classes)
     classes[BOSS] = msgspec.structs.replace(classes[BOSS], fields=(FieldRecord("a", TICKETS),))
@@ -284,7 +322,7 @@ def test_the_beginnings_of_two_versions_are_not_mixed() -> None:
 
 def test_the_new_instructions_need_the_new_exceptions() -> None:
     core = _old("R")
-    for name in ("exc_others", "gather", "begin", "start", "fetch", "leave", "limit"):
+    for name in ("exc_others", "gather", "begin", "start", "fetch", "leave", "limit", "settle"):
         quads = [Quad(BY_NAME[word].code, 0, 0, 0) for word in ("frame", name, "rtn")]
         method = msgspec.structs.replace(core.methods[0], end=3)
         changed = msgspec.structs.replace(core, methods=(method,), code=encode_quads(quads))

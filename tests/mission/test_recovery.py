@@ -92,6 +92,7 @@ def test_more_than_nine_hosts_must_be_chosen_from(write: Write) -> None:
         ("{members: h0}", "'members' must be a list"),
         ("{member: [h0]}", "'recovery' takes no 'member'"),
         ("2", "'recovery' must be a mapping"),
+        ("{lease: 0.5}\nsilence: 0.7", "'lease' must be no shorter than 'silence', which is 0.7, not 0.5"),
     ],
 )
 def test_what_makes_no_sense_is_drawn_at_its_place(write: Write, written: str, told: str) -> None:
@@ -99,6 +100,23 @@ def test_what_makes_no_sense_is_drawn_at_its_place(write: Write, written: str, t
     assert told in said
     assert "m.devices.yaml:1:" in said
     assert "^" in said
+
+
+def test_no_device_outlives_a_lease(tmp_path: Path) -> None:
+    (tmp_path / "m.L").write_text(
+        "include <can/winch.L>;\n"
+        'coordinator Boss { init(string[] arg) { heartbeatInterval(3); findWinch("w").hold(); } }\n'
+    )
+    deploy, devices = tmp_path / "m.dL", tmp_path / "m.devices.yaml"
+    deploy.write_text("//Winch:w@h0?0.05&0.2&12.0\n//@h2\n//Boss:boss@h1\n")
+    axis = "axis: {driver: can, endpoint: 'socketcan:can0', protocol: cia402, node: 5, counts: 4096}"
+    devices.write_text(f"silence: 3\nagents: {{w: {{devices: {{{axis}}}}}}}\n")
+    assert "m.dL:3:1: error[Y115]: devices go safe when their host was silent for 3 s" in wrong(deploy)
+    devices.write_text(f"silence: 3\nrecovery: {{lease: 3}}\nagents: {{w: {{devices: {{{axis}}}}}}}\n")
+    assert load_mission(deploy).recovery.lease == 3.0
+    # Fakes come with a silence of their own.
+    devices.write_text("recovery: {lease: 1}\n")
+    assert load_mission(deploy, simulate=True).bindings.silence == 1.0
 
 
 @pytest.mark.parametrize(

@@ -88,6 +88,12 @@ def holder(fleet: Fleet) -> str:
         fleet.run(0.01)
 
 
+def test_a_home_that_is_no_member_begins_and_ends_what_runs_under_leases(tmp_path: Path) -> None:
+    (tmp_path / "mission.devices.yaml").write_text("recovery: {members: [bravo, charlie, watch]}\n")
+    team = TEAM.replace("//Walker", "//@watch\n//Walker")
+    run_until(Fleet(mission(tmp_path, team=team), 1), "complete", 60.0)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_the_team_goes_on_without_the_host_that_has_the_coordinator(tmp_path: Path, seed: int) -> None:
     fleet = Fleet(mission(tmp_path), seed)

@@ -49,8 +49,16 @@ DEPLOYMENT = "//Post:zero@alpha\n//Post:one@bravo\n//Post:two@carol\n//Boss:boss
 class Team(Fleet):
     """Three hosts, of which two have work to do."""
 
-    def __init__(self, folder: Path, one: float, two: float, body: str = BOTH, rest: float = 100.0) -> None:
-        program = PROGRAM.replace("//body", body.format(one, two))
+    def __init__(
+        self,
+        folder: Path,
+        one: float = 0.0,
+        two: float = 0.0,
+        body: str = BOTH,
+        rest: float = 100.0,
+        text: str = PROGRAM,
+    ) -> None:
+        program = text.replace("//body", body.format(one, two))
         (folder / "mission.L").write_text(program)
         (folder / "mission.dL").write_text(DEPLOYMENT.format(rest))
         super().__init__(load_mission(folder / "mission.dL", simulate=True), 1)
@@ -166,10 +174,23 @@ def test_a_time_limit_ends_a_call_on_a_host_that_cannot_be_reached(tmp_path: Pat
 
 def test_a_limit_whose_end_the_host_of_a_call_sees_first_is_told_as_one(tmp_path: Path) -> None:
     """What a coordinator was on its way it has not counted, so its clock is a little behind."""
-    team = Team(tmp_path, 40.0, 40.0, "within (3.0) {{" + BOTH + "}}")
+    team = Team(tmp_path, 40.0, 1.0, "within (3.0) {{" + BOTH + "}}")
     team.until("boss: ")
     assert team.said("boss: late 0 0") == 1
-    assert team.said("leaves 1") == team.said("leaves 2") == 1
+    assert team.said("leaves 1") == 1
+
+
+def test_a_time_limit_counts_for_how_long_the_host_of_the_boss_was_down(tmp_path: Path) -> None:
+    team = Team(tmp_path, 40.0, 40.0, "within (8.0) {{" + BOTH + "}}")
+    team.until("sets 2")
+    team.crash("carol")
+    team.run(10.0)
+    assert team.said("leaves 1: the time limit of boss is over")
+    team.boot("carol")
+    began = team.now
+    team.until("boss: ")
+    assert team.said("boss: late")
+    assert team.now < began + 4.0
 
 
 def test_what_runs_for_a_boss_that_is_elsewhere_ends_when_its_host_is_paused(tmp_path: Path) -> None:
@@ -186,6 +207,48 @@ def test_what_runs_for_a_boss_that_is_elsewhere_ends_when_its_host_is_paused(tmp
     say(lift=True)
     team.until("boss: restarted at one: the mission was paused; this call may have begun")
     assert team.said("sets 1") == 1
+
+
+LEASED = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal climb() {
+        fc.release();
+        for (int n = 1; n < 200; n = n + 1) { fc.takeoff(1.0 * n); sleep(0.2); }
+    }
+    portal rest(real seconds) { print("rests"); sleep(seconds); }
+}
+coordinator Boss {
+    init(string[] arg) {
+        heartbeatInterval(100.0);
+        try { together { findPost("one").climb(); findPost("two").rest(20.0); } }
+        catch (RestartException e) { print("told: " + e.message()); }
+        sleep(100.0);
+    }
+}
+"""
+
+
+def test_what_flies_for_a_boss_that_is_elsewhere_goes_safe_when_the_lease_of_its_host_ends(
+    tmp_path: Path,
+) -> None:
+    team = Team(tmp_path, text=LEASED)
+    team.until("rests")
+    team.run(1.0)
+    for host in ("alpha", "carol"):
+        team.cut("bravo", host)
+    team.run(4.0)
+    device = next(d for d in team.lives["bravo"].host.status().devices if d.name == "one.fc")
+    assert "the lease of bravo has ended" in device.latched
+    assert "it was used for boss" in device.latched
+    assert team.begun("bravo") == ["thrown"]
+    climbs = [told.at for told in team.hardware["one.fc"].record if told.what == "takeoff"]
+    assert len(climbs) > 1
+    assert climbs[-1] < team.now - 1.0
+    for host in ("alpha", "carol"):
+        team.heal("bravo", host)
+    team.until("told: the lease of bravo has ended")
 
 
 class Desk:

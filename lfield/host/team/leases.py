@@ -178,6 +178,10 @@ class Leases:
         """Whether coordinators of this host are not begun before it has a lease."""
         return bool(self.fenced) and not self.quorum.lease.holds(self._clock.monotonic())
 
+    def want(self) -> None:
+        """A coordinator of this host waits to begin until there is a lease."""
+        self.quorum.hurry(self._clock.monotonic())
+
     @property
     def left(self) -> float | None:
         """For how many seconds yet the lease holds, None where nothing needs one."""

@@ -152,6 +152,8 @@ class _Decoder:
     def call(self, ticket: int) -> str:
         """One call of a together: which portal, and how far it is."""
         w = self.block.w
+        if not w[ticket + layout.TICKET_PROXY]:
+            return "an offer that was gone through in place is back"
         number = w[w[ticket + layout.TICKET_PROXY] + layout.PROXY_MEMBER]
         name = self.members[number] if number < len(self.members) else str(number)
         portal = self.program.core.methods[w[ticket + layout.TICKET_METHOD]].name

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import TypeVar
 
-from lfield.bytecode.program import MESSAGE, TRACE, Program
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.bytecode.program import FINALLY, MESSAGE, TRACE, Program
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, THREAD_FRAME, THREAD_PC
 
 #: Of a deep stack so many frames are shown.
 INNERMOST, OUTERMOST = 10, 6
+
+_THROW = BY_NAME["throw"].code
 
 Frame = TypeVar("Frame")
 
@@ -42,21 +45,33 @@ def _frames(block: Block, program: Program, frame: int, pc: int) -> Iterator[Pla
         frame = w[frame + FRAME_CALLER]
 
 
-def lines_down_to(block: Block, program: Program, frame: int, pc: int, last: int) -> list[str]:
-    """The lines from a frame that stands at `pc` to the one at `last`, of many the innermost."""
-    found = []
-    for place in islice(_frames(block, program, frame, pc), INNERMOST):
-        found.append(_line(program, place))
-        if place.frame == last:
-            break
-    return found
+def lines_down_to(block: Block, program: Program, frame: int, pc: int, last: int, trace: str) -> list[str]:
+    """The lines behind a trace, from a frame that stands at `pc` to the one at `last`; at most ten."""
+    found = list(islice(_frames(block, program, frame, pc), INNERMOST))
+    end = next((i for i, place in enumerate(found, 1) if place.frame == last), len(found))
+    return [_line(program, place) for place in _behind(trace, program, found[:end])]
 
 
-def lines(block: Block, program: Program, thread: int) -> list[str]:
-    """`at Server.fib (cs.L:52)` for each frame, innermost first; of a deep stack both ends."""
-    inner, between, outer = ends(stack(block, program, thread))
+def lines(block: Block, program: Program, thread: int, trace: str = "") -> list[str]:
+    """`at Server.fib (cs.L:52)` for each frame behind a trace, innermost first; of a deep stack both ends."""
+    inner, between, outer = ends(_behind(trace, program, stack(block, program, thread)))
     left_out = [f"... {between} more calls ..."] if between else []
     return [*(_line(program, p) for p in inner), *left_out, *(_line(program, p) for p in outer)]
+
+
+def _behind(trace: str, program: Program, frames: list[Place]) -> list[Place]:
+    """Frames without the innermost, where its `finally` throws again what has a trace down to it."""
+    noted = trace.splitlines()[-1:]
+    if noted and frames and _throws_again(program, frames[0]):
+        method = noted[0].split(" (")[0].strip()
+        return frames[1:] if method == f"at {program.method_name(frames[0].method)}" else frames
+    return frames
+
+
+def _throws_again(program: Program, place: Place) -> bool:
+    """Whether a frame stands at the end of a `finally` that an exception has led to."""
+    quad, handlers = program.quads[place.pc], program.core.methods[place.method].handlers
+    return quad.op == _THROW and any(h.kind == FINALLY and h.slot == quad.a for h in handlers)
 
 
 def _line(program: Program, place: Place) -> str:

@@ -75,7 +75,8 @@ THREAD_REFERENCES = (THREAD_FRAME, THREAD_NEXT)
 # A ticket: one portal call of a `together` (decision 46). CALL is a frame of the portal METHOD, with the
 # arguments in its slots, until the call has begun. The result goes to element INDEX of ARRAY. NEXT is the
 # ticket collected before: numbers fall along it. The ticket with the NUMBER 0 is the sentinel that holds all
-# of one `together`: it has only NEXT, the newest.
+# one `together`: it has only NEXT, the newest. One without a PROXY has no call either, and is BACK: it has
+# what an offer that was gone through in place has given.
 TICKET_PROXY, TICKET_CALL, TICKET_METHOD, TICKET_ARRAY, TICKET_INDEX, TICKET_STATE = 1, 2, 3, 4, 5, 6
 TICKET_GENERATION, TICKET_NUMBER, TICKET_VALUE, TICKET_THROWN, TICKET_NEXT = 7, 8, 9, 10, 11
 TICKET_WORDS = 12

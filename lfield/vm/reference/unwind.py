@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import (
     CATCH,
     FINALLY,
@@ -17,15 +16,12 @@ from lfield.bytecode.program import (
     OVER,
     TRACE,
     Handler,
-    MethodRecord,
     Program,
 )
 from lfield.vm.inspect.traceback import INNERMOST, lines_down_to
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, FRAME_SLOTS, OBJECT
 from lfield.vm.reference.calls import release
-
-_THROW = BY_NAME["throw"].code
 
 #: A frame and one of its method's rows.
 Row = tuple[int, Handler]
@@ -87,25 +83,17 @@ def unwind(
 def _keep_trace(block: Block, program: Program, frame: int, pc: int, target: int, thrown: int) -> None:
     """A `finally` throws the object again: note where it comes from, as far as there is room for it.
 
-    Only built-in exceptions can say that. What passes one `finally` after the other is noted once.
+    Only built-in exceptions can say that.
     """
     w = block.w
-    method = program.core.methods[w[frame] >> 8 & 0xFFFFFF]
-    if w[thrown] >> 8 & 0xFFFFFF >= program.builtins or (
-        frame == target and _throws_again(program, method, pc)
-    ):
+    if w[thrown] >> 8 & 0xFFFFFF >= program.builtins:
         return
-    before = block.text(w[thrown + 1 + TRACE]).splitlines()
+    trace = block.text(w[thrown + 1 + TRACE])
+    before = trace.splitlines()
     if len(before) >= INNERMOST:
         return
-    lines = [f"    {line}" for line in lines_down_to(block, program, frame, pc, target)]
+    lines = [f"    {line}" for line in lines_down_to(block, program, frame, pc, target, trace)]
     try:
         w[thrown + 1 + TRACE] = block.new_string("\n".join([*before, *lines][:INNERMOST]))
     except Full:
         return
-
-
-def _throws_again(program: Program, method: MethodRecord, pc: int) -> bool:
-    """Whether an instruction is the end of a `finally` that an exception has led to."""
-    quad = program.quads[pc]
-    return quad.op == _THROW and any(h.kind == FINALLY and h.slot == quad.a for h in method.handlers)

@@ -42,6 +42,7 @@ resource Crane {
   portal synchronized holds() { while (true) n = n + 1; }
   portal synchronized next() { print("in"); }
   portal ends() { motor.turn(); }
+  portal sleeps(real seconds) { sleep(seconds); print("slept"); }
 }
 coordinator Boss {
   init(string[] arg) {
@@ -177,6 +178,16 @@ def test_a_call_in_the_queue_never_begins() -> None:
     assert yard.serving == 1
     yard.pass_time(5.0)
     assert yard.place.output == [f"{OVER.format('holds')}; crane.next() was cancelled"]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"),
+    [(30.0, [OVER.format("sleeps")]), (1.0, ["slept", OVER.format("sleeps")])],
+    ids=["after", "before"],
+)
+def test_a_host_that_stood_still_takes_times_in_their_order(seconds: float, said: list[str]) -> None:
+    yard = Yard(f"c.sleeps({seconds});")
+    assert yard.pass_time(60.0) == said
 
 
 def test_a_loop_that_only_computes_is_cut() -> None:
