@@ -13,6 +13,8 @@ from lfield.bytecode.encoding import decode, encode
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import (
     ARRAY,
+    BESIDE,
+    BOOLEAN,
     BUILTIN_CLASSES,
     EXCEPTIONS,
     FINALLY,
@@ -213,6 +215,58 @@ def test_a_result_that_is_there_is_settled() -> None:
 )
 def test_what_is_settled_fits_its_target(change: Change, reason: str) -> None:
     refused(change, reason)
+
+
+OWN = compile_text(
+    """
+    class Boom { public int n; public boolean[] parts; public Boom(int n) { this.n = n; } }
+    class Plain { public int n; }
+    resource R {
+      init(string[] arg) { Plain one = new Plain(); try { fail(new Boom(one.n)); } catch (Boom b) { } }
+      private void fail(Exception e) { throw e; }
+      portal told(Boom boom) { }
+    }
+    """
+)
+_BOOM, _PLAIN, _R = (OWN.class_index[name] for name in ("Boom", "Plain", "R"))
+
+
+def _other_fields(index: int, *fields: FieldRecord) -> Core:
+    classes = list(OWN.core.classes)
+    classes[index] = msgspec.structs.replace(classes[index], fields=fields)
+    return msgspec.structs.replace(OWN.core, classes=tuple(classes))
+
+
+def test_what_may_be_thrown_has_a_place_for_other_exceptions() -> None:
+    verify(OWN)
+    assert [field.name for field in OWN.core.classes[_BOOM].fields] == ["n", "parts", BESIDE]
+    assert OWN.others == {**dict.fromkeys(range(len(BUILTIN_CLASSES)), 3), _BOOM: 2}
+
+
+@pytest.mark.parametrize(
+    ("core", "reason"),
+    [
+        (_other_fields(_PLAIN, FieldRecord("n", INT), FieldRecord(BESIDE, INT)), "no place for other"),
+        (_other_fields(_PLAIN, FieldRecord(BESIDE, INT)), "no place for other"),
+        (_other_fields(_R, FieldRecord(BESIDE, EXCEPTIONS)), "no place for other"),
+        (_other_fields(_PLAIN, FieldRecord(BESIDE, EXCEPTIONS), FieldRecord("n", INT)), "has the name ''"),
+        (
+            _other_fields(_PLAIN, FieldRecord(BESIDE, EXCEPTIONS), FieldRecord(BESIDE, EXCEPTIONS)),
+            "has the name ''",
+        ),
+        # Only the machine's own field may lead to what crosses no portal.
+        (_other_fields(_BOOM, FieldRecord("n", INT), FieldRecord("parts", EXCEPTIONS)), "cannot cross"),
+    ],
+)
+def test_that_place_is_where_the_machine_expects_it(core: Core, reason: str) -> None:
+    with pytest.raises(ProgramFileError, match=reason):
+        verify(Program(core, msgspec.structs.replace(OWN.debug, methods=()), b""))
+
+
+def test_a_program_of_before_has_no_such_place() -> None:
+    old = _old("R")
+    record = msgspec.structs.replace(old.classes[-1], fields=(FieldRecord(BESIDE, BOOLEAN),))
+    refused(lambda _: msgspec.structs.replace(old, classes=(*old.classes[:-1], record)), "has the name ''")
 
 
 def _field(core: Core) -> Core:

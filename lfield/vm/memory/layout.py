@@ -17,7 +17,7 @@ collector works, a negative header is the negated new place of what moved.
 from __future__ import annotations
 
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
-from lfield.bytecode.program import OTHERS, REFERENCES, Program, TypeRecord
+from lfield.bytecode.program import REFERENCES, Program, TypeRecord
 
 MAGIC = int.from_bytes(b"LBLK", "little")
 VERSION = 3
@@ -118,9 +118,7 @@ class Layouts:
 
         #: By the low half of a header: the one reference of the thing that stays behind when it is copied to
         #: another block, which is what else a `together` has thrown. It may lead to what crosses no portal.
-        self.stays = {
-            OBJECT | i << 8: 1 + OTHERS for i in range(core.builtins) if len(core.classes[i].fields) > OTHERS
-        }
+        self.stays = {OBJECT | i << 8: 1 + field for i, field in program.others.items()}
         #: Offsets of the references by the low half of a header; arrays that hold references are not in it.
         self.offsets = self._by_half(core.types)
 
