@@ -49,6 +49,8 @@ class Guards:
         self.lateness = Lateness(Limit(silence, loop.may_be_prompt()))
         self._turned = turned
         self._guards: list[Guard] = []
+        #: Why no program may release a device, '' while all may; also of those that are yet to be opened.
+        self._barred = ""
         #: One for each emergency stop that is under way: several may be pressed at a time.
         self._stopping: list[asyncio.Event] = []
         self._fakes: list[Fake] = []
@@ -78,6 +80,7 @@ class Guards:
         for bus in by_bus(placed).values():
             driver = self._drivers.by_driver[bus[0].driver]
             guard = Guard(driver, bus, self._clock, self._note, self.lateness, self._turned)
+            guard.held.barred = self._barred
             self._guards.append(guard)
             self._by_device.update(
                 {device.name: (guard, driver.manifests[device.type].device) for device in bus}
@@ -170,18 +173,26 @@ class Guards:
         """The guard of a device by its name."""
         return self._by_device[device][0]
 
+    def bar(self, reason: str) -> None:
+        """Every device into its safe state, from which no program releases it before `lift_stop`.
+
+        Those that are not open yet are barred from the beginning.
+        """
+        self._barred = reason
+        for guard in self._guards:
+            guard.bar(reason)
+
     async def emergency_stop(self, reason: str) -> dict[str, str]:
-        """Every device into its safe state: '' for each that confirmed within STOPS_WITHIN, else why not."""
-        return await self._confirmed(lambda guard: guard.bar(reason))
+        """The same, and what `confirmed` finds."""
+        self.bar(reason)
+        return await self.confirmed()
 
     async def rest(self, reason: str) -> dict[str, str]:
         """The same, and whoever calls `let_go` with that reason may have them back; no program is barred."""
-
-        def hold(guard: Guard) -> None:
+        for guard in self._guards:
             for name in guard.movable:
                 guard.make_safe(name, reason)
-
-        return await self._confirmed(hold)
+        return await self.confirmed()
 
     async def let_go(self, reason: str) -> dict[str, str]:
         """Release the devices that are held for that reason; for each that moves why it stays held, or ''."""
@@ -211,12 +222,12 @@ class Guards:
             return str(error) or "it does not answer"
         return str(value) if isinstance(value, DeviceError) else ""
 
-    async def _confirmed(self, stop: Callable[[Guard], None]) -> dict[str, str]:
+    async def confirmed(self) -> dict[str, str]:
+        """'' for every device that has confirmed its safe state within STOPS_WITHIN, else why it has not."""
         changed = asyncio.Event()
         self._stopping.append(changed)
         for guard in self._guards:
             guard.held.on_change = self._latched
-            stop(guard)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(STOPS_WITHIN):
                 while any(not guard.held.confirmed.issuperset(guard.movable) for guard in self._guards):
@@ -231,6 +242,7 @@ class Guards:
 
     def lift_stop(self) -> dict[str, str]:
         """The program may release its devices again; the same table, all ''."""
+        self._barred = ""
         for guard in self._guards:
             guard.allow()
         return {name: "" for guard in self._guards for name in guard.movable}

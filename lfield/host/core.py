@@ -250,6 +250,10 @@ class HostCore:
         words.pause(self.coordinators, self.machine, self._clock.monotonic(), on=on)
         self._tell_room()
 
+    def stop(self, reason: str) -> None:
+        """A person has pressed the emergency stop, for that reason, or has lifted it ('')."""
+        words.stop(self.coordinators, reason)
+
     def kept(self, number: int) -> None:
         """All pages up to those of that batch are on the disk."""
         self.coordinators.kept(number)

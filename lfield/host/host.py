@@ -153,6 +153,7 @@ class Host:
         self.address = await self.peers.open(self.options.listen)
         await self._open_door(self.options.door)
         devices = self.mission.devices_of(self.name)
+        self._visitors.stay_stopped()
         await insist(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
         await self._visitors.stay_paused()

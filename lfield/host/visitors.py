@@ -12,6 +12,7 @@ from lfield.errors import AddressError
 from lfield.host.core import HostCore
 from lfield.loop import spawn
 from lfield.net.transport import Link
+from lfield.wire.fields import clip
 from lfield.wire.messages import Control
 from lfield.wire.observing import (
     EmergencyStop,
@@ -26,6 +27,8 @@ from lfield.wire.observing import (
 
 #: Why devices are held while the mission is paused.
 PAUSED = "the mission is paused"
+#: For so many seconds an emergency stop, which holds already, waits for the disk before it is answered.
+KEPT_WITHIN = 2.0
 #: Whoever has asked within so many seconds is looking at the devices, and gets one more answer in so many.
 LOOKING, LAST_LOOK = 3.0, 1.5
 
@@ -34,7 +37,7 @@ class Visitors:
     """The observers of one host.
 
     `enter` hands an event to the core, which `status` describes; `all_kept` returns when all is on the disk,
-    or with False when it never will be.
+    or after so many seconds with whether it is.
     """
 
     def __init__(
@@ -45,12 +48,10 @@ class Visitors:
         enter: Callable[[Callable[[], None]], None],
         status: Callable[[], Status],
         note: Callable[[str], None],
-        all_kept: Callable[[], Awaitable[bool]],
+        all_kept: Callable[[float | None], Awaitable[bool]],
     ) -> None:
         self._core, self._guards, self._clock = core, guards, clock
         self._enter, self._status, self._note, self._all_kept = enter, status, note, all_kept
-        #: An emergency stop was pressed here and not lifted.
-        self._pressed = False
         #: When somebody last asked how the devices are.
         self._looked = -LOOKING
 
@@ -69,6 +70,12 @@ class Visitors:
             case Recover():
                 spawn(self._keep(link, lambda: self._core.recover(message)))
 
+    def stay_stopped(self) -> None:
+        """What was stopped in an earlier life of this host, and not lifted, opens its devices barred."""
+        if reason := self._core.coordinators.stopped:
+            self._guards.bar(reason)
+            self._note(f"EMERGENCY STOP still holds: {reason}; 'lfield estop --lift' ends it")
+
     async def stay_paused(self) -> None:
         """What was paused in an earlier life of this host keeps its devices in their safe states."""
         if self._core.coordinators.paused:
@@ -76,18 +83,30 @@ class Visitors:
 
     async def be_seen(self) -> None:
         """After an emergency stop somebody may be looking at the devices: let them see how that has ended."""
-        if self._pressed and self._clock.monotonic() - self._looked < LOOKING:
+        if self._core.coordinators.stopped and self._clock.monotonic() - self._looked < LOOKING:
             await asyncio.sleep(LAST_LOOK)
 
     async def _emergency_stop(self, message: EmergencyStop, link: Link) -> None:
-        self._pressed = not message.lift
         if message.lift:
             self._note("the emergency stop is lifted; programs may release their devices")
             devices = self._guards.lift_stop()
+            self._enter(lambda: self._core.stop(""))
         else:
             self._note(f"EMERGENCY STOP: {message.reason}")
-            devices = await self._guards.emergency_stop(message.reason)
-        self._answer(link, EmergencyStopped(devices))
+            # The devices first: they wait neither for the core nor for the disk.
+            self._guards.bar(message.reason)
+            self._enter(lambda: self._core.stop(message.reason))
+            devices = await self._guards.confirmed()
+        trouble = "" if await self._all_kept(KEPT_WITHIN) else self._not_kept(lift=message.lift)
+        self._answer(link, EmergencyStopped(devices, trouble))
+
+    def _not_kept(self, *, lift: bool) -> str:
+        """What the next life of this host may take for true, since its disk takes nothing now; noted too."""
+        what, then = ("its end", "still hold its devices") if lift else ("the stop", "know nothing of it")
+        why = self._core.coordinators.trouble or f"it takes over {KEPT_WITHIN:g} s"
+        told = clip(f"{what} is not on the disk ({why}): started again, this host may {then}")
+        self._note(told)
+        return told
 
     async def _pause(self, message: Pause, link: Link) -> None:
         if message.lift:
@@ -97,14 +116,14 @@ class Visitors:
         else:
             self._enter(lambda: self._core.pause(on=True))
             devices = await self._guards.rest(PAUSED)
-        if await self._all_kept():
+        if await self._all_kept(None):
             self._answer(link, EmergencyStopped(devices))
 
     async def _keep(self, link: Link, do: Callable[[], Control]) -> None:
         """Answer when what a person's word has changed is on the disk, not before."""
         answers: list[Control] = []
         self._enter(lambda: answers.append(do()))
-        if await self._all_kept() and answers:
+        if await self._all_kept(None) and answers:
             self._answer(link, answers[0])
 
     def _answer(self, link: Link, message: Control) -> None:

@@ -162,7 +162,7 @@ def forgets(entry: Entry) -> bool:
 
     Then there is no record of starts any more: without it a host hears all others before it promises anew.
     """
-    return entry.key.kind not in ("copy", "starts", "run", "paused", "program")
+    return entry.key.kind not in ("copy", "starts", "run", "paused", "stopped", "program")
 
 
 def lost(entry: Entry) -> str:
@@ -173,6 +173,8 @@ def lost(entry: Entry) -> str:
         "begun": f"call {number} that was begun here by start {str(name).replace(chr(32), ' of ', 1)}",
         "starts": "the count of starts",
         "run": "whether the last run goes on",
+        "paused": "whether the mission is paused here",
+        "stopped": "whether an emergency stop holds here",
         "fence": f"the fence of {name}",
         "program": f"the program {str(name)[:16]}",
     }.get(kind, f"a page {kind!r}")

@@ -96,6 +96,12 @@ class Paused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
     on: bool
 
 
+class Stopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stopped"):
+    """Why an emergency stop bars the devices of this host, '' when it was lifted."""
+
+    reason: str
+
+
 class Fence(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="fence"):
     """No copy of an earlier generation of this agent may run here any more."""
 
@@ -117,7 +123,7 @@ class ProgramPage(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     hosts: tuple[str, ...] = ()
 
 
-Page = CopyPage | BegunPage | Starts | Run | Paused | Fence | ProgramPage
+Page = CopyPage | BegunPage | Starts | Run | Paused | Stopped | Fence | ProgramPage
 
 _encode = msgspec.msgpack.Encoder().encode
 _decoder: msgspec.msgpack.Decoder[Page] = msgspec.msgpack.Decoder(Page)
@@ -144,6 +150,8 @@ def key_of(page: Page) -> Key:
             return Key("run")
         case Paused():
             return Key("paused")
+        case Stopped():
+            return Key("stopped")
 
 
 def begun_key(agent: str, generation: int, number: int) -> Key:

@@ -148,9 +148,14 @@ class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class EmergencyStopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=11):
-    """The answer: every device of the host, with '' when its safe state is confirmed, else why it is not."""
+    """The answer: every device of the host, with '' when its safe state is confirmed, else why it is not.
+
+    `trouble` is why the host may not know of that when it is started again, '' when it will. It is '' also of
+    a host without a journal, which never does.
+    """
 
     devices: dict[str, Text]
+    trouble: Text = ""
 
 
 class Forget(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=15):

@@ -50,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
         _tell("interrupted: not every host has answered; press it again")
         return exits.UNSAFE
     confirmed = all_confirmed(answers, names, "may be released" if args.lift else "safe")
+    _tell_not_kept(answers, names)
     everybody = all_reached(answers, names)
     if not (parties[0].runs or any(reached(answer) for answer in answers.values())):
         return AddressError.exit_status
@@ -89,6 +90,12 @@ def all_confirmed(answers: Stopped, names: Mapping[Place, str], word: str) -> bo
             said = f"{names[place]}: {device}: {f'NOT CONFIRMED: {problem}' if problem else word}"
             print(said, file=sys.stderr if problem else sys.stdout, flush=True)
     return well
+
+
+def _tell_not_kept(answers: Stopped, names: Mapping[Place, str]) -> None:
+    for place, answer in answers.items():
+        if not isinstance(answer, Exception) and answer.trouble:
+            _tell(f"{names[place]}: {answer.trouble}")
 
 
 def way_down(parties: Sequence[Party], answers: Stopped, names: Mapping[Place, str]) -> int:

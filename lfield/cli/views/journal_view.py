@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from lfield.journal.opening import lost, moment
-from lfield.journal.pages import BegunPage, CopyPage, Fence, Paused, ProgramPage, Run, Starts
+from lfield.journal.pages import BegunPage, CopyPage, Fence, Paused, ProgramPage, Run, Starts, Stopped
 
 if TYPE_CHECKING:
     from lfield.journal.reading import Seen
@@ -44,6 +44,8 @@ def journal_lines(seen: Seen) -> Iterator[str]:
                 yield f"run       {'goes on' if page.open else 'has ended'}"
             case Paused() if page.on:
                 yield "paused    until 'lfield resume'"
+            case Stopped() if page.reason:
+                yield f"stopped   until 'lfield estop --lift': {page.reason}"
             case Fence():
                 yield f"fence     {page.agent}: no start before {page.generation}"
             case ProgramPage():

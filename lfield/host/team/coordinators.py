@@ -62,6 +62,8 @@ class Coordinators:
         self.mobility.restore(self.recovery.copies, self.recovery.parked)
         #: Somebody has paused the mission: time stands still for what waits here.
         self.paused = self.recovery.paused
+        #: Why an emergency stop bars the devices here, '' when none does.
+        self.stopped = self.recovery.stopped
         #: Why the disk should take nothing more in, '' when it may.
         self.full = ""
         #: Whether the number of a start is on record here.
@@ -94,7 +96,7 @@ class Coordinators:
         if self._due is None or self.paused:
             return self.keeping.due
         if self.keeping.due is None:
-            return self._due if self.keeping.due is None else self.keeping.due
+            return self._due
         return min(self._due, self.keeping.due)
 
     def tick(self, now: float) -> None:
@@ -165,7 +167,12 @@ class Coordinators:
     def remember(self) -> None:
         """Keep that there is a record here now, though no start may have been made."""
         if not self._counted:
-            self.keeping.page(Starts(0), self._clock.monotonic())
+            self.keep(Starts(0))
+
+    def keep(self, page: Page) -> None:
+        """Have a page on the disk as soon as can be; a host without a journal keeps none."""
+        if self._own.memory:
+            self.keeping.page(page, self._clock.monotonic())
 
     def park(self) -> None:
         """The host stops in order. Unless a coordinator of its own may go on, the next start is a new run.
@@ -310,8 +317,7 @@ class Coordinators:
         return 0.0 if kept is None else max(0.0, self._clock.time() - kept)
 
     def _start(self, agent: str, generation: int) -> None:
-        member = self._members[agent]
-        self._machine.start(member, self._mission.bindings.limits(agent), generation)
+        self._machine.start(self._members[agent], self._mission.bindings.limits(agent), generation)
 
     # --- what mobility decides ------------------------------------------------------------------------
 

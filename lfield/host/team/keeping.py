@@ -9,7 +9,18 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from lfield.journal.pages import BegunPage, CopyPage, Key, Page, Paused, ProgramPage, Run, Starts, key_of
+from lfield.journal.pages import (
+    BegunPage,
+    CopyPage,
+    Key,
+    Page,
+    Paused,
+    ProgramPage,
+    Run,
+    Starts,
+    Stopped,
+    key_of,
+)
 from lfield.mobility.effects import (
     Began,
     Departed,
@@ -147,6 +158,8 @@ class Recovery:
         self.explained = any(isinstance(page, ProgramPage) and page.digest == mission for page in pages)
         #: Whether somebody has paused this host.
         self.paused = any(page.on for page in pages if isinstance(page, Paused))
+        #: Why an emergency stop bars the devices of this host, '' when none does.
+        self.stopped = next((page.reason for page in pages if isinstance(page, Stopped)), "")
         #: The last start that was made here, None when none is on record.
         self.starts = next((page.count for page in pages if isinstance(page, Starts)), None)
         #: Whether the run that was begun here earlier goes on.

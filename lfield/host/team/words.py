@@ -1,4 +1,4 @@
-"""What a person's word does to the coordinators of one host: `lfield forget`, `recover`, `pause`. Pure.
+"""What a person's word does to one host: `lfield forget`, `recover`, `pause`, `estop`. Pure.
 
 A person cannot see what this host has now, so its own knowledge comes first: what is alive here stays.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from lfield.host.team.coordinators import Coordinators
 from lfield.host.team.leases import abandon
-from lfield.journal.pages import Paused
+from lfield.journal.pages import Paused, Stopped
 from lfield.mobility.departures import PERHAPS
 from lfield.mobility.generations import next_recovery
 from lfield.vm.machine import Machine
@@ -50,7 +50,7 @@ def pause(team: Coordinators, machine: Machine, now: float, *, on: bool) -> None
     if team.paused == on:
         return
     team.paused = on
-    team.keeping.page(Paused(on), now)
+    team.keep(Paused(on))
     team.say("the mission is paused: no agent runs here" if on else "the mission goes on")
     if not on:
         team.mobility.postpone(now)
@@ -59,6 +59,16 @@ def pause(team: Coordinators, machine: Machine, now: float, *, on: bool) -> None
     here = {agent.id for agent in machine.agents.values() if agent.member.kind == "coordinator"}
     for coordinator in sorted(begun | here):
         abandon(machine, coordinator, f"the mission was paused; {PERHAPS}")
+
+
+def stop(team: Coordinators, reason: str) -> None:
+    """The devices of this host are barred by an emergency stop, for that reason; or no more, with ''.
+
+    Whoever has them knows already: here it is only kept, for the next life of this host.
+    """
+    if team.stopped != reason:
+        team.stopped = reason
+        team.keep(Stopped(reason))
 
 
 def _why_not(team: Coordinators, host: str, word: Recover) -> str:

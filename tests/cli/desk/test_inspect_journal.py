@@ -17,7 +17,7 @@ from lfield.cli.main import main
 from lfield.clock import ManualClock
 from lfield.journal.file import FileJournal
 from lfield.journal.opening import Owner
-from lfield.journal.pages import BegunPage, CopyPage, Fence, Page, Paused, ProgramPage, Run, Starts
+from lfield.journal.pages import BegunPage, CopyPage, Fence, Page, Paused, ProgramPage, Run, Starts, Stopped
 from lfield.vm.inspect import dump
 
 DUMP = Path(__file__).parents[2] / "formats" / "dump-0.3.block"
@@ -28,6 +28,7 @@ identity  IDENTITY
 starts    4
 run       goes on
 paused    until 'lfield resume'
+stopped   until 'lfield estop --lift': the emergency stop was pressed: fog
 program   PROGRAM, SIZE bytes
 fence     left: no start before 2
 
@@ -80,6 +81,7 @@ def pages() -> Sequence[Page]:
         Starts(4),
         Run(True),
         Paused(True),
+        Stopped("the emergency stop was pressed: fog"),
         ProgramPage(digest, record.program, record.members, record.types, record.hosts),
         Fence("left", 2),
         CopyPage("scout", 1, "RUN", 1, 1, program=b"\t" * 32, block=bytes(8)),

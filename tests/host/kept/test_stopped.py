@@ -1,0 +1,177 @@
+"""An emergency stop outlives the host that was told of it, until somebody lifts it. In virtual time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lfield.journal.pages import Stopped
+from lfield.mission.load import load_mission
+from lfield.simulate.fleet import Fleet
+from lfield.wire.observing import EmergencyStop, EmergencyStopped, Pause
+
+#: It climbs for ever, and releases its copter whenever it may.
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal climb(real height) {
+        try { fc.release(); fc.takeoff(height); print("climbs to " + f2s(height, 0)); }
+        catch (DeviceException refused) { print("no: " + refused.message()); }
+    }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post post = findPost()[0];
+        for (int n = 2; n < 1000; n = n + 1) {
+            try { post.climb(i2f(n)); }
+            catch (RestartException told) { print("told"); }
+            sleep(0.5);
+        }
+    }
+}
+"""
+WHY = "the emergency stop was pressed: person on the field"
+STILL = f"EMERGENCY STOP still holds: {WHY}; 'lfield estop --lift' ends it"
+
+
+class Person:
+    """Presses and lifts the stop of the host of a fleet; `kept` is what was on the disk at each answer."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        self._fleet = fleet
+        self.answers: list[EmergencyStopped] = []
+        self.kept: list[str] = []
+
+    def send(self, message: object) -> None:
+        """The host answers."""
+        assert isinstance(message, EmergencyStopped)
+        self.answers.append(message)
+        self.kept.append(kept(self._fleet))
+
+    def stop(self, *, lift: bool = False) -> None:
+        self._say(EmergencyStop(WHY, lift))
+
+    def pause(self) -> None:
+        self._say(Pause())
+
+    def _say(self, message: EmergencyStop | Pause) -> None:
+        life = self._fleet.lives["alpha"]
+        life.process.loop.enter(lambda: life.host.received("", message, self))  # type: ignore[arg-type]
+
+
+def flying(folder: Path, *, keeps: bool = True) -> tuple[Fleet, Person]:
+    (folder / "mission.L").write_text(PROGRAM)
+    (folder / "mission.dL").write_text("//Post:p@alpha\n//Walker:walker@alpha\n")
+    fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), 1, keeps=keeps)
+    fleet.run(8.0)
+    assert climbs(fleet, 0)
+    return fleet, Person(fleet)
+
+
+def kept(fleet: Fleet) -> str:
+    return "".join(page.reason for page in fleet.disks["alpha"].pages() if isinstance(page, Stopped))
+
+
+def latched(fleet: Fleet) -> str:
+    (device,) = fleet.lives["alpha"].host.status().devices
+    return device.latched
+
+
+def said(fleet: Fleet, words: str, since: int) -> bool:
+    return any(words in text for _, _, text in fleet.log[since:])
+
+
+def climbs(fleet: Fleet, since: int) -> bool:
+    return said(fleet, "climbs", since)
+
+
+def started_again(fleet: Fleet) -> int:
+    fleet.crash("alpha")
+    began = len(fleet.log)
+    fleet.boot("alpha")
+    fleet.run(10.0)
+    return began
+
+
+def test_a_host_that_is_started_again_holds_its_devices_until_the_stop_is_lifted(tmp_path: Path) -> None:
+    fleet, person = flying(tmp_path)
+    person.stop()
+    fleet.run(5.0)
+    assert (person.answers, person.kept) == ([EmergencyStopped({"p.fc": ""})], [WHY])
+    for _ in range(2):
+        began = started_again(fleet)
+        assert said(fleet, STILL, began)
+        assert latched(fleet) == WHY
+        assert said(fleet, f"{WHY}; 'lfield estop --lift' must come first", began)
+        assert not climbs(fleet, began)
+    person.stop(lift=True)
+    lifted = len(fleet.log)
+    fleet.run(10.0)
+    assert (person.answers[-1], person.kept[-1]) == (EmergencyStopped({"p.fc": ""}), "")
+    assert climbs(fleet, lifted)
+    began = started_again(fleet)
+    assert not said(fleet, "EMERGENCY", began)
+    assert climbs(fleet, began)
+
+
+def test_the_stop_itself_waits_for_no_disk_and_its_answer_does(tmp_path: Path) -> None:
+    fleet, person = flying(tmp_path)
+    fleet.disks["alpha"].sync = 1.5
+    person.stop()
+    fleet.run(1.0)
+    assert latched(fleet) == WHY
+    assert not person.answers
+    fleet.run(4.0)
+    assert person.kept == [WHY]
+
+
+def test_a_disk_that_takes_nothing_is_told_of_and_the_stop_holds(tmp_path: Path) -> None:
+    fleet, person = flying(tmp_path)
+    fleet.disks["alpha"].broken = True
+    person.stop()
+    fleet.run(8.0)
+    assert latched(fleet) == WHY
+    (answer,) = person.answers
+    assert answer.devices == {"p.fc": ""}
+    assert answer.trouble == (
+        "the stop is not on the disk (cannot use the journal of a simulation: its disk fails): "
+        "started again, this host may know nothing of it"
+    )
+    assert said(fleet, answer.trouble, 0)
+    person.stop(lift=True)
+    fleet.run(4.0)
+    assert person.answers[-1].trouble.startswith("its end is not on the disk (")
+    assert person.answers[-1].trouble.endswith("): started again, this host may still hold its devices")
+    fleet.disks["alpha"].broken = False
+    person.stop()
+    fleet.run(8.0)
+    assert person.answers[-1].trouble == ""
+    assert person.kept[-1] == WHY
+
+
+def test_a_host_without_a_journal_forgets_it_and_waits_for_no_disk(tmp_path: Path) -> None:
+    fleet, person = flying(tmp_path, keeps=False)
+    person.stop()
+    fleet.run(5.0)
+    assert person.answers == [EmergencyStopped({"p.fc": ""})]
+    began = started_again(fleet)
+    assert latched(fleet) == ""
+    assert not said(fleet, "EMERGENCY", began)
+
+
+def test_a_host_without_a_journal_stands_still_while_it_is_paused(tmp_path: Path) -> None:
+    fleet, person = flying(tmp_path, keeps=False)
+    person.pause()
+    fleet.run(5.0)
+    turns, core = 0, fleet.lives["alpha"].core
+    run = core.run
+
+    def counted() -> float | None:
+        nonlocal turns
+        turns += 1
+        assert turns < 10_000, "it turns without end"
+        return run()
+
+    core.run = counted  # type: ignore[method-assign]
+    fleet.run(5.0)
+    assert latched(fleet) == "the mission is paused"
