@@ -77,7 +77,7 @@ def _class_lines(program: Program, index: int) -> Iterator[str]:
     devices = {device.name: device.type for device in record.devices}
     for number, field in enumerate(record.fields):
         kind = devices.get(field.name) or type_name(program, field.type)
-        yield f"  {number:>3}  {kind} {field.name}"
+        yield f"  {number:>3}  {kind} {field.name or '(others)'}"
 
 
 class _MethodListing:

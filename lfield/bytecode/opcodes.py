@@ -291,6 +291,15 @@ TABLE: tuple[Opcode, ...] = (
         "The end of so many seconds on the agent's clock; ArithmeticException for NaN.",
         exits=True,
     ),
+    _head(
+        1606,
+        "settle",
+        "",
+        "Collects what a call has given already: pushed are sentinel, array of type 1 (null: none) and "
+        "index of its target, value.",
+        "T",
+        True,
+    ),
 )
 
 BY_CODE: dict[int, Opcode] = {row.code: row for row in TABLE}

@@ -50,6 +50,8 @@ BUILTIN_PARENTS = {"DeviceTimeoutException": "DeviceException"}
 #: So many of them has a program of lfield 0.3. Later ones are only added behind.
 OLDEST_BUILTINS = 12
 MESSAGE, SOURCE, TRACE, OTHERS = 0, 1, 2, 3
+#: The name of the last field of a class of the program whose objects may be thrown: it is their OTHERS.
+BESIDE = ""
 
 #: The first field of a capability, and the fields of its class: what every offer tells about itself. `names`,
 #: `numbers`, `texts` and `ages` have one element for each attribute.
@@ -206,6 +208,19 @@ class Core(msgspec.Struct, frozen=True, array_like=True):
         new = bool(self.classes) and len(self.classes[0].fields) > OTHERS
         return len(BUILTIN_CLASSES) if new else OLDEST_BUILTINS
 
+    @property
+    def others(self) -> dict[int, int]:
+        """By class, the field that has the exceptions of other calls of a `together`."""
+        if self.builtins == OLDEST_BUILTINS:
+            return {}
+        own = enumerate(self.classes[self.builtins :], self.builtins)
+        last = {
+            i: len(record.fields) - 1
+            for i, record in own
+            if record.fields[-1:] and not record.fields[-1].name
+        }
+        return {**dict.fromkeys(range(self.builtins), OTHERS), **last}
+
 
 class Program:
     """A program in memory: the core, its debug information, its identity, and the code as quads."""
@@ -225,6 +240,11 @@ class Program:
     def builtins(self) -> int:
         """How many of its first classes are built in."""
         return self.core.builtins
+
+    @cached_property
+    def others(self) -> dict[int, int]:
+        """By class, the field that has the exceptions of other calls of a `together`."""
+        return self.core.others
 
     @cached_property
     def has_limits(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from lfield.bytecode.program import Handler
+from lfield.compiler.begun.twins import Settle
 from lfield.compiler.constants import fold
 from lfield.compiler.expressions import Expressions
 from lfield.compiler.frame import Frame, Label
@@ -94,6 +95,9 @@ class Statements:
             case Begin():
                 self._prepare(*values(stmt))
                 self._parallel.begin(stmt)
+            case Settle():
+                self._prepare(stmt.value)
+                self._parallel.settle(stmt)
 
     def _prepare(self, *exprs: Expr) -> None:
         """Every expression begins here: the compiler must know what it changes before it reads."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from lfield.bytecode.program import (
     ANY,
     ARRAY,
+    BESIDE,
     BOOLEAN,
     BUILTIN_CLASSES,
     DEVICE,
+    EXCEPTIONS,
     HELD,
     INT,
     OBJECT,
@@ -139,13 +143,19 @@ class Tables:
             self.types.append(record)
         return self._type_indexes[record]
 
+    def _fields(self, unit: tree.Unit) -> Iterator[FieldRecord]:
+        """The fields, and a last one for what is beside an object that may be thrown."""
+        yield from (FieldRecord(field.name, self.type_index(field.type)) for field in unit.fields)
+        if unit.thrown and not unit.capability:
+            yield FieldRecord(BESIDE, EXCEPTIONS)
+
     def _class_record(self, unit: tree.Unit) -> ClassRecord:
         inits = (self._methods[method] for method in unit.methods if method.kind == "init")
         return ClassRecord(
             unit.name,
             unit.kind,
             unit.usage,
-            tuple(FieldRecord(field.name, self.type_index(field.type)) for field in unit.fields),
+            tuple(self._fields(unit)),
             next(inits, -1),
             tuple(
                 DeviceField(f.name, f.type.name)

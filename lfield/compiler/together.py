@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from lfield.bytecode.program import INT, LIMIT, Handler
+from lfield.compiler.begun.twins import Settle
 from lfield.compiler.calls import Calls
 from lfield.compiler.frame import Evaluator, Frame, Label
 from lfield.compiler.leaving import Guard, Ways
@@ -129,6 +130,16 @@ class Parallel:
             frame.slots.release(*place)
         frame.slots.release(*operands)
 
+    def settle(self, stmt: Settle) -> None:
+        """Collect what a call has given already."""
+        gathering = self._around[-1]
+        assert gathering is not None, "only a twin has one, and it has no try or within"
+        place = self._calls.operands([stmt.target.array, stmt.target.index])
+        value = self._evaluator.operand(stmt.value)
+        kind = self._frame.tables.type_index(stmt.target.array.type)
+        self._calls.push("settle", [gathering.sentinel, *place, value], kind)
+        self._frame.slots.release(*place, value)
+
     def _check(self, element: Element | None, place: Sequence[int]) -> None:
         """An element that is not there is found when its call begins: reading it throws."""
         if element is not None:
@@ -162,7 +173,7 @@ class Parallel:
                 return guard is not None and self._ways.leaves(guard, self._ways.loop.end)
             case Continue():
                 return guard is not None and self._ways.leaves(guard, self._ways.loop.step)
-            case Evaluate(value=value) | Declare(value=tree.Expr() as value):
+            case Evaluate(value=value) | Declare(value=tree.Expr() as value) | Settle(value=value):
                 return work.inside(value)
             case Begin(call=call, target=target):
                 parts = [*chains.parts(call), *(chains.parts(target) if target is not None else [])]

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import secrets
 import sqlite3
+import stat
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from lfield.errors import ForeignJournal
+from lfield.errors import ForeignJournal, JournalError
 from lfield.journal.log import is_missing, read_log, sync_folder, unmark
 from lfield.journal.pages import (
     BegunPage,
@@ -58,10 +59,12 @@ class Sorted(NamedTuple):
 def opened(path: Path, owner: Owner, tell: Callable[[str], None], now: float) -> Opened:
     """The journal at a path; a new one if there is none. `tell` hears what is wrong with it.
 
-    `now` is Unix time in seconds. Raises ForeignJournal, and sqlite3.Error or OSError when it can neither be
-    read nor moved aside.
+    `now` is Unix time in seconds. Raises ForeignJournal, JournalError for what is no file, and sqlite3.Error
+    or OSError when it can neither be read nor moved aside.
     """
     _finish(path)
+    if fault := strange(path):
+        raise JournalError(str(path), fault, "put the journal back, or remove it: then this host begins anew")
     if not path.exists():
         _put(path, _new_head(owner), {}, [], now)
         with suppress(OSError):
@@ -75,6 +78,18 @@ def opened(path: Path, owner: Owner, tell: Callable[[str], None], now: float) ->
             raise
         _salvage(path, owner, tell, now, str(error))
     return _read(path, owner, tell, now)
+
+
+def strange(path: Path) -> str:
+    """Why what is there can be no journal; '' for a file, and for nothing at all."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        # Whoever made the link has put the journal elsewhere: what is kept there is not to be forgotten.
+        return "it is a link that leads nowhere" if os.path.islink(path) else ""
+    if stat.S_ISDIR(mode):
+        return "it is a folder"
+    return "" if stat.S_ISREG(mode) else "it is no file"
 
 
 def is_damage(error: sqlite3.Error) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from lfield.errors import DamagedFileError, InputFileError
-from lfield.journal.opening import check_format, check_log, is_damage, primary, sort
+from lfield.journal.opening import check_format, check_log, is_damage, primary, sort, strange
 from lfield.journal.pages import Entry, Page
 from lfield.journal.salvage import copied, readable
 from lfield.journal.store import BrokenFile, Damaged, Head, Store
@@ -39,10 +39,10 @@ class Seen(NamedTuple):
 
 def see(path: Path) -> Seen:
     """All that can be read. Raises InputFileError, DamagedFileError and ForeignJournal."""
-    look_at(path)
-    if not path.is_file():
+    if fault := strange(path):
         # Whoever opens a pipe waits until somebody writes to it.
-        raise InputFileError(str(path), "it is no file")
+        raise InputFileError(str(path), fault)
+    look_at(path)
     try:
         try:
             return _sound(path)

@@ -66,9 +66,9 @@ class Method:
 
 @dataclass(slots=True, eq=False)
 class Unit:
-    """A class, resource or coordinator. Classes always have at least one constructor.
+    """A class (always with a constructor; offers are of a `capability`), resource or coordinator.
 
-    The class of a `capability` was made from the registry (capabilities.py); its objects are offers.
+    Objects of a class that is `thrown` become exceptions somewhere.
     """
 
     name: str
@@ -78,6 +78,7 @@ class Unit:
     fields: list[Field] = field(default_factory=list)
     methods: list[Method] = field(default_factory=list)
     capability: bool = False
+    thrown: bool = False
     _fields: dict[str, Field] = field(default_factory=dict)
     _methods: dict[tuple[str, MethodKind], list[Method]] = field(default_factory=dict)
 
@@ -265,11 +266,9 @@ class Library(Expr):
 
 @dataclass(slots=True, eq=False)
 class DeviceCall(Expr):
-    """An instruction of a device: `fc.takeoff(10.0)`. Arguments have exactly the manifest's types.
+    """An instruction of a device: `fc.takeoff(10.0)`. Arguments have exactly the manifest's types."""
 
-    The device is a field of the resource itself, or what an expression gives: one that an object was given.
-    """
-
+    #: A field of the resource itself, or what gives a device that an object was given.
     device: Field | Expr
     manifest: DeviceManifest
     instruction: Instruction

@@ -86,6 +86,22 @@ class Bindings:
         """Every device of the mission."""
         return self.of(list(self.devices))
 
+    def see_that_nothing_outlives_a_lease(self) -> None:
+        """Raise BindingError when the devices of a host that stands still go on for longer than its lease.
+
+        Its guards stop them after the silence of the host; at the end of the lease another host may go on.
+        """
+        silence, lease = self.silence, self.recovery.lease
+        if silence <= lease or all(device.is_sensor for device in self.all):
+            return
+        raise BindingError(
+            [
+                f"devices go safe when their host was silent for {silence:g} s, and its lease ends after "
+                f"{lease:g} s, when another host may go on: write 'silence: {lease:g}' or less in the "
+                f"devices file, or 'recovery: {{lease: {silence:g}}}' or more"
+            ]
+        )
+
 
 def each_needed(needed: Needed) -> Iterator[tuple[str, str, str]]:
     """Agent, field and device type of every needed device."""
@@ -102,7 +118,8 @@ def maker_of(drivers: Drivers, device_type: str) -> KnownDriver | None:
 def on_fakes(
     bindings: Bindings, needed: Needed, drivers: Drivers, resources: Mapping[str, str] | None = None
 ) -> Bindings:
-    """Every needed device on a fake, with the limits and options of the file where it has them; SIM_SILENCE.
+    """Every needed device on a fake, with the limits and options of the file where it has them; SIM_SILENCE,
+    or the lease where that is shorter.
 
     Every needed device type has a driver. `resources` are the types of the agents: by them a driver knows
     what kind of device a fake shall be. Raises BindingError for devices that must be bound even so.
@@ -116,7 +133,7 @@ def on_fakes(
         simulated[agent][name] = (
             _faked(bound) if bound else _fake(agent, name, device_type, drivers, resources or {})
         )
-    return replace(bindings, devices=simulated, silence=SIM_SILENCE)
+    return replace(bindings, devices=simulated, silence=min(SIM_SILENCE, bindings.recovery.lease))
 
 
 def chosen_fakes(

@@ -31,7 +31,7 @@ options. What fits no agent, device, driver or type is an error, all of them at 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from lfield.driver.binding import LEAST_AFTER, DeviceBinding, OptionValue, WithoutPolicy
@@ -56,7 +56,7 @@ from lfield.mission.bindings import (
 from lfield.text.source import Diagnostics
 from lfield.text.suggest import did_you_mean
 from lfield.text.yaml_fields import Fields
-from lfield.text.yaml_source import Entry, Node, Scalar, describe, read
+from lfield.text.yaml_source import Entry, Listing, Node, Scalar, describe, read
 from lfield.vm.contract import MAX_TIDY, Limits
 
 _UNITS = {"B": 1, "KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
@@ -138,7 +138,7 @@ class BindingsReader:
         section.done()
         unreachable_after = top.number("unreachable_after", 10.0, minimum=0.1, maximum=86400.0)
         silence = top.number("silence", SILENCE, minimum=0.1, maximum=10.0)
-        recovery = self._recovery(top.section("recovery"))
+        recovery = self._recovery(top.section("recovery"), silence)
         agents: dict[str, Limits] = {}
         devices: dict[str, dict[str, DeviceBinding]] = {}
         for entry, fields in top.section("agents").entries():
@@ -152,22 +152,33 @@ class BindingsReader:
         top.done()
         return Bindings(agents, devices, defaults, unreachable_after, silence, recovery)
 
-    def _recovery(self, fields: Fields) -> Recovery:
+    def _recovery(self, fields: Fields, silence: float) -> Recovery:
         lease = fields.number("lease", USUAL_LEASE, minimum=SHORTEST_LEASE, maximum=LONGEST_LEASE)
+        if "lease" in fields and silence > lease:
+            said = f"'lease' must be no shorter than 'silence', which is {silence:g}, not {lease:g}"
+            hint = "the devices of a host that stands still would go on beside its successor"
+            fields.report("Y113", said, fields.value_span("lease"), hint)
         members = fields.texts("members")
-        texts = (n for n in fields.items("members") if isinstance(n, Scalar) and isinstance(n.value, str))
+        written = fields.node("members")
+        if isinstance(written, Listing) or _is_empty(written):
+            self._check_members(fields, written.items if isinstance(written, Listing) else ())
+        fields.done()
+        return Recovery(lease, members)
+
+    def _check_members(self, fields: Fields, nodes: Sequence[Node]) -> None:
+        """Each is another host of the team, and they are not too many."""
+        texts = [n for n in nodes if isinstance(n, Scalar) and isinstance(n.value, str)]
+        members = [str(node.value) for node in texts]
         for number, (host, node) in enumerate(zip(members, texts, strict=True)):
             if host in members[:number]:
                 fields.report("Y113", f"'{host}' is named twice", node.span, "each member counts once")
             elif self._hosts is not None and host not in self._hosts:
                 hint = did_you_mean(host, self._hosts) or f"its hosts: {', '.join(self._hosts)}"
                 fields.report("Y113", f"the deployment has no host '{host}'", node.span, hint)
-        if "members" in fields and not 1 <= len(members) <= MOST_MEMBERS:
-            said = f"'members' must be 1 to {MOST_MEMBERS} hosts, not {len(members)}"
+        if not 1 <= len(nodes) <= MOST_MEMBERS:
+            said = f"'members' must be 1 to {MOST_MEMBERS} hosts, not {len(nodes)}"
             hint = "more than half of them decide that a coordinator is lost"
             fields.report("Y113", said, fields.key_span("members"), hint)
-        fields.done()
-        return Recovery(lease, members)
 
     def _limits(self, fields: Fields, defaults: Limits) -> Limits:
         return Limits(
@@ -294,6 +305,11 @@ class BindingsReader:
             return fields.number(option.name, minimum=option.minimum, maximum=option.maximum)
         lowest, highest = max(option.minimum, -(2.0**63)), min(option.maximum, 2.0**62)
         return fields.integer(option.name, minimum=int(lowest), maximum=int(highest))
+
+
+def _is_empty(node: Node | None) -> bool:
+    """Whether there is a key with nothing behind it."""
+    return isinstance(node, Scalar) and node.value is None
 
 
 def _without_policy(fields: Fields, manifest: Manifest) -> WithoutPolicy | None:

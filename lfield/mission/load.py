@@ -75,17 +75,26 @@ def load_mission(
 
 
 def _doubts(deployment: Deployment, mission: Mission) -> list[Diagnostic]:
-    """More than half of two is both of them."""
-    members = mission.recovery.members
-    if len(members) != 2:
+    """Of one member or of two, none may be lost: more than half of two is both of them."""
+    members, team = mission.recovery.members, mission.team
+    if len(members) == 1 and any(team.on(n) for n, host in enumerate(team.hosts) if host not in members):
+        lost, why = members[0], "no other host decides"
+    elif len(members) == 2:
+        lost, why = f"one of {listed(members)}", "the other is no more than half"
+    else:
         return []
     first = _first_fenced(deployment, mission)
-    message = (
-        f"{first.id} goes on nowhere when one of {listed(members)} is lost: the other is no more than half"
-    )
-    return [
-        Diagnostic("Y114", message, first.span, "add a witness, a host without agents: //@name", "warning")
-    ]
+    message = f"{first.id} goes on nowhere when {lost} is lost: {why}"
+    return [Diagnostic("Y114", message, first.span, _more_members(mission), "warning")]
+
+
+def _more_members(mission: Mission) -> str:
+    """How a team gets members enough to lose one."""
+    witness = "add a witness, a host without agents: //@name"
+    if not mission.bindings.recovery.members:
+        return witness
+    named = "name at least three hosts in 'recovery: {members: [...]}' of the devices file"
+    return named if len(mission.team.hosts) > 2 else f"{witness}; and {named}"
 
 
 def _check_deployment(path: Path) -> None:

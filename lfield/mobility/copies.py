@@ -144,7 +144,7 @@ class Copy:
 
 
 class Copies:
-    """All copies of one host, for the coordinators of its deployment and for no others.
+    """All copies of one host, for the coordinators of its deployment and for those that are parked here.
 
     `mission` is the hash of what their blocks are of (`Hello.mission`), b"" on a host that keeps no journal.
     """
@@ -188,6 +188,9 @@ class Copies:
 
     def enter(self, agent: str, generation: int) -> Copy | None:
         """`find`, with a new entry for a new start; None for a stranger, or when too many have not ended."""
+        if (agent, generation) in self.parked:
+            # Its name may be no coordinator's here: how it ended is remembered all the same.
+            self._starts.setdefault(agent, {})
         starts = self._starts.get(agent)
         if starts is None:
             return None

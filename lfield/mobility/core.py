@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 from lfield.mobility.arrivals import Arrivals
 from lfield.mobility.copies import LIVE, UNREADABLE, Copies
 from lfield.mobility.departures import Departures
-from lfield.mobility.effects import Began, Go
+from lfield.mobility.effects import Began, Finished, Go
 from lfield.mobility.endings import Endings
 from lfield.mobility.recoveries import Recoveries, bar, newest
 from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused, Transfer
@@ -150,14 +150,15 @@ class Mobility:
             raise ValueError(f"{agent} of generation {generation} cannot end here as {outcome!r}")
         return self._endings.end(copy, outcome, detail)
 
-    def forget(self, agent: str, others: Iterable[int], detail: str) -> tuple[list[int], list[Effect]]:
-        """A person says that this agent is lost; `others` are starts that are kept beside those known here.
+    def forget(self, agent: str, detail: str) -> tuple[list[int], list[Effect]]:
+        """A person says that this agent is lost, of whatever mission it is.
 
         Whatever is known to be alive goes on. Returns the starts that end here.
         """
-        gone = [c.generation for c in self._copies.of(agent) if c.state == "MOVED" or c.doubt]
-        starts = sorted({*gone, *(number for number in others if self._copies.find(agent, number) is None)})
-        return starts, self._endings.lose(agent, starts, detail)
+        gone = {copy.generation for copy in self._copies.of(agent) if copy.state == "MOVED" or copy.doubt}
+        gone |= {generation for name, generation in self._copies.parked if name == agent}
+        effects = self._endings.lose(agent, sorted(gone), detail)
+        return [effect.generation for effect in effects if isinstance(effect, Finished)], effects
 
     def bar(self, agent: str, generation: int, reason: str) -> list[Effect]:
         """No start of it before `generation` may run any more: those that are here stop."""
@@ -267,7 +268,10 @@ class Mobility:
         return min(waiting, default=None)
 
     def knowledge(self) -> list[Known]:
-        """What this host knows of every coordinator of its mission, for greetings and `lfield ps`."""
+        """What this host knows of every coordinator of its mission, for greetings and `lfield ps`.
+
+        And how those of another one ended that were parked here.
+        """
         return [copy.known() for copy in self._copies if copy.state != "ABSENT"]
 
     def greeting(self, waiting: Iterable[Transfer] = ()) -> list[Known]:

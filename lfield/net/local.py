@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import ipaddress
 import socket
 from collections.abc import Sequence
@@ -56,6 +57,29 @@ async def is_loopback(address: str) -> bool:
             address, f"the name {host} leads to no address; use --map NAME=ADDR:PORT"
         ) from None
     return all(ipaddress.ip_address(str(entry[4][0]).partition("%")[0]).is_loopback for entry in found)
+
+
+def insist_on_free(address: str) -> None:
+    """See that nobody listens there. Raises AddressError.
+
+    What else may be wrong with an address is told when a host listens there.
+    """
+    host, port = split_address(address)
+    try:
+        for family, _, _, _, found in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+            _bind(family, found)
+    except (OSError, UnicodeError) as error:
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+            raise AddressError(address, refusal(error)) from None
+
+
+def _bind(family: int, address: tuple[str | int | bytes, ...]) -> None:
+    """Have an address for a moment, as a host would: what is left of the last one's links does not count."""
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if family == socket.AF_INET6:
+            probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+        probe.bind(address)
 
 
 def reserve(address: str) -> tuple[socket.socket, str]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from lfield.errors import CoordinatorAlive, LfieldError, UsageError
 from lfield.operator.addressed import Place
 from lfield.operator.whereabouts import insist_on_none_alive, records
 from lfield.wire.coordinators import Known
-from lfield.wire.observing import Recover, Status
+from lfield.wire.observing import ParkedStatus, Recover, Status
 
 _Answers = Mapping[Place, Status | LfieldError]
 
@@ -39,7 +39,7 @@ def believed(agent: str, answers: _Answers, names: Mapping[Place, str]) -> Belie
     ended = max((known.generation for _, known in found if known.outcome in ("done", "died")), default=0)
     left = [(place, known) for place, known in left if known.generation > ended]
     if not left:
-        raise UsageError(_nothing_left(agent, found))
+        raise UsageError(_nothing_left(agent, found, answers, names))
     if len({place.run for place, _ in left}) > 1:
         raise UsageError(f"several runs here have a coordinator {agent}: name one with --run")
     left.sort(key=lambda pair: (pair[1].generation, pair[1].hops, pair[1].sequence))
@@ -67,18 +67,31 @@ def _hops(known: Known) -> str:
     return f"{known.hops} hop{'s' * (known.hops != 1)}"
 
 
-def _insist_on_none_parked(agent: str, answers: _Answers, names: Mapping[Place, str]) -> None:
+def _parked(agent: str, answers: _Answers) -> Iterator[tuple[Place, ParkedStatus]]:
+    """What hosts keep of an agent for another mission."""
     for place, answer in answers.items():
         journal = None if isinstance(answer, LfieldError) else answer.journal
-        for parked in () if journal is None else journal.parked:
-            if parked.agent == agent and parked.state == "RUN":
-                raise CoordinatorAlive(
-                    f"{names[place]} keeps {agent} for another mission ({parked.program.hex()[:16]}), and "
-                    f"goes on with it when that is started there; 'lfield forget {agent}' ends it"
-                )
+        yield from ((place, one) for one in (journal.parked if journal else ()) if one.agent == agent)
 
 
-def _nothing_left(agent: str, found: Sequence[tuple[Place, Known]]) -> str:
+def _insist_on_none_parked(agent: str, answers: _Answers, names: Mapping[Place, str]) -> None:
+    for place, parked in _parked(agent, answers):
+        if parked.state == "RUN":
+            raise CoordinatorAlive(
+                f"{names[place]} keeps {agent} for another mission ({parked.program.hex()[:16]}), and "
+                f"goes on with it when that is started there; 'lfield forget {agent}' ends it"
+            )
+
+
+def _nothing_left(
+    agent: str, found: Sequence[tuple[Place, Known]], answers: _Answers, names: Mapping[Place, str]
+) -> str:
+    place, parked = next(_parked(agent, answers), (None, None))
+    if not found and place and parked:
+        return (
+            f"{agent} is of another mission ({parked.program.hex()[:16]}), for which {names[place]} keeps a "
+            "copy: start that mission again to go on with it"
+        )
     if not found:
         return (
             f"no host that answers knows of a coordinator {agent}: if there is one that never left its home, "

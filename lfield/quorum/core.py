@@ -59,6 +59,7 @@ class Quorum:
         self._next: float | None = None
         #: The members that must tell of their fences before this one gives a lease or a promise.
         self._unheard = set(members.others) if new else set()
+        self._needed = False
         self._recall()
 
     # --- time -----------------------------------------------------------------------------------------
@@ -77,6 +78,11 @@ class Quorum:
     def remembers(self) -> bool:
         """Whether this host knows all that it may ever have promised."""
         return self.members.remembers
+
+    @property
+    def unheard(self) -> list[str]:
+        """The members that must tell of their fences before this host counts."""
+        return sorted(self._unheard)
 
     def _recall(self) -> None:
         """With the fences of all other members it knows what it has promised."""
@@ -104,7 +110,11 @@ class Quorum:
         return effects + self._recoveries.tick(now)
 
     def hurry(self, now: float) -> None:
-        """A coordinator waits for the lease: ask for it now, unless that was done a moment ago."""
+        """A coordinator waits for the lease: ask for it now, unless that was done a moment ago.
+
+        It may not have begun yet, at a home that is no member: that is asked for until the lease is there.
+        """
+        self._needed = not self.lease.holds(now)
         asked = self.lease.holds(now) or self.lease.is_asked(now - self.members.beat)
         if self._next is not None and not asked:
             self._next = min(self._next, now)
@@ -117,7 +127,8 @@ class Quorum:
     def _beat(self, now: float) -> list[Effect]:
         self._next = now + self.members.beat
         held = self._held()
-        if not (held or self._is_member):
+        self._needed = self._needed and not self.lease.holds(now)
+        if not (held or self._needed or self._is_member):
             return []
         # Who holds no lease cannot act, however well it is heard: others may have to go on.
         told = held if self.lease.holds(now) else []

@@ -13,6 +13,8 @@ from lfield.bytecode.encoding import decode, encode
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import (
     ARRAY,
+    BESIDE,
+    BOOLEAN,
     BUILTIN_CLASSES,
     EXCEPTIONS,
     FINALLY,
@@ -177,6 +179,96 @@ def test_a_result_may_be_dropped() -> None:
     verify(Program(_pushed("begin", 4, NOTHING)(SOUND.core), SOUND.debug, b""))
 
 
+def _settled(*operands: int, kind: int = REALS) -> Change:
+    """The begin of stop becomes a settle, with other things pushed."""
+
+    def change(quads: list[Quad]) -> None:
+        pc = _at(quads, "begin", 1)
+        quads[pc - 4 : pc] = [Quad(_PUSH, operand, 0, 0) for operand in (*operands, 0, 0, 0, 0)[:4]]
+        quads[pc] = Quad(BY_NAME["settle"].code, kind, 0, 0)
+
+    return _quads(change)
+
+
+_SENTINEL, _ARRAY, _REAL = _slot(TICKETS), _slot(REALS), _slot(REAL)
+
+
+def test_a_result_that_is_there_is_settled() -> None:
+    for array in (_ARRAY, NOTHING):
+        verify(Program(_settled(_SENTINEL, array, NUMBER, _REAL)(SOUND.core), UNEXPLAINED, b""))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_settled(NUMBER, _ARRAY, NUMBER, _REAL), "not what is taken"),
+        (_settled(_SENTINEL, _slot(INTS), NUMBER, _REAL), "not what is taken"),
+        (_settled(_SENTINEL, _ARRAY, _REAL, _REAL), "not what is taken"),
+        (_settled(_SENTINEL, _ARRAY, NUMBER, NUMBER), "not what is taken"),
+        (_settled(_SENTINEL, _ARRAY, NUMBER, _REAL, kind=REAL), "an element of an array"),
+        (_settled(_SENTINEL, _ARRAY, NUMBER, _REAL, kind=10_000), "leads nowhere"),
+        (
+            _quads(lambda q: q.__setitem__(_at(q, "yield"), Quad(BY_NAME["settle"].code, REALS, 0, 0))),
+            "only coordinators work in parallel",
+        ),
+    ],
+)
+def test_what_is_settled_fits_its_target(change: Change, reason: str) -> None:
+    refused(change, reason)
+
+
+OWN = compile_text(
+    """
+    class Boom { public int n; public boolean[] parts; public Boom(int n) { this.n = n; } }
+    class Plain { public int n; }
+    resource R {
+      init(string[] arg) { Plain one = new Plain(); try { fail(new Boom(one.n)); } catch (Boom b) { } }
+      private void fail(Exception e) { throw e; }
+      portal told(Boom boom) { }
+    }
+    """
+)
+_BOOM, _PLAIN, _R = (OWN.class_index[name] for name in ("Boom", "Plain", "R"))
+
+
+def _other_fields(index: int, *fields: FieldRecord) -> Core:
+    classes = list(OWN.core.classes)
+    classes[index] = msgspec.structs.replace(classes[index], fields=fields)
+    return msgspec.structs.replace(OWN.core, classes=tuple(classes))
+
+
+def test_what_may_be_thrown_has_a_place_for_other_exceptions() -> None:
+    verify(OWN)
+    assert [field.name for field in OWN.core.classes[_BOOM].fields] == ["n", "parts", BESIDE]
+    assert OWN.others == {**dict.fromkeys(range(len(BUILTIN_CLASSES)), 3), _BOOM: 2}
+
+
+@pytest.mark.parametrize(
+    ("core", "reason"),
+    [
+        (_other_fields(_PLAIN, FieldRecord("n", INT), FieldRecord(BESIDE, INT)), "no place for other"),
+        (_other_fields(_PLAIN, FieldRecord(BESIDE, INT)), "no place for other"),
+        (_other_fields(_R, FieldRecord(BESIDE, EXCEPTIONS)), "no place for other"),
+        (_other_fields(_PLAIN, FieldRecord(BESIDE, EXCEPTIONS), FieldRecord("n", INT)), "has the name ''"),
+        (
+            _other_fields(_PLAIN, FieldRecord(BESIDE, EXCEPTIONS), FieldRecord(BESIDE, EXCEPTIONS)),
+            "has the name ''",
+        ),
+        # Only the machine's own field may lead to what crosses no portal.
+        (_other_fields(_BOOM, FieldRecord("n", INT), FieldRecord("parts", EXCEPTIONS)), "cannot cross"),
+    ],
+)
+def test_that_place_is_where_the_machine_expects_it(core: Core, reason: str) -> None:
+    with pytest.raises(ProgramFileError, match=reason):
+        verify(Program(core, msgspec.structs.replace(OWN.debug, methods=()), b""))
+
+
+def test_a_program_of_before_has_no_such_place() -> None:
+    old = _old("R")
+    record = msgspec.structs.replace(old.classes[-1], fields=(FieldRecord(BESIDE, BOOLEAN),))
+    refused(lambda _: msgspec.structs.replace(old, classes=(*old.classes[:-1], record)), "has the name ''")
+
+
 def _field(core: Core) -> Core:
     classes = list(core.classes)
     classes[BOSS] = msgspec.structs.replace(classes[BOSS], fields=(FieldRecord("a", TICKETS),))
@@ -284,7 +376,7 @@ def test_the_beginnings_of_two_versions_are_not_mixed() -> None:
 
 def test_the_new_instructions_need_the_new_exceptions() -> None:
     core = _old("R")
-    for name in ("exc_others", "gather", "begin", "start", "fetch", "leave", "limit"):
+    for name in ("exc_others", "gather", "begin", "start", "fetch", "leave", "limit", "settle"):
         quads = [Quad(BY_NAME[word].code, 0, 0, 0) for word in ("frame", name, "rtn")]
         method = msgspec.structs.replace(core.methods[0], end=3)
         changed = msgspec.structs.replace(core, methods=(method,), code=encode_quads(quads))

@@ -114,6 +114,43 @@ def test_a_pipe_in_its_place_holds_nobody_up(tmp_path: Path) -> None:
         see(tmp_path / "host.journal")
 
 
+@pytest.mark.parametrize(
+    ("made", "says"),
+    [
+        (Path.mkdir, "it is a folder"),
+        (os.mkfifo, "it is no file"),
+        (lambda path: path.symlink_to("elsewhere/host.journal"), "it is a link that leads nowhere"),
+        (lambda path: path.symlink_to(path), "it is a link that leads nowhere"),
+    ],
+)
+def test_what_is_no_journal_is_told_and_no_new_one_is_begun_in_its_place(
+    tmp_path: Path, made: Callable[[Path], None], says: str
+) -> None:
+    path = tmp_path / "host.journal"
+    made(path)
+    before = path.lstat().st_ino
+    with pytest.raises(JournalError) as found:
+        FileJournal(path, OWNER, print, ManualClock())
+    assert (found.value.exit_status, path.lstat().st_ino) == (73, before)
+    assert str(found.value) == (
+        f"cannot use the journal {path}: {says}; "
+        "put the journal back, or remove it: then this host begins anew"
+    )
+    with pytest.raises(InputFileError, match=says):
+        see(path)
+
+
+def test_a_journal_may_be_elsewhere_behind_a_link(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    first = FileJournal(tmp_path / "disk" / "host.journal", OWNER, print, ManualClock())
+    first.close()
+    path = tmp_path / "host.journal"
+    path.symlink_to("disk/host.journal")
+    second = FileJournal(path, OWNER, print, ManualClock())
+    assert second.identity == first.identity
+    second.close()
+
+
 def test_a_board_is_told_from_its_copy_by_its_serial_number(tmp_path: Path) -> None:
     assert machine_identity(tmp_path) == ""
     (tmp_path / "etc").mkdir()

@@ -92,6 +92,7 @@ def test_more_than_nine_hosts_must_be_chosen_from(write: Write) -> None:
         ("{members: h0}", "'members' must be a list"),
         ("{member: [h0]}", "'recovery' takes no 'member'"),
         ("2", "'recovery' must be a mapping"),
+        ("{lease: 0.5}\nsilence: 0.7", "'lease' must be no shorter than 'silence', which is 0.7, not 0.5"),
     ],
 )
 def test_what_makes_no_sense_is_drawn_at_its_place(write: Write, written: str, told: str) -> None:
@@ -99,6 +100,40 @@ def test_what_makes_no_sense_is_drawn_at_its_place(write: Write, written: str, t
     assert told in said
     assert "m.devices.yaml:1:" in said
     assert "^" in said
+
+
+def test_no_device_outlives_a_lease(tmp_path: Path) -> None:
+    (tmp_path / "m.L").write_text(
+        "include <can/winch.L>;\n"
+        'coordinator Boss { init(string[] arg) { heartbeatInterval(3); findWinch("w").hold(); } }\n'
+    )
+    deploy, devices = tmp_path / "m.dL", tmp_path / "m.devices.yaml"
+    deploy.write_text("//Winch:w@h0?0.05&0.2&12.0\n//@h2\n//Boss:boss@h1\n")
+    axis = "axis: {driver: can, endpoint: 'socketcan:can0', protocol: cia402, node: 5, counts: 4096}"
+    devices.write_text(f"silence: 3\nagents: {{w: {{devices: {{{axis}}}}}}}\n")
+    assert "m.dL:3:1: error[Y115]: devices go safe when their host was silent for 3 s" in wrong(deploy)
+    devices.write_text(f"silence: 3\nrecovery: {{lease: 3}}\nagents: {{w: {{devices: {{{axis}}}}}}}\n")
+    assert load_mission(deploy).recovery.lease == 3.0
+    # Fakes come with a silence of their own.
+    devices.write_text("recovery: {lease: 1}\n")
+    assert load_mission(deploy, simulate=True).bindings.silence == 1.0
+
+
+@pytest.mark.parametrize(
+    ("members", "told"),
+    [
+        ("h0", "'members' must be a list"),
+        ("{h0: 1}", "'members' must be a list"),
+        ("[3]", "'members' must be a list of texts, not the number 3"),
+        ("[]", "'members' must be 1 to 9 hosts, not 0"),
+        ("", "'members' must be 1 to 9 hosts, not 0"),
+    ],
+)
+def test_one_mistake_in_the_members_is_told_once(write: Write, members: str, told: str) -> None:
+    with pytest.raises(BindingError) as found:
+        load_mission(write(3, f"recovery:\n  members: {members}\n"))
+    (problem,) = found.value.problems
+    assert told in problem
 
 
 def test_ten_members_are_too_many(write: Write) -> None:
@@ -122,6 +157,34 @@ def test_a_team_of_two_is_told_that_it_needs_a_witness(write: Write) -> None:
     (found,) = mission_problems(write(4, "recovery: {members: [h3, h1]}"))
     problem = found.render()
     assert "when one of h1 and h3 is lost" in problem
+    # Another host would be no member by itself.
+    assert "name at least three hosts in 'recovery: {members: [...]}'" in problem
+    assert "witness" not in problem
+
+
+@pytest.mark.parametrize(
+    ("hosts", "witness", "member", "hint"),
+    [
+        (2, "", "h0", "add a witness, a host without agents: //@name; and name at least three hosts"),
+        (4, "", "h3", "name at least three hosts in 'recovery: {members: [...]}' of the devices file"),
+        (2, "//@ground\n", "ground", "name at least three hosts in 'recovery: {members: [...]}'"),
+        (1, "//@ground\n", "ground", "add a witness, a host without agents: //@name; and name at least"),
+    ],
+)
+def test_one_member_whose_loss_stops_all_is_told(
+    write: Write, hosts: int, witness: str, member: str, hint: str
+) -> None:
+    (found,) = mission_problems(write(hosts, f"recovery: {{members: [{member}]}}", witness))
+    problem = found.render()
+    assert f"warning[Y114]: boss goes on nowhere when {member} is lost: no other host decides" in problem
+    assert hint in problem
+
+
+def test_whose_loss_loses_all_agents_anyway_may_decide_alone(write: Write) -> None:
+    assert mission_problems(write(1, "recovery: {members: [h0]}", "//@ground\n")) == []
+    # Who decides need not have agents.
+    watchers = "//@w0\n//@w1\n//@w2\n"
+    assert mission_problems(write(2, "recovery: {members: [w0, w1, w2]}", watchers)) == []
 
 
 def test_a_bundle_has_it_and_another_devices_file_changes_it(write: Write, tmp_path: Path) -> None:

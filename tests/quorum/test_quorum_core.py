@@ -113,6 +113,17 @@ def test_who_is_no_member_asks_for_a_lease_when_it_needs_one_but_not_without_end
     assert beats == 2
 
 
+def test_who_is_no_member_asks_for_what_has_yet_to_begin_until_it_has_a_lease() -> None:
+    one = One(here="c", members="ab")
+    assert told(one.pass_time(2.0), Heartbeat) == []
+    one.core.hurry(one.now)
+    assert [host for host, _ in told(one.pass_time(1.1), Heartbeat)] == ["a", "b"] * 3
+    beats = [beat for _, beat in told(one.pass_time(0.6), Heartbeat)]
+    for member in "ab":
+        one.hear(member, Ack(77, beats[-1].number, []))
+    assert told(one.pass_time(1.0), Heartbeat) == []
+
+
 def test_who_was_heard_is_told_with_how_long_ago_that_was() -> None:
     one = One()
     one.hear("b", Heartbeat(5, 1, 0, [Held("Tour", 3, 4)]))

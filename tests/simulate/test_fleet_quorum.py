@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -85,6 +86,12 @@ def holder(fleet: Fleet) -> str:
         if len(found) == 1:
             return found[0]
         fleet.run(0.01)
+
+
+def test_a_home_that_is_no_member_begins_and_ends_what_runs_under_leases(tmp_path: Path) -> None:
+    (tmp_path / "mission.devices.yaml").write_text("recovery: {members: [bravo, charlie, watch]}\n")
+    team = TEAM.replace("//Walker", "//@watch\n//Walker")
+    run_until(Fleet(mission(tmp_path, team=team), 1), "complete", 60.0)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -184,8 +191,47 @@ def test_who_has_lost_its_promises_gives_no_lease_before_it_has_heard_all(tmp_pa
     stamped = len(said(fleet, "stamp "))
     fleet.run(10.0)
     assert len(said(fleet, "stamp ")) == stamped
-    assert said(fleet, "no lease is given before every member was heard: the journal here is new")
+    ((_, where, why),) = said(fleet, "the journal here is new, or has lost a promise")
+    assert (where, "no lease is given here before alpha was heard" in why) == (other, True)
     fleet.boot("alpha")
+    run_until(fleet, "complete", 120.0)
+
+
+def test_without_a_member_that_is_gone_for_good_the_others_go_on_by_new_members(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 13)
+    run_until(fleet, "stamp 5\n", 30.0)
+    kept = holder(fleet)
+    other, gone = sorted({"alpha", "bravo", "charlie"} - {kept})
+    fleet.lose(gone)
+    fleet.power_off(other)
+    fleet.lose_disk(other)
+    fleet.boot(other)
+    run_until(fleet, f"no lease is given here before {gone} was heard", 20.0)
+    assert said(fleet, "start all hosts with a 'recovery: {members: [...]}' that leaves it out")
+    fleet.run(20.0)
+    assert not said(fleet, "complete")
+    # One that still has the old members has no link: the two never count beside a majority of those.
+    recovery = replace(fleet.mission.bindings.recovery, members=(other, kept))
+    bindings = replace(fleet.mission.bindings, recovery=recovery)
+    fleet.mission = replace(fleet.mission, bindings=bindings)
+    for name in (other, kept):
+        fleet.stop(name)
+    fleet.run(10.0)
+    for name in (other, kept):
+        fleet.boot(name)
+    run_until(fleet, "complete", 120.0)
+
+
+def test_a_new_computer_under_the_name_of_a_member_is_heard_as_that(tmp_path: Path) -> None:
+    fleet = Fleet(mission(tmp_path), 14)
+    run_until(fleet, "stamp 5\n", 30.0)
+    others = sorted({"alpha", "bravo", "charlie"} - {holder(fleet)})
+    for name in others:
+        fleet.power_off(name)
+        fleet.lose_disk(name)
+    fleet.boot(others[0])
+    run_until(fleet, f"no lease is given here before {others[1]} was heard", 20.0)
+    fleet.boot(others[1])
     run_until(fleet, "complete", 120.0)
 
 
@@ -206,7 +252,7 @@ def test_who_cannot_read_a_promise_any_more_gives_no_lease_before_it_has_heard_a
     fleet.boot(gone)
     fleet.boot(promised)
     fleet.run(30.0)
-    assert said(fleet, "no lease is given before every member was heard: the journal here is new")
+    assert said(fleet, "heard: the journal here is new, or has lost a promise")
     assert not [line for line in said(fleet, "stamp ") if line[0] > at + LEASE * 1.01]
     fleet.heal_all()
     run_until(fleet, "complete", 120.0)

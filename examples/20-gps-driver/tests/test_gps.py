@@ -176,7 +176,7 @@ def test_it_passes_the_kit_without_anybody_having_to_agree(monkeypatch):
     assert {f.check for f in found if f.outcome == "not run"} == {
         "the safe state is latched until release", "it comes to rest in its safe state",
     }  # fmt: skip
-    assert len(found) == 11
+    assert len(found) == 12
 
 
 def test_its_stock_resource_compiles():

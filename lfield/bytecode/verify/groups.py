@@ -37,7 +37,7 @@ _EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
 _OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"}
 
 #: What makes, or reads, exceptions that a program of lfield 0.3 does not have.
-_YOUNG = frozenset({"exc_others", "gather", "begin", "start", "fetch", "leave", "limit"})
+_YOUNG = frozenset({"exc_others", "gather", "begin", "start", "fetch", "leave", "limit", "settle"})
 
 #: Whether a type index is what a head takes or gives.
 Test = Callable[[MethodView, int], bool]
@@ -133,6 +133,14 @@ def _begin(view: MethodView, pc: int, quad: Quad) -> Signature:
         )
 
     return Signature([_is_ticket, takes_result, _accepts(INT), proxy, *arguments], None)
+
+
+def _settle(view: MethodView, pc: int, quad: Quad) -> Signature:
+    _check_coordinator(view, pc)
+    array = view.types.record(quad.a)
+    if array.kind != ARRAY:
+        raise view.refused(pc, "the target of a result is an element of an array")
+    return Signature([_is_ticket, _accepts(quad.a), _accepts(INT), _accepts(array.of)], None)
 
 
 def _gather(view: MethodView, pc: int, quad: Quad) -> Signature:
@@ -239,6 +247,7 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], Signature]] = {
     "start": _waits,
     "fetch": _waits,
     "leave": _leave,
+    "settle": _settle,
 }
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from lfield.bytecode.program import (
     ANY,
     ARRAY,
     DEVICE,
     OBJECT,
-    OTHERS,
     PROXY,
     STRING,
     TICKET,
@@ -98,6 +99,7 @@ def _check_portals(core: Core) -> None:
     All portals share what was seen before, so each type is looked at once.
     """
     seen: set[int] = set()
+    stays = core.others
     for method in core.methods:
         if method.kind != "portal":
             continue
@@ -109,7 +111,7 @@ def _check_portals(core: Core) -> None:
             seen.add(index)
             if not _may_cross(core, core.types[index]):
                 raise _refused(method, f"it is a portal, and type {index} cannot cross one")
-            open_types.extend(_parts(core, core.types[index]))
+            open_types.extend(_parts(core, core.types[index], stays))
 
 
 def _may_cross(core: Core, record: TypeRecord) -> bool:
@@ -118,14 +120,14 @@ def _may_cross(core: Core, record: TypeRecord) -> bool:
     return record.kind != OBJECT or core.classes[record.of].usage == "global"
 
 
-def _parts(core: Core, record: TypeRecord) -> list[int]:
+def _parts(core: Core, record: TypeRecord, stays: Mapping[int, int]) -> list[int]:
     if record.kind == ARRAY:
         return [record.of]
     if record.kind != OBJECT:
         return []
     # What else was thrown in a `together` stays behind when an exception crosses (copier.py).
     fields = core.classes[record.of].fields
-    return [field.type for field in (fields[:OTHERS] if record.of < core.builtins else fields)]
+    return [field.type for i, field in enumerate(fields) if i != stays.get(record.of)]
 
 
 def check_debug(program: Program) -> None:

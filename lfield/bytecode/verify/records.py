@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from lfield.bytecode.program import (
     ANY,
     ARRAY,
@@ -89,16 +91,25 @@ def check_classes(core: Core) -> None:
     if len(set(names)) != len(names):
         raise ProgramFileError("two of its classes have one name")
     table = TypeTable(core)
-    for record in core.classes[core.builtins :]:
+    others = core.others
+    for index, record in enumerate(core.classes[core.builtins :], core.builtins):
         if not record.name.isidentifier():
             raise ProgramFileError(f"a class has the name {record.name!r}, which no source can give it")
         if record.kind not in _KINDS or record.usage not in _USAGES:
             raise ProgramFileError(f"{record.name} is of unknown kind {record.kind!r}, {record.usage!r}")
-        _check_fields(record, table)
+        _check_fields(record, table, record.fields[:-1] if index in others else record.fields)
+        if index in others:
+            _check_beside(record)
 
 
-def _check_fields(record: ClassRecord, table: TypeTable) -> None:
-    for field in record.fields:
+def _check_beside(record: ClassRecord) -> None:
+    """The field for what else was thrown: the machine writes it, and it crosses no portal."""
+    if record.kind != "class" or record.capability or record.fields[-1].type != EXCEPTIONS:
+        raise ProgramFileError(f"{record.name} has no place for other exceptions")
+
+
+def _check_fields(record: ClassRecord, table: TypeTable, fields: Sequence[FieldRecord]) -> None:
+    for field in fields:
         if not field.name.isidentifier():
             raise ProgramFileError(f"a field of {record.name} has the name {field.name!r}")
         if not table.has(field.type) or not (field.type == DEVICE or table.is_value(field.type)):

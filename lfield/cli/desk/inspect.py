@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,10 +26,11 @@ def run(args: argparse.Namespace) -> int:
     from lfield.journal.journal import FILE_NAME
     from lfield.mission import bundle
 
-    inside = args.file / FILE_NAME
+    if os.path.isdir(args.file) and args.file.name != FILE_NAME:
+        return _show_folder(args.file)
     # What was moved aside is called after it.
-    if inside.exists() or FILE_NAME in args.file.name:
-        return _show_journal(inside if inside.exists() else args.file)
+    if FILE_NAME in args.file.name:
+        return _show_journal(args.file)
     if args.file.suffix in (bundle.SUFFIX, ".dL"):
         return _show_mission(args.file)
     return _show_dump(args.file)
@@ -68,6 +70,22 @@ def _print_state(shown: BlockView, limit: int) -> None:
     print(f"\nheap: {shown.used} of {limit} bytes")
     for name, count, size in shown.heap:
         print(f"  {size:>9} bytes  {count:>6} × {name}")
+
+
+def _show_folder(folder: Path) -> int:
+    """The journal of a host, by its folder. Raises InputFileError when there is none."""
+    from lfield.errors import InputFileError
+    from lfield.journal.journal import FILE_NAME
+    from lfield.text.files import reason
+
+    file = folder / FILE_NAME
+    try:
+        file.lstat()
+    except FileNotFoundError:
+        raise InputFileError(str(folder), f"it is a folder without a {FILE_NAME}") from None
+    except OSError as error:
+        raise InputFileError(str(folder), reason(error)) from None
+    return _show_journal(file)
 
 
 def _show_journal(file: Path) -> int:

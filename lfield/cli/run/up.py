@@ -161,6 +161,7 @@ def _run_one(mission: Mission, args: argparse.Namespace) -> int:
     from lfield.net.local import own_host
 
     name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
+    _look_at_port(mission, name, args)
     if not _ready(mission, name, args):
         return exits.FAILED
     with (
@@ -229,6 +230,18 @@ def _journal(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[
         yield journal
     finally:
         journal.close()
+
+
+def _look_at_port(mission: Mission, host: str, args: argparse.Namespace) -> None:
+    """See that no host runs here whose folder was moved away: in its place no new journal may be put.
+
+    One that has its folder keeps others out by its lock. Raises AddressError.
+    """
+    from lfield.net.local import insist_on_free
+
+    inherited = args.listen_fd is not None
+    if not inherited and _keeps(mission, args) and not os.path.exists(_place(mission, host, args)[0]):
+        insist_on_free(mission.team.addresses[mission.team.number(host)])
 
 
 def _keeps(mission: Mission, args: argparse.Namespace) -> bool:

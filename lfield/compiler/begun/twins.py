@@ -6,12 +6,12 @@
         }
         if (as_climb_lifts != null) {
             as_climb_lifts.climb(height);         worked in place, as this is
-            return height;                        puts height where the result goes; return
+            return height;                        settles height; return
         }
         ...
 
 The resource that serves a portal itself works beside the others. Every other way has steps of its own, so it
-is gone through when the block comes to it.
+is gone through when the block comes to it; what it gives waits with the results of the others.
 """
 
 from __future__ import annotations
@@ -22,17 +22,13 @@ from dataclasses import dataclass, replace
 from lfield.lang import types
 from lfield.lang.chains import statements
 from lfield.lang.tree import (
-    Assign,
     Begin,
-    Binary,
     Block,
     Call,
-    Declare,
     Element,
     Evaluate,
     Expr,
     If,
-    Literal_,
     Local,
     LocalGet,
     Method,
@@ -44,6 +40,14 @@ from lfield.lang.types import Type, array_of
 
 #: The type of the parameter that says whose call it is; the language has no such values.
 TICKET = Type("ticket")
+
+
+@dataclass(slots=True, eq=False)
+class Settle(Stmt):
+    """What was gone through in place has given a value: `target` takes it when the block ends."""
+
+    value: Expr
+    target: Element
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,17 +101,9 @@ def _step(one: Stmt, place: Element | None) -> list[Stmt]:
         case Return(value=PortalCall() as call):
             return [Begin(one.span, call, place), Return(one.span, None)]
         case Return(value=Expr() as value) if place is not None:
-            return [*_put(value, place), Return(one.span, None)]
+            return [Settle(value.span, value, place), Return(one.span, None)]
         case If():
             return [replace(one, then=_steps(one.then, place), otherwise=_steps(one.otherwise, place))]
         case Block():
             return [replace(one, body=_steps(one.body, place))]
     return [one]
-
-
-def _put(value: Expr, place: Element) -> list[Stmt]:
-    """Work out a value and put it where the result goes, if somebody wants it."""
-    made = Local("", value.type, value.span)
-    there = Binary(value.span, types.BOOLEAN, "!=", place.array, Literal_(value.span, types.NULL, None))
-    put = Assign(value.span, value.type, place, LocalGet(value.span, value.type, made))
-    return [Declare(value.span, made, value), If(value.span, there, [Evaluate(value.span, put)], [])]

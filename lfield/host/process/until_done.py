@@ -84,6 +84,8 @@ class _Remembered:
         newest: dict[str, int] = {}
         self._fresh |= self._host.mobility.telling - self._ended
         for row in self._host.mobility.knowledge():
+            if row.agent not in self._homes:
+                continue
             start = row.agent, row.generation
             newest[row.agent] = max(newest.get(row.agent, 0), row.generation)
             if row.state != "EXITED":

@@ -78,6 +78,8 @@ class Beginning:
         if waiting and not self._told:
             self._say(f"{' and '.join(waiting)}: not started before a majority of the team can be heard")
         self._told = bool(waiting)
+        if waiting:
+            self._leases.want()
         return self._told
 
     def _begin(self, counted: int) -> None:

@@ -24,6 +24,7 @@ from lfield.quorum import effects as quorum
 from lfield.quorum.core import Quorum
 from lfield.quorum.effects import Saved
 from lfield.quorum.members import Members
+from lfield.text.suggest import listed
 from lfield.vm.agent import Agent
 from lfield.vm.begun import Begun
 from lfield.vm.machine import Machine
@@ -40,7 +41,8 @@ Caller = Agent | Begun
 ENDED = "the lease of {0} has ended: no majority of the team can be heard"
 #: What a host may have promised that does not know it any more.
 FORGOTTEN = (
-    "no lease is given before every member was heard: the journal here is new, or has lost a promise; "
+    "no lease is given here before {0} {1} heard: the journal here is new, or has lost a promise; when a "
+    "member is gone for good, start all hosts with a 'recovery: {{members: [...]}}' that leaves it out; "
     "--first-start says that this host has never run this deployment"
 )
 #: An older copy would do again what has been done since: that is for a person to say.
@@ -85,6 +87,10 @@ class Leases:
         self._used: dict[str, set[Caller]] = {}
         self._waiting: dict[str, Agent] = {}
         self._held = False
+        #: The members of whom was said that they must be heard. All of a team may just be starting, so
+        #: nothing is said before that time.
+        self._missed: list[str] = []
+        self._patient_until = math.inf
 
     # --- time -----------------------------------------------------------------------------------------
 
@@ -92,8 +98,8 @@ class Leases:
         """The host is up. `first`: somebody says that it was never started before."""
         if self.fenced:
             self.quorum.begin(self._clock.monotonic(), first=first)
-            if not self.quorum.remembers:
-                self._out(Say(FORGOTTEN))
+            if self._own.host in self._mission.recovery.members:
+                self._patient_until = self._clock.monotonic() + self._mission.recovery.lease
         elif self._mission.fenced:
             self._out(Say(f"heartbeatInterval has no effect here: {self._own.host} keeps no journal"))
 
@@ -117,12 +123,21 @@ class Leases:
             # In its next life it need not hear everybody again.
             self._new = False
             self._team.remember()
+        if now >= self._patient_until:
+            self._tell_missing()
         held, self._held = self._held, self.quorum.lease.holds(now)
         if held and not self._held:
             self._lost()
         elif self._held and not held:
             self._gained()
         return self._held and not held
+
+    def _tell_missing(self) -> None:
+        """Who must be heard before this host counts, whenever that has changed."""
+        missing = self.quorum.unheard
+        if missing and missing != self._missed:
+            self._out(Say(FORGOTTEN.format(listed(missing), "was" if len(missing) == 1 else "were")))
+        self._missed = missing
 
     def _gained(self) -> None:
         """Those that stand at a portal call may begin it; not who was told to go on and wants away by now."""
@@ -162,6 +177,10 @@ class Leases:
     def waits(self) -> bool:
         """Whether coordinators of this host are not begun before it has a lease."""
         return bool(self.fenced) and not self.quorum.lease.holds(self._clock.monotonic())
+
+    def want(self) -> None:
+        """A coordinator of this host waits to begin until there is a lease."""
+        self.quorum.hurry(self._clock.monotonic())
 
     @property
     def left(self) -> float | None:

@@ -17,9 +17,7 @@ from lfield.wire.observing import Recover, Recovered
 
 def forget(team: Coordinators, agent: str) -> list[int]:
     """A coordinator is lost; the starts of it that end here."""
-    parked = [page for page in team.mobility.parked if page.agent == agent]
-    detail = "given up by 'lfield forget'"
-    starts, effects = team.mobility.forget(agent, [page.generation for page in parked], detail)
+    starts, effects = team.mobility.forget(agent, "given up by 'lfield forget'")
     if starts:
         team.say(f"{agent} is given up as lost: somebody ran 'lfield forget'")
     team.carry_out(effects)

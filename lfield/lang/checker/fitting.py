@@ -62,16 +62,21 @@ def expect(
 ) -> Expr:
     """The value as the wanted type; when it does not fit, `message` is reported with {wanted} and {given}."""
     if cost(value.type, wanted) is not None:
-        _check_devices(symbols, value, wanted)
+        _becomes(symbols, value, wanted)
         return converted(value, wanted)
     hint = conversion_hint(value.type, wanted) or None
     symbols.report(message, value.span, hint=hint, wanted=shown(wanted), given=shown(value.type), **values)
     return unknown(value.span)
 
 
-def _check_devices(symbols: Symbols, value: Expr, wanted: Type) -> None:
-    """Report an object with a device where an Exception is wanted: that could pass through portals."""
-    if wanted == EXCEPTION and (device := device_in(symbols, value.type)):
+def _becomes(symbols: Symbols, value: Expr, wanted: Type) -> None:
+    """An object that becomes an Exception may be thrown; one with a device is reported: that would travel."""
+    if wanted != EXCEPTION:
+        return
+    unit = symbols.named(value.type)
+    if unit is not None and unit.kind == "class":
+        unit.thrown = True
+    if device := device_in(symbols, value.type):
         symbols.report(messages.DEVICE_THROWN, value.span, type=shown(value.type), device=device)
 
 
@@ -151,7 +156,7 @@ def choose(
         return None
     chosen = best[0]
     for value, wanted in zip(given, chosen.types, strict=True):
-        _check_devices(symbols, value, wanted)
+        _becomes(symbols, value, wanted)
     return chosen.what, [converted(v, wanted) for v, wanted in zip(given, chosen.types, strict=True)]
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from lfield.bytecode.program import (
     ANY,
+    BESIDE,
     BOOLEAN,
     DEVICE,
     INT,
@@ -94,6 +95,17 @@ def view(block: Block, program: Program, members: Sequence[str] = ()) -> BlockVi
     return _Decoder(block, program, members).view()
 
 
+def fields_of(block: Block, program: Program, place: int, members: Sequence[str] = ()) -> str:
+    """The fields of an object as they are shown beside a variable: `{7, "late"}`."""
+    return _Decoder(block, program, members).parts(_field_types(program, place, block), place)
+
+
+def _field_types(program: Program, place: int, block: Block) -> list[int]:
+    """The types of an object's fields, but for what the machine has put beside it."""
+    fields = program.core.classes[block.w[place] >> 8 & 0xFFFFFF].fields
+    return [field.type for field in fields if field.name != BESIDE]
+
+
 class _Decoder:
     def __init__(self, block: Block, program: Program, members: Sequence[str]) -> None:
         self.block, self.program, self.members = block, program, members
@@ -152,6 +164,8 @@ class _Decoder:
     def call(self, ticket: int) -> str:
         """One call of a together: which portal, and how far it is."""
         w = self.block.w
+        if not w[ticket + layout.TICKET_PROXY]:
+            return "an offer that was gone through in place is back"
         number = w[w[ticket + layout.TICKET_PROXY] + layout.PROXY_MEMBER]
         name = self.members[number] if number < len(self.members) else str(number)
         portal = self.program.core.methods[w[ticket + layout.TICKET_METHOD]].name
@@ -207,15 +221,20 @@ class _Decoder:
             kinds = [of] * size
             name = f"[{size}]"
         else:
-            kinds = [f.type for f in core.classes[index].fields]
+            kinds = _field_types(self.program, word, self.block)
             name = core.classes[index].name
         if inner:
             return f"{name} @{word}"
+        mark = f" ({core.classes[index].name})" if kind == ANY else ""
+        return f"{name}{mark} @{word} {self.parts(kinds, word)}"
+
+    def parts(self, kinds: Sequence[int], word: int) -> str:
+        """The first elements or fields of something, of these types."""
+        w = self.block.w
         parts = [self.shown(k, w[word + 1 + i], True) for i, k in enumerate(kinds[:SHOWN_PARTS])]
         if len(kinds) > SHOWN_PARTS:
             parts.append("…")
-        mark = f" ({core.classes[index].name})" if kind == ANY else ""
-        return f"{name}{mark} @{word} {{{', '.join(parts)}}}"
+        return f"{{{', '.join(parts)}}}"
 
     def heap(self) -> tuple[tuple[str, int, int], ...]:
         count: Counter[str] = Counter()

@@ -17,7 +17,7 @@ collector works, a negative header is the negated new place of what moved.
 from __future__ import annotations
 
 from lfield.bytecode.program import ARRAY as ARRAY_TYPE
-from lfield.bytecode.program import OTHERS, REFERENCES, Program, TypeRecord
+from lfield.bytecode.program import REFERENCES, Program, TypeRecord
 
 MAGIC = int.from_bytes(b"LBLK", "little")
 VERSION = 3
@@ -75,7 +75,8 @@ THREAD_REFERENCES = (THREAD_FRAME, THREAD_NEXT)
 # A ticket: one portal call of a `together` (decision 46). CALL is a frame of the portal METHOD, with the
 # arguments in its slots, until the call has begun. The result goes to element INDEX of ARRAY. NEXT is the
 # ticket collected before: numbers fall along it. The ticket with the NUMBER 0 is the sentinel that holds all
-# of one `together`: it has only NEXT, the newest.
+# one `together`: it has only NEXT, the newest. One without a PROXY has no call either, and is BACK: it has
+# what an offer that was gone through in place has given.
 TICKET_PROXY, TICKET_CALL, TICKET_METHOD, TICKET_ARRAY, TICKET_INDEX, TICKET_STATE = 1, 2, 3, 4, 5, 6
 TICKET_GENERATION, TICKET_NUMBER, TICKET_VALUE, TICKET_THROWN, TICKET_NEXT = 7, 8, 9, 10, 11
 TICKET_WORDS = 12
@@ -117,9 +118,7 @@ class Layouts:
 
         #: By the low half of a header: the one reference of the thing that stays behind when it is copied to
         #: another block, which is what else a `together` has thrown. It may lead to what crosses no portal.
-        self.stays = {
-            OBJECT | i << 8: 1 + OTHERS for i in range(core.builtins) if len(core.classes[i].fields) > OTHERS
-        }
+        self.stays = {OBJECT | i << 8: 1 + field for i, field in program.others.items()}
         #: Offsets of the references by the low half of a header; arrays that hold references are not in it.
         self.offsets = self._by_half(core.types)
 

@@ -32,7 +32,8 @@ from lfield.vm.memory.layout import (
     TOLD,
 )
 
-_HALF = 0xFFFFFFFF
+#: What a ticket has of its call; one that was settled in place has none of it.
+_OF_CALLS = (TICKET_CALL, TICKET_METHOD, TICKET_GENERATION, TICKET_THROWN)
 
 
 def collected(block: Block, sentinel: int) -> list[int]:
@@ -91,8 +92,12 @@ def check_ticket(program: Program, w: memoryview[int], starts: dict[int, int], p
     if not COLLECTED <= state <= BACK:
         raise BlockError("a ticket is in no sound state", word=place)
     _check_next(w, starts, place, number)
-    _check_call(program, w, starts, place)
-    _check_target(program, w, starts, place)
+    _check_element(w, starts, place)
+    if w[place + TICKET_PROXY]:
+        _check_call(program, w, starts, place)
+        _check_result(program, w, starts, place)
+    elif state != BACK or not w[place + TICKET_ARRAY] or any(w[place + i] for i in _OF_CALLS):
+        raise BlockError("a ticket leads to no resource", word=place)
     if state in (COLLECTED, BEGUN, TOLD) and (w[place + TICKET_VALUE] or w[place + TICKET_THROWN]):
         raise BlockError("a ticket has a result before it is back", word=place)
 
@@ -124,8 +129,8 @@ def _check_call(program: Program, w: memoryview[int], starts: dict[int, int], pl
         raise BlockError("the arguments of a ticket are not those of its portal", word=place)
 
 
-def _check_target(program: Program, w: memoryview[int], starts: dict[int, int], place: int) -> None:
-    """The element that the result goes to, which can hold it."""
+def _check_element(w: memoryview[int], starts: dict[int, int], place: int) -> None:
+    """The element that the result goes to."""
     array, index, kind = w[place + TICKET_ARRAY], w[place + TICKET_INDEX], starts[place] >> 8
     if not kind:
         if array or index or w[place + TICKET_VALUE]:
@@ -133,6 +138,13 @@ def _check_target(program: Program, w: memoryview[int], starts: dict[int, int], 
         return
     if not array or not 0 <= index < (w[array] >> 32) - 1:
         raise BlockError("the target of a ticket is no element of its array", word=place)
+
+
+def _check_result(program: Program, w: memoryview[int], starts: dict[int, int], place: int) -> None:
+    """Whether the element, if there is one, can hold what the portal gives."""
+    kind = starts[place] >> 8
+    if not kind:
+        return
     core = program.core
     gives, takes = core.methods[w[place + TICKET_METHOD]].result, core.types[kind].of
     if gives == takes:

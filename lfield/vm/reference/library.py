@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable
 from typing import Any
 
-from lfield.bytecode.program import EXCEPTIONS, MESSAGE, OTHERS, SOURCE
+from lfield.bytecode.program import EXCEPTIONS, MESSAGE, SOURCE
 from lfield.vm.contract import Trap
 from lfield.vm.memory import layout
 from lfield.vm.memory.values import real_text
@@ -139,7 +139,8 @@ def _exception_type(m: Registers, place: int) -> int:
 def _exception_others(m: Registers, place: int) -> int:
     if not place:
         raise null_use("exception")
-    known = m.w[place] >> 8 & 0xFFFFFF < m.builtins and m.w[place + 1 + OTHERS]
+    field = m.others.get(m.w[place] >> 8 & 0xFFFFFF)
+    known = 0 if field is None else m.w[place + 1 + field]
     return known or m.block.allocate(layout.ARRAY, EXCEPTIONS, 1)
 
 

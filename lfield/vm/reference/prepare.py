@@ -219,7 +219,7 @@ class _Preparer:
                 return {0: f"portal '{self.core.methods[operand].name}'"}
             case "begin":
                 return {0: "'together'", 3: f"portal '{self.core.methods[operand].name}'"}
-            case "start" | "fetch" | "leave":
+            case "start" | "fetch" | "leave" | "settle":
                 return {0: "'together'"}
             case "write_str" | "print_str" | "find" | "agent" | "host":
                 return {0: f"'{row.name.partition('_')[0]}'"}

@@ -23,6 +23,7 @@ class Registers:
         "frame",
         "limits",
         "now",
+        "others",
         "pc",
         "r",
         "readings",
@@ -45,6 +46,8 @@ class Registers:
     class_names: list[str]
     #: How many of the first classes are built in.
     builtins: int
+    #: By class, the field that has the exceptions of other calls of a `together`.
+    others: dict[int, int]
     #: The agent's readings by device call, None where the host has to be asked; the time that judges them.
     readings: Sequence[Reading | None]
     now: Callable[[], float]

@@ -29,6 +29,7 @@ class Engine:
         self._registers = Registers()
         self._registers.now = now
         self._registers.builtins = program.builtins
+        self._registers.others = program.others
 
     @property
     def layouts(self) -> Layouts:

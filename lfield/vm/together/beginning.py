@@ -7,8 +7,10 @@ from lfield.vm.agent import Agent
 from lfield.vm.begun import Begun
 from lfield.vm.contract import Trap
 from lfield.vm.limits import TimeLimits
+from lfield.vm.memory.block import Block
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import (
+    BACK,
     BEGUN,
     CALLING,
     COLLECTED,
@@ -18,6 +20,7 @@ from lfield.vm.memory.layout import (
     TICKET_CALL,
     TICKET_GENERATION,
     TICKET_STATE,
+    TICKET_VALUE,
     TICKET_WORDS,
 )
 from lfield.vm.memory.tickets import new_ticket
@@ -39,9 +42,7 @@ def collect(scheduler: Scheduler, agent: Agent, method: int, words: list[int]) -
     """
     sentinel, array, index, proxy, *arguments = words
     block = agent.block
-    if array and not 0 <= index < (block.w[array] >> 32) - 1:
-        length = (block.w[array] >> 32) - 1
-        raise Trap("IndexException", f"index {index} of an array of length {length}")
+    _check_target(block, array, index)
     call = block.allocate(FRAME, method, scheduler.layouts.frame_words[method])
     references = scheduler.reference_arguments(method)
     roots = [arguments[i - 1] for i in references]
@@ -52,6 +53,26 @@ def collect(scheduler: Scheduler, agent: Agent, method: int, words: list[int]) -
     for i, place in zip(references, copies, strict=True):
         w[call + FRAME_SLOTS + i] = place
     new_ticket(block, sentinel, method, proxy, call, (array, index if array else 0))
+
+
+def settle(agent: Agent, words: list[int]) -> None:
+    """A ticket for what is there already, if somebody wants it; `words` are sentinel, array, index, value.
+
+    Raises Full before it is in, and Trap when the target is no element.
+    """
+    sentinel, array, index, value = words
+    if not array:
+        return
+    w = agent.block.w
+    _check_target(agent.block, array, index)
+    ticket = new_ticket(agent.block, sentinel, 0, 0, 0, (array, index))
+    w[ticket + TICKET_STATE], w[ticket + TICKET_VALUE] = BACK, value
+
+
+def _check_target(block: Block, array: int, index: int) -> None:
+    if array and not 0 <= index < (block.w[array] >> 32) - 1:
+        length = (block.w[array] >> 32) - 1
+        raise Trap("IndexException", f"index {index} of an array of length {length}")
 
 
 class Beginnings:

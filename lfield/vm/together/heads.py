@@ -28,7 +28,7 @@ from lfield.vm.memory.layout import (
     TOLD,
 )
 from lfield.vm.scheduler import Scheduler
-from lfield.vm.together.beginning import Beginnings, collect, gather
+from lfield.vm.together.beginning import Beginnings, collect, gather, settle
 from lfield.vm.together.outcomes import Outcomes
 from lfield.vm.together.visits import Ticket, Visits
 
@@ -54,6 +54,7 @@ class Together:
             "start": self._guarded(self._start),
             "fetch": self._guarded(self._fetch),
             "leave": self._guarded(self._leave),
+            "settle": self._guarded(self._settle),
         }
 
     def _guarded(self, head: Handler) -> Handler:
@@ -82,6 +83,10 @@ class Together:
 
     def _begin(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         collect(self._scheduler, agent, operand, words)
+        self._scheduler.go_on(agent, thread)
+
+    def _settle(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        settle(agent, words)
         self._scheduler.go_on(agent, thread)
 
     # --- begin, fetch ---------------------------------------------------------------------------------

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from lfield.bytecode.program import EXCEPTIONS, MESSAGE, OTHERS
+from lfield.bytecode.program import EXCEPTIONS, MESSAGE
 from lfield.vm.agent import Agent
 from lfield.vm.begun import Begun
 from lfield.vm.cancelling import CANCELLED
 from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
+from lfield.vm.inspect.decode import fields_of
 from lfield.vm.memory.layout import (
     ARRAY,
     BACK,
@@ -151,16 +152,19 @@ class Outcomes:
         for ticket in others:
             name, message = self._said(agent, ticket.thrown)
             text = f"{name}: {message}" if message else name
+            if agent.block.w[ticket.thrown] >> 8 & 0xFFFFFF >= self._program.builtins:
+                text = f"{name} {fields_of(agent.block, self._program, ticket.thrown, self._visits.ids)}"
             self._scheduler.world.log(agent, f"{self._visits.name(ticket)} has thrown too: {text}")
 
     def _join(self, agent: Agent, first: int, *others: int) -> None:
         """Put exceptions beside another one, behind those that are there. Raises Full before it does."""
         block = agent.block
-        if not first or not others or block.w[first] >> 8 & 0xFFFFFF >= self._program.builtins:
+        field = self._program.others.get(block.w[first] >> 8 & 0xFFFFFF) if first else None
+        if field is None or not others:
             return
-        known = block.w[first + 1 + OTHERS]
+        known = block.w[first + 1 + field]
         before = block.w[known + 1 : known + (block.w[known] >> 32)].tolist() if known else []
         array = block.allocate(ARRAY, EXCEPTIONS, 1 + len(before) + len(others))
         for i, place in enumerate((*before, *others), array + 1):
             block.w[i] = place
-        block.w[first + 1 + OTHERS] = array
+        block.w[first + 1 + field] = array

@@ -127,6 +127,11 @@ class Visits:
         """Its resource."""
         return self._team[ticket.member]
 
+    @property
+    def ids(self) -> list[str]:
+        """The ids of the team."""
+        return [member.id for member in self._team]
+
     def name(self, ticket: Ticket) -> str:
         """The call in a word: `resource.portal()`."""
         return f"{self.resource(ticket).id}.{self.portal(ticket)}()"

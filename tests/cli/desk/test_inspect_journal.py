@@ -122,6 +122,21 @@ def test_all_that_is_in_it_is_shown_while_a_host_has_it_and_after(tmp_path: Path
     assert inspect(tmp_path / "host.journal") == Said(0, expected, "")
 
 
+def test_a_folder_without_a_journal_is_told_as_that(tmp_path: Path) -> None:
+    said = inspect(tmp_path)
+    assert (said.status, said.out) == (66, "")
+    assert said.err == f"lfield: cannot read {tmp_path}: it is a folder without a host.journal\n"
+    file = tmp_path / "host.journal"
+    file.symlink_to("nowhere")
+    for named in (tmp_path, file):
+        said = inspect(named)
+        assert said == Said(66, "", f"lfield: cannot read {file}: it is a link that leads nowhere\n")
+    file.unlink()
+    file.mkdir()
+    for named in (tmp_path, file):
+        assert inspect(named).err == f"lfield: cannot read {file}: it is a folder\n"
+
+
 def test_a_damaged_page_is_named_and_all_others_are_shown(tmp_path: Path) -> None:
     kept(tmp_path).close()
     sql(tmp_path, "UPDATE pages SET kept = kept + 1 WHERE name = 'digger'")

@@ -135,13 +135,13 @@ def test_ctrl_c_ends_all_hosts_in_order(lfield, number):
 def test_ctrl_c_in_flight_lands_the_copters_before_the_hosts_end(lfield):
     deployment = EXAMPLES / "01-first-flight" / "mission.dL"
     team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done")
-    team.wait_for("wing: taking off")
+    for copter in ("lead", "wing"):
+        team.wait_for(f"{copter}: at ")
     team.signal(signal.SIGINT)
     assert team.wait() == 130
     for device in ("lead.fc", "wing.fc"):
         assert f"{device}: is in its safe state 'land': the host is stopping" in team.said
-    # The other may not have left the ground yet.
-    assert "lead.fc: is at rest" in team.said
+        assert f"{device}: is at rest" in team.said
     assert "NOT SAFE" not in team.said
     assert lfield.left() == []
 
@@ -206,6 +206,18 @@ def test_a_port_in_use(lfield):
     assert lfield.status(host) == 69
     remedy = "stop the program that has it, or choose another port"
     assert host.err == [f"lfield: cannot use {address}: the port is in use; {remedy}"]
+
+
+def test_who_finds_the_port_in_use_makes_no_journal(lfield, tmp_path):
+    # The first one may still run, though its folder was moved away: in its place nothing else may be put.
+    deployment = lfield.mission(POSTS, "//Post:near@alpha\n")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        words = ("up", "--deploy", deployment, "--host", "alpha", "--map", f"alpha={address}")
+        hosts = [lfield(*words, "--state", tmp_path / "state", *fresh) for fresh in ((), ("--fresh",))]
+    assert [lfield.status(host) for host in hosts] == [69, 69]
+    assert all("the port is in use" in host.said for host in hosts)
+    assert not (tmp_path / "state").exists()
 
 
 def test_all_listens_where_map_says_and_elsewhere_on_free_ports(lfield):

@@ -7,6 +7,7 @@ import asyncio
 import pytest
 
 from lfield.errors import AddressError, CoordinatorAlive, UsageError
+from lfield.host.process.until_done import until_done
 from lfield.operator.ask import STATUS, ask, ask_all, forget
 from lfield.operator.whereabouts import insist_on_doubt
 
@@ -91,3 +92,62 @@ def test_what_is_parked_for_another_program_is_given_up(fleet):
         assert records(again) == [("EXITED", "lost")]
 
     fleet(story)
+
+
+@pytest.mark.parametrize(
+    ("others", "anew"),
+    [("//Post:other@home\n", 2), ("//Post:guest@home\n", 2), ("//Guest:other@home?post\n", 3)],
+    ids=["no coordinator", "a resource of its name", "other coordinators"],
+)
+def test_what_is_parked_ends_for_good_where_nobody_has_its_name(fleet, others, anew):
+    """It does not go on when its own mission is started again: that is another run."""
+
+    async def story(team):
+        first = team.mission(PROGRAM, DEPLOYMENT)
+        home, away = await team.up(first, keeps=True)
+        await team.until(lambda: away.output)
+        await stopped(away, home)
+        other = team.mission(PROGRAM, f"//Post:post@away\n{others}")
+        home, away = await team.up(other, "home", "away", keeps=True)
+        insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
+        assert {host: (await word(team, host)).starts for host in NAMES} == {"home": [1], "away": [1]}
+        assert {host: (await word(team, host)).starts for host in NAMES} == {"home": [], "away": []}
+        assert [running.host.status().journal.parked for running in (home, away)] == [[], []]
+        with pytest.raises(UsageError, match=r"guest has ended on \w+ \(lost\): there is nothing to end"):
+            insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
+        assert home.holds("guest") == ("Post:guest" in others)
+        await stopped(away, home)
+        _, away = await team.up(first, keeps=True)
+        await team.until(lambda: away.output)
+        starts = {known.generation: known.outcome or known.state for known in away.host.mobility.knowledge()}
+        assert starts == {1: "lost", anew: "RUN"}
+        assert "goes on where it was kept" not in away.log
+
+    fleet(story)
+
+
+def test_who_waits_for_the_end_of_a_mission_does_not_wait_for_what_was_parked(fleet):
+    """home only hears that guest was given up at away."""
+
+    async def story(team):
+        home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
+        await team.until(lambda: away.output)
+        await stopped(away, home)
+        short = PROGRAM.replace("1000.0", "1.0")
+        mission = team.mission(short, DEPLOYMENT.replace("Guest:guest", "Guest:other"))
+        home, away = await team.up(mission, keeps=True)
+        assert (await word(team, "away")).starts == [1]
+        await team.until(lambda: ("EXITED", "lost") in records(home))
+        (fate,) = await until_done(home.host, 15.0)
+        assert (fate.agent, fate.outcome) == ("other", "done")
+
+    fleet(story)
+
+
+async def word(team, host):
+    return await ask(team.network.transport("desk"), f"{host}:8181", forget("guest"))
+
+
+async def stopped(*hosts):
+    for running in hosts:
+        await running.host.stop()

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from lfield.host.team.keeping import Recovery
 from lfield.journal.pages import CopyPage, ProgramPage
+from lfield.mobility.core import Mobility
+from lfield.mobility.effects import Persist
+from lfield.wire.coordinators import Transfer
+from lfield.wire.messages import Hello
 
 PROGRAM = """
 resource Post {
@@ -94,3 +98,20 @@ def test_a_program_of_which_no_block_is_left_is_not_kept():
     found = Recovery([old, new, waits, *copies], new.digest)
     assert found.outdated == [old]
     assert (found.parked, found.copies) == ([copies[0]], [copies[1]])
+
+
+def test_a_persons_word_ends_all_that_is_parked_of_an_agent():
+    """Two starts of two missions; and one under whose number something came, which was not taken."""
+    own = Hello("host", "away", 9, b"n" * 32, b"n" * 32, 1000, memory=5)
+    mobility = Mobility(own, peers=["home", "away"], agents=["guest"], inject=lambda *_: None)
+    agents = [("other", 1, b"a"), ("other", 2, b"b"), ("guest", 1, b"a"), ("third", 1, b"a")]
+    mobility.restore([], [CopyPage(*one, "RUN", program=of * 32, block=b"...") for *one, of in agents])
+    (refusal,) = mobility.arrive("home", Transfer("guest", 1, 1, 1, b"n" * 32, 5, 3), b"new")
+    assert "keeps another start of guest under that number" in refusal.message.reason
+    for agent, starts in (("guest", [1]), ("other", [1, 2])):
+        ended, effects = mobility.forget(agent, "by a word")
+        pages = [effect.page for effect in effects if isinstance(effect, Persist)]
+        assert ended == starts == [page.generation for page in pages]
+        assert {(page.state, page.outcome, page.block) for page in pages} == {("EXITED", "lost", b"")}
+        assert mobility.forget(agent, "again")[0] == []
+    assert [page.agent for page in mobility.parked] == ["third"]

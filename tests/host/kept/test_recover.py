@@ -140,6 +140,21 @@ def test_one_that_is_kept_for_another_mission_is_named(fleet):
     fleet(story)
 
 
+def test_a_shadow_that_is_of_another_mission_is_gone_on_with_in_that_mission(fleet):
+    async def story(team):
+        for running in await with_guest_away(team):
+            await running.host.stop()
+        await team.up(team.mission(PROGRAM, "//Post:other@home\n"), "home", keeps=True)
+        answers = await looked(team, "home")
+        with pytest.raises(UsageError, match=r"guest is of another mission .* home keeps a copy: start that"):
+            believed("guest", answers, NAMES)
+        assert (await ask(team.network.transport("desk"), "home:8181", forget("guest"))).starts == [1]
+        with pytest.raises(UsageError, match=r"guest has ended on home \(lost\): there is nothing to go on"):
+            believed("guest", await looked(team, "home"), NAMES)
+
+    fleet(story)
+
+
 @pytest.mark.parametrize(
     "request_", [recover(Recover("guest", 1, 1, 1)), forget("guest")], ids=["recover", "forget"]
 )

@@ -21,12 +21,14 @@ from lfield.vm.memory.collector import collect
 
 BUSY = """
 class Card { public string text; public Card self; public Card(string t) { text = t; self = this; } }
+class Own { public int n; public Own(int n) { this.n = n; } }
 resource Post {
   string name; int done;
   init(string[] arg) { name = arg[0]; }
   portal stamp(Card card, real s) emit Card { sleep(s); card.text = card.text + name; return card; }
   portal count(int n) emit int { sleep(0.5); done = done + n; return done; }
   portal fail(string why) { sleep(0.2); throw new IndexException(why); }
+  portal own(int n) { throw new Own(n); }
 }
 coordinator Boss {
   init(string[] arg) {
@@ -44,6 +46,8 @@ coordinator Boss {
     catch (TimeLimitException e) { print(e.message()); }
     try { together { x = r[1].count(5); c[0] = r[2].stamp(mine, 4.0); sleep(1.0); print(1 / zero); } }
     catch (ArithmeticException e) { print(i2s(x) + c[0].text); }
+    try { together { r[1].own(6); r[2].own(7); } }
+    catch (Own o) { Exception e = o; print(i2s(o.n + r[2].count(0)) + e.others()[0].type()); }
   }
 }
 """
@@ -55,6 +59,8 @@ SAID = [
     "onetwo0",
     "the time is over; r2.stamp() was cancelled",
     "0cr0",
+    "r2.own() has thrown too: Own {7}",
+    "8Own",
 ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from joined_hosts import Joined
 
 from lfield.testing.golden import compile_text
+from lfield.vm.inspect.decode import view
 
 THROWING = """
 resource Post {
@@ -27,6 +28,29 @@ coordinator Boss {
   }
 }
 """
+
+
+OWN = """
+class Boom { public int n; public Boom(int n) { this.n = n; } }
+resource Post { init(string[] arg) { } portal boom(int n) { throw new Boom(n); } }
+coordinator Boss {
+  init(string[] arg) {
+    Post[] r = findPost();
+    try together { r[0].boom(1); r[0].boom(2); }
+    catch (Boom b) { Exception e = b; sleep(9.0); print(b.n + e.others().length()); }
+  }
+}
+"""
+
+
+def test_what_is_beside_an_object_is_no_field_of_its_class() -> None:
+    joined = Joined(compile_text(OWN), 1)
+    joined.run(until=5.0)
+    shown = dict(view(joined.boss[1].block, joined.program).threads[0].frames[0].locals)
+    assert shown["b"].startswith("Boom @")
+    assert shown["b"].endswith(" {1}")
+    joined.run()
+    assert joined.printed == ["r0.boom() has thrown too: Boom {2}", "2"]
 
 
 def test_a_report_has_every_line_once() -> None:

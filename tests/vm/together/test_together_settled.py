@@ -1,0 +1,109 @@
+"""Results that are there before their `together` is over: kept in tickets without a call, which travel."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+from joined_hosts import Joined
+
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.bytecode.program import ARRAY, STRING, Program, Quad, TypeRecord, encode_quads
+from lfield.bytecode.verify import verify
+from lfield.errors import BlockError
+from lfield.testing.golden import compile_text
+from lfield.vm.contract import Limits
+from lfield.vm.inspect.decode import view
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+
+#: `r[0].text()` is made what an offer has given in place: the string in `made`.
+PLACED = """
+resource Post {
+  init(string[] arg) { }
+  portal text() emit string { return "never called"; }
+  portal work(boolean fails) { sleep(1.0); if (fails) throw new DeviceException("stuck"); }
+}
+coordinator Boss {
+  init(string[] arg) {
+    work(findPost(), "settled", arg.length() > 5); work(findPost(), "lost", arg.length() < 5);
+  }
+  private void work(Post[] r, string made, boolean fails) {
+    Post first = r[0]; Post second = r[1];
+    string[] s = new string[2];
+    s[1] = "before";
+    try { together { s[1] = first.text(); second.work(fails); } }
+    catch (DeviceException e) { print(e.message()); }
+    print(s[1]);
+  }
+}
+"""
+
+
+@cache
+def placed() -> Program:
+    """The program with its first `begin` made a `settle`."""
+    made = compile_text(PLACED)
+    quads = list(made.quads)
+    pc = next(i for i, quad in enumerate(quads) if quad.op == BY_NAME["begin"].code)
+    quads[pc - 1] = Quad(BY_NAME["push"].code, 2, 0, 0)
+    quads[pc] = Quad(BY_NAME["settle"].code, made.core.types.index(TypeRecord(ARRAY, STRING)), 0, 0)
+    core = made.core.__class__(
+        made.core.types, made.core.constants, made.core.classes, made.core.methods, made.core.device_calls,
+        encode_quads(quads),
+    )  # fmt: skip
+    program = Program(core, made.debug, made.digest)
+    verify(program)
+    return program
+
+
+def test_what_is_settled_is_assigned_when_all_are_back() -> None:
+    joined = Joined(placed(), 2)
+    joined.run(until=0.5)
+    shown = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
+    calls = [call for frame in shown.threads[0].frames for call in frame.calls]
+    assert calls == ["an offer that was gone through in place is back", "r1.work() has begun"]
+    joined.run()
+    assert joined.printed[-3:] == ["settled", "stuck", "before"]
+
+
+@cache
+def travelled() -> bytes:
+    """The block on its way to the second host, with one result and one call."""
+    found: list[bytes] = []
+
+    class Noting(Joined):
+        def leave(self, source, agent, target):  # type: ignore[no-untyped-def]
+            found.append(bytes(self.machines[source].pack(agent)))
+            super().leave(source, agent, target)
+
+    Noting(placed(), 2).run()
+    return found[0]
+
+
+@pytest.mark.parametrize(
+    ("word", "changed", "reason"),
+    [
+        (layout.TICKET_STATE, layout.COLLECTED, "no resource"),
+        (layout.TICKET_STATE, layout.BEGUN, "no resource"),
+        (layout.TICKET_STATE, layout.TOLD, "no resource"),
+        (layout.TICKET_METHOD, 1, "no resource"),
+        (layout.TICKET_GENERATION, 1, "no resource"),
+        (layout.TICKET_INDEX, 2, "no element"),
+        (layout.TICKET_ARRAY, 0, "no element"),
+        (layout.TICKET_VALUE, None, "of its type"),
+        (layout.TICKET_THROWN, None, "of its type"),
+    ],
+)
+def test_a_result_without_a_call_is_nothing_else(word: int, changed: int | None, reason: str) -> None:
+    image = bytearray(travelled())
+    block = Block(image, len(image) // 8, len(image) // 8)
+    place = block.heap
+    while block.w[place] & 0xFF != layout.TICKET or not block.w[place + layout.TICKET_VALUE]:
+        place += block.w[place] >> 32
+    assert not block.w[place + layout.TICKET_PROXY]
+    block.w[place + word] = block.w[place + layout.TICKET_ARRAY] if changed is None else changed
+    joined = Joined(placed(), 2)
+    joined.machines[0].agents.pop("boss").ended = "dropped"
+    with pytest.raises(BlockError, match=reason):
+        joined.machines[1].admit(joined.team[2], bytes(image), Limits())
