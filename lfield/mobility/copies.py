@@ -135,12 +135,17 @@ class Copy:
 
     def restore(self, page: CopyPage) -> None:
         """Become what a page says."""
-        self.state, self.sequence, self.hops = page.state, page.sequence, page.hops
-        self.refusal = Refusal(page.kind, page.reason) if page.kind else None
+        self.state = page.state
+        self.count(page)
         self.target, self.memory, self.outcome = page.target, page.memory, page.outcome
         self.detail, self.ended_on, self.block = page.detail, page.ended_on, page.block or None
         self.doubt = page.doubt
         self.restored = self.state in ("RUN", "PREPARED")
+
+    def count(self, page: CopyPage) -> None:
+        """Take over the verdict that a page has, so that no transfer is decided on anew."""
+        self.sequence, self.hops = page.sequence, page.hops
+        self.refusal = Refusal(page.kind, page.reason) if page.kind else None
 
 
 class Copies:
@@ -169,9 +174,11 @@ class Copies:
         return self._persist(copy, soon=True)
 
     def _persist(self, copy: Copy, *, soon: bool) -> list[Effect]:
-        if copy.state == "EXITED":
-            self.parked.pop((copy.agent, copy.generation), None)
-        if not self._mission or (copy.agent, copy.generation) in self.parked:
+        start = copy.agent, copy.generation
+        parked = self.parked.pop(start, None) if copy.state == "EXITED" else None
+        if parked is not None and parked.sequence >= copy.sequence:
+            copy.count(parked)
+        if not self._mission or start in self.parked:
             return []
         return [Persist(copy.agent, copy.page(self._mission), soon=soon)]
 

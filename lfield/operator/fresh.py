@@ -6,7 +6,7 @@ has left it belongs to somebody else, who is asked.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from msgspec import structs
@@ -22,11 +22,15 @@ WORD = "thrown away by 'lfield up --fresh'"
 
 
 class Anew(NamedTuple):
-    """The copies that are thrown away, those that may be alive elsewhere, and the pages that follow."""
+    """The copies that are thrown away, those that may be alive elsewhere, and the pages that follow.
+
+    `parked` says which host keeps one that is thrown away for another mission, and has to give it up.
+    """
 
     thrown: Sequence[CopyPage]
     away: Sequence[CopyPage]
     pages: Sequence[Page]
+    parked: Mapping[CopyPage, str]
 
 
 def left(pages: Iterable[Page]) -> list[CopyPage]:
@@ -42,16 +46,18 @@ def anew(host: str, pages: Sequence[Page], answers: Answers[Status]) -> Anew:
     """
     held = [page for page in pages if isinstance(page, CopyPage) and page.state == "RUN"]
     away, thrown, changed = list[CopyPage](), list(held), list[Page]()
+    parked = dict[CopyPage, str]()
     for page in left(pages):
-        ending = _told(page, answers) or _parked(host, page, answers)
-        if ending is None:
+        ending, where = _told(page, answers), _parked(page, answers)
+        if ending is not None:
+            changed.append(ending)
+        elif where:
+            parked[page] = where
+        else:
             away.append(page)
-            continue
-        changed.append(ending)
-        if ending.detail == WORD:
-            thrown.append(page)
-    changed += [_ended(page, "lost", WORD, host) for page in held]
-    return Anew(thrown, away, [*changed, Run(open=False)])
+    thrown += parked
+    changed += [_ended(page, "lost", WORD, host) for page in thrown]
+    return Anew(thrown, away, [*changed, Run(open=False)], parked)
 
 
 def _told(page: CopyPage, answers: Answers[Status]) -> CopyPage | None:
@@ -64,15 +70,15 @@ def _told(page: CopyPage, answers: Answers[Status]) -> CopyPage | None:
     return None
 
 
-def _parked(host: str, page: CopyPage, answers: Answers[Status]) -> CopyPage | None:
-    """The same of one that another host keeps for another program: it goes the way of those that are here."""
-    for answer in answers.values():
+def _parked(page: CopyPage, answers: Answers[Status]) -> str:
+    """The host that keeps a copy that has left, for another mission; '' for none."""
+    for where, answer in answers.items():
         journal = None if isinstance(answer, LfieldError) else answer.journal
         for parked in () if journal is None else journal.parked:
             same = (parked.agent, parked.generation) == (page.agent, page.generation)
             if same and parked.state == "RUN":
-                return _ended(page, "lost", WORD, host)
-    return None
+                return where
+    return ""
 
 
 def _ended(page: CopyPage, outcome: Outcome, detail: str, host: str) -> CopyPage:

@@ -15,9 +15,10 @@ from lfield.errors import AddressError, CoordinatorAlive, UsageError
 from lfield.journal.file import FileJournal
 from lfield.journal.opening import Owner
 from lfield.journal.pages import CopyPage, Fence, Run, Starts
+from lfield.operator.ask import STATUS
 from lfield.operator.fresh import WORD, anew
 from lfield.wire.coordinators import Known
-from lfield.wire.observing import JournalStatus, ParkedStatus, Status
+from lfield.wire.observing import Forget, Forgotten, JournalStatus, ParkedStatus, Status
 
 HERE = CopyPage("pilot", 3, "RUN", 4, 2, program=b"p" * 32, block=b"block")
 AWAY = CopyPage("scout", 2, "MOVED", 7, 5, target="bravo", memory=9, program=b"p" * 32, block=b"block")
@@ -60,11 +61,38 @@ def test_who_has_left_is_in_the_way_unless_somebody_says_what_became_of_it(state
 
 def test_who_is_parked_elsewhere_is_thrown_away_and_its_shadow_there_is_no_word():
     parked = ParkedStatus("scout", 2, 6, b"q" * 32, "RUN", "")
-    found = anew("alpha", [AWAY], {"bravo": status(parked=(parked,))})
+    found = anew("alpha", [AWAY], {"bravo": status(), "carol": status(parked=(parked,))})
+    assert found.parked == {AWAY: "carol"}
     assert (found.thrown, found.away) == ([AWAY], [])
     assert found.pages[0].outcome == "lost"
     shadow = replace(parked, state="MOVED", where="carol")
     assert anew("alpha", [AWAY], {"bravo": status(parked=(shadow,))}).away == [AWAY]
+
+
+@pytest.mark.parametrize("reached", [True, False])
+def test_who_is_parked_elsewhere_is_given_up_there_or_nothing_is_thrown_away(
+    tmp_path, monkeypatch, capsys, reached
+):
+    file, asked = tmp_path / "host.journal", []
+    parked = status(parked=(ParkedStatus("scout", 2, 6, b"q" * 32, "RUN", ""),))
+
+    async def ask_all(transport, addresses, request):
+        asked.append((addresses, request.message))
+        heard = Forgotten([2]) if reached else AddressError("b:1", "no answer within 8 s")
+        return dict.fromkeys(addresses, parked if request is STATUS else heard)
+
+    monkeypatch.setattr("lfield.operator.ask.ask_all", ask_all)
+    kept(file, AWAY)
+    others = {"bravo": "b:1"}
+    if reached:
+        assert begun_anew(file, OWNER, others, print, yes=True)
+        assert [page.outcome for page in kept(file) if isinstance(page, CopyPage)] == ["lost"]
+    else:
+        with pytest.raises(CoordinatorAlive, match=r"bravo.* has not given it up: .*no answer within 8 s"):
+            begun_anew(file, OWNER, others, print, yes=True)
+        assert AWAY in kept(file)
+    assert "  scout, start 2, after 5 hops, parked at bravo\n" in capsys.readouterr().out
+    assert asked == [(others, STATUS.message), (others, Forget("scout"))]
 
 
 def kept(file, *pages):

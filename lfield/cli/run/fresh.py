@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield.cli.yes import says_yes
-from lfield.errors import CoordinatorAlive, UsageError
+from lfield.errors import CoordinatorAlive, LfieldError, UsageError
 
 if TYPE_CHECKING:
     from lfield.journal.opening import Owner
     from lfield.journal.pages import CopyPage
+    from lfield.operator.ask import Answers
+    from lfield.operator.fresh import Anew
+    from lfield.wire.observing import Forgotten
 
 
 def begun_anew(
@@ -28,7 +31,7 @@ def begun_anew(
     from lfield import loop
     from lfield.clock import SystemClock
     from lfield.journal.file import FileJournal
-    from lfield.operator.ask import STATUS, ask_all, observer
+    from lfield.operator.ask import STATUS, ask_all, forget, observer
     from lfield.operator.fresh import anew, left
 
     journal = FileJournal(file, owner, tell, SystemClock())
@@ -38,12 +41,25 @@ def begun_anew(
         found = anew(owner.host, pages, answers)
         if found.away:
             raise CoordinatorAlive(_in_the_way(found.away))
-        if found.thrown and not _agreed(owner.host, found.thrown, yes=yes):
+        if found.thrown and not _agreed(owner.host, found, yes=yes):
             return False
+        # First: what is not given up there is not thrown away here.
+        for page, where in found.parked.items():
+            word = ask_all(observer(), {where: others[where]}, forget(page.agent))
+            _insist_on_an_answer(page.agent, asyncio.run(word))
         loop.run(journal.keep(found.pages))
         return True
     finally:
         journal.close()
+
+
+def _insist_on_an_answer(agent: str, answers: Answers[Forgotten]) -> None:
+    for where, answer in answers.items():
+        if isinstance(answer, LfieldError):
+            raise CoordinatorAlive(
+                f"--fresh is refused: {where} keeps {agent} for another mission, and has not given it up: "
+                f"{answer}"
+            )
 
 
 def _in_the_way(away: Sequence[CopyPage]) -> str:
@@ -55,11 +71,11 @@ def _in_the_way(away: Sequence[CopyPage]) -> str:
     )
 
 
-def _agreed(host: str, thrown: Sequence[CopyPage], *, yes: bool) -> bool:
+def _agreed(host: str, found: Anew, *, yes: bool) -> bool:
     """Name it and ask. Whoever cannot be asked has not agreed: raises UsageError."""
     print(f"--fresh throws away what {host} keeps of coordinators that could go on:")
-    for page in thrown:
-        where = f", parked at {page.target}" if page.state != "RUN" else ""
+    for page in found.thrown:
+        where = f", parked at {found.parked[page]}" if page in found.parked else ""
         print(
             f"  {page.agent}, start {page.generation}, after {page.hops} hop{'s' * (page.hops != 1)}{where}"
         )

@@ -5,8 +5,8 @@ from __future__ import annotations
 from lfield.host.team.keeping import Recovery
 from lfield.journal.pages import CopyPage, ProgramPage
 from lfield.mobility.core import Mobility
-from lfield.mobility.effects import Persist
-from lfield.wire.coordinators import Transfer
+from lfield.mobility.effects import Persist, Send
+from lfield.wire.coordinators import Accepted, Inquire, Transfer
 from lfield.wire.messages import Hello
 
 PROGRAM = """
@@ -115,3 +115,16 @@ def test_a_persons_word_ends_all_that_is_parked_of_an_agent():
         assert {(page.state, page.outcome, page.block) for page in pages} == {("EXITED", "lost", b"")}
         assert mobility.forget(agent, "again")[0] == []
     assert [page.agent for page in mobility.parked] == ["third"]
+
+
+def test_one_that_was_ended_while_it_was_parked_is_known_to_have_come():
+    """Whoever sent it and was down meanwhile asks once more: it does not do again what was done here."""
+    own = Hello("host", "away", 9, b"n" * 32, b"n" * 32, 1000, memory=5)
+    mobility = Mobility(own, peers=["home"], agents=["other"], inject=lambda *_: None)
+    mobility.restore([], [CopyPage("guest", 1, "RUN", 2, 2, program=b"a" * 32, block=b"...")])
+    (page,) = (effect.page for effect in mobility.forget("guest", "")[1] if isinstance(effect, Persist))
+    assert (page.sequence, page.hops) == (2, 2)
+    again = Mobility(own, peers=["home"], agents=["guest"], inject=lambda *_: None)
+    again.restore([page])
+    answers = again.receive("home", Inquire("guest", 1, 2, 5), 0.0)
+    assert Send("home", Accepted("guest", 1, 2)) in answers
