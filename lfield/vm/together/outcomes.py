@@ -126,10 +126,9 @@ class Outcomes:
         )
 
     def explain(self, agent: Agent, thread: int) -> None:
-        """A time limit that is over says which calls were cancelled, and which were not reached."""
-        said = {CANCELLED: "was cancelled", UNREACHABLE: "was not reached"}
-        found = ((t, said.get(self._said(agent, t.thrown)[0])) for t in self._thrown(agent, thread))
-        what = "; ".join(f"{self._visits.name(ticket)} {became}" for ticket, became in found if became)
+        """A time limit that is over says what became of each call that it has begun."""
+        begun = [ticket for ticket in self._visits.tickets(agent, thread) if ticket.generation]
+        what = "; ".join(f"{self._visits.name(ticket)} {self._became(agent, ticket)}" for ticket in begun)
         if not what:
             return
 
@@ -139,6 +138,11 @@ class Outcomes:
             agent.block.w[limit + 1 + MESSAGE] = agent.block.new_string(f"{text}; {what}")
 
         self._scheduler.with_room(agent, work)
+
+    def _became(self, agent: Agent, ticket: Ticket) -> str:
+        kind = self._said(agent, ticket.thrown)[0] if ticket.thrown else ""
+        became = {"": "came to its end", CANCELLED: "was cancelled", UNREACHABLE: "was not reached"}
+        return became.get(kind, f"ended with {kind}")
 
     def _thrown(self, agent: Agent, thread: int) -> list[Ticket]:
         return [ticket for ticket in self._visits.tickets(agent, thread) if ticket.thrown]

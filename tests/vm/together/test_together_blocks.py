@@ -57,7 +57,7 @@ SAID = [
     "cr2true2",
     "r0.fail() has thrown too: IndexException: two",
     "onetwo0",
-    "the time is over; r2.stamp() was cancelled",
+    "the time is over; r2.stamp() was cancelled; r0.count() came to its end",
     "0cr0",
     "r2.own() has thrown too: Own {7}",
     "8Own",
