@@ -129,12 +129,13 @@ def rebound(mission: Mission, devices: Path, *, simulate: bool = False) -> Missi
 
 
 def _decided(mission: Mission, deployment: Deployment | None = None) -> Mission:
-    """The mission, if it says who decides that a coordinator is lost.
+    """The mission, if it says who decides that a coordinator is lost, and no device outlives a lease.
 
     Raises BindingError, drawn at the first coordinator that needs it where the deployment is at hand.
     """
     try:
-        _ = mission.recovery
+        if mission.recovery.members:
+            mission.bindings.see_that_nothing_outlives_a_lease()
     except BindingError as error:
         if deployment is None:
             raise

@@ -69,14 +69,10 @@ class Mission:
     def recovery(self) -> Recovery:
         """Who decides that a fenced coordinator is lost; without one nobody does.
 
-        Raises BindingError when they must be named and are not, and when devices would go on for longer
-        than a lease: whoever makes a mission has looked.
+        Raises BindingError when they must be named and are not: whoever makes a mission has looked.
         """
         chosen = self.bindings.recovery
-        if not self.fenced:
-            return replace(chosen, members=())
-        self.bindings.see_that_nothing_outlives_a_lease()
-        return chosen.among(self.team.hosts)
+        return chosen.among(self.team.hosts) if self.fenced else replace(chosen, members=())
 
     def on_fakes(self) -> Mission:
         """The same mission with a fake for each device; which were chosen is added to its warnings."""

@@ -1,4 +1,4 @@
-"""The time limits of coordinators: `within` (decision 48).
+"""The time limits of coordinators: `within` (decision 46).
 
 The end of a limit is in a slot of the frame, in ns on the coordinator's own clock, and a row of its method
 says which instructions it is about. Nothing is looked at until an alarm rings: one for each coordinator, for
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Protocol
 
 from lfield.bytecode.program import LANDING, LIMIT, OVER
 from lfield.vm import portals
@@ -39,22 +40,32 @@ SOON = 0.05
 _SLACK = 1000
 
 
+class Calling(Protocol):
+    """What a coordinator calls: `lfield.vm.together.visits.Visits`."""
+
+    def called(self, agent: Agent) -> str:
+        """The call that it waits for, as `resource.portal()`; '' for none."""
+
+    def cut_short(self, agent: Agent) -> str:
+        """What a frozen one is kept from, as the end of a sentence; '' for nothing."""
+
+
 class TimeLimits:
     """Sets them, and throws when they are over.
 
-    `called(agent)` is what a frozen coordinator calls, as `resource.portal()`. `stop_waiting(agent)` takes
-    one that waits here for its begun calls out of that; false when it does not.
+    `visits` tells what a coordinator calls. `stop_waiting(agent)` takes one that waits here for its begun
+    calls out of that; false when it does not.
     """
 
     def __init__(
         self,
         scheduler: Scheduler,
         cancelling: Cancelling,
-        called: Callable[[Agent], str],
+        visits: Calling,
         stop_waiting: Callable[[Agent], bool],
     ) -> None:
         self._scheduler, self._cancelling = scheduler, cancelling
-        self._called, self._stop_waiting = called, stop_waiting
+        self._visits, self._stop_waiting = visits, stop_waiting
 
     def end(self, agent: Agent, seconds: float) -> int:
         """The end of a limit that begins now, for its slot; the agent is looked at then.
@@ -148,12 +159,12 @@ class TimeLimits:
         record = w[layout.W_THREADS]
         thread, state = w[record + THREAD_ID], w[record + THREAD_STATE]
         if agent.frozen:
-            called = self._called(agent)
+            what = self._visits.cut_short(agent)
             if not scheduler.world.give_up(agent):
                 agent.overdue = True
                 return
             agent.frozen = False
-            self._throw(agent, thread, due, f" before {called} could begin" if called else "")
+            self._throw(agent, thread, due, what)
         elif state == CALLING and (number := portals.call_of(scheduler, agent)):
             self._cancel(agent, number, due)
         elif state == CALLING:
@@ -165,7 +176,7 @@ class TimeLimits:
 
     def _cancel(self, agent: Agent, number: int, due: list[int]) -> None:
         """The call that the coordinator waits for is cancelled; it throws when that has come to its end."""
-        called = self._called(agent)
+        called = self._visits.called(agent)
         for word in due:
             agent.block.w[word] = OVER
         agent.over = f"the time is over; {called} was cancelled"

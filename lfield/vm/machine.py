@@ -77,7 +77,7 @@ class Machine:
         cancelling = self._cancelling = Cancelling(scheduler)
         self._begun = BegunCalls(scheduler, cancelling)
         self._visits = Visits(scheduler, team, here)
-        self._limits = TimeLimits(scheduler, cancelling, self._visits.called, self._begun.stop_waiting)
+        self._limits = TimeLimits(scheduler, cancelling, self._visits, self._begun.stop_waiting)
         self._together = Together(scheduler, self._visits, cancelling, self._limits)
         heads = self._together.heads()
         self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, heads)

@@ -76,7 +76,7 @@ FOUND: list[tuple[Callable[[pytest.MonkeyPatch], None], int]] = [
     (bugs.has_no_fence_on_disk, 183),
     (bugs.goes_on_with_promises_of_a_minority, 0),
     (bugs.runs_without_a_lease, 10),
-    (bugs.tells_fences_once, 32),
+    (bugs.tells_fences_once, 93),
     (bugs.asks_nobody_first, 1),
 ]
 

@@ -23,10 +23,13 @@ from lfield.vm.memory.layout import (
     TICKET_VALUE,
     TICKET_WORDS,
 )
-from lfield.vm.memory.tickets import new_ticket
+from lfield.vm.memory.tickets import collected, new_ticket
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.outcomes import Outcomes
 from lfield.vm.together.visits import Ticket, Visits
+
+#: The most calls of one `together`: each is looked at whenever one of them comes back.
+MOST_CALLS = 256
 
 
 def gather(agent: Agent) -> int:
@@ -38,11 +41,12 @@ def collect(scheduler: Scheduler, agent: Agent, method: int, words: list[int]) -
     """One more call; `words` are sentinel, array (or null) and index of its target, proxy, arguments.
 
     What the arguments lead to is copied now: what the block changes later does not reach the portal. Raises
-    Full before the call is in, and Trap when the target is no element.
+    Full before the call is in, and Trap when the target is no element, or there are too many.
     """
     sentinel, array, index, proxy, *arguments = words
     block = agent.block
     _check_target(block, array, index)
+    _check_number(block, sentinel)
     call = block.allocate(FRAME, method, scheduler.layouts.frame_words[method])
     references = scheduler.reference_arguments(method)
     roots = [arguments[i - 1] for i in references]
@@ -58,15 +62,21 @@ def collect(scheduler: Scheduler, agent: Agent, method: int, words: list[int]) -
 def settle(agent: Agent, words: list[int]) -> None:
     """A ticket for what is there already, if somebody wants it; `words` are sentinel, array, index, value.
 
-    Raises Full before it is in, and Trap when the target is no element.
+    Raises Full before it is in, and Trap when the target is no element, or there are too many.
     """
     sentinel, array, index, value = words
     if not array:
         return
     w = agent.block.w
     _check_target(agent.block, array, index)
+    _check_number(agent.block, sentinel)
     ticket = new_ticket(agent.block, sentinel, 0, 0, 0, (array, index))
     w[ticket + TICKET_STATE], w[ticket + TICKET_VALUE] = BACK, value
+
+
+def _check_number(block: Block, sentinel: int) -> None:
+    if len(collected(block, sentinel)) == MOST_CALLS:
+        raise Trap("LimitException", f"a together has at most {MOST_CALLS} calls")
 
 
 def _check_target(block: Block, array: int, index: int) -> None:

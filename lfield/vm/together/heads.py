@@ -29,7 +29,7 @@ from lfield.vm.memory.layout import (
 )
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.beginning import Beginnings, collect, gather, settle
-from lfield.vm.together.outcomes import Outcomes
+from lfield.vm.together.outcomes import RESTARTED, Outcomes
 from lfield.vm.together.visits import Ticket, Visits
 
 Handler = Callable[[Agent, int, int, list[int]], None]
@@ -70,13 +70,21 @@ class Together:
 
     def failed(self, agent: Agent, thread: int, kind: str, message: str) -> None:
         """What a frozen coordinator waited for cannot be: its calls there are back with an exception."""
+        wanted = [(ticket.number, self._told(kind, message, ticket)) for ticket in self._visits.wanted(agent)]
         try:
-            for number in [ticket.number for ticket in self._visits.wanted(agent)]:
-                self._outcomes.throw(agent, thread, number, kind, message)
+            for number, told in wanted:
+                self._outcomes.throw(agent, thread, number, kind, told)
         except Trap as trap:
             self._scheduler.refuse(agent, thread, trap.kind, trap.message)
             return
         self._scheduler.turns.next(agent, thread)
+
+    def _told(self, kind: str, message: str, ticket: Ticket) -> str:
+        """What is said of one call: whether it may have been done is never left open."""
+        if kind == RESTARTED:
+            return message
+        became = "has not begun" if ticket.state == COLLECTED else "has begun, and may have been done"
+        return f"{message} ({self._visits.name(ticket)} {became})"
 
     def _gather(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         self._scheduler.go_on(agent, thread, gather(agent))

@@ -176,6 +176,16 @@ class Visits:
         resource, portal = self.calling(agent) or (None, "")
         return f"{resource.id}.{portal}()" if resource else ""
 
+    def cut_short(self, agent: Agent) -> str:
+        """What a frozen coordinator is kept from, as the end of a sentence; '' for nothing."""
+        called = self.called(agent)
+        if not called:
+            return ""
+        begun = self.head(agent) and self.wanted(agent)[0].state != COLLECTED
+        return (
+            f"; {called} has begun, and was not heard of again" if begun else f" before {called} could begin"
+        )
+
     def goes_on(self, agent: Agent) -> bool:
         """Whether nothing is unknown of what a restored coordinator did where it stands."""
         head = self.head(agent)

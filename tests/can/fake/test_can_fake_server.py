@@ -76,13 +76,21 @@ def test_a_dongle_with_the_wrong_bit_rate_hears_nothing():
             heard(right, 0x61)
 
 
+def client(endpoint: str) -> socket.socket:
+    """One that has asked for all frames. Python-can's own fails when its answer and a frame come at once."""
+    joined = socket.create_connection(("127.0.0.1", tcp(endpoint)["port"]), timeout=10.0)
+    joined.sendall(b"< open can0 >< rawmode >")
+    return joined
+
+
 def test_clients_come_and_go_and_a_mute_one_harms_nobody():
     with running_fake("can", "--device", "odrive:3") as fake:
-        mute = socket.create_connection(("127.0.0.1", tcp(fake.words[0])["port"]))
-        mute.sendall(b"< open can0 >< rawmode >")
+        mute = client(fake.words[0])
         for _ in range(5):
-            with can.Bus(**tcp(fake.words[0])) as bus:
-                heard(bus, 0x61)
+            with client(fake.words[0]) as bus:
+                said = b""
+                while b"< frame 061" not in said:
+                    said += bus.recv(4096)
         mute.close()
 
 

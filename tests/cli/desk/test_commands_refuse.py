@@ -115,14 +115,19 @@ def test_a_file_that_is_not_what_it_should_be(lfield, refused, good, command, na
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["check", "build", "disasm", "inspect", "up --all", "setup --deploy", "doctor --deploy"],
+    ("command", "why"),
+    [
+        *((command, "is a directory") for command in ("check", "build", "disasm", "up --all")),
+        ("inspect", "it is a folder without a host.journal"),
+        ("setup --deploy", "is a directory"),
+        ("doctor --deploy", "is a directory"),
+    ],
 )
-def test_a_name_from_which_no_other_can_be_made(here, command):
-    for name, words in ((".", ".: is a dir"), ("/", "/: is a dir")):
+def test_a_name_from_which_no_other_can_be_made(here, command, why):
+    for name in (".", "/"):
         done = here(*command.split(), name)
         assert done.status == 66, done.err
-        assert f"lfield: cannot read {words}" in "\n".join(done.err)
+        assert f"lfield: cannot read {name}: {why}" in "\n".join(done.err)
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_a_host_that_cannot_be_reached_is_an_exception_of_its_calls_and_the_othe
     )
     joined.cut.add(1)
     joined.run()
-    assert joined.printed == ["host 1 cannot be reached", "1"]
+    assert joined.printed == ["host 1 cannot be reached (r1.work() has not begun)", "1"]
     assert joined.route == [0, 2, 0, 2]
 
 
@@ -125,7 +125,7 @@ def test_calls_that_their_host_refuses_have_not_begun() -> None:
     joined.run()
     joined.machines[1].resume(joined.boss[1], "LimitException", "the disk is full")
     joined.run()
-    assert joined.printed == ["the disk is full"]
+    assert joined.printed == ["the disk is full (r1.work() has not begun)"]
     assert not joined.machines[1].begun_calls()
 
 
