@@ -116,6 +116,11 @@ NOT_A_CALL = _message("L231", "only a name can be called", "write name(...) or o
 FINALLY_WITHOUT_TRY = _message(
     "L232", "finally without a try before it", "write try {{ ... }} finally {{ ... }}"
 )
+LEAVES_FINALLY = _message(
+    "L233",
+    "'{word}' would leave this finally, and an exception or a result on its way would be lost",
+    "set a variable in the finally, and write the {word} behind the try",
+)
 
 # --- L3xx: names and declarations -----------------------------------------------------------------------
 

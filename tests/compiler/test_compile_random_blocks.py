@@ -45,10 +45,17 @@ def blocks(step: st.SearchStrategy[str]) -> st.SearchStrategy[str]:
 
 
 def tried(body: str, handled: str, handler: str, last: str | None) -> str:
-    """A try with a catch, a finally, or both. A catch has a block of its own, for the name it binds."""
+    """A try with a catch, a finally, or both. A catch has a block of its own, for the name it binds.
+
+    What jumps in the finally stays in it.
+    """
     catch = f"catch ({handled} e) {{ {handler} }}" if handled and "catch (" not in body + handler else ""
-    last = "" if last is None and catch else f"finally {{ {last or ''} }}"
-    return f"try {{ {body} }} {catch} {last}"
+    if last is None and catch:
+        return f"try {{ {body} }} {catch}"
+    inner = (last or "").replace("return;", "")
+    if "break;" in inner or "continue;" in inner:
+        inner = f"while (i < 3) {{ {inner} }}"
+    return f"try {{ {body} }} {catch} finally {{ {inner} }}"
 
 
 def whole(body: str) -> str:
@@ -72,6 +79,7 @@ def test_bodies_of_every_kind_check() -> None:
     for body in (
         "together { arm.go(); x = arm.lift(1); a[i] = arm.lift(2); }",
         "while (true) { together { arm.go(); try { break; } finally { sleep(1); } } }",
+        tried("arm.go();", "Exception", "return;", "if (i < 3) { break; } continue; return;"),
         "within (i + 1) { try { arm.go(); } catch (NullException e) { } finally { together { arm.go(); } } }",
     ):
         checked = check_text(whole(body))

@@ -108,9 +108,10 @@ _CLASSES = ("NullException", "IndexException")
 
 
 @st.composite
-def steps(draw: st.DrawFn, depth: int, loops: int = 0) -> Step:
-    """A statement of at most `depth` levels, inside so many loops."""
-    kinds = ["said", "throw", "return", "own", *(["break", "continue"] if loops else [])]
+def steps(draw: st.DrawFn, depth: int, loops: int = 0, last: int | None = None) -> Step:
+    """A statement of at most `depth` levels, in so many loops: `last` around the innermost finally."""
+    kinds = ["said", "throw", "own", *(["return"] if last is None else [])]
+    kinds += ["break", "continue"] if loops > (last or 0) else []
     deep = ["try", "try", "try", "loop", "maybe", "block", "within", "together"] if depth else []
     kind = draw(st.sampled_from(deep or kinds) if draw(st.booleans()) else st.sampled_from(kinds))
     if kind == "said":
@@ -126,8 +127,8 @@ def steps(draw: st.DrawFn, depth: int, loops: int = 0) -> Step:
     if kind in ("break", "continue"):
         return _maybe(_leaving(f"{kind};", kind))
     if kind == "loop":
-        return _loop("ijklmn"[loops], draw(steps(depth - 1, loops + 1)))
-    inner = [draw(steps(depth - 1, loops)) for _ in range(draw(st.integers(1, 3)))]
+        return _loop("ijklmn"[loops], draw(steps(depth - 1, loops + 1, last)))
+    inner = [draw(steps(depth - 1, loops, last)) for _ in range(draw(st.integers(1, 3)))]
     if kind == "maybe":
         return _maybe(_block(inner))
     if kind == "block":
@@ -137,9 +138,9 @@ def steps(draw: st.DrawFn, depth: int, loops: int = 0) -> Step:
     if kind == "together":
         return _parallel(depth, _block(inner))
     which = draw(st.sampled_from(["catch", "finally", "both"]))
-    catch = draw(steps(depth - 1, loops)) if which != "finally" else None
-    last = draw(steps(depth - 1, loops)) if which != "catch" else None
-    return _try(f"e{depth}", _block(inner), draw(st.sampled_from(("Exception", *_CLASSES))), catch, last)
+    catch = draw(steps(depth - 1, loops, last)) if which != "finally" else None
+    end = draw(steps(depth - 1, loops, loops)) if which != "catch" else None
+    return _try(f"e{depth}", _block(inner), draw(st.sampled_from(("Exception", *_CLASSES))), catch, end)
 
 
 _PROGRAM = """

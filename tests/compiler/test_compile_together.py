@@ -126,7 +126,7 @@ def test_nests_of_finally_are_no_longer_than_their_text() -> None:
     def size(depth: int) -> int:
         nest = "print(1);"
         for _ in range(depth):
-            nest = f"try {{ if (sum.a > 1) return; }} finally {{ {nest} }}"
+            nest = f"while (true) {{ try {{ if (sum.a > 1) break; }} finally {{ {nest} }} }}"
         return len(instructions(compile_text(boss(nest)), "Boss.work"))
 
     assert size(12) - size(8) == size(8) - size(4)

@@ -176,7 +176,7 @@ def test_the_deepest_program_allowed_checks() -> None:
         "print(" + "(" * 90 + "1" + ")" * 90 + ");",
         "print(" + "1 + (" * 48 + "1" + ")" * 48 + ");",
         "if (true) " * 90 + ";",
-        "try { } finally { " * 49 + "return; " + "}" * 49,
+        "try { } finally { " * 49 + "int x; " + "}" * 49,
     ]:
         assert check_text(f"resource Arm {{ init(string[] arg) {{ {text} }} }}").program is not None
 

@@ -145,8 +145,6 @@ class _Flow:
             one = waiting.pop()
             if isinstance(one, Break):
                 return True
-            if isinstance(one, Try) and one in self.swallowing:
-                waiting += one.last or []
-            elif not isinstance(one, Loop):
+            if not isinstance(one, Loop) and one not in self.swallowing:
                 waiting += [inner for part in bodies(one) for inner in part]
         return False

@@ -54,6 +54,8 @@ class Body:
     method: Method
     scope: Scope
     loops: int = 0
+    #: How many of the loops stand around the innermost `finally` (None: there is no `finally` around).
+    last: int | None = None
     #: Expressions that are checked already, before those which begin with them (chains.py).
     checked: dict[syntax.Expr, Expr] = field(default_factory=dict)
 

@@ -190,9 +190,13 @@ def _for(body: Body, raw: syntax.For) -> tree.Stmt:
 def _in_loop(body: Body, span: Span, word: str) -> None:
     if body.loops == 0:
         body.report(messages.LOOP_ONLY, span, word=word)
+    elif body.loops == body.last:
+        body.report(messages.LEAVES_FINALLY, span, word=word)
 
 
 def _return(body: Body, raw: syntax.Return) -> tree.Stmt:
+    if body.last is not None:
+        body.report(messages.LEAVES_FINALLY, raw.span, word="return")
     method = body.method
     name, wanted = f"{method.kind} {method.name}" if method.kind != "init" else "init", method.result
     if raw.value is None:
@@ -219,7 +223,15 @@ def _throw(body: Body, raw: syntax.Throw) -> tree.Stmt:
 def _try(body: Body, raw: syntax.Try) -> tree.Try:
     tried = _branch(body, raw.body)
     catches = [_catch(body, clause) for clause in raw.catches]
-    return tree.Try(raw.span, tried, catches, None if raw.last is None else _branch(body, raw.last))
+    return tree.Try(raw.span, tried, catches, None if raw.last is None else _last(body, raw.last))
+
+
+def _last(body: Body, raw: syntax.Stmt) -> list[tree.Stmt]:
+    """The code of a `finally`; no jump in it leaves it."""
+    around, body.last = body.last, body.loops
+    found = _branch(body, raw)
+    body.last = around
+    return found
 
 
 def _catch(body: Body, raw: syntax.Catch) -> tree.Catch:
