@@ -28,7 +28,7 @@ from lfield.bytecode.program import (
 )
 from lfield.bytecode.verify.records import BUILTIN_RECORDS, FIXED_TYPES
 from lfield.compiler.begun.twins import TICKET as TICKET_TYPE
-from lfield.compiler.begun.twins import begun_offers, twin_of
+from lfield.compiler.begun.twins import twins_of
 from lfield.compiler.begun.work import Work
 from lfield.compiler.constants import Pool
 from lfield.lang import tree, types
@@ -68,7 +68,7 @@ class Tables:
         self.types: list[TypeRecord] = list(FIXED_TYPES)
         self.device_calls: list[DeviceCall] = []
         written = [method for unit in units for method in unit.methods]
-        self._twins = {method: twin_of(method) for method in begun_offers(written)}
+        self._twins = twins_of(written)
         self._tickets = {twin.method: twin.ticket for twin in self._twins.values()}
         self.methods = [*written, *self._tickets]
         self.work = Work(written)

@@ -5,13 +5,14 @@
             return byCrane.lift(height);          begins byCrane.lift(height)
         }
         if (as_climb_lifts != null) {
-            as_climb_lifts.climb(height);         worked in place, as this is
+            as_climb_lifts.climb(height);         begins as_climb_lifts.climb(height), by its twin
             return height;                        settles height; return
         }
         ...
 
-The resource that serves a portal itself works beside the others. Every other way has steps of its own, so it
-is gone through when the block comes to it; what it gives waits with the results of the others.
+A way that is one call works beside the others, whatever it is: of the resource itself, or of an equivalent
+offer. Every other way has steps of its own (a composition), or makes something of the result: it is gone
+through when the block comes to it, and what it gives waits with the results of the others.
 """
 
 from __future__ import annotations
@@ -20,21 +21,26 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from lfield.lang import types
-from lfield.lang.chains import statements
+from lfield.lang.capabilities import OFFER_METHODS
+from lfield.lang.chains import inside, statements
 from lfield.lang.tree import (
     Begin,
+    Binary,
     Block,
     Call,
     Element,
     Evaluate,
     Expr,
     If,
+    Literal_,
     Local,
     LocalGet,
     Method,
+    Negate,
     PortalCall,
     Return,
     Stmt,
+    ToReal,
 )
 from lfield.lang.types import Type, array_of
 
@@ -58,8 +64,20 @@ class Twin:
     ticket: Local
 
 
-def begun_offers(methods: Iterable[Method]) -> list[Method]:
-    """The methods of offers that some `together` begins, each once."""
+def twins_of(methods: Iterable[Method]) -> dict[Method, Twin]:
+    """A twin for each method of an offer that some `together` begins, and for those that twins begin."""
+    made: dict[Method, Twin] = {}
+    waiting = _begun(methods)
+    while waiting:
+        method = waiting.pop(0)
+        if method not in made:
+            made[method] = twin_of(method)
+            waiting += _begun([made[method].method])
+    return made
+
+
+def _begun(methods: Iterable[Method]) -> list[Method]:
+    """The methods of offers that a `together` or a twin begins, each once."""
     found: dict[Method, None] = {}
     for method in methods:
         for one in statements(method.body):
@@ -91,14 +109,18 @@ def twin_of(method: Method) -> Twin:
 
 def _steps(body: Sequence[Stmt], place: Element | None) -> list[Stmt]:
     match body:
-        case [*before, Evaluate(value=PortalCall() as call), Return(value=None) as back]:
-            return [*_steps(before, place), Begin(call.span, call, None), back]
+        case [*before, Evaluate(value=PortalCall() | Call() as call), Return(value=value) as back] if _begins(
+            call
+        ) and (value is None or _is_computed(value)):
+            given = [] if value is None or place is None else [Settle(value.span, value, place)]
+            begun = Begin(call.span, call, None)
+            return [*_steps(before, place), begun, *given, Return(back.span, None)]
     return [step for one in body for step in _step(one, place)]
 
 
 def _step(one: Stmt, place: Element | None) -> list[Stmt]:
     match one:
-        case Return(value=PortalCall() as call):
+        case Return(value=PortalCall() | Call() as call) if _begins(call):
             return [Begin(one.span, call, place), Return(one.span, None)]
         case Return(value=Expr() as value) if place is not None:
             return [Settle(value.span, value, place), Return(one.span, None)]
@@ -107,3 +129,16 @@ def _step(one: Stmt, place: Element | None) -> list[Stmt]:
         case Block():
             return [replace(one, body=_steps(one.body, place))]
     return [one]
+
+
+def _begins(call: PortalCall | Call) -> bool:
+    """Whether a call is that of a portal, or of an offer's."""
+    if isinstance(call, PortalCall):
+        return True
+    return call.method.unit.capability and call.method.name not in OFFER_METHODS
+
+
+def _is_computed(value: Expr) -> bool:
+    """Whether a value depends on nothing but what the method was given."""
+    kinds = LocalGet | Literal_ | Binary | Negate | ToReal
+    return all(isinstance(one, kinds) for one in inside(value))
