@@ -23,6 +23,8 @@ from lfield.vm.memory.values import new_exception
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.visits import Ticket, Visits
 
+#: So many exceptions beside the first have a line of the log each.
+MOST_TOLD = 8
 RESTARTED, UNREACHABLE = "RestartException", "UnreachableResourceException"
 
 
@@ -152,13 +154,15 @@ class Outcomes:
         return traceback.describe(agent.block, self._program, thrown)[:2]
 
     def _tell(self, agent: Agent, others: list[Ticket]) -> None:
-        """A line of the log for each."""
-        for ticket in others:
+        """A line of the log for each of the first, and one for the rest: `others()` has them all."""
+        for ticket in others[:MOST_TOLD]:
             name, message = self._said(agent, ticket.thrown)
             text = f"{name}: {message}" if message else name
             if agent.block.w[ticket.thrown] >> 8 & 0xFFFFFF >= self._program.builtins:
                 text = f"{name} {fields_of(agent.block, self._program, ticket.thrown, self._visits.ids)}"
             self._scheduler.world.log(agent, f"{self._visits.name(ticket)} has thrown too: {text}")
+        if more := len(others[MOST_TOLD:]):
+            self._scheduler.world.log(agent, f"and so have {more} other calls")
 
     def _join(self, agent: Agent, first: int, *others: int) -> None:
         """Put exceptions beside another one, behind those that are there. Raises Full before it does."""
