@@ -67,7 +67,8 @@ class Departed(Struct, frozen=True):
 class Resume(Struct, frozen=True):
     """Thaw the copy and throw the L exception `kind` with `reason` at its portal call.
 
-    `sequence` is the highest transfer number used so far, to be written into the block's header.
+    `sequence` is the highest transfer number used so far, to be written into the block's header. `recovered`:
+    it is a new start of it, and whatever an earlier one did after this call is not known either.
     """
 
     agent: str
@@ -75,6 +76,7 @@ class Resume(Struct, frozen=True):
     sequence: int
     kind: str
     reason: str
+    recovered: bool = False
 
 
 class InDoubt(Struct, frozen=True):

@@ -59,7 +59,7 @@ class Recoveries:
         left_for = f"where it left for {left.target}" if left.target else "where it was kept"
         known = f"{PERHAPS}, and what came after it is not known"
         reason = f"{agent} was recovered on {self._host} from {left_for}; {known}"
-        return [*effects, Resume(agent, generation, 0, RESTARTED, reason)]
+        return [*effects, Resume(agent, generation, 0, RESTARTED, reason, recovered=True)]
 
 
 def bar(copies: Collection[Copy], generation: int, reason: str) -> list[Effect]:

@@ -169,14 +169,22 @@ class Machine:
         """Forget a coordinator that has left."""
         self._scheduler.release(agent)
 
-    def resume(self, agent: Agent, kind: str, message: str, source: str = "") -> None:
+    def resume(
+        self, agent: Agent, kind: str, message: str, source: str = "", *, recovered: bool = False
+    ) -> None:
         """Let a frozen coordinator go on with an exception in the statement that called the portal.
 
         In a `together` it is that of the calls which cannot begin or be fetched; a RestartException is the
         coordinator's own and is thrown at once, unless it is leaving the block already.
+
+        Who is `recovered` may have done more than that call, also after its time was over or after it left
+        the block: it is told before anything else.
         """
         agent.frozen = False
         head = self._visits.head(agent)
+        if recovered:
+            self.refuse(agent, _only_thread(agent), kind, message, source)
+            return
         if self._limits.strike(agent, message):
             return
         if head == "leave" or (head and kind != "RestartException"):

@@ -506,7 +506,7 @@ class GuardMachine(RuleBasedStateMachine):
         self.making = 0
         self.running: dict[int, Call] = {}
         self.last_word = self.now
-        self.setpoint: Call | None = None
+        self.setpoint_until: float | None = None
         self.answered: set[int] = set()
 
     @property
@@ -538,7 +538,7 @@ class GuardMachine(RuleBasedStateMachine):
             elif isinstance(effect, Tell) and isinstance(effect.message, Latched):
                 if not effect.message.confirmed:
                     assert not self.latched
-                    self.latched, self.confirmed, self.setpoint = True, False, None
+                    self.latched, self.confirmed, self.setpoint_until = True, False, None
             elif isinstance(effect, Tell) and isinstance(effect.message, Released):
                 assert self.confirmed, "released before its safe state was confirmed"
                 self.latched = self.confirmed = self.moved = False
@@ -595,11 +595,11 @@ class GuardMachine(RuleBasedStateMachine):
         effects = getattr(self.rig.core, how)(token, *arguments)
         if any(done.token == token for done in told(effects, Done)):
             if call.instruction == "steer":
-                self.setpoint = call
+                self.setpoint_until = self.now + TTL
             elif call.instruction == "go":
-                self.setpoint = None
+                self.setpoint_until = None
         if cancelled and how == "finished" and told(effects, Refused):
-            self.setpoint = None
+            self.setpoint_until = None
         self.running.pop(token, None)
         self.see(effects)
         if how == "crashed" or (cancelled and how == "refused"):
@@ -645,13 +645,13 @@ class GuardMachine(RuleBasedStateMachine):
             assert self.latched, "the host was silent and the device is free"
         acting = [c for c in self.running.values() if c.instruction in MOVING]
         assert len(acting) <= 1
-        if self.setpoint and not acting and self.now >= self.setpoint.sent + TTL:
+        if self.setpoint_until is not None and not acting and self.now >= self.setpoint_until:
             assert self.latched, "a setpoint is over and the device is free"
         due = self.rig.core.due()
         assert due is None or due > self.now, "something is due and has not been done"
 
 
-GuardMachine.TestCase.settings = settings(max_examples=100, stateful_step_count=30, deadline=None)
+GuardMachine.TestCase.settings = settings(max_examples=300, stateful_step_count=30, deadline=None)
 TestGuardMachine = GuardMachine.TestCase
 
 

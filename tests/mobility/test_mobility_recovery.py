@@ -82,7 +82,7 @@ def test_it_goes_on_at_the_call_that_it_left_for(left):
     )
     assert effects == [
         Send("b", Ended(TOUR, 1, "superseded", detail, "a")),
-        Resume(TOUR, RECOVERED, 0, "RestartException", reason),
+        Resume(TOUR, RECOVERED, 0, "RestartException", reason, recovered=True),
     ]
     assert states(left) == {1: "superseded", RECOVERED: "RUN"}
 

@@ -137,6 +137,22 @@ def test_the_host_where_the_boss_waits_dies_and_it_goes_on_to_fetch_what_is_else
     assert team.said("sets 1") == team.said("sets 2") == 1
 
 
+def test_who_is_recovered_where_it_had_begun_is_told_again_when_that_host_is_started_again(
+    tmp_path: Path,
+) -> None:
+    """What an earlier start did after it had left is as unknown as before: it must not just go on."""
+    team = Team(tmp_path, 1.0, 8.0, "heartbeatInterval(1.0);" + BOTH)
+    team.until("sets 2")
+    team.crash("carol")
+    team.until("boss is recovered here")
+    team.until("boss: restarted at")
+    team.again("bravo")
+    team.boot("carol")
+    team.run(20.0)
+    assert team.said("boss: restarted at", "bravo") == 2
+    assert team.said("sets 1") == team.said("sets 2") == 1
+
+
 def test_a_boss_that_ends_leaves_no_call_behind_also_where_it_could_not_tell(tmp_path: Path) -> None:
     team = Team(tmp_path, 40.0, 1.0, rest=0.0)
     team.until("sets 2")

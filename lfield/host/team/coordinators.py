@@ -299,16 +299,18 @@ class Coordinators:
         except BlockError as error:
             self.say(f"{copy.agent} cannot go on: what was kept of it cannot be read: {error}")
             return None
-        # It may have been kept as it came, before its arrival was counted; or as another start.
+        # It may have been kept as it came, before its arrival was counted; or as it was recovered.
+        recovered = agent.block.w[layout.W_GENERATION] != copy.generation
         agent.block.w[layout.W_HOPS], agent.block.w[layout.W_GENERATION] = copy.hops, copy.generation
         seal = self._sealer(agent)
         if runs:
             self.say(f"{copy.agent} goes on where it was kept")
-        if runs and self._machine.goes_on(agent):
+        if runs and not recovered and self._machine.goes_on(agent):
             self._machine.go(agent)
         elif runs:
             self.told.add((agent.id, agent.generation))
-            self._resume(agent, RESTARTED, f"{self._own.host} was started again; {PERHAPS}")
+            reason = f"{self._own.host} was started again; {PERHAPS}"
+            self._resume(agent, RESTARTED, reason, recovered=recovered)
         return seal
 
     def _asleep(self, copy: Copy) -> float:
@@ -348,7 +350,7 @@ class Coordinators:
             case mobile.Resume():
                 if agent := self._held(effect.agent, effect.generation):
                     agent.block.w[layout.W_SEQUENCE] = effect.sequence
-                    self._resume(agent, effect.kind, effect.reason)
+                    self._resume(agent, effect.kind, effect.reason, recovered=effect.recovered)
             case mobile.InDoubt():
                 self.say(f"{effect.agent} is in doubt: {effect.reason}")
                 self._out(CHANGED)
@@ -360,15 +362,13 @@ class Coordinators:
             case mobile.Note():
                 self.say(effect.reason)
 
-    def _resume(self, agent: Agent, kind: str, reason: str) -> None:
+    def _resume(self, agent: Agent, kind: str, reason: str, *, recovered: bool = False) -> None:
         """Let a frozen coordinator go on with an exception, which names the resource that it has called."""
-        resource, portal = self._machine.calling(agent) or (None, "")
-        if resource is None:
-            self._machine.resume(agent, kind, reason)
-            return
-        # Who has forgotten what it was about needs the portal too.
-        told = f"{reason} ({resource.id}.{portal})" if kind == RESTARTED else reason
-        self._machine.resume(agent, kind, told, resource.id)
+        called = self._machine.calling(agent)
+        if called and kind == RESTARTED:
+            # Who has forgotten what it was about needs the portal too.
+            reason = f"{reason} ({called[0].id}.{called[1]})"
+        self._machine.resume(agent, kind, reason, called[0].id if called else "", recovered=recovered)
 
     def _held(self, identity: str, generation: int) -> Agent | None:
         """The frozen copy of a coordinator that is here, if it is of that start."""

@@ -1,6 +1,7 @@
 """What programs say of their blocks of calls that are begun together (`stories/crews.py`).
 
-A crew that is recovered elsewhere goes back to a block: what came after that is lost to it.
+A crew that is recovered elsewhere goes back to a block: what came after that is lost to it. It must be told
+so before it goes on.
 
 No piece of work begins twice, none begins before its page is on the disk, none is told of before its result
 is there, and none outlives its block: not when all have come back, not its time limit, and not the start
@@ -63,8 +64,9 @@ class Blocks:
         self._breaches, self._now, self._newest_at, self._pages = breaches, now, newest_at, pages
         self._blocks: defaultdict[tuple[str, int], _Block] = defaultdict(_Block)
         self._begun_for: set[tuple[str, int]] = set()
-        #: Which start of it each life of a crew is at.
+        #: Which start of it each life of a crew is at, and which were told that they are recovered.
         self._at: defaultdict[str, int] = defaultdict(int)
+        self._told: set[tuple[str, int]] = set()
         #: How many pieces began, how many blocks were closed since a host was started again, and how many of
         #: each agent were closed, since the weather.
         self.begun = self.restarts = 0
@@ -91,14 +93,8 @@ class Blocks:
     def said(self, life: Life, agent: Agent, words: list[str]) -> bool:
         """A program has written a line; whether it is about a block."""
         match words:
-            case ["opens" | "closes", who, number, *_] if not self._goes_on(
-                who, agent.generation, int(number)
-            ):
-                pass
-            case ["opens", who, number, limit]:
-                self._blocks[who, int(number)].limit = float(limit)
-            case ["closes", who, number, how, *given]:
-                self._closes(life.core.name, agent, (who, int(number)), how, given)
+            case ["opens" | "closes" | "told" as what, who, number, *more]:
+                self._crew_says(life.core.name, agent, what, (who, int(number)), more)
             case ["sets", who, number, piece]:
                 self._sets(life, agent, (who, int(number)), int(piece))
             case ["steps", who, number, piece]:
@@ -122,6 +118,21 @@ class Blocks:
         return generation == self._at[who]
 
     # --- what crews say -------------------------------------------------------------------------------
+
+    def _crew_says(self, host: str, agent: Agent, what: str, key: tuple[str, int], more: list[str]) -> None:
+        (who, number), start = key, agent.generation
+        # What a later start opens it has not opened before.
+        if not self._goes_on(who, start, number - 1 if what == "opens" else number):
+            return
+        if what == "told" or more[0] == "restarted":
+            self._told.add((who, start))
+        elif is_recovery(start) and (who, start) not in self._told:
+            found = f"start {start} of {who} {what} block {number}, and was not told that it is recovered"
+            self._breaches.add("I4", (host,), found)
+        if what == "opens":
+            self._blocks[key].limit = float(more[0])
+        elif what == "closes":
+            self._closes(host, agent, key, more[0], more[1:])
 
     def _closes(self, host: str, agent: Agent, key: tuple[str, int], how: str, given: list[str]) -> None:
         block, (who, number) = self._blocks[key], key

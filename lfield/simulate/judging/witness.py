@@ -75,8 +75,8 @@ def tap(life: Life, sees: Sees) -> None:
         sees.restored(life, agent)
         return agent
 
-    def resume(go: Callable[..., None], agent: Agent, kind: str, *more: Any) -> None:
-        go(agent, kind, *more)
+    def resume(go: Callable[..., None], agent: Agent, kind: str, *more: Any, **named: Any) -> None:
+        go(agent, kind, *more, **named)
         sees.may_run(life, agent, kind)
 
     def send_transfer(go: Callable[..., None], host: str, header: Transfer, block: Buffer) -> None:

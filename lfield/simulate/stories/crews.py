@@ -77,6 +77,8 @@ coordinator Walker {
             print("closes " + life + " " + i2s(number) + " " + how + all);
             try {
                 if (random(3) == 0) posts[random(posts.length())].look();
+            } catch (RestartException again) {
+                print("told " + life + " " + i2s(number));
             } catch (Exception other) { }
             sleep(0.02 + 0.1 * random());
         }

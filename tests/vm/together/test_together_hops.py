@@ -283,6 +283,22 @@ def test_a_restored_coordinator_that_only_fetches_goes_on() -> None:
     assert joined.printed == ["cr0", "cr1", "after 2.0"]
 
 
+def test_whoever_is_recovered_is_told_first_also_where_it_leaves_or_its_time_is_over() -> None:
+    """What an earlier start did when it had left, or when its time was over, is not known."""
+    caught = 'catch (RestartException e) { print(e.message()); } catch (TimeLimitException e) { print("late"); }'
+    limited = "try { within (1.0) { " + ALL + " } } " + caught
+    for body, until in ((LEAVES + caught, 1.2), (limited, 0.9)):
+        joined = Joined(program(body), 3)
+        joined.run(until=until)
+        host, boss = joined.boss
+        machine = joined.machines[host]
+        restored = machine.restore(boss.member, bytes(machine.pack(boss)), boss.limits, 10.0)
+        machine.resume(restored, "RestartException", "told", recovered=True)
+        joined.run()
+        assert "told" in joined.printed
+        assert "late" not in joined.printed
+
+
 def test_a_fence_of_the_lease_throws_where_a_coordinator_fetches() -> None:
     joined = Joined(
         program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message() + f2s(now() - begun)); }}"),
