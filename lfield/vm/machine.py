@@ -175,8 +175,8 @@ class Machine:
         """Let a frozen coordinator go on with an exception in the statement that called the portal.
 
         In a `together` it is that of the calls which cannot begin or be fetched; a RestartException is the
-        coordinator's own and is thrown at once, unless it is leaving the block already. Who is `recovered` may
-        have done more, also after its time was over or after the block: that is told before anything else.
+        coordinator's own and is thrown at once, unless it is leaving the block already. Who is `recovered`
+        may have done more, also after its time was over or after the block: it is told before anything else.
         """
         agent.frozen = False
         head = "" if recovered else self._visits.head(agent)
