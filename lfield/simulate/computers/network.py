@@ -23,7 +23,7 @@ class Network:
     """All connections between `machines`, by name. Everything that is left to chance comes from `dice`."""
 
     def __init__(self, timeline: Timeline, machines: Mapping[str, Machine], dice: random.Random) -> None:
-        self._timeline, self._machines = timeline, machines
+        self._timeline, self._machines = timeline, dict(machines)
         self.ways = Ways(dice)
         self._listening: dict[Address, Listening] = {}
         self._connections: list[Connection] = []
@@ -32,6 +32,11 @@ class Network:
         self.ports: dict[str, SerialPort] = {}
         #: Which process has taken what only one may have, by name.
         self.taken: dict[str, ProcessLoop] = {}
+
+    def plug_in(self, machine: Machine) -> None:
+        """A machine hangs on a cable from now on: none of the ways between the others leads through it."""
+        self._machines[machine.name] = machine
+        self.ways.cabled.add(machine.name)
 
     # --- faults ---------------------------------------------------------------------------------------
 
