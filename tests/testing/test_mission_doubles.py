@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import traceback
 from collections.abc import Mapping
 from pathlib import Path
@@ -232,6 +233,17 @@ def test_a_call_that_waits_for_its_answer_can_be_cancelled(tmp_path: Path) -> No
     # What would have been given then is dropped.
     team.run(30.0)
     assert team.call_results("flow") == [None, None, None]
+    assert team.lives.keys() == {"alpha", "bravo"}
+
+
+def test_what_is_too_large_for_its_resource_is_a_limit_as_ever(tmp_path: Path) -> None:
+    body = 'real[] parts = pump.split(null); print("got " + i2s(parts.length()));'
+    team = team_of(tmp_path, body, split=lambda parts: [0.5] * 200_000)
+    team.until("the end")
+    assert team.said("thrown: the heap of pump is over its limit of 1048576 bytes")
+    team = team_of(tmp_path, body, split=lambda parts: [0.5] * 100_000)
+    team.until("the end")
+    assert team.said("got 100000")
 
 
 def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
@@ -243,7 +255,8 @@ def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
     team.until("the end")
     assert team.said("late")
     team.run(10.0)
-    assert team.call_results("flow")[-1] == 2
+    assert team.call_results("flow") == [None, 2]
+    assert team.lives.keys() == {"alpha", "bravo"}
 
 
 def test_a_host_that_dies_takes_the_answer_with_it(tmp_path: Path) -> None:
@@ -419,3 +432,27 @@ def test_an_exception_that_l_does_not_have_and_a_time_that_is_none_are_refused()
     for seconds in (-1.0, math.nan, math.inf, "1"):
         with pytest.raises(DoubleError, match="is no time to wait"):
             After(seconds, 1)  # type: ignore[arg-type]
+
+
+def test_a_double_is_offered_as_what_it_stands_for(tmp_path: Path) -> None:
+    """It has no devices that could be in trouble. The examples' crane can Lift by itself, and is the best."""
+    source = Path(__file__).parents[2] / "examples" / "02-equivalent-lift"
+    lifted: list[float] = []
+
+    class Crane:
+        def home(self) -> None:
+            lifted.clear()
+
+        def lower(self, metres: float) -> After:
+            return After(1.0, metres)
+
+        def lift(self, metres: float) -> float:
+            lifted.append(metres)
+            return metres
+
+    shutil.copytree(source, tmp_path, dirs_exist_ok=True)
+    team = SmallTeam(tmp_path, doubles={"crane": Crane()})
+    team.until("and down again by 0.8 m")
+    assert team.said("crane shall lift")
+    assert lifted == [0.8]
+    assert [call.portal for call in team.calls.record] == ["home", "lower", "lift", "lower"]

@@ -29,9 +29,12 @@ class Doubles:
     can be called. It is given the arguments as Python values (`values`) and returns the result, or `After`;
     it may raise `Throws`.
 
-    The resource of a double is open at once: its `init` does not run, and it has no devices. What goes wrong
-    in a double is put into `trouble`, and the portal that was called never ends: whoever runs the team raises
-    that after the event. Raises DoubleError for a double that does not fit the mission.
+    The resource of a double is open at once: its `init` does not run, and it has no devices. So its live
+    attributes are not known; in all else it offers what its class does. Calls of a `synchronized` portal do
+    not wait for one another: the double is asked at once, and may answer `After`.
+
+    What goes wrong in a double is put into `trouble`, and the portal that was called never ends: whoever runs
+    the team raises that after the event. Raises DoubleError for a double that does not fit the mission.
     """
 
     def __init__(self, mission: Mission, doubles: Mapping[str, object]) -> None:
