@@ -6,16 +6,18 @@ import math
 import shutil
 import traceback
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from small_team import SmallTeam
 
-from lfield.errors import DoubleError, LfieldError
+from lfield.errors import DoubleError, LfieldError, Stuck
 from lfield.mission.load import load_mission
 from lfield.testing import After, LObject, Throws
 from lfield.testing.mission.doubles import Doubles
+from lfield.testing.mission.team import Team
 
 PROGRAM = """
 class Place {
@@ -366,6 +368,16 @@ def test_an_exception_of_the_double_is_one_of_the_test(
     team.run(5.0)
     assert not team.said("thrown")
     assert not team.said("the end")
+
+
+def test_who_waits_for_a_double_is_told_so(tmp_path: Path) -> None:
+    (tmp_path / "mission.L").write_text(PROGRAM.replace("//body", "pump.flow(1);"))
+    (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
+    double = SimpleNamespace(flow=lambda litres, seconds=0.0: After(1e6, 1))
+    made = Team(tmp_path / "mission.dL", doubles={"pump": double})
+    with closing(made) as team, pytest.raises(Stuck) as caught:
+        team.run(until_done=True, at_most=5.0)
+    assert "pump on bravo: its double has not answered yet at Pump.flow (mission.L:" in str(caught.value)
 
 
 def test_a_test_that_is_given_up_in_a_double_is_given_up(tmp_path: Path) -> None:
