@@ -274,6 +274,25 @@ def test_a_host_that_dies_takes_the_answer_with_it(tmp_path: Path) -> None:
     assert team.call_results("flow") == [None, 2]
 
 
+@pytest.mark.parametrize("body", ["pump.flow(1); pump.flow(2);", "together { pump.flow(1); } pump.flow(2);"])
+def test_a_double_that_ends_its_own_host_has_not_answered(tmp_path: Path, body: str) -> None:
+    asked: list[int] = []
+
+    def flow(litres: int, seconds: float = 0.0) -> int:
+        asked.append(litres)
+        team.crash("bravo")
+        return litres
+
+    team = team_of(tmp_path, body, flow=flow)
+    team.run(3.0)
+    assert asked == [1]
+    assert team.call("flow").ended is None
+    team.boot("bravo")
+    team.until("the end")
+    assert team.said("thrown: bravo was started again")
+    assert asked == [1]
+
+
 def test_the_same_seed_is_the_same_run(tmp_path: Path) -> None:
     digests = set()
     for _ in range(2):
