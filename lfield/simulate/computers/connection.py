@@ -80,7 +80,7 @@ class End(asyncio.Transport):
         self.loop, self.machine, self.over = loop, loop.machine, False
         self._ways, self._peer, self._timeline = ways, peer, loop.machine.timeline
         self._protocol: asyncio.Protocol | None = None
-        self._closing = False
+        self._closing = self._paused = False
         self._high = 1 << 30
         #: What this end has sent and the other has not got: bytes; None for the end, an error for a reset.
         self._waiting: deque[bytes | Exception | None] = deque()
@@ -141,6 +141,17 @@ class End(asyncio.Transport):
         """How much waits."""
         return self._pending
 
+    def pause_reading(self) -> None:
+        """What comes waits here."""
+        self._paused = True
+
+    def resume_reading(self) -> None:
+        """Take what has waited."""
+        self._paused = False
+        early, self._early = self._early, []
+        for event in early:
+            self.loop.call_soon(event)
+
     # --- on the way -----------------------------------------------------------------------------------
 
     def _send(self, what: bytes | Exception | None) -> None:
@@ -185,7 +196,7 @@ class End(asyncio.Transport):
         self.loop.enter(event)
 
     def _received(self, data: bytes) -> None:
-        if self._protocol is None:
+        if self._protocol is None or self._paused:
             if not self.over:
                 self._early.append(partial(self._received, data))
         elif not (self.over or self._closing):
