@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 
+import demo
 import pytest
 
 #: Each run has failures of those before.
-FAILURES = (("crane.axis", "silence=true"), ("sky.fc", "battery=0.15"), ("hand.motor", "dead=true"))
+FAILURES = [(device, fault) for device, fault, _ in demo.FAILURES[1:]]
 
 
 def run(lfield_mission, failures):

@@ -1,4 +1,4 @@
-"""The example of capabilities as its README runs it: `make test-more`. The mission's own tests are beside it."""
+"""The example of capabilities as its README runs it: `make test-more`. Its own tests are beside it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 DEMO = Path(__file__).parents[3] / "examples" / "02-equivalent-lift" / "demo.py"
+
 pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(600)]
 
 
