@@ -80,13 +80,15 @@ class End(asyncio.Transport):
         self.loop, self.machine, self.over = loop, loop.machine, False
         self._ways, self._peer, self._timeline = ways, peer, loop.machine.timeline
         self._protocol: asyncio.Protocol | None = None
-        self._closing = self._paused = False
+        self._closing = False
         self._high = 1 << 30
         #: What this end has sent and the other has not got: bytes; None for the end, an error for a reset.
         self._waiting: deque[bytes | Exception | None] = deque()
         self._pending = 0
         self._due = 0.0
         self._early: list[Callable[[], None]] = []
+        #: What has come while nobody wants to read, or None when somebody does.
+        self._unread: list[Callable[[], None]] | None = None
 
     @property
     def way(self) -> Way:
@@ -141,16 +143,20 @@ class End(asyncio.Transport):
         """How much waits."""
         return self._pending
 
+    def is_reading(self) -> bool:
+        """Whether what comes is handed on."""
+        return self._unread is None and not self.is_closing()
+
     def pause_reading(self) -> None:
-        """What comes waits here."""
-        self._paused = True
+        """What comes waits from now on."""
+        if self._unread is None:
+            self._unread = []
 
     def resume_reading(self) -> None:
-        """Take what has waited."""
-        self._paused = False
-        early, self._early = self._early, []
-        for event in early:
-            self.loop.call_soon(event)
+        """It is handed on again, what has come meanwhile first."""
+        unread, self._unread = self._unread or [], None
+        for event in unread:
+            self.loop.call_soon(partial(self._come, event))
 
     # --- on the way -----------------------------------------------------------------------------------
 
@@ -193,10 +199,16 @@ class End(asyncio.Transport):
 
     def arrive(self, event: Callable[[], None]) -> None:
         """Something comes to this end."""
-        self.loop.enter(event)
+        self.loop.enter(partial(self._come, event))
+
+    def _come(self, event: Callable[[], None]) -> None:
+        if self._unread is None:
+            event()
+        else:
+            self._unread.append(event)
 
     def _received(self, data: bytes) -> None:
-        if self._protocol is None or self._paused:
+        if self._protocol is None:
             if not self.over:
                 self._early.append(partial(self._received, data))
         elif not (self.over or self._closing):
