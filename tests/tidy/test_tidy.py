@@ -54,8 +54,9 @@ SMALL = {
 }
 
 
-#: Names that begin with an underscore and are documented for others: named tuples', python-can's.
-DOCUMENTED = {"_replace", "_asdict", "_recv_internal"}
+#: Names that begin with an underscore and are documented for others: named tuples', python-can's, asyncio's
+#: for those who make loops.
+DOCUMENTED = {"_replace", "_asdict", "_recv_internal", "_get_running_loop", "_set_running_loop"}
 
 
 def files(*folders: str) -> list[Path]:

@@ -17,6 +17,7 @@ from lfield_gps import PLUGIN
 from lfield_gps.fake import FAULTS, LATITUDE, LONGITUDE, Receiver, sentences
 from lfield_gps.nmea import Nonsense, parse, sentence
 
+from lfield.clock import SystemClock
 from lfield.devices.try_out import checks_of, try_devices
 from lfield.driver import DeviceError
 from lfield.driver.plugins import Plugins
@@ -167,10 +168,9 @@ def test_it_passes_the_kit_without_anybody_having_to_agree(monkeypatch):
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as fake:
         ready, endpoint = fake.stdout.readline().split()
         assert ready == "ready"
-        checks = checks_of(plugins.by_driver["gps"])
-        found = asyncio.run(
-            try_devices(plugins, [bind(PLUGIN, endpoint=endpoint)], checks, False, print, silence=1.0)
-        )
+        checks, clock = checks_of(plugins.by_driver["gps"]), SystemClock()
+        gps = bind(PLUGIN, endpoint=endpoint)
+        found = asyncio.run(try_devices(plugins, [gps], checks, False, print, clock=clock, silence=1.0))
         fake.stdin.close()
     assert [f"{f.check}: {f.seen}" for f in found if f.outcome == "failed"] == []
     assert {f.check for f in found if f.outcome == "not run"} == {
