@@ -6,16 +6,18 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 
 from lfield.devices.fakes import conditions
-from lfield.driver.binding import DeviceBinding, by_bus
+from lfield.driver.binding import DeviceBinding
 from lfield.driver.sims import sims_of
 from lfield.errors import MissionTestError, PluginError
 from lfield.loop import Fake
 from lfield.mission.mission import Mission
 from lfield.simulate.computers.computer import Process
-from lfield.simulate.fleet import Fleet, at_endpoints
+from lfield.simulate.fleet import Fleet, at_endpoints, buses_of
 from lfield.testing.cables import CabledFake, all_serve
 
 Place = tuple[float, float, float]
+#: Host, driver and endpoint.
+Bus = tuple[str, str, str]
 
 
 class FakeDevice:
@@ -74,7 +76,7 @@ class Fakes:
         self, wrong: Mapping[str, Sequence[str]], mark: Callable[[str, str], None] = lambda words, name: None
     ) -> None:
         self._wrong, self._mark = wrong, mark
-        self._cabled: dict[tuple[str, str], CabledFake] = {}
+        self._cabled: dict[Bus, CabledFake] = {}
         #: By the names of their bindings.
         self.devices: dict[str, FakeDevice] = {}
 
@@ -85,21 +87,21 @@ class Fakes:
 
     def plug(self, fleet: Fleet, mission: Mission, _: random.Random) -> Mission:
         """Start them, and give the mission with their endpoints. Raises PluginError and MissionTestError."""
-        buses = by_bus(mission.bindings.all)
+        buses = buses_of(mission)
         names = {device.name for bus in buses.values() for device in bus}
         if unknown := sorted(self._wrong.keys() - names):
             known = ", ".join(sorted(names)) or "none"
             raise MissionTestError(f"there is no device '{unknown[0]}' with a fake here; there are: {known}")
-        sims = sims_of({driver for driver, _ in buses})
+        sims = sims_of({driver for _, driver, _ in buses})
         for bus, devices in buses.items():
-            if (sim := sims.get(bus[0])) is None:
-                raise PluginError(f"{devices[0].name}: there is no fake for driver '{bus[0]}'")
+            if (sim := sims.get(bus[1])) is None:
+                raise PluginError(f"{devices[0].name}: there is no fake for driver '{bus[1]}'")
             options = [*sim.arguments(devices), *conditions(devices), *self._faults(devices)]
             self._cabled[bus] = CabledFake(devices[0].name, sim, options, fleet.timeline, fleet.network)
         served = all_serve(self._cabled, fleet.timeline)
         for bus, fake in served.items():
             self._name(buses[bus], self._cabled[bus].process, fake)
-        return at_endpoints(mission, {bus: fake.endpoint for bus, fake in served.items()})
+        return at_endpoints(mission, {d.name: served[bus].endpoint for bus in buses for d in buses[bus]})
 
     def _faults(self, devices: Sequence[DeviceBinding]) -> list[str]:
         wrong = [_at(text, d.name) for d in devices for text in self._wrong.get(d.name, ())]
