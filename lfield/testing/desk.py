@@ -180,8 +180,11 @@ class Desk:
             while not told[0].done() and self.now < end and not caught:
                 self._timeline.run(LOOK)
         self._end(process)
+        broken = told[0].exception() if told[0].done() else None
         for error in (*caught, *(trouble for fake in self._fakes for trouble in fake.trouble)):
             raise error
+        if broken is not None:
+            raise broken
         if not told[0].done():
             raise Stuck(f"the story was not over after {within:g} s of virtual time", [])
         return told[0].result()

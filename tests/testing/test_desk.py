@@ -86,10 +86,16 @@ def test_what_a_story_raises_and_what_it_waits_for_in_vain(desk, servo):
 
 
 def test_a_device_that_is_not_there_is_told_as_by_lfield_kit(desk, servo):
-    desk.fake("dynamixel", *SERVO)
     nobody = bind(PLUGIN, "Dynamixel", endpoint="serial:/dev/none:57600", options={"id": 1})
     with pytest.raises(DevicesError, match="No such file or directory"):
         desk.try_kit(nobody)
+
+
+def test_two_fakes_cannot_have_one_port(desk, fake):
+    with pytest.raises(MissionTestError, match="dynamixel 2: cannot use /dev/ttyDXL: File exists"):
+        desk.fake("dynamixel", *SERVO)
+    other = desk.fake("dynamixel", *SERVO, "--listen", "/dev/other")
+    assert (fake.endpoint, other.endpoint) == ("serial:/dev/ttyDXL:1000000", "serial:/dev/other:1000000")
 
 
 def test_a_kit_takes_its_silences_and_dead_guards_from_the_same_time(desk, servo):

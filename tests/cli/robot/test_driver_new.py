@@ -79,10 +79,24 @@ def test_it_passes_the_kit_on_its_own_fake(site, endpoint):
     assert "12 passed, 0 failed, 0 not run" in said
 
 
-def test_the_kit_sees_what_is_wrong_with_it(site, endpoint):
+def test_the_kit_sees_what_is_wrong_with_it(site, monkeypatch):
+    monkeypatch.syspath_prepend(str(site))
+    plugins = Plugins()
+    plugins.add("lfield_lamp:PLUGIN")
+    desk = Desk(plugins=plugins)
+    fake = desk.fake(load_sim("lfield_lamp.fake:SIM"), "--fault", "stuck=true")
+    found = desk.try_kit(bind(load_plugin("lfield_lamp:PLUGIN"), endpoint=fake.endpoint, ttl=0.2))
+    (failed,) = (finding for finding in found if finding.outcome == "failed")
+    assert failed.check == "moves and says where it is"
+    assert "was not done within 10 s: at 0" in failed.seen
+
+
+def test_a_check_that_fails_is_told_by_the_status(site, endpoint):
     fault = lfield(site, "sim", "fault", endpoint, "stuck=true")
     assert "stuck = true" in fault.communicate(timeout=30)[0]
-    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--set", "ttl=0.2", "--silence", "2")
+    # So short a way that the check's own is refused at once.
+    short = ("--set", "ttl=0.2", "--set", "limits={value: 0.05}")
+    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", *short, "--silence", "0.5")
     said, _ = kit.communicate(timeout=90)
     assert kit.returncode == 1, said
     assert "FAILED  kit.device: moves and says where it is" in said
