@@ -18,6 +18,7 @@
     ├── GreetingError             a peer that must not be talked to                           76
     ├── AddressError              a port in use, an address that is not ours                  69
     │   └── NobodyListens         an address where no program listens                         69
+    ├── DoubleError               a double in the test of a mission that does not fit it       65
     ├── NothingRuns               no mission that a command could be about                    69
     ├── CoordinatorAlive          a coordinator that is alive, or may be, and must not be     69
     ├── HostFailure               a bug in lfield that ended a host                           70
@@ -237,6 +238,12 @@ class NobodyListens(AddressError):
 
     def __init__(self, address: str) -> None:
         super().__init__(address, "nobody listens there; is its host up?")
+
+
+class DoubleError(LfieldError):
+    """A double, which answers for a resource in the test of a mission, that does not fit the mission."""
+
+    exit_status = exits.DATA
 
 
 class NothingRuns(LfieldError):
