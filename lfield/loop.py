@@ -136,6 +136,12 @@ class Simulated(Protocol):
     def plug_serial(self, path: str, received: Callable[[bytes, int], None]) -> SerialEnd:
         """Be what stands at the far end of a new port; what comes has the baud rate of who sent it."""
 
+    def shared(self, name: str, make: Callable[[], T]) -> T:
+        """What is one for all fakes of this simulation, such as the ground that several of them stand on.
+
+        Whoever asks first makes it.
+        """
+
     async def serve(self, fake: Fake) -> None:
         """Be a fake of this simulation, until it is told to end."""
 

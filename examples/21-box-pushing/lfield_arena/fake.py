@@ -1,28 +1,17 @@
-"""The plane as a fake: one for all robots that are on it, whichever host they hang on.
-
-Every host starts the fakes of its own robots. The first that runs serves the plane: a port for each robot, and
-one where the other fakes join it, to pass on what is wrong with theirs. The plane is there until everybody has
-left it, so it outlives the computer that has begun it.
-"""
+"""A robot on the plane, as a fake: its radio, at a port of its own. The plane is that of all such fakes."""
 
 from __future__ import annotations
 
 import argparse
 import asyncio
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from functools import partial
+from collections.abc import Sequence
 
 from lfield.driver import DeviceBinding
-from lfield_arena.field import LAYOUTS, Field
-from lfield_arena.robot import Robot
+from lfield.errors import AddressError
+from lfield_arena.field import LAYOUTS
+from lfield_arena.plane import HOST, LONGEST, PORTS, Plane, Way, way_to
 from lfield_sim.faults import Fault, Faults, add_fault_option
 from lfield_sim.serving import serve_until_told
-
-#: Seconds of a step of the plane, and the longest line.
-TICK, LONGEST = 0.01, 4096
-#: Where fakes join each plane; its robots have the ports after that, by their numbers.
-HOST, PORTS = "127.0.0.1", {"box": 7100, "hunt": 7200}
 
 FAULTS = (
     Fault("weak", 1.0, "the share of its grip that is left", 0.0, 1.0),
@@ -31,126 +20,89 @@ FAULTS = (
 )
 
 
-class Plane:
-    """The plane with its robots and what is wrong with them."""
+class Radio:
+    """What stands between the driver of a robot and the plane, with what is wrong with the robot."""
 
-    def __init__(self, layout: str) -> None:
-        self._port, self.field = PORTS[layout], Field.of(LAYOUTS[layout])
-        self.robots = {str(number): Robot(self.field, number) for number in self.field.robots}
-        self.faults = Faults(FAULTS, list(self.robots))
-        self._guests = 0
-        self._empty = asyncio.Event()
+    def __init__(self, way: Way, number: str, faults: Faults) -> None:
+        self._way, self._number, self._faults = way, number, faults
+        self._tasks: set[asyncio.Task[None]] = set()
+        faults.watch(self._follow)
+        self._follow()
 
-    def step(self) -> None:
-        """Let a tick pass."""
-        for number, robot in self.robots.items():
-            weak, broken = self.faults.get("weak", number), self.faults.get("broken", number)
-            robot.step(TICK, weak=weak, broken=broken)
-        self.field.step(TICK)
-
-    async def live(self) -> None:
-        """Step for ever."""
-        while True:
-            await asyncio.sleep(TICK)
-            self.step()
-
-    async def serve(self) -> None:
-        """Listen at all ports. Raises OSError where the plane is there already."""
-        serve = partial(asyncio.start_server, host=HOST, limit=LONGEST)
-        await serve(partial(self._talk, self._join), port=self._port)
-        for number in self.robots:
-            await serve(partial(self._talk, partial(self._answer, number)), port=self._port + int(number))
-
-    async def left(self) -> None:
-        """Wait until nobody is connected."""
-        while self._guests:
-            await self._empty.wait()
-
-    def _join(self, line: str) -> str:
-        self.faults.apply([line])
-        return "ok"
-
-    def _answer(self, number: str, line: str) -> str:
-        return "" if self.faults.get("silent", number) else self.robots[number].answer(line)
-
-    async def _talk(
-        self, answer: Callable[[str], str], reader: asyncio.StreamReader, writer: asyncio.StreamWriter
-    ) -> None:
-        """Serve one guest: the driver of a robot, or a fake that has joined."""
-        self._guests += 1
-        self._empty.clear()
+    async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a driver; a request is a line, and so is its answer."""
         try:
             while line := (await reader.readline()).decode("ascii", "replace").strip():
-                if said := answer(line):
-                    writer.write(f"{said}\n".encode())
+                answer = await self._way.ask(f"{self._number} {line}")
+                if not self._faults.get("silent", self._number):
+                    writer.write(f"{answer}\n".encode())
         except (OSError, ValueError):
             pass
         finally:
             writer.close()
-            self._guests -= 1
-            if not self._guests:
-                self._empty.set()
+
+    def _follow(self) -> None:
+        task = asyncio.get_running_loop().create_task(self._tell())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _tell(self) -> None:
+        weak, broken = self._faults.get("weak", self._number), self._faults.get("broken", self._number)
+        await self._way.ask(f"{self._number} wrong {weak} {int(broken)}")
 
 
 class ArenaSim:
     """The fake for `lfield sim arena` and `lfield up --sim`."""
 
     name = "arena"
-    help = "A small robot on a plane with a box or a prey; there is one plane for all robots of this computer."
+    help = "A small robot on a plane with a box or a prey; all that run here are on the same plane."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Which robot on which plane, and what is wrong with it."""
+        """Which robot on which plane, where it answers, and what is wrong with it."""
         parser.add_argument("--plane", default="box", choices=sorted(LAYOUTS), help="what is on it (box)")
-        parser.add_argument("--robot", type=int, default=1, choices=range(1, 5), help="its number (1)")
+        parser.add_argument("--robot", default="1", choices=list("1234"), help="its number (1)")
+        parser.add_argument("--listen", default=f"tcp:{HOST}:0", metavar="tcp:HOST:PORT")
         parser.add_argument("--called", default="", metavar="NAME", help="the name of its binding")
         parser.add_argument("--until-stdin-closes", action="store_true", help="end with who started it")
         add_fault_option(parser)
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        """The robot of a binding."""
+        """The robot of a binding, on a free port."""
         device = devices[0]
         plane, robot = device.option("plane"), device.option("robot")
         return ["--plane", plane, "--robot", str(robot), "--called", device.name]
 
     def run(self, args: argparse.Namespace) -> int:
-        """Serve until told to end."""
-        return asyncio.run(_serve(args))
+        """Serve until told to end; 0. Raises AddressError."""
+        asyncio.run(self.serve(args))
+        return 0
 
-
-async def _serve(args: argparse.Namespace) -> int:
-    number, port = str(args.robot), PORTS[args.plane]
-    faults = Faults(FAULTS, {number: args.called})
-    faults.apply(args.fault)
-    plane = Plane(args.plane)
-    tasks = [asyncio.create_task(plane.live())]
-    with suppress(OSError):
-        await plane.serve()
-    tasks.append(asyncio.create_task(_join(port, faults, number)))
-    ends = args.until_stdin_closes
-    await serve_until_told(
-        "arena", f"tcp:{HOST}:{port + args.robot}", "", faults, devices={number: args.called},
-        until_stdin_closes=ends,
-    )  # fmt: skip
-    tasks.pop().cancel()
-    await plane.left()
-    return 0
-
-
-async def _join(port: int, faults: Faults, number: str) -> None:
-    """Tell the plane what is wrong with a robot, and again when it changes."""
-    reader, writer = await asyncio.open_connection(HOST, port)
-    changed = asyncio.Event()
-    faults.watch(changed.set)
-    try:
-        while True:
-            for fault in FAULTS:
-                value = str(faults.get(fault.name, number)).lower()
-                writer.write(f"{fault.name}@{number}={value}\n".encode())
-                await reader.readline()
-            await changed.wait()
-            changed.clear()
-    finally:
-        writer.close()
+    async def serve(self, args: argparse.Namespace) -> None:
+        """The same on the running loop. Raises AddressError."""
+        _, host, port = args.listen.split(":")
+        faults = Faults(FAULTS, {args.robot: args.called})
+        faults.apply(args.fault)
+        try:
+            way = await way_to(args.plane)
+            radio = Radio(way, args.robot, faults)
+            server = await asyncio.start_server(radio.talk, host, int(port), limit=LONGEST)
+        except OSError as error:
+            place = f"{host}:{port} or {HOST}:{PORTS[args.plane]}"
+            raise AddressError(place, error.strerror or str(error)) from None
+        host, port = server.sockets[0].getsockname()[:2]
+        places = {}
+        if isinstance(way, Plane):
+            places[args.robot] = way.robots[args.robot].place
+        await serve_until_told(
+            "arena",
+            f"tcp:{host}:{port}",
+            "",
+            faults,
+            devices={args.robot: args.called},
+            until_stdin_closes=args.until_stdin_closes,
+            places=places,
+        )
+        await way.leave()
 
 
 SIM = ArenaSim()

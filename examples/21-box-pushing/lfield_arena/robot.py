@@ -7,6 +7,7 @@ A request is a line, and so is its answer:
     drive NORTH EAST      m/s
     stop
     watchdog SECONDS      without a request for longer it stops by itself; 0 is off
+    wrong GRIP BROKEN     by its fake: the share of its grip that is left, 1 when its motors are off
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from lfield_arena.field import Body, Field
 #: for each m/s, and that count as there.
 FASTEST, SLOWEST, BRAKE, THERE = 0.5, 0.1, 0.3, 0.01
 #: So many numbers each request has, and which of its words there are.
-REQUESTS = {"go": 3, "drive": 2, "stop": 0, "watchdog": 1}
+REQUESTS = {"go": 3, "drive": 2, "stop": 0, "watchdog": 1, "wrong": 2}
 
 
 class Robot:
@@ -38,15 +39,18 @@ class Robot:
         """Itself on the plane."""
         return self._field.robots[self._number]
 
-    def step(self, seconds: float, *, weak: float = 1.0, broken: bool = False) -> None:
-        """Say what the wheels shall do next; `weak` is the share of its grip that is left."""
+    def place(self) -> tuple[float, float, float]:
+        """Where it is: metres north, east and up."""
+        return *self.body.place, 0.0
+
+    def step(self, seconds: float) -> None:
+        """Say what the wheels shall do next."""
         self._since += seconds
-        self._broken = broken
-        if broken or 0.0 < self.watchdog < self._since:
+        if self._broken or 0.0 < self.watchdog < self._since:
             self._stop()
         if self._goal is not None and math.dist(self.body.place, self._goal[0]) < THERE:
             self._stop()
-        self.body.grip, self.body.wish = weak, self._wish()
+        self.body.wish = self._wish()
 
     def _wish(self) -> Vector:
         if self._goal is None:
@@ -62,8 +66,9 @@ class Robot:
 
     def answer(self, line: str) -> str:
         """What a request is answered with."""
-        self._since = 0.0
         word, *rest = line.split() or [""]
+        if word != "wrong":
+            self._since = 0.0
         if word == "?":
             return self._state()
         try:
@@ -78,6 +83,9 @@ class Robot:
         return "ok"
 
     def _obey(self, word: str, numbers: list[float]) -> None:
+        if word == "wrong":
+            self.body.grip, self._broken = min(1.0, max(0.0, numbers[0])), bool(numbers[1])
+            return
         if word == "watchdog":
             self.watchdog = max(0.0, numbers[0])
             return
