@@ -105,7 +105,7 @@ class Fake(NamedTuple):
     """A fake that serves: its kind and endpoint, what can be set in it, and what is true of its devices.
 
     `devices` are ids with the names of their bindings; `facts` and `places` are by id. A place is in metres
-    north, east and up of one point for all fakes.
+    north, east and up of one point for all fakes. Things that are no device have places by their own names.
     """
 
     kind: str

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from lfield.driver import DeviceBinding
 from lfield.errors import AddressError
 from lfield_arena.field import LAYOUTS
-from lfield_arena.plane import HOST, LONGEST, PORTS, Plane, Way, way_to
+from lfield_arena.plane import HOST, LONGEST, PORTS, WHAT, Plane, Way, way_to
 from lfield_sim.faults import Fault, Faults, add_fault_option
 from lfield_sim.serving import serve_until_told
 
@@ -92,7 +92,7 @@ class ArenaSim:
         host, port = server.sockets[0].getsockname()[:2]
         places = {}
         if isinstance(way, Plane):
-            places[args.robot] = way.robots[args.robot].place
+            places = {args.robot: way.robots[args.robot].place, WHAT[args.plane]: way.target}
         await serve_until_told(
             "arena",
             f"tcp:{host}:{port}",

@@ -17,6 +17,8 @@ from lfield_arena.robot import Robot
 TICK, LOOK, LONGEST = 0.01, 0.1, 4096
 #: Where each plane is.
 HOST, PORTS = "127.0.0.1", {"box": 7100, "hunt": 7200}
+#: What is on it beside robots.
+WHAT = {"box": "box", "hunt": "prey"}
 
 
 class Way(Protocol):
@@ -37,6 +39,10 @@ class Plane:
         self.robots = {str(number): Robot(self.field, number) for number in self.field.robots}
         self._guests = 0
         self._living = asyncio.get_running_loop().create_task(self._live())
+
+    def target(self) -> tuple[float, float, float]:
+        """Where the box or the prey is: metres north, east and up."""
+        return *self.field.target[:2], 0.0
 
     async def serve(self, port: int) -> None:
         """Let others join. Raises OSError where a plane is there already."""
