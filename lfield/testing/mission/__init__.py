@@ -1,1 +1,1 @@
-"""Tests of missions: what their portals were called with and gave, and doubles that answer from Python."""
+"""A mission in one process on virtual time: real hosts, guards, drivers and fakes, for its tests."""

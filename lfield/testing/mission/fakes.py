@@ -13,13 +13,12 @@ from functools import partial
 from lfield.devices.fakes import conditions
 from lfield.driver.binding import DeviceBinding, by_bus
 from lfield.driver.sims import Sim, SimOnLoop, sims_of
-from lfield.errors import LfieldError, PluginError
+from lfield.errors import LfieldError, MissionTestError, PluginError
 from lfield.loop import Fake
 from lfield.mission.mission import Mission
 from lfield.simulate.computers.computer import Computer, Process
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.fleet import Fleet, at_endpoints
-from lfield.testing.mission.errors import MissionTestError
 
 #: Seconds for all fakes to be ready, and how often to look.
 READY, LOOK = 5.0, 0.01

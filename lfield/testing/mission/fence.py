@@ -10,7 +10,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from lfield.testing.mission.errors import RealEndpoint
+from lfield.errors import RealEndpoint
 
 #: What is told of, and how it is said.
 _ACTS = {
@@ -18,7 +18,7 @@ _ACTS = {
     "socket.bind": "it wanted to listen at {1}",
     "socket.sendto": "it wanted to send to {1}",
     "socket.sendmsg": "it wanted to send to {1}",
-    "socket.getaddrinfo": "it wanted to look up {0}",
+    "socket.getaddrinfo": "it wanted to reach {0}:{1}",
     "subprocess.Popen": "it wanted to start {0}",
     "os.posix_spawn": "it wanted to start {0}",
 }

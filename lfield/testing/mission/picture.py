@@ -8,7 +8,7 @@ from html import escape
 from itertools import cycle
 from typing import NamedTuple
 
-from lfield.testing.mission.tracks import Point
+from lfield.testing.mission.watching import Point
 
 #: Pixels: the plan's longer side at most, its margin, the height of the strip with the heights, of a text.
 LONG, MARGIN, STRIP, TEXT = 640.0, 48.0, 120.0, 12

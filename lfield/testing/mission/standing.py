@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from lfield.host.core import HostCore
-from lfield.simulate.fleet import Fleet
+from lfield.simulate.fleet import Fleet, Life
+from lfield.text.suggest import listed
 from lfield.vm.agent import Agent
 from lfield.vm.inspect import traceback
-from lfield.vm.memory.layout import STATE_NAMES, THREAD_STATE
+from lfield.vm.memory.layout import CALLING, STATE_NAMES, THREAD_PC, THREAD_STATE, WAITING
 from lfield.vm.memory.threads import threads
 
 
@@ -18,9 +21,16 @@ def standing(fleet: Fleet) -> list[str]:
         if life is None:
             lines.append(f"{name} does not run")
             continue
+        lines += _links(life, fleet.mission.team.hosts)
         for agent in life.core.machine.agents.values():
             lines += _agent(life.core, agent)
     return lines
+
+
+def _links(life: Life, hosts: Sequence[str]) -> list[str]:
+    """Which hosts it does not hear, of those that it has tried to reach."""
+    away = [host for host in hosts if host in life.host.peers.away]
+    return [f"{life.core.name} has no link with {listed(away)}"] if away else []
 
 
 def _agent(core: HostCore, agent: Agent) -> list[str]:
@@ -35,9 +45,18 @@ def _agent(core: HostCore, agent: Agent) -> list[str]:
 
 def _does(core: HostCore, agent: Agent, place: int) -> str:
     """What a thread does, in a word, and for what of a portal or a device it waits."""
-    state = STATE_NAMES[agent.block.w[place + THREAD_STATE]]
+    state = agent.block.w[place + THREAD_STATE]
+    if state == WAITING:
+        return f"waits for {_instruction(core, agent, place)}"
     if agent.member.kind != "coordinator":
-        return state
-    called = core.machine.calling(agent) if agent.frozen else None
-    words = core.waits(agent) or state
-    return f"{words} for {called[0].id}.{called[1]}()" if called else words
+        return STATE_NAMES[state]
+    called = core.machine.calling(agent) if agent.frozen or state == CALLING else None
+    words = core.waits(agent) or "waits"
+    return f"{words} for {called[0].id}.{called[1]}()" if called else core.waits(agent) or STATE_NAMES[state]
+
+
+def _instruction(core: HostCore, agent: Agent, place: int) -> str:
+    """The instruction of a device that a thread waits for."""
+    group = core.machine.engine.group(agent.block.w[place + THREAD_PC])
+    call = core.mission.program.core.device_calls[group.head.a]
+    return f"{call.field}.{call.instruction}()"

@@ -12,17 +12,16 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from lfield.errors import MissionTestError, Stuck
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet, Life
 from lfield.testing.mission.calls import Calls, PortalCall
-from lfield.testing.mission.doubles import Doubles
-from lfield.testing.mission.errors import MissionTestError, Stuck
+from lfield.testing.mission.doubles import Doubles, later_in
 from lfield.testing.mission.fakes import FakeDevice, Fakes
 from lfield.testing.mission.fence import fenced
 from lfield.testing.mission.picture import Mark
 from lfield.testing.mission.standing import standing
-from lfield.testing.mission.tracks import Point, Tracks
-from lfield.testing.mission.watching import Hop, Hops, Lines
+from lfield.testing.mission.watching import Hop, Hops, Lines, Point, Tracks
 
 #: Seconds of virtual time after which what has not come is not waited for any more.
 AT_MOST = 3600.0
@@ -84,7 +83,7 @@ class Team:
     def _born(self, name: str, life: Life) -> None:
         machine = life.core.machine
         self._calls.watch(machine)
-        self._doubles.watch(machine, life.process.loop.soon)
+        self._doubles.watch(machine, later_in(life))
         self._hops.watch(life)
         self._lines.watch(life)
 

@@ -1,15 +1,19 @@
-"""What is seen of the machines of a mission under test: hops, and who comes to a line of L."""
+"""What is seen of a mission under test: hops, who comes to a line of L, and where devices are."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from lfield.bytecode.program import Program
+from lfield.errors import MissionTestError
 from lfield.simulate.fleet import Life
-from lfield.testing.mission.errors import MissionTestError
+from lfield.testing.mission.fakes import FakeDevice
 from lfield.wire.coordinators import Transfer
+
+#: Seconds between two points of a track.
+EVERY = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,3 +100,32 @@ def _places(program: Program, file: str, number: int) -> list[int]:
         for at, line in method.lines
         if line == number
     ]
+
+
+class Point(NamedTuple):
+    """A place at a time: seconds; metres north, east and up of where the team's fakes are switched on."""
+
+    at: float
+    north: float
+    east: float
+    up: float
+
+
+class Tracks:
+    """The tracks of all devices that tell where they are. `later` calls after so many seconds."""
+
+    def __init__(
+        self,
+        devices: Mapping[str, FakeDevice],
+        now: Callable[[], float],
+        later: Callable[[float, Callable[[], None]], None],
+    ) -> None:
+        self._devices, self._now, self._later = devices, now, later
+        self.record: dict[str, list[Point]] = {}
+        self._look()
+
+    def _look(self) -> None:
+        for name, device in self._devices.items():
+            if (place := device.place) is not None:
+                self.record.setdefault(name, []).append(Point(self._now(), *place))
+        self._later(EVERY, self._look)
