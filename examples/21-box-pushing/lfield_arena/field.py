@@ -16,6 +16,8 @@ GRIP, STIFFNESS = 10.0, 100.0
 PREY_RADIUS, SIGHT, NEAR, PREY_SPEED = 0.2, 2.5, 1.2, 0.3
 #: Overlaps smaller than this are none, in metres; and how often all are looked at in one step.
 EXACT, SWEEPS = 1e-7, 400
+#: So often a prey that meets robots gives way in one step.
+SLIDES = 4
 
 
 @dataclass(slots=True)
@@ -69,9 +71,11 @@ class Field:
             self.prey.wish = flight(self.prey.place, [robot.place for robot in self.robots.values()])
         if self.box is not None:
             self._push(self.box, seconds)
-        for body in self._bodies:
-            body.place = body.place[0] + body.wish[0] * seconds, body.place[1] + body.wish[1] * seconds
+        for robot in self.robots.values():
+            robot.place = _moved(robot.place, robot.wish, seconds)
         self._part()
+        if self.prey is not None:
+            self._run(self.prey, seconds)
 
     @property
     def target(self) -> tuple[float, float, float]:
@@ -96,6 +100,21 @@ class Field:
                 lacking = STIFFNESS * (wanted - box.speed_at(contact))
                 pushes.append((contact, min(GRIP * robot.grip, max(0.0, lacking))))
         box.step(pushes, seconds)
+
+    def _run(self, prey: Body, seconds: float) -> None:
+        """It pushes nobody: where somebody is it gives way, and where it cannot it stays."""
+        before = prey.place
+        prey.place = _moved(before, prey.wish, seconds)
+        for _ in range(SLIDES):
+            for robot in self.robots.values():
+                away = math.dist(robot.place, prey.place)
+                overlap = robot.radius + prey.radius - away
+                if overlap > 0.0 and away > 0.0:
+                    out = (prey.place[0] - robot.place[0]) / away, (prey.place[1] - robot.place[1]) / away
+                    prey.place = _moved(prey.place, out, overlap)
+        least = min(math.dist(robot.place, prey.place) for robot in self.robots.values())
+        if least < RADIUS + PREY_RADIUS - EXACT:
+            prey.place = before
 
     def _part(self) -> None:
         """Nothing is where something else is: discs give way to each other by halves, and to the box."""
