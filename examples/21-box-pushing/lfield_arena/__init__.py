@@ -1,4 +1,4 @@
-"""The driver 'arena': devices of the type Omni, small robots on a plane with a box or a prey. See README.md."""
+"""The driver 'arena': devices of the type Omni, small robots on a plane with a box or a prey (README.md)."""
 
 from lfield.driver import Plugin
 
@@ -7,4 +7,5 @@ PLUGIN = Plugin(
     package="lfield_arena",
     driver="lfield_arena.driver:ArenaDriver",
     extra="",
+    kit="lfield_arena.kit:KIT",
 )

@@ -112,8 +112,8 @@ class Field:
                 if overlap > 0.0 and away > 0.0:
                     out = (prey.place[0] - robot.place[0]) / away, (prey.place[1] - robot.place[1]) / away
                     prey.place = _moved(prey.place, out, overlap)
-        least = min(math.dist(robot.place, prey.place) for robot in self.robots.values())
-        if least < RADIUS + PREY_RADIUS - EXACT:
+        least = [math.dist(robot.place, prey.place) for robot in self.robots.values()]
+        if min(least, default=math.inf) < RADIUS + PREY_RADIUS - EXACT:
             prey.place = before
 
     def _part(self) -> None:
@@ -151,9 +151,7 @@ def _moved(place: Vector, along: Vector, metres: float) -> Vector:
 def flight(place: Vector, hunters: Sequence[Vector]) -> Vector:
     """Where a prey runs, in m/s: to the middle of the widest gap between those that it sees."""
     seen = [
-        (hunter[0] - place[0], hunter[1] - place[1])
-        for hunter in hunters
-        if math.dist(hunter, place) < SIGHT
+        (hunter[0] - place[0], hunter[1] - place[1]) for hunter in hunters if math.dist(hunter, place) < SIGHT
     ]
     if all(math.hypot(*way) > NEAR for way in seen):
         return 0.0, 0.0
