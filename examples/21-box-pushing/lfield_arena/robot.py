@@ -17,8 +17,8 @@ import math
 from lfield_arena.box import Vector
 from lfield_arena.field import Body, Field
 
-#: The fastest and the slowest that it goes, in m/s; the seconds for which its goal is ahead of it while it slows
-#: down; metres that count as there.
+#: The fastest and the slowest that it goes, in m/s; how many seconds before its goal it begins to slow down;
+#: metres that count as there.
 FASTEST, SLOWEST, BRAKE, THERE = 0.5, 0.1, 0.3, 0.01
 #: So many numbers each request has, and which of its words there are.
 REQUESTS = {"go": 3, "drive": 2, "stop": 0, "watchdog": 1, "wrong": 2}
