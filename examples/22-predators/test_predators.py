@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -57,6 +59,26 @@ def test_three_catch_it_when_a_computer_dies(lfield_mission, who):
     assert team.ended == {"hunt": "done"}
     assert team.said("caught by 3") == 1
     assert surrounded(team, without=who)
+
+
+@pytest.mark.process
+def test_in_processes_all_are_on_one_plane():
+    """As the README has it: a process for each host and each fake, in real time."""
+    mission = Path(__file__).parent / "mission.dL"
+    command = [
+        sys.executable,
+        "-m",
+        "lfield",
+        "up",
+        "--deploy",
+        str(mission),
+        "--all",
+        "--sim",
+        "--until-done",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "hunt: caught by 4" in done.stderr + done.stdout
 
 
 def line_of(words):

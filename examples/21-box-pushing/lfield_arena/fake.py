@@ -7,9 +7,9 @@ import asyncio
 from collections.abc import Sequence
 
 from lfield.driver import DeviceBinding
-from lfield.errors import AddressError
+from lfield.errors import AddressError, UsageError
 from lfield_arena.field import LAYOUTS
-from lfield_arena.plane import HOST, LONGEST, PORTS, WHAT, Plane, Way, way_to
+from lfield_arena.plane import HOST, LONGEST, PORTS, Plane, Way, way_to
 from lfield_sim.faults import Fault, Faults, add_fault_option
 from lfield_sim.serving import serve_until_told
 
@@ -60,7 +60,7 @@ class ArenaSim:
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Which robot on which plane, where it answers, and what is wrong with it."""
         parser.add_argument("--plane", default="box", choices=sorted(LAYOUTS), help="what is on it (box)")
-        parser.add_argument("--robot", default="1", choices=list("1234"), help="its number (1)")
+        parser.add_argument("--robot", type=int, default=1, metavar="NUMBER", help="its number (1)")
         parser.add_argument("--listen", default=f"tcp:{HOST}:0", metavar="tcp:HOST:PORT")
         parser.add_argument("--called", default="", metavar="NAME", help="the name of its binding")
         parser.add_argument("--until-stdin-closes", action="store_true", help="end with who started it")
@@ -73,18 +73,22 @@ class ArenaSim:
         return ["--plane", plane, "--robot", str(robot), "--called", device.name]
 
     def run(self, args: argparse.Namespace) -> int:
-        """Serve until told to end; 0. Raises AddressError."""
+        """Serve until told to end; 0. Raises UsageError and AddressError."""
         asyncio.run(self.serve(args))
         return 0
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """The same on the running loop. Raises AddressError."""
+        """The same on the running loop. Raises UsageError and AddressError."""
         _, host, port = args.listen.split(":")
-        faults = Faults(FAULTS, {args.robot: args.called})
+        number, there = str(args.robot), LAYOUTS[args.plane].robots
+        if args.robot not in there:
+            known = ", ".join(map(str, there))
+            raise UsageError(f"there is no robot {number} on the plane '{args.plane}'; there are: {known}")
+        faults = Faults(FAULTS, {number: args.called})
         faults.apply(args.fault)
         try:
             way = await way_to(args.plane)
-            radio = Radio(way, args.robot, faults)
+            radio = Radio(way, number, faults)
             server = await asyncio.start_server(radio.talk, host, int(port), limit=LONGEST)
         except OSError as error:
             place = f"{host}:{port} or {HOST}:{PORTS[args.plane]}"
@@ -92,13 +96,13 @@ class ArenaSim:
         host, port = server.sockets[0].getsockname()[:2]
         places = {}
         if isinstance(way, Plane):
-            places = {args.robot: way.robots[args.robot].place, WHAT[args.plane]: way.target}
+            places = {number: way.robots[number].place, **way.places}
         await serve_until_told(
             "arena",
             f"tcp:{host}:{port}",
             "",
             faults,
-            devices={args.robot: args.called},
+            devices={number: args.called},
             until_stdin_closes=args.until_stdin_closes,
             places=places,
         )

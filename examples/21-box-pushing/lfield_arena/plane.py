@@ -7,9 +7,13 @@ simulated computer they share it.
 from __future__ import annotations
 
 import asyncio
+import math
+from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 from lfield.loop import Simulated
+from lfield_arena.box import WIDTH
 from lfield_arena.field import LAYOUTS, Field
 from lfield_arena.robot import Robot
 
@@ -17,8 +21,7 @@ from lfield_arena.robot import Robot
 TICK, LOOK, LONGEST = 0.01, 0.1, 4096
 #: Where each plane is.
 HOST, PORTS = "127.0.0.1", {"box": 7100, "hunt": 7200}
-#: What is on it beside robots.
-WHAT = {"box": "box", "hunt": "prey"}
+Place = tuple[float, float, float]
 
 
 class Way(Protocol):
@@ -40,9 +43,17 @@ class Plane:
         self._guests = 0
         self._living = asyncio.get_running_loop().create_task(self._live())
 
-    def target(self) -> tuple[float, float, float]:
-        """Where the box or the prey is: metres north, east and up."""
-        return *self.field.target[:2], 0.0
+    @property
+    def places(self) -> dict[str, Callable[[], Place]]:
+        """Where things are that are no robots: metres north, east and up, by their names."""
+        if self.field.box is None:
+            return {"prey": lambda: (*self.field.target[:2], 0.0)}
+        ends = {"box": 0.0, "box, left end": -WIDTH / 2.0, "box, right end": WIDTH / 2.0}
+        return {name: partial(self._beside, aside) for name, aside in ends.items()}
+
+    def _beside(self, aside: float) -> Place:
+        north, east, heading = self.field.target
+        return north - aside * math.sin(heading), east + aside * math.cos(heading), 0.0
 
     async def serve(self, port: int) -> None:
         """Let others join. Raises OSError where a plane is there already."""
