@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 from collections.abc import Sequence
+from contextlib import suppress
 
 from lfield.driver import DeviceBinding
 from lfield.errors import AddressError, UsageError
@@ -48,7 +49,9 @@ class Radio:
 
     async def _tell(self) -> None:
         weak, broken = self._faults.get("weak", self._number), self._faults.get("broken", self._number)
-        await self._way.ask(f"{self._number} wrong {weak} {int(broken)}")
+        # Where the plane is gone its driver is told, by a link that is closed.
+        with suppress(OSError):
+            await self._way.ask(f"{self._number} wrong {weak} {int(broken)}")
 
 
 class ArenaSim:
@@ -79,7 +82,10 @@ class ArenaSim:
 
     async def serve(self, args: argparse.Namespace) -> None:
         """The same on the running loop. Raises UsageError and AddressError."""
-        _, host, port = args.listen.split(":")
+        kind, _, place = args.listen.partition(":")
+        host, _, port = place.rpartition(":")
+        if kind != "tcp" or not port.isdecimal():
+            raise UsageError(f"'{args.listen}' is no place to listen at: write tcp:HOST:PORT")
         number, there = str(args.robot), LAYOUTS[args.plane].robots
         if args.robot not in there:
             known = ", ".join(map(str, there))
@@ -91,12 +97,10 @@ class ArenaSim:
             radio = Radio(way, number, faults)
             server = await asyncio.start_server(radio.talk, host, int(port), limit=LONGEST)
         except OSError as error:
-            place = f"{host}:{port} or {HOST}:{PORTS[args.plane]}"
-            raise AddressError(place, error.strerror or str(error)) from None
+            places = f"{place} or {HOST}:{PORTS[args.plane]}"
+            raise AddressError(places, error.strerror or str(error)) from None
         host, port = server.sockets[0].getsockname()[:2]
-        places = {}
-        if isinstance(way, Plane):
-            places = {number: way.robots[number].place, **way.places}
+        here = {number: way.robots[number].place, **way.places} if isinstance(way, Plane) else {}
         await serve_until_told(
             "arena",
             f"tcp:{host}:{port}",
@@ -104,7 +108,7 @@ class ArenaSim:
             faults,
             devices={number: args.called},
             until_stdin_closes=args.until_stdin_closes,
-            places=places,
+            places=here,
         )
         await way.leave()
 
