@@ -10,9 +10,12 @@ from contextlib import suppress
 from lfield.driver import DeviceBinding
 from lfield.errors import AddressError, UsageError
 from lfield_arena.field import LAYOUTS
-from lfield_arena.plane import HOST, LONGEST, PORTS, Plane, Way, way_to
+from lfield_arena.plane import HOST, LONGEST, LOOK, PORTS, Plane, Way, way_to
 from lfield_sim.faults import Fault, Faults, add_fault_option
 from lfield_sim.serving import serve_until_told
+
+#: Seconds for a driver to leave.
+PATIENCE = 5.0
 
 FAULTS = (
     Fault("weak", 1.0, "the share of its grip that is left", 0.0, 1.0),
@@ -27,11 +30,13 @@ class Radio:
     def __init__(self, way: Way, number: str, faults: Faults) -> None:
         self._way, self._number, self._faults = way, number, faults
         self._tasks: set[asyncio.Task[None]] = set()
+        self._drivers = 0
         faults.watch(self._follow)
         self._follow()
 
     async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve a driver; a request is a line, and so is its answer."""
+        self._drivers += 1
         try:
             while line := (await reader.readline()).decode("ascii", "replace").strip():
                 answer = await self._way.ask(f"{self._number} {line}")
@@ -41,6 +46,14 @@ class Radio:
             pass
         finally:
             writer.close()
+            self._drivers -= 1
+
+    async def left(self) -> None:
+        """Wait until no driver is there, but not for long: the guard of a killed host still stops its robot."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(PATIENCE):
+                while self._drivers:
+                    await asyncio.sleep(LOOK)
 
     def _follow(self) -> None:
         task = asyncio.get_running_loop().create_task(self._tell())
@@ -110,6 +123,7 @@ class ArenaSim:
             until_stdin_closes=args.until_stdin_closes,
             places=here,
         )
+        await radio.left()
         await way.leave()
 
 
