@@ -49,7 +49,7 @@ class Radio:
             self._drivers -= 1
 
     async def left(self) -> None:
-        """Wait until no driver is there, but not for long: the guard of a killed host still stops its robot."""
+        """Wait until no driver is there, but not for long: a killed host's guard still stops its robot."""
         with suppress(TimeoutError):
             async with asyncio.timeout(PATIENCE):
                 while self._drivers:
