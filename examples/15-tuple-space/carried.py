@@ -96,7 +96,7 @@ def x(seconds: float) -> float:
 
 def y(host: str) -> float:
     """Pixels from the top."""
-    return ROW * (HOSTS.index(host) + 0.6)
+    return ROW * HOSTS.index(host) + 44.0
 
 
 def text(left: float, base: float, words: str, colour: str) -> str:
