@@ -90,6 +90,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "sky   | carrier.fc: it has a watchdog of 2 s: nothing stops it sooner when this computer dies "
         "(waived by its binding)": EXAMPLES,
     },
+    "examples/15-tuple-space/README.md": {"lfield test examples/15-tuple-space": SUITE},
     "examples/20-gps-driver/README.md": {
         "pip install -e examples/20-gps-driver": GPS,
         "lfield sim gps &": GPS,
