@@ -116,7 +116,8 @@ class Team:
         until every coordinator has ended.
 
         Raises Stuck when that has not come after `at_most` seconds, or cannot come any more, or when this
-        takes PATIENCE seconds of real time; and what went wrong in a double, or wanted to touch this computer.
+        takes PATIENCE seconds of real time; and what went wrong in a double, or wanted to touch this
+        computer.
         """
         self._patience = time.monotonic() + PATIENCE
         if until_done:
