@@ -26,6 +26,7 @@ import asyncio
 import random
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import TypeVar
 
 from lfield.devices.try_out import checks_of, try_devices
@@ -109,6 +110,11 @@ class Desk:
     def at(self, seconds: float, action: Callable[[], None]) -> None:
         """Do something at a moment of `now`, while a story runs."""
         self._timeline.at(seconds, action)
+
+    def kill(self, pid: int) -> None:
+        """End a process of its computer by force: a guard, by `guard_pid` of its device. Raises KeyError."""
+        process = {process.pid: process for process in self._computer.processes}[pid]
+        self._timeline.after(0.0, partial(process.die, -9))
 
     def fake(self, sim: str | Sim, *options: str) -> DeskFake:
         """A fake, by the name of its driver where it is installed, with options of `lfield sim`.
