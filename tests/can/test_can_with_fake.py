@@ -21,7 +21,7 @@ import lfield_sim.can
 from lfield.driver import DeviceError
 from lfield.testing.driver_bench import guarded, running_fake
 
-pytestmark = [pytest.mark.process, pytest.mark.long]
+pytestmark = pytest.mark.process
 
 DOORS = ("socketcand", "slcan")
 LISTEN = ("--listen", "socketcand:127.0.0.1:0", "--listen", "slcan-pty")

@@ -58,7 +58,6 @@ def test_rovers_of_both_autopilots_do_what_is_not_as_copters_do_it(desk, try_kit
             "rover": f'endpoint: "{rover.endpoint}", system: 2, kind: rover, ttl: 1.5, {LIMITS}',
             "px4": f"{where}, {WAIVED}, {LIMITS}",
         },
-        only=(takeoff, "motors on and off", "a short trip", ends, "it stands at the end"),
     )
     assert failed(found) == []
     assert not_run(found) == {("rover", takeoff), ("px4", takeoff)}
