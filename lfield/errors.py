@@ -18,6 +18,10 @@
     ├── GreetingError             a peer that must not be talked to                           76
     ├── AddressError              a port in use, an address that is not ours                  69
     │   └── NobodyListens         an address where no program listens                         69
+    ├── MissionTestError          a test of a mission asks for what there is not               64
+    │   ├── DoubleError           a double that does not fit its mission                       65
+    │   ├── RealEndpoint          a test of a mission touches what is real                     64
+    │   └── Stuck                 what a test of a mission waits for does not come             64
     ├── NothingRuns               no mission that a command could be about                    69
     ├── CoordinatorAlive          a coordinator that is alive, or may be, and must not be     69
     ├── HostFailure               a bug in lfield that ended a host                           70
@@ -237,6 +241,37 @@ class NobodyListens(AddressError):
 
     def __init__(self, address: str) -> None:
         super().__init__(address, "nobody listens there; is its host up?")
+
+
+class MissionTestError(LfieldError):
+    """A test of a mission asks for what there is not, or does what a test may not."""
+
+    exit_status = exits.USAGE
+
+
+class Stuck(MissionTestError):
+    """What a test waits for does not come: `standing` says where every agent stands and what it waits for."""
+
+    def __init__(self, waited: str, standing: Sequence[str]) -> None:
+        self.standing = standing
+        super().__init__("\n".join([waited, *(f"  {line}" for line in standing)]))
+
+
+class RealEndpoint(MissionTestError):
+    """Something under test wanted to use this computer's network, ports or devices."""
+
+    def __init__(self, what: str) -> None:
+        self.what = what
+        super().__init__(
+            f"a test of a mission touches nothing real, and {what}: "
+            "give the device a fake, or its agent a double"
+        )
+
+
+class DoubleError(MissionTestError):
+    """A double, which answers for a resource in the test of a mission, that does not fit the mission."""
+
+    exit_status = exits.DATA
 
 
 class NothingRuns(LfieldError):

@@ -9,9 +9,9 @@ import gc
 import os
 import resource
 import signal
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 T = TypeVar("T")
 
@@ -79,6 +79,65 @@ class Killable(Protocol):
 
     def kill_now(self) -> None:
         """End it."""
+
+
+class SerialUser(Protocol):
+    """Who has a serial port open."""
+
+    def received(self, data: bytes) -> None:
+        """Bytes have arrived."""
+
+    def unplugged(self) -> None:
+        """The port has gone."""
+
+
+class SerialEnd(Protocol):
+    """One end of a serial line."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes. Raises OSError."""
+
+    def close(self) -> None:
+        """Give it back; at the far end, unplug it."""
+
+
+class Fake(NamedTuple):
+    """A fake that serves: its kind and endpoint, what can be set in it, and what is true of its devices.
+
+    `devices` are ids with the names of their bindings; `facts` and `places` are by id. A place is in metres
+    north, east and up of one point for all fakes.
+    """
+
+    kind: str
+    endpoint: str
+    faults: Settable
+    devices: Mapping[str, str]
+    facts: Mapping[str, Callable[[], Mapping[str, str | int | bool]]]
+    places: Mapping[str, Callable[[], tuple[float, float, float]]]
+
+
+class Settable(Protocol):
+    """What can go wrong with a fake."""
+
+    def apply(self, texts: Iterable[str]) -> None:
+        """Set `NAME[@DEVICE]=VALUE`, all or none. Raises ValueError with a sentence."""
+
+
+@runtime_checkable
+class Simulated(Protocol):
+    """The loop of a process on a simulated computer: its streams, children and serial ports are no real ones.
+
+    It has no datagrams, and nothing of the computer that simulates: no descriptor, no signal, no stdin.
+    """
+
+    def open_serial(self, path: str, baud: int, user: SerialUser) -> SerialEnd:
+        """Open a serial port for us alone. Raises OSError."""
+
+    def plug_serial(self, path: str, received: Callable[[bytes, int], None]) -> SerialEnd:
+        """Be what stands at the far end of a new port; what comes has the baud rate of who sent it."""
+
+    async def serve(self, fake: Fake) -> None:
+        """Be a fake of this simulation, until it is told to end."""
 
 
 #: What the loops take to start a process, with some to spare.

@@ -24,6 +24,7 @@ COMMANDS = {
     "check": "find the errors of a program or deployment",
     "build": "make one file of a mission, for its robots, or of a program",
     "disasm": "list a program file",
+    "test": "run the tests of missions on virtual time, and draw the tracks",
     "up": "run the hosts of a deployment",
     "ps": "show what runs where",
     "query": "tell who of a team can do something, and why the others cannot",
@@ -41,7 +42,7 @@ COMMANDS = {
     "sim": "run a stand-alone fake of a device, or make one go wrong",
 }
 _ROOMS = {
-    "desk": ("check", "build", "disasm", "inspect", "capabilities"),
+    "desk": ("check", "build", "disasm", "test", "inspect", "capabilities"),
     "run": ("up",),
     "team": ("ps", "query", "estop", "pause", "resume", "forget", "recover"),
     "robot": ("doctor", "driver", "setup", "kit", "sim"),
@@ -58,6 +59,7 @@ ORDERLY = {
     "pause": ("operator.addressed", "operator.descent", "operator.runs"),
     "doctor": ("operator.doctor", "mission.load"),
     "setup": ("devices.setup", "mission.load"),
+    "test": ("mission.load",),
     "kit": ("devices.try_out", "mission.one_device"),
     "sim": ("driver.sims",),
 }

@@ -49,6 +49,14 @@ class Sim(Protocol):
         """
 
 
+@runtime_checkable
+class SimOnLoop(Sim, Protocol):
+    """A fake that can serve on a loop that runs already: so it can stand in a mission's test too."""
+
+    async def serve(self, args: argparse.Namespace) -> None:
+        """As `run`, with the loop's time only: no thread, no clock and no file of the computer."""
+
+
 class Sims(dict[str, Sim]):
     """The fakes that are installed, by driver name.
 

@@ -16,7 +16,7 @@ import socket
 import struct
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from lfield.errors import DeviceError
 
@@ -53,6 +53,16 @@ def places(endpoint: str) -> list[Place]:
         else:
             found.append(Place(kind, rest))
     return found
+
+
+class Lock(Protocol):
+    """What keeps an endpoint for one guard."""
+
+    async def take(self, endpoint: str) -> None:
+        """Own all that an endpoint leads to. Raises DeviceError with the process that owns it already."""
+
+    def release(self) -> None:
+        """Give everything back."""
 
 
 class EndpointLock:

@@ -13,7 +13,7 @@ from lfield.clock import Clock
 from lfield.driver.device import NOT_SET_UP, Device, Driver, Reports, check_methods
 from lfield.driver.plugin import Plugin, check_same
 from lfield.errors import DeviceError, NotSetUp, PluginError
-from lfield.guard.endpoint_lock import EndpointLock
+from lfield.guard.endpoint_lock import Lock
 from lfield.guard.messages import Open
 
 #: Seconds for what opening has begun to change to be open, once the guard has to end.
@@ -29,9 +29,16 @@ class Opening:
     `on_loaded` is called when the driver's code is there, before it opens anything.
     """
 
-    def __init__(self, plugin: Plugin, clock: Clock, reports: Reports, on_loaded: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        plugin: Plugin,
+        clock: Clock,
+        reports: Reports,
+        on_loaded: Callable[[], None],
+        lock: Lock,
+    ) -> None:
         self._plugin, self._clock, self._reports, self._on_loaded = plugin, clock, reports, on_loaded
-        self._lock = EndpointLock()
+        self._lock = lock
         self._tasks: dict[str, tuple[Device, asyncio.Task[str]]] = {}
         self._again = False
         #: The driver, None before it is made.

@@ -18,6 +18,7 @@ from lfield.driver.plugin import Plugin
 from lfield.errors import DeviceError, WireError
 from lfield.guard.core import GuardCore
 from lfield.guard.effects import Effect, Execute, Exit, Interrupt, LeaveOff, Look, MakeSafe, Quiet, Tell
+from lfield.guard.endpoint_lock import EndpointLock, Lock
 from lfield.guard.messages import (
     Allow,
     Beat,
@@ -50,7 +51,8 @@ LAST_COMMANDS = 0.3
 class Shell(asyncio.Protocol):
     """Carries events to the core and its effects out to the driver and the host.
 
-    `on_loaded` is called when the driver's code is there, before it opens anything.
+    `on_loaded` is called when the driver's code is there, before it opens anything; `lock` keeps others away
+    from the endpoint.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class Shell(asyncio.Protocol):
         output: asyncio.WriteTransport,
         clock: Clock,
         on_loaded: Callable[[], None] = lambda: None,
+        lock: Lock | None = None,
     ) -> None:
         self._output, self._clock = output, clock
         self._loop = asyncio.get_running_loop()
@@ -66,7 +69,7 @@ class Shell(asyncio.Protocol):
         self._loop.set_exception_handler(self._callback_raised)
         self._reader = MessageReader()
         self._core: GuardCore | None = None
-        self._opening = Opening(plugin, clock, self, on_loaded)
+        self._opening = Opening(plugin, clock, self, on_loaded, lock or EndpointLock())
         # How the core ends that comes of an opening during which somebody wanted the end.
         self._leave: Callable[[GuardCore], list[Effect]] | None = None
         self._telemetry = Telemetry(clock, self._tell_snapshot, self._is_taken)

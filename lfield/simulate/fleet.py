@@ -40,6 +40,7 @@ PORT = 8181
 
 Watch = Callable[["Fleet"], None]
 Born = Callable[[str, "Life"], None]
+Plug = Callable[["Fleet", Mission, random.Random], Mission]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +63,8 @@ class Fleet:
 
     `watch` is called after every event, and raises AssertionError for what must never be; `born` with every
     life of a host before anything happens in it. With `lost_after` hosts end when all coordinators have, as
-    with --until-done. They keep journals, unless told not to. Times are in seconds.
+    with --until-done. They keep journals, unless told not to. `plug` says what
+    hardware there is, and gives the mission with its endpoints. Times are in seconds.
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class Fleet:
         lost_after: float | None = None,
         keeps: bool = True,
         born: Born = lambda name, life: None,
+        plug: Plug | None = None,
     ) -> None:
         self._watch, self._born, self.keeps = watch, born, keeps
         self._unreachable_after, self._lost_after = unreachable_after, lost_after
@@ -90,9 +93,9 @@ class Fleet:
         #: The hosts that may have done something of which their disk has nothing. Whoever set the team up
         #: says of any other that it is started for the first time, until it has kept something.
         self._known: set[str] = set()
-        #: By the names of devices that share it.
+        #: What any driver drives, by the names of devices that share it.
         self.hardware: dict[str, Hardware] = {}
-        self.mission = self._on_hardware(mission, dice).at(
+        self.mission = (plug or plug_any_hardware)(self, mission, dice).at(
             mission.team.at({name: f"{name}:{PORT}" for name in names})
         )
         #: The hosts that run now; the exit statuses of those that have ended by themselves.
@@ -109,27 +112,6 @@ class Fleet:
     def _machine(self, name: str, dice: random.Random) -> Machine:
         rate = 1.0 + dice.uniform(-CLOCKS, CLOCKS)
         return Machine(name, self.timeline, random.Random(dice.random()), rate)
-
-    def _on_hardware(self, mission: Mission, dice: random.Random) -> Mission:
-        """The same mission, with a device of this simulation in the place of each."""
-        hosts = {member.id: mission.team.hosts[member.host] for member in mission.team.members}
-        endpoints: dict[tuple[str, str], str] = {}
-        for device in mission.bindings.all:
-            if device.bus not in endpoints:
-                made = Hardware(self.timeline, random.Random(dice.random()))
-                endpoint = endpoints[device.bus] = f"virtual:{device.endpoint}"
-                self.machines[hosts[device.agent]].hardware[endpoint] = made
-                self.hardware[device.name] = made
-        bound = {
-            agent: {field: structs.replace(d, endpoint=endpoints[d.bus]) for field, d in fields.items()}
-            for agent, fields in mission.bindings.devices.items()
-        }
-        simulated = {
-            name: replace(driver, reference=REFERENCE, files={})
-            for name, driver in mission.drivers.by_driver.items()
-        }
-        bindings = replace(mission.bindings, devices=bound)
-        return replace(mission, bindings=bindings, drivers=KnownDrivers(simulated))
 
     # --- time -----------------------------------------------------------------------------------------
 
@@ -275,6 +257,32 @@ class Fleet:
         for name in self.computers:
             if name not in self.lives and name not in self.left:
                 self.boot(name)
+
+
+def plug_any_hardware(fleet: Fleet, mission: Mission, dice: random.Random) -> Mission:
+    """The mission with a device of this simulation in the place of each; its driver is that of any device."""
+    hosts = {member.id: mission.team.hosts[member.host] for member in mission.team.members}
+    endpoints: dict[tuple[str, str], str] = {}
+    for device in mission.bindings.all:
+        if device.bus not in endpoints:
+            made = Hardware(fleet.timeline, random.Random(dice.random()))
+            endpoint = endpoints[device.bus] = f"virtual:{device.endpoint}"
+            fleet.machines[hosts[device.agent]].hardware[endpoint] = made
+            fleet.hardware[device.name] = made
+    simulated = {
+        name: replace(driver, reference=REFERENCE, files={})
+        for name, driver in mission.drivers.by_driver.items()
+    }
+    return replace(at_endpoints(mission, endpoints), drivers=KnownDrivers(simulated))
+
+
+def at_endpoints(mission: Mission, endpoints: Mapping[tuple[str, str], str]) -> Mission:
+    """The mission with the devices of each bus (`DeviceBinding.bus`) at another endpoint."""
+    bound = {
+        agent: {field: structs.replace(d, endpoint=endpoints[d.bus]) for field, d in fields.items()}
+        for agent, fields in mission.bindings.devices.items()
+    }
+    return replace(mission, bindings=replace(mission.bindings, devices=bound))
 
 
 class Book(io.StringIO):

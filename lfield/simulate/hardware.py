@@ -18,6 +18,7 @@ from lfield.driver.contract import RELEASE
 from lfield.driver.device import Device, Driver, method_name
 from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import DeviceError
+from lfield.guard.endpoint_lock import places
 from lfield.guard.shell import Shell
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction
 from lfield.simulate.computers.computer import Input, Process
@@ -205,9 +206,31 @@ def _plugged_in(endpoint: str) -> Hardware:
 PLUGIN = Plugin("simulated", "lfield.simulate", "lfield.simulate.hardware:AnyDriver", "all")
 
 
-def guard(process: Process, output: asyncio.WriteTransport) -> Input:
-    """What `python -m lfield.guard.process` does, around the pipes of a simulation."""
-    shell = Shell(load_plugin(REFERENCE), output, process.loop.clock)
+class Lock:
+    """What an endpoint's lock is to guards, in a simulation: who has it is a process that lives."""
+
+    def __init__(self, process: Process) -> None:
+        self._loop, self._taken = process.loop, process.computer.network.taken
+
+    async def take(self, endpoint: str) -> None:
+        """Own all that an endpoint leads to. Raises DeviceError."""
+        end = self._loop.time() + PATIENCE
+        for place in map(str, places(endpoint)):
+            while (owner := self._taken.get(place)) is not None and not owner.dead:
+                if self._loop.time() > end:
+                    raise DeviceError("endpoint", f"{endpoint} is in use by another guard")
+                await asyncio.sleep(FEED)
+            self._taken[place] = self._loop
+
+    def release(self) -> None:
+        """Give everything back."""
+        for place in [place for place, owner in self._taken.items() if owner is self._loop]:
+            del self._taken[place]
+
+
+def guard(process: Process, arguments: Sequence[str], output: asyncio.WriteTransport) -> Input:
+    """What `python -m lfield.guard.process PLUGIN` does, around the pipes of a simulation."""
+    shell = Shell(load_plugin(arguments[0]), output, process.loop.clock, lock=Lock(process))
 
     async def serve() -> None:
         status = await shell.exit

@@ -1,1 +1,5 @@
-"""Public kits for tests: clocks, golden programs, conformance kits."""
+"""Public kits for tests: missions, golden programs, conformance kits."""
+
+from lfield.testing.mission.answers import After, LObject, Throws
+
+__all__ = ["After", "LObject", "Throws"]

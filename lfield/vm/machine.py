@@ -23,11 +23,7 @@ from lfield.vm.limits import TimeLimits
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.collector import compact
-from lfield.vm.memory.layout import (
-    BLOCKED,
-    THREAD_CALL,
-    THREAD_ID,
-)
+from lfield.vm.memory.layout import BLOCKED, THREAD_CALL, THREAD_ID
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
@@ -73,6 +69,8 @@ class Machine:
         )
         #: The agents that are here, by id.
         self.agents = scheduler.agents
+        #: Who watches its portal calls, and what stands in for resources.
+        self.attached = scheduler.attached
         self.engine, self.layouts, self._turns = scheduler.engine, scheduler.layouts, scheduler.turns
         cancelling = self._cancelling = Cancelling(scheduler)
         self._begun = BegunCalls(scheduler, cancelling)

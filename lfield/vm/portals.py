@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from lfield.bytecode.program import REFERENCES, TRACE
 from lfield.vm.agent import Agent, Member
@@ -11,7 +12,15 @@ from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.copier import deep_copy
-from lfield.vm.memory.layout import CALLING, PROXY_START, THREAD_PC, W_GENERATION, W_SELF, W_SEQUENCE
+from lfield.vm.memory.layout import (
+    CALLING,
+    PROXY_START,
+    THREAD_CALL,
+    THREAD_PC,
+    W_GENERATION,
+    W_SELF,
+    W_SEQUENCE,
+)
 from lfield.vm.memory.parcels import parcel_made, parcel_of, plain_parcel
 from lfield.vm.memory.threads import count, place_of
 from lfield.vm.scheduler import Scheduler
@@ -41,7 +50,7 @@ def call(
     except Trap as trap:
         scheduler.refuse(caller, thread, trap.kind, trap.message, member.id)
         return
-    scheduler.turns.next(resource, served)
+    serve(scheduler, resource, served, method, scheduler.turns.next)
 
 
 def called(scheduler: Scheduler, member: Member, caller: Agent, proxy: int) -> Agent:
@@ -123,12 +132,71 @@ def begin(
     w[words[0] + PROXY_START] = scheduler.life
     resource.callers[caller.id] = w[W_GENERATION], w[W_SEQUENCE]
     caller.kept = False
+    if scheduler.attached.watch is not None:
+        scheduler.attached.watch.began(resource, served, number, method, caller.id)
     return served
+
+
+def serve(
+    scheduler: Scheduler,
+    resource: Agent,
+    served: int,
+    method: int,
+    turn: Callable[[Agent, int], None],
+) -> None:
+    """Let a portal that has begun have its `turn`, or be answered by what stands in for its resource.
+
+    The thread then stays at the first instruction of the portal, where no handler is: what is thrown there
+    goes to the caller, and it can be cancelled as any other.
+    """
+    stand_in = scheduler.attached.stand_ins.get(resource.id)
+    if stand_in is None:
+        turn(resource, served)
+        return
+    scheduler.set_state(resource, served, CALLING)
+    resource.block.w[place_of(resource.block, served) + THREAD_PC] = scheduler.program.core.methods[
+        method
+    ].entry
+    stand_in(_Call(scheduler, resource, served, method))
+
+
+@dataclass(frozen=True, slots=True)
+class _Call:
+    """A call that something stands in for (`attached.Asked`)."""
+
+    scheduler: Scheduler
+    resource: Agent
+    thread: int
+    method: int
+
+    def give(self, make: Callable[[Block], int]) -> None:
+        """End it with the result that `make` puts into the resource's block."""
+        scheduler, resource = self.scheduler, self.resource
+        if not self._goes_on:
+            return
+        try:
+            word = scheduler.with_room(resource, lambda: make(resource.block))
+        except Trap as trap:
+            self.throw(trap.kind, trap.message)
+            return
+        number = resource.block.w[place_of(resource.block, self.thread) + THREAD_CALL]
+        finish(scheduler, resource, self.thread, number, word)
+
+    def throw(self, kind: str, message: str) -> None:
+        """End it by a built-in exception."""
+        if self._goes_on:
+            self.scheduler.refuse(self.resource, self.thread, kind, message, self.resource.id)
+
+    @property
+    def _goes_on(self) -> bool:
+        return not self.resource.ended and place_of(self.resource.block, self.thread) != 0
 
 
 def finish(scheduler: Scheduler, resource: Agent, thread: int, number: int, word: int) -> None:
     """A portal returned: its caller goes on with a copy of the result, if it still waits."""
     resource.served += 1
+    if scheduler.attached.watch is not None:
+        scheduler.attached.watch.gave(resource, number, word)
     if number not in scheduler.calls:
         scheduler.forget(resource, thread)
         return
@@ -170,6 +238,8 @@ def _return(scheduler: Scheduler, resource: Agent, caller: Agent, waiter: int, w
 def fail(scheduler: Scheduler, resource: Agent, thread: int, number: int, thrown: int) -> None:
     """A portal threw: its caller gets a copy of the object, with the lines it came from, if it waits."""
     resource.served += 1
+    if scheduler.attached.watch is not None:
+        scheduler.attached.watch.threw(resource, number, thrown)
     if number in scheduler.calls:
         _throw(scheduler, resource, thread, number, thrown)
     scheduler.forget(resource, thread)

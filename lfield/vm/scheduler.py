@@ -13,6 +13,7 @@ from lfield.bytecode.acting import acting_methods
 from lfield.bytecode.program import DEVICE, REFERENCES, Program
 from lfield.clock import Clock
 from lfield.vm.agent import Agent
+from lfield.vm.attached import Attached
 from lfield.vm.begun import Begun, Key
 from lfield.vm.contract import Trap
 from lfield.vm.inspect import traceback
@@ -63,6 +64,7 @@ class Scheduler:
         #: The number of the last portal call that began.
         self.last_call = 0
         self.turns = Turns(clock)
+        self.attached = Attached()
         self._failed = failed
         self._reference_arguments: dict[int, tuple[int, ...]] = {}
 
@@ -89,7 +91,10 @@ class Scheduler:
     # --- beginning ------------------------------------------------------------------------------------
 
     def born(self, agent: Agent, record: int) -> None:
-        """The object of a new agent, of a class by its index, and the thread of its init; raises Full."""
+        """The object of a new agent, of a class by its index, and the thread of its init; raises Full.
+
+        One that something stands in for has no such thread.
+        """
         block, core = agent.block, self.program.core
         w = block.w
         w[layout.W_SELF] = block.allocate(OBJECT, record, self.layouts.class_words[record])
@@ -98,6 +103,9 @@ class Scheduler:
             if field.type == DEVICE:
                 w[i] = next(numbers)
         w[layout.W_ID] = block.new_string(agent.id)
+        if agent.id in self.attached.stand_ins:
+            self.open(agent)
+            return
         texts = (agent.id, *agent.member.arguments)
         init = core.classes[record].init
         array = block.allocate(ARRAY, core.methods[init].slots[1], 1 + len(texts))
@@ -256,6 +264,8 @@ class Scheduler:
             agent.block.w[place + THREAD_STATE] = DEAD
         agent.report = "\n".join(lines)
         agent.ended = "died"
+        if self.attached.watch is not None:
+            self.attached.watch.died(agent, reason)
         self._tell_of_death(agent, f"{agent.id} has died: {reason}")
         if agent.member.kind == "coordinator":
             self.release(agent)

@@ -12,11 +12,12 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from lfield.driver.sims import control_folder
-from lfield.loop import be_prompt
+from lfield.loop import Fake, Simulated, be_prompt
 from lfield_sim.faults import Faults
+from lfield_sim.state_log import Facts
 
 #: A request longer than this is nonsense.
 MAX_REQUEST = 1 << 16
@@ -30,12 +31,19 @@ async def serve_until_told(
     *,
     devices: Mapping[str, str],
     until_stdin_closes: bool,
+    facts: Mapping[str, Callable[[], Facts]] | None = None,
+    places: Mapping[str, Callable[[], tuple[float, float, float]]] | None = None,
 ) -> None:
     """Print `ready ENDPOINT WORDS` and wait for SIGTERM, SIGINT or, if asked, the end of stdin.
 
-    `devices` are ids with the names of their bindings ('' when nobody named them).
+    `devices` are ids with the names of their bindings ('' when nobody named them). By the same ids `facts`
+    are what is true of them, and `places` where they are: metres north, east and up of one point for all
+    fakes. On a simulated computer nothing is printed, and whoever simulates ends it.
     """
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
+    if isinstance(loop, Simulated):
+        await loop.serve(Fake(kind, endpoint, faults, devices, facts or {}, places or {}))
+        return
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
     if until_stdin_closes:

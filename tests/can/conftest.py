@@ -43,7 +43,7 @@ class MemoryBus:
     def post(self, frame: Frame) -> None:
         self.sent.append(frame)
         if not self.cut:
-            self.loop.call_soon_threadsafe(self._deliver, frame)
+            self.loop.call_soon(self._deliver, frame)
 
     def _deliver(self, frame: Frame) -> None:
         self.device(frame)

@@ -118,8 +118,11 @@ def test_endpoints_that_are_none(endpoint):
     ("path", "words"), [("/dev/nothing-there", "No such file"), ("/dev/null", "it is no serial port")]
 )
 def test_what_cannot_be_opened(path, words):
-    with pytest.raises(DeviceError, match=f"cannot open serial:{path}:9600: {words}"):
+    async def opened():
         SerialPort(path, 9600, None).open()
+
+    with pytest.raises(DeviceError, match=f"cannot open serial:{path}:9600: {words}"):
+        asyncio.run(opened())
 
 
 def test_without_pyserial_the_extra_is_named(monkeypatch):

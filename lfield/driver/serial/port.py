@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from lfield.errors import DeviceError
+from lfield.loop import SerialEnd, Simulated
 
 SYNTAX = "serial:PATH:BAUD, for instance serial:/dev/ttyUSB0:57600"
 #: Seconds between two attempts to open a port that was unplugged.
@@ -64,7 +65,7 @@ class SerialPort:
     ) -> None:
         self.path, self.baud, self._parity = path, baud, parity
         self._events, self._note = events, note
-        self._port: Any = None
+        self._port: SerialEnd | None = None
         self._task: asyncio.Task[None] | None = None
         self.latency = 0.0
 
@@ -83,12 +84,13 @@ class SerialPort:
             raise DeviceError("endpoint", f"cannot open {place}: {self._reason(error)}") from None
 
     def _attach(self, make: Any) -> None:
-        port = make(self.path, self.baud, timeout=0, exclusive=True, parity=self._parity)
-        port.reset_input_buffer()
-        self._port = port
+        loop = asyncio.get_running_loop()
+        if isinstance(loop, Simulated):
+            self._port = loop.open_serial(self.path, self.baud, self)
+            return
+        self._port = _Tty(make(self.path, self.baud, timeout=0, exclusive=True, parity=self._parity), self)
         if self._note is not None:
             self._pass_on(self._note)
-        asyncio.get_running_loop().add_reader(port.fileno(), self._readable)
 
     def _pass_on(self, note: Callable[[str], None]) -> None:
         """Have the adapter pass bytes on within a millisecond, where it is one and lets us; else tell."""
@@ -105,31 +107,30 @@ class SerialPort:
                 "(as root, or by a udev rule) for a faster bus"
             )
 
-    def _readable(self) -> None:
-        try:
-            # pyserial's own read takes an empty answer for an error only sometimes; the file does not.
-            data = os.read(self._port.fileno(), READ)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            self._lose(self._reason(error))
-            return
-        if data:
-            self._events.received(data)
-        else:
-            self._lose("it was unplugged")
+    def received(self, data: bytes) -> None:
+        """Bytes have arrived."""
+        self._events.received(data)
+
+    def unplugged(self) -> None:
+        """The port has gone."""
+        self._lose("it was unplugged")
+
+    def failed(self, error: OSError) -> None:
+        """It cannot be read any more."""
+        self._lose(self._reason(error))
 
     def write(self, data: bytes) -> bool:
         """Send bytes, at once; whether all of them were taken. Never waits."""
         if self._port is None:
             return False
         try:
-            return os.write(self._port.fileno(), data) == len(data)
+            self._port.write(data)
         except BlockingIOError:
             return False
         except OSError as error:
             self._lose(self._reason(error))
             return False
+        return True
 
     def close(self) -> None:
         """Give the port back."""
@@ -151,11 +152,9 @@ class SerialPort:
         self._events.back()
 
     def _detach(self) -> None:
-        if self._port is not None:
-            asyncio.get_running_loop().remove_reader(self._port.fileno())
-            with suppress(OSError):
-                self._port.close()
-            self._port = None
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
 
     def _reason(self, error: Exception) -> str:
         """Why a port cannot be used, with the cure where there is one; pyserial says it in its text only."""
@@ -167,6 +166,40 @@ class SerialPort:
         if number:
             return os.strerror(number)
         return "it is no serial port" if "configure" in text else text
+
+
+class _Tty:
+    """A tty of this computer, read as bytes arrive."""
+
+    def __init__(self, port: Any, user: SerialPort) -> None:
+        port.reset_input_buffer()
+        self._port, self._user, self._loop = port, user, asyncio.get_running_loop()
+        self._loop.add_reader(port.fileno(), self._readable)
+
+    def _readable(self) -> None:
+        try:
+            # pyserial's own read takes an empty answer for an error only sometimes; the file does not.
+            data = os.read(self._port.fileno(), READ)
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._user.failed(error)
+            return
+        if data:
+            self._user.received(data)
+        else:
+            self._user.unplugged()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes. Raises OSError, a BlockingIOError when not all of them were taken."""
+        if os.write(self._port.fileno(), data) != len(data):
+            raise BlockingIOError
+
+    def close(self) -> None:
+        """Give it back."""
+        self._loop.remove_reader(self._port.fileno())
+        with suppress(OSError):
+            self._port.close()
 
 
 def _pyserial() -> Any:

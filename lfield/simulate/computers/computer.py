@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from lfield.loop import Fake, SerialEnd, SerialUser
 from lfield.simulate.computers.loop import ProcessLoop
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.network import Listening, Network
 from lfield.simulate.computers.pipes import Child
+from lfield.simulate.computers.serial import SerialPort
 
 #: Seconds until a child runs that was just started.
 STARTS = (0.05, 0.3)
@@ -20,8 +23,9 @@ _PIDS = itertools.count(1 << 40)
 
 #: What takes the bytes that come through a child's stdin, and None for their end.
 Input = Callable[[bytes | None], None]
-#: Begins a child inside its loop; what it writes to stdout it is given.
-Program = Callable[["Process", asyncio.WriteTransport], Input]
+#: Begins a child inside its loop, with what follows the module in its command line; and what it writes to
+#: stdout it is given.
+Program = Callable[["Process", Sequence[str], asyncio.WriteTransport], Input]
 
 
 class Computer:
@@ -55,13 +59,15 @@ class Process:
         self.computer, self.pid = computer, next(_PIDS)
         self.loop = _Loop(self)
         self.on_end: Callable[[int], None] = lambda status: None
+        #: Is told when a fake serves in it.
+        self.on_fake: Callable[[Fake], None] = lambda fake: None
         self.children: list[Process] = []
         self._input: Input | None = None
         self._early: list[bytes | None] = []
 
-    def begin(self, program: Program, output: asyncio.WriteTransport) -> None:
+    def begin(self, program: Program, arguments: Sequence[str], output: asyncio.WriteTransport) -> None:
         """Run a program in it."""
-        self._input = program(self, output)
+        self._input = program(self, arguments, output)
         for data in self._early:
             self._input(data)
 
@@ -118,5 +124,26 @@ class _Loop(ProcessLoop):
         transport = Child(self, child, protocol)
         protocol.connection_made(transport)
         program = self._computer.programs[command[2]]
-        child.loop.soon(partial(child.begin, program, transport.stdout), self.machine.dice.uniform(*STARTS))
+        begin = partial(child.begin, program, command[3:], transport.stdout)
+        child.loop.soon(begin, self.machine.dice.uniform(*STARTS))
         return transport, protocol
+
+    # --- what a simulated loop has beyond asyncio's: see lfield.loop.Simulated ---------------------------
+
+    def open_serial(self, path: str, baud: int, user: SerialUser) -> SerialEnd:
+        """Open a serial port for us alone. Raises OSError."""
+        port = self._computer.network.ports.get(path)
+        if port is None:
+            raise OSError(errno.ENOENT, "No such file or directory")
+        return port.open(self, baud, user)
+
+    def plug_serial(self, path: str, received: Callable[[bytes, int], None]) -> SerialEnd:
+        """Be what stands at the far end of a new port."""
+        ports = self._computer.network.ports
+        port = ports[path] = SerialPort(self, received, partial(ports.__delitem__, path))
+        return port
+
+    async def serve(self, fake: Fake) -> None:
+        """Be a fake until the process ends."""
+        self._process.on_fake(fake)
+        await self.create_future()

@@ -81,11 +81,13 @@ class Ways:
     def __init__(self, dice: random.Random) -> None:
         self._dice = dice
         self.silent: set[Way] = set()
+        #: The machines that hang on a cable, as hardware does.
+        self.cabled: set[str] = set()
         self.slow: dict[Way, tuple[float, float]] = {}
 
     def delay(self, way: Way) -> float:
-        """How long something takes that way, in seconds; within a machine hardly any time."""
-        if way[0] == way[1]:
+        """How long something takes that way, in seconds; within a machine or a cable hardly any time."""
+        if way[0] == way[1] or not self.cabled.isdisjoint(way):
             return 0.0001
         return self._dice.uniform(*self.slow.get(way, LATENCY))
 

@@ -11,21 +11,32 @@ from functools import partial
 from lfield.simulate.computers.connection import Address, Connection, End, Socket, reset
 from lfield.simulate.computers.loop import ProcessLoop
 from lfield.simulate.computers.machines import Machine, Ways
+from lfield.simulate.computers.serial import SerialPort
 from lfield.simulate.computers.timeline import Timeline
 
 #: Seconds between two attempts to connect where nothing answers: TCP's own grow, this is the mean of them.
 AGAIN = 1.0
+LOOPBACK = "127.0.0.1"
 
 
 class Network:
     """All connections between `machines`, by name. Everything that is left to chance comes from `dice`."""
 
     def __init__(self, timeline: Timeline, machines: Mapping[str, Machine], dice: random.Random) -> None:
-        self._timeline, self._machines = timeline, machines
+        self._timeline, self._machines = timeline, dict(machines)
         self.ways = Ways(dice)
         self._listening: dict[Address, Listening] = {}
         self._connections: list[Connection] = []
         self._free_port = 40_000
+        #: Serial ports by their paths: each leads to whatever stands at its far end.
+        self.ports: dict[str, SerialPort] = {}
+        #: Which process has taken what only one may have, by name.
+        self.taken: dict[str, ProcessLoop] = {}
+
+    def plug_in(self, machine: Machine) -> None:
+        """A machine hangs on a cable from now on: none of the ways between the others leads through it."""
+        self._machines[machine.name] = machine
+        self.ways.cabled.add(machine.name)
 
     # --- faults ---------------------------------------------------------------------------------------
 
@@ -74,7 +85,8 @@ class Network:
     def listen(
         self, loop: ProcessLoop, host: str, port: int, made: Callable[[], asyncio.Protocol]
     ) -> Listening:
-        """Listen at an address. Raises OSError when it is taken."""
+        """Listen at an address; loopback is the machine itself. Raises OSError when it is taken."""
+        host = loop.machine.name if host == LOOPBACK else host
         if port == 0:
             self._free_port += 1
             port = self._free_port
@@ -91,7 +103,9 @@ class Network:
         self, loop: ProcessLoop, made: Callable[[], asyncio.Protocol], host: str, port: int
     ) -> tuple[asyncio.Transport, asyncio.Protocol]:
         """Call whoever listens there; while nothing answers, for ever. Raises ConnectionRefusedError."""
-        here, there = loop.machine, self._machines[host]
+        here, there = loop.machine, self._machines.get(host)
+        if there is None:
+            raise OSError(errno.ENETUNREACH, f"{host} is no part of this simulation")
         await asyncio.sleep(self.ways.delay((here.name, there.name)))
         while self.ways.silences(here.name, there.name) or not there.on:
             await asyncio.sleep(AGAIN)

@@ -134,6 +134,6 @@ class Beginnings:
         w[ticket.place + TICKET_CALL] = 0
         self._limits.cancel_at_end(agent, resource, begun)
         if resource.open:
-            scheduler.turns.last(resource, served)
+            portals.serve(scheduler, resource, served, method, scheduler.turns.last)
         else:
             resource.waiting.append((resource, served))

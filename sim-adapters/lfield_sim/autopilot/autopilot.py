@@ -15,10 +15,10 @@ from lfield_sim.autopilot.flight import fly, suffer
 from lfield_sim.autopilot.lifting import begin_takeoff, disarm_when_idle, rise
 from lfield_sim.autopilot.missions import why_no_mission
 from lfield_sim.autopilot.pilot import Pilot
-from lfield_sim.autopilot.readiness import Unfit, news, why_unfit
 from lfield_sim.autopilot.stacks import ardupilot, px4
 from lfield_sim.autopilot.vehicle import ZERO, Circle, Goal, Keep, Lean, Reach, Vector
 from lfield_sim.autopilot.watch.failsafes import Failsafes
+from lfield_sim.autopilot.watch.readiness import Unfit, news, why_unfit
 
 #: Every vehicle there is, by flavour and kind.
 FLAVOURS: Mapping[str, Mapping[str, Kind]] = {"ardupilot": ardupilot.KINDS, "px4": px4.KINDS}
@@ -63,7 +63,8 @@ class Autopilot(Pilot):
             self.homing.step(dt, self.vehicle.place, flying=self.vehicle.airborne)
         self.vehicle.limits.cruise = self.pace.speed
         self.payload.step(dt)
-        self.battery.step(dt, armed=self.armed, flying=self.vehicle.airborne)
+        self.battery.step(dt, armed=self.armed, flying=self.vehicle.airborne, load=self.vehicle.wind.load)
+        self.vehicle.wind.step(dt)
         fly(self)
         rise(self)
         disarm_when_idle(self)

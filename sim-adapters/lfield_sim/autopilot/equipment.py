@@ -42,9 +42,9 @@ class Battery:
         """Charge drawn since it was full, in mAh."""
         return (1.0 - self.charge) * self.capacity
 
-    def step(self, dt: float, *, armed: bool, flying: bool) -> None:
-        """Let `dt` seconds pass."""
-        self.current = FLYING_CURRENT if flying else ARMED_CURRENT if armed else IDLE_CURRENT
+    def step(self, dt: float, *, armed: bool, flying: bool, load: float = 1.0) -> None:
+        """Let `dt` seconds pass; `load` is how much more than in still air a flight draws."""
+        self.current = FLYING_CURRENT * load if flying else ARMED_CURRENT if armed else IDLE_CURRENT
         self.charge = max(0.0, self.charge - self.current * dt / (self.capacity * 3.6))
 
 

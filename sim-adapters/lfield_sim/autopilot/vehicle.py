@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-GRAVITY = 9.80665
+from lfield_sim.autopilot.wind import GRAVITY, Wind
+
 #: What counts as in the air, in metres.
 AIRBORNE = 0.05
 #: Metres to a place within which the nose stays as it is.
@@ -37,7 +38,7 @@ class Response:
 
 @dataclass(slots=True)
 class Limits:
-    """Speeds in m/s, accelerations in m/s2, jerk in m/s3, yaw rate in rad/s.
+    """Speeds in m/s, accelerations in m/s2, jerk in m/s3, yaw rate in rad/s, tilt in rad.
 
     `cruise` bounds the way to a place, `top` everything over ground; `braking` is how hard it slows down
     before a place. `eases` are the seconds in which a copter takes two thirds of what it still lacks of a
@@ -59,6 +60,7 @@ class Limits:
     vertical_acceleration: float = 2.5
     braking: float = 2.5
     jerk: float = 5.0
+    tilt: float = math.radians(30.0)
     spool: float = 0.0
     awake: float = 0.0
     lift: float = 2.5
@@ -153,7 +155,10 @@ Goal = Rest | Reach | Keep | Circle | Lean | Rise | Descend | Sink | Fall | Roll
 
 @dataclass(slots=True)
 class Vehicle:
-    """A copter. `yaw_goal` None turns the nose where it flies; `yaw_rate_goal` (rad/s) goes before both."""
+    """A copter. `yaw_goal` None turns the nose where it flies; `yaw_rate_goal` (rad/s) goes before both.
+
+    `station` is the place that it goes back to when wind takes it away.
+    """
 
     limits: Limits = field(default_factory=Limits)
     place: Vector = ZERO
@@ -166,6 +171,8 @@ class Vehicle:
     goal: Goal = field(default_factory=Rest)
     corral: Corral | None = None
     lifting: bool = True
+    wind: Wind = field(default_factory=Wind)
+    station: tuple[float, float] | None = None
 
     @property
     def airborne(self) -> bool:
@@ -174,15 +181,19 @@ class Vehicle:
 
     @property
     def roll(self) -> float:
-        """Lean to the right that gives the present acceleration."""
-        north, east, _ = self.acceleration
+        """Lean to the right that gives the present acceleration, against the wind."""
+        north, east = self._lean
         return math.atan2(-north * math.sin(self.yaw) + east * math.cos(self.yaw), GRAVITY)
 
     @property
     def pitch(self) -> float:
         """Nose up is positive; speeding up needs it down."""
-        north, east, _ = self.acceleration
+        north, east = self._lean
         return math.atan2(-(north * math.cos(self.yaw) + east * math.sin(self.yaw)), GRAVITY)
+
+    @property
+    def _lean(self) -> tuple[float, float]:
+        return (self.acceleration[0] - self.wind.push[0], self.acceleration[1] - self.wind.push[1])
 
     def released(self) -> Goal:
         """What becomes of it when nothing drives it, armed: a copter hovers."""
@@ -207,9 +218,13 @@ class Vehicle:
     def step(self, dt: float) -> None:
         """Let `dt` seconds pass."""
         before, limits = self.velocity, self.limits
-        north, east, down = self._kept_in(self._wanted())
+        north, east, down = self._kept_in(self._stationed(self._wanted()))
         missing = (north - before[0], east - before[1])
-        lean = eased(self.acceleration[:2], missing, self._strongest(missing), limits.jerk, dt)
+        felt = (self.acceleration[0] - self.wind.left[0], self.acceleration[1] - self.wind.left[1])
+        # Who only leans, or falls, goes with the wind.
+        self.wind.meet(before, dt, flies=self.airborne, goes=isinstance(self.goal, Lean | Fall))
+        lean = eased(felt, missing, self._strongest(missing), limits.jerk, dt)
+        lean = self.wind.bear(lean, before, limits.tilt)
         vertical = _towards(before[2], down, self._vertical(down) * dt)
         self.velocity = (before[0] + lean[0] * dt, before[1] + lean[1] * dt, vertical)
         self._move(dt)
@@ -232,11 +247,8 @@ class Vehicle:
                 ahead = (self.velocity[0] + north, self.velocity[1] + east)
                 return self._bounded((*ahead, down))
             case Rise(down, speed):
-                return (
-                    0.0,
-                    0.0,
-                    -_braking(max(0.0, self.place[2] - down), speed, self.limits.vertical_acceleration),
-                )
+                left = max(0.0, self.place[2] - down)
+                return (0.0, 0.0, -_braking(left, speed, self.limits.vertical_acceleration))
             case Sink():
                 return (0.0, 0.0, SINK)
             case Descend():
@@ -246,6 +258,17 @@ class Vehicle:
             case Fall():
                 return (self.velocity[0], self.velocity[1], 50.0)
         return ZERO
+
+    def _stationed(self, wanted: Vector) -> Vector:
+        """In wind it goes back to where it came to a stand, when it was to stay over that."""
+        if not (self.wind.blows and self.airborne and isinstance(self.goal, Rest | Rise | Descend)):
+            self.station = None
+        elif self.station is None and math.hypot(*self.velocity[:2]) < STILL:
+            self.station = self.place[:2]
+        if self.station is None:
+            return wanted
+        north, east, _ = self._approach((*self.station, self.place[2]))
+        return (north, east, wanted[2])
 
     @property
     def _nose_follows(self) -> bool:

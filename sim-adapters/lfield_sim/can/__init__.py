@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import os
+import selectors
 from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
@@ -76,8 +78,16 @@ class CanSim:
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until told to end; 0."""
+        # epoll rounds a wait up to a millisecond, which is eight frames; select does not.
+        select = asyncio.SelectorEventLoop(selectors.SelectSelector())
+        with asyncio.Runner(loop_factory=lambda: select) as runner:
+            runner.run(self.serve(args))
+        return 0
+
+    async def serve(self, args: argparse.Namespace) -> None:
+        """The same on the running loop."""
         from lfield_sim.can.bus import FAULTS
-        from lfield_sim.can.server import run
+        from lfield_sim.can.server import serve
         from lfield_sim.can.specs import build, parse
 
         doors = [parse_listen(text) for text in args.listen or ["socketcand:127.0.0.1:0"]]
@@ -89,7 +99,7 @@ class CanSim:
         except ValueError as error:
             raise UsageError(f"--fault: {error}") from None
         devices = build(specs, faults)
-        return run(
+        await serve(
             doors,
             devices,
             faults,

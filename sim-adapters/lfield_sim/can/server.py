@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import selectors
 from collections.abc import Mapping, Sequence
 
 from lfield_sim.can.doors.hub import Door, Hub
@@ -15,8 +13,8 @@ from lfield_sim.serving import serve_until_told
 from lfield_sim.state_log import StateLog
 
 
-def run(
-    doors: Sequence[tuple[str, str, int]],
+async def serve(
+    places: Sequence[tuple[str, str, int]],
     devices: Sequence[Device],
     faults: Faults,
     log: StateLog,
@@ -25,25 +23,8 @@ def run(
     names: Mapping[str, str],
     words: str,
     until_stdin_closes: bool,
-) -> int:
-    """Serve devices (`names`: by id) through doors (kind, host, port). Raises AddressError."""
-    serving = _serve(doors, devices, faults, log, bitrate, names, words, until_stdin_closes)
-    # epoll rounds a wait up to a millisecond, which is eight frames; select does not.
-    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(selectors.SelectSelector())) as runner:
-        runner.run(serving)
-    return 0
-
-
-async def _serve(
-    places: Sequence[tuple[str, str, int]],
-    devices: Sequence[Device],
-    faults: Faults,
-    log: StateLog,
-    bitrate: int,
-    names: Mapping[str, str],
-    words: str,
-    until_stdin_closes: bool,
 ) -> None:
+    """Serve devices (`names`: by id) through doors (kind, host, port). Raises AddressError."""
     hub = Hub(devices, faults, bitrate, log.look)
     doors: list[Door] = []
     try:
@@ -60,6 +41,7 @@ async def _serve(
             faults,
             devices=names,
             until_stdin_closes=until_stdin_closes,
+            facts={device.id: device.facts for device in devices},
         )
     finally:
         hub.stop()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
+import tempfile
 from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
@@ -71,10 +73,16 @@ class DynamixelSim:
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until told to end; 0. Raises UsageError."""
-        from lfield_sim.dynamixel.run import run
-
-        run(args, DEFAULT_MODEL)
+        with tempfile.TemporaryDirectory(prefix="lfield-dynamixel-") as folder:
+            args.listen = args.listen or f"{folder}/ttyDXL"
+            asyncio.run(self.serve(args))
         return 0
+
+    async def serve(self, args: argparse.Namespace) -> None:
+        """The same on the running loop, at `args.listen`."""
+        from lfield_sim.dynamixel.run import serve
+
+        await serve(args, DEFAULT_MODEL)
 
 
 def _model(device: DeviceBinding) -> str:

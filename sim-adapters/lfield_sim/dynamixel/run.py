@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import tempfile
-import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,16 +16,6 @@ from lfield_sim.dynamixel.servo import Servo
 from lfield_sim.faults import Faults
 from lfield_sim.serving import serve_until_told
 from lfield_sim.state_log import StateLog
-
-
-def run(args: argparse.Namespace, default: str) -> None:
-    """Serve until told to end; a servo without a model is a `default`. Raises UsageError and AddressError."""
-    servos, names = _servos(args, default)
-    faults = Faults(FAULTS, names)
-    chain = Chain(servos, faults, seed=args.seed)
-    with tempfile.TemporaryDirectory(prefix="lfield-dynamixel-") as folder:
-        path = Path(args.listen or f"{folder}/ttyDXL").absolute()
-        asyncio.run(_serve(chain, path, args, names))
 
 
 def _servos(args: argparse.Namespace, default: str) -> tuple[list[Servo], Mapping[str, str]]:
@@ -46,13 +34,17 @@ def _servos(args: argparse.Namespace, default: str) -> tuple[list[Servo], Mappin
 
 
 def _servo(number: int, model: str, args: argparse.Namespace) -> Servo:
-    servo = make_servo(model_named(model), time.monotonic())
+    servo = make_servo(model_named(model), asyncio.get_running_loop().time())
     protocol = 1 if args.protocol == "1.0" else servo.model.protocol
     servo.start_with(number, args.baud, protocol, args.return_delay * 1e-6)
     return servo
 
 
-async def _serve(chain: Chain, path: Path, args: argparse.Namespace, names: Mapping[str, str]) -> None:
+async def serve(args: argparse.Namespace, default: str) -> None:
+    """Serve until told to end; a servo without a model is a `default`. Raises UsageError and AddressError."""
+    servos, names = _servos(args, default)
+    chain = Chain(servos, Faults(FAULTS, names), seed=args.seed)
+    path = Path(args.listen or f"/dev/{next(iter(names.values()), '') or 'ttyDXL'}").absolute()
     log = StateLog(args.log, {str(servo.id): servo.facts for servo in chain.servos})
     server = Server(chain, path, log.look)
     server.plug()
@@ -69,6 +61,7 @@ async def _serve(chain: Chain, path: Path, args: argparse.Namespace, names: Mapp
             chain.faults,
             devices=names,
             until_stdin_closes=args.until_stdin_closes,
+            facts={str(servo.id): servo.facts for servo in chain.servos},
         )
     finally:
         moving.cancel()

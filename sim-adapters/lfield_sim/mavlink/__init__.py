@@ -91,6 +91,11 @@ class MavlinkSim:
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until told to end; 0."""
+        asyncio.run(self.serve(args))
+        return 0
+
+    async def serve(self, args: argparse.Namespace) -> None:
+        """The same on the running loop."""
         where, wanted = parse_listen(args.listen), vehicles(args)
         given, limits = settings(args), speeds(args)
         try:
@@ -105,8 +110,7 @@ class MavlinkSim:
             raise UsageError(f"--fault: {error}") from None
         link = setup.link(faults)
         log = setup.log(args.log, link)
-        asyncio.run(serve(link, where, setup, faults, log, until_stdin_closes=args.until_stdin_closes))
-        return 0
+        await serve(link, where, setup, faults, log, until_stdin_closes=args.until_stdin_closes)
 
 
 def _set_up(device: DeviceBinding, vehicle: VehicleOption) -> dict[str, float]:

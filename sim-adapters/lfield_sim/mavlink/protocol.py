@@ -8,6 +8,7 @@ until somebody asks, PX4 streams at once.
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
+from random import Random
 from typing import Any
 
 from pymavlink.dialects.v20 import all as dialect
@@ -49,6 +50,8 @@ STATES = {
     "motor_failure": "motor_failed",
     "warm_up": "warm_up",
 }
+#: Those that are a state of the air about it: the attribute of its wind.
+AIR = {"wind": "speed", "wind_from": "source", "gusts": "gusts"}
 
 
 class MavlinkFake:
@@ -65,6 +68,7 @@ class MavlinkFake:
         self.autopilot, self.system = autopilot, system
         self.place, self.faults = place or Place(), faults or make_faults(systems=(system,))
         autopilot.altitude = self.place.altitude
+        autopilot.vehicle.wind.dice = Random(system)
         autopilot.take_home(autopilot.vehicle.place)
         self.services = [kind(autopilot, self.place) for kind in SERVICES]
         self.sender = Sender(autopilot, self.place, self.services)
@@ -217,6 +221,8 @@ class MavlinkFake:
         for name in STATES:
             if changed[name] != known[name]:
                 setattr(self.autopilot, STATES[name], changed[name])
+        for name in AIR:
+            setattr(self.autopilot.vehicle.wind, AIR[name], changed[name])
         if changed["battery"] != known["battery"]:
             self.autopilot.battery.charge = changed["battery"]
         self._known_faults = changed

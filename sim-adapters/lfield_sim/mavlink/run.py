@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from lfield.errors import UsageError
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
@@ -103,6 +104,13 @@ class Setup:
         return fake
 
 
+def _place(fake: MavlinkFake) -> tuple[float, float, float]:
+    """Where a vehicle is, in metres north, east and up of where fakes are switched on."""
+    north, east, down = fake.autopilot.vehicle.place
+    from_there = Place().local(*fake.place.at(north, east))
+    return *from_there, -down
+
+
 async def serve(
     link: MavlinkLink,
     where: tuple[str, str, int],
@@ -120,6 +128,8 @@ async def serve(
         await serve_until_told(
             "mavlink", door.endpoint, setup.words, faults,
             devices=setup.devices, until_stdin_closes=until_stdin_closes,
+            facts={str(each.system): each.autopilot.facts for each in link.vehicles},
+            places={str(each.system): partial(_place, each) for each in link.vehicles},
         )  # fmt: skip
     finally:
         ticking.cancel()

@@ -11,9 +11,9 @@ from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Result
-from lfield_sim.autopilot.readiness import has_home, has_origin, has_position
 from lfield_sim.autopilot.stacks.severities import severity_of
 from lfield_sim.autopilot.vehicle import Vector
+from lfield_sim.autopilot.watch.readiness import has_home, has_origin, has_position
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.services.service import Service
 from lfield_sim.mavlink.telemetry.messages import MESSAGES, POSITIONS
@@ -52,7 +52,7 @@ class Sender:
         return kind in MESSAGES or any(kind in service.messages for service in self._services)
 
     def withholds(self, kind: int) -> bool:
-        """Whether it cannot tell this now: a position or home that is not known, a fence that is off."""
+        """Whether it cannot tell this now: a position, home or wind it does not know, a fence that is off."""
         pilot = self.autopilot
         match kind:
             case dialect.MAVLINK_MSG_ID_HOME_POSITION:
@@ -63,6 +63,8 @@ class Sender:
                 return pilot.gps_lost
             case dialect.MAVLINK_MSG_ID_FENCE_STATUS:
                 return not pilot.value(pilot.flavour.fence.enable)
+            case dialect.MAVLINK_MSG_ID_WIND_COV if not pilot.value("EKF2_DRAG_CTRL"):
+                return True
         return kind in POSITIONS and not has_position(pilot)
 
     def find(self, kind: int) -> list[Any] | None:

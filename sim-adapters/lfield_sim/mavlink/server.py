@@ -9,6 +9,7 @@ from collections.abc import Callable, Hashable
 from typing import Any, Protocol
 
 from lfield.errors import AddressError
+from lfield.loop import Simulated
 from lfield_sim.mavlink.protocol import MavlinkLink
 
 #: How often the model moves and packets are sent, in seconds.
@@ -168,7 +169,7 @@ async def open_door(server: Server, transport: str, host: str, port: int) -> Doo
     try:
         if transport == "pty":
             return PtyDoor(server)
-        if transport == "tcp":
+        if transport == "tcp" or isinstance(loop, Simulated):
             return TcpDoor(await loop.create_server(lambda: _Connection(server), host, port))
         _, door = await loop.create_datagram_endpoint(lambda: UdpDoor(server), (host, port))
         return door

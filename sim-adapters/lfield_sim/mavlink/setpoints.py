@@ -10,7 +10,8 @@ from typing import Any
 
 from lfield_sim.autopilot.autopilot import Autopilot, Setpoint
 from lfield_sim.autopilot.flavours import Control
-from lfield_sim.autopilot.vehicle import GRAVITY, Goal, Keep, Lean, Reach, Vector
+from lfield_sim.autopilot.vehicle import Goal, Keep, Lean, Reach, Vector
+from lfield_sim.autopilot.wind import GRAVITY
 from lfield_sim.mavlink.geo import ABOVE_HOME, Place, angles, is_near, turned
 
 # type_mask bits of a position target: set means "ignore".

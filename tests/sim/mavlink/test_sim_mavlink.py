@@ -68,7 +68,7 @@ def test_the_old_way_to_ask_for_streams():
 def test_every_message_can_be_asked_for_once(kind):
     flavour = "px4" if kind in FLAVOURS["ardupilot"]["copter"].flavour.lacks else "ardupilot"
     c = Client(flavour=flavour)
-    c.autopilot.parameters["FENCE_ENABLE"] = 1
+    c.autopilot.parameters |= {"FENCE_ENABLE": 1, "EKF2_DRAG_CTRL": 1}
     assert c.command(ONCE, kind) == ACCEPTED
     assert c.heard[-1].get_msgId() == kind
     assert c.command(510, kind) == ACCEPTED

@@ -5,6 +5,7 @@ https://ardupilot.org/copter/docs/parameters.html, https://ardupilot.org/rover/d
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -89,8 +90,8 @@ COPTER_FLAVOUR = Flavour(
     capacity="BATT_CAPACITY",
     # DO_ORBIT is PX4's; ArduCopter circles by its mode CIRCLE.
     unsupported=frozenset({34, 187}),
-    # PING, CURRENT_MODE, ESTIMATOR_STATUS, HIGHRES_IMU, ODOMETRY
-    lacks=frozenset({4, 105, 230, 331, 436}),
+    # PING, HIGHRES_IMU, ESTIMATOR_STATUS, WIND_COV, ODOMETRY, CURRENT_MODE
+    lacks=frozenset({4, 105, 230, 231, 331, 436}),
     tells_modes=True,
     tells_home=True,
     # TIMESYNC
@@ -199,6 +200,8 @@ ROVER_WARMING = Warming(
     ),
 )
 
+#: Hundredths of a degree in a radian.
+CENTIDEGREES = 100.0 * math.degrees(1.0)
 #: What both have. Times in s, charges in mAh.
 COMMON: Mapping[str, float] = {
     "ARMING_CHECK": 1,
@@ -220,9 +223,10 @@ COMMON: Mapping[str, float] = {
     "MIS_TOTAL": 0,
     "RALLY_TOTAL": 0,
 }
-#: Speeds of a copter are in cm/s, heights in cm but for the fence, which is in m.
+#: Speeds of a copter are in cm/s, angles in cdeg, heights in cm but for the fence, which is in m.
 COPTER_PARAMETERS: Mapping[str, float] = {
     **COMMON,
+    "ANGLE_MAX": 3000,
     "CIRCLE_RADIUS": 1000,
     "CIRCLE_RATE": 20,
     "DISARM_DELAY": 10,
@@ -306,6 +310,7 @@ KINDS = {
             "land": ("LAND_SPEED", 100.0),
             "acceleration": ("WPNAV_ACCEL", 100.0),
             "vertical_acceleration": ("WPNAV_ACCEL_Z", 100.0),
+            "tilt": ("ANGLE_MAX", CENTIDEGREES),
         },
         CopterPace,
         COPTER_WARMING,

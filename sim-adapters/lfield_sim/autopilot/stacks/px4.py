@@ -94,10 +94,11 @@ FLAVOUR = Flavour(
     capacity="BAT1_CAPACITY",
     streams={
         0: 1.0, 1: 5.0, 2: 1.0, 4: 1.0, 24: 8.0, 30: 100.0, 31: 50.0, 32: 30.0, 33: 50.0, 36: 10.0, 42: 1.0,
-        74: 10.0, 105: 50.0, 111: 10.0, 147: 0.5, 230: 1.0, 242: 0.5, 245: 5.0, 331: 30.0, 436: 0.5,
+        74: 10.0, 105: 50.0, 111: 10.0, 147: 0.5, 230: 1.0, 231: 10.0, 242: 0.5, 245: 5.0, 331: 30.0,
+        436: 0.5,
     },
-    # SCALED_IMU, RAW_IMU, RC_CHANNELS, FENCE_STATUS, EKF_STATUS_REPORT
-    lacks=frozenset({26, 27, 65, 162, 193}),
+    # SCALED_IMU, RAW_IMU, RC_CHANNELS, FENCE_STATUS, WIND, EKF_STATUS_REPORT
+    lacks=frozenset({26, 27, 65, 162, 168, 193}),
     unasked_only=frozenset({0, 42}),
     streamed_only=frozenset({436}),
     # GPS_GLOBAL_ORIGIN
@@ -160,6 +161,7 @@ COPTER_PARAMETERS: Mapping[str, float] = {
     "MIS_TAKEOFF_ALT": 2.5,
     "MPC_ACC_HOR": 3.0,
     "MPC_LAND_SPEED": 0.7,
+    "MPC_TILTMAX_AIR": 45.0,
     "MPC_TKO_SPEED": 1.5,
     "MPC_XY_CRUISE": 5.0,
     "MPC_XY_VEL_MAX": 12.0,
@@ -209,6 +211,7 @@ KINDS = {
             "acceleration": ("MPC_ACC_HOR", 1.0),
             "takeoff": ("MPC_TKO_SPEED", 1.0),
             "top": ("MPC_XY_VEL_MAX", 1.0),
+            "tilt": ("MPC_TILTMAX_AIR", math.degrees(1.0)),
         },
         Px4Pace,
         WARMING,

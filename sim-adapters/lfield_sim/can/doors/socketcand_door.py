@@ -32,7 +32,8 @@ class SocketcandDoor:
             self._listener = await asyncio.get_running_loop().create_server(self._client, host, port)
         except OSError as error:
             raise AddressError(f"socketcand:{host}:{port}", error.strerror or str(error)) from None
-        self._address = f"{host}:{self._listener.sockets[0].getsockname()[1]}"
+        place, number = self._listener.sockets[0].getsockname()[:2]
+        self._address = f"{place}:{number}"
 
     @property
     def endpoint(self) -> str:

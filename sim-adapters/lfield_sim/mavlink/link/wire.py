@@ -1,7 +1,8 @@
-"""What goes wrong between a vehicle and its peers: packets lost, broken, doubled, late, out of order."""
+"""What goes wrong with a vehicle, and between it and its peers: packets lost, broken, late, out of order."""
 
 from __future__ import annotations
 
+import math
 import random
 
 from lfield_sim.faults import Fault, Faults, share
@@ -19,6 +20,9 @@ KNOWN = (
     Fault("gps_loss", False, "no position"),
     Fault("motor_failure", False, "a motor is dead"),
     Fault("battery", 1.0, "charge, set once; it drains on from there", 0.0, 1.0),
+    Fault("wind", 0.0, "m/s of steady wind", 0.0, 40.0),
+    Fault("wind_from", 0.0, "where it comes from, rad clockwise from north", -math.tau, math.tau),
+    Fault("gusts", 0.0, "m/s that gusts are stronger than that at most", 0.0, 40.0),
     Fault("warm_up", 0.0, "seconds after a start without health", 0.0, 600.0),
 )
 #: How late a packet comes that is out of order, in seconds.

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import all as dialect
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.flavours import Role
 from lfield_sim.autopilot.lifting import landed_state
-from lfield_sim.autopilot.readiness import has_fix, trusts_position, warmth
+from lfield_sim.autopilot.watch.readiness import has_fix, trusts_position, warmth
 from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.telemetry.motion import micros, millis
 

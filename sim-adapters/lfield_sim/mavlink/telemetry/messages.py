@@ -34,9 +34,11 @@ MESSAGES: Mapping[int, Builder] = {
     148: condition.autopilot_version,
     158: equipment.mount_status,
     162: condition.fence_status,
+    168: motion.wind,
     180: equipment.camera_feedback,
     193: condition.ekf_status_report,
     230: condition.estimator_status,
+    231: motion.wind_cov,
     242: condition.home_position,
     245: condition.extended_sys_state,
     263: equipment.camera_image_captured,
@@ -50,7 +52,7 @@ MESSAGES: Mapping[int, Builder] = {
 }
 
 #: What cannot be told without a position: nothing of it is streamed while GPS is lost.
-POSITIONS = frozenset({32, 331})
+POSITIONS = frozenset({32, 168, 231, 331})
 
 #: What REQUEST_DATA_STREAM (66) means by a stream number; 0 is all of them.
 DATA_STREAMS: Mapping[int, tuple[int, ...]] = {
@@ -60,5 +62,5 @@ DATA_STREAMS: Mapping[int, tuple[int, ...]] = {
     6: (32, 33),
     10: (30,),
     11: (74,),
-    12: (2, 147, 193),
+    12: (2, 147, 168, 193),
 }

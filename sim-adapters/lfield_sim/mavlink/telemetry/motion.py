@@ -8,8 +8,8 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.autopilot.readiness import has_fix
-from lfield_sim.autopilot.vehicle import GRAVITY
+from lfield_sim.autopilot.watch.readiness import has_fix
+from lfield_sim.autopilot.wind import GRAVITY
 from lfield_sim.mavlink.geo import Place, quaternion
 
 #: Gauss; the field where the fake lives.
@@ -121,13 +121,31 @@ def gps_global_origin(_: Autopilot, place: Place) -> Any:
 
 
 def vfr_hud(autopilot: Autopilot, place: Place) -> Any:
-    """VFR_HUD 74."""
+    """VFR_HUD 74; its airspeed ArduCopter has from its estimate of wind, PX4 has none without a sensor."""
     vehicle = autopilot.vehicle
     speed = math.hypot(*vehicle.velocity[:2])
+    airspeed = vehicle.wind.airspeed(vehicle.velocity) if vehicle.airborne else speed
+    if autopilot.flavour.submodes:
+        airspeed = math.nan
     altitude = place.altitude - vehicle.place[2]
     throttle = 50 if vehicle.airborne else 0
     return dialect.MAVLink_vfr_hud_message(
-        speed, speed, int(heading(autopilot)), throttle, altitude, -vehicle.velocity[2]
+        airspeed, speed, int(heading(autopilot)), throttle, altitude, -vehicle.velocity[2]
+    )
+
+
+def wind(autopilot: Autopilot, _: Place) -> Any:
+    """WIND 168, ArduPilot's: where it comes from in degrees, and how fast."""
+    north, east = autopilot.vehicle.wind.velocity
+    return dialect.MAVLink_wind_message(math.degrees(math.atan2(-east, -north)), math.hypot(north, east), 0.0)
+
+
+def wind_cov(autopilot: Autopilot, place: Place) -> Any:
+    """WIND_COV 231, PX4's: where it goes."""
+    north, east = autopilot.vehicle.wind.velocity
+    altitude = place.altitude - autopilot.vehicle.place[2]
+    return dialect.MAVLink_wind_cov_message(
+        micros(autopilot), north, east, 0.0, math.nan, math.nan, altitude, 0.1, 0.0
     )
 
 

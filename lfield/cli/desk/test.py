@@ -1,0 +1,36 @@
+"""`lfield test`: run the tests of missions, on virtual time, and draw where everybody went."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+from lfield import exits
+from lfield.errors import PluginError
+
+#: What pytest ends with, as our statuses: passed, failed, interrupted, broken, misused, nothing found.
+_STATUSES = (
+    exits.DONE, exits.FAILED, exits.INTERRUPTED, exits.SOFTWARE, exits.USAGE, exits.NO_INPUT,
+)  # fmt: skip
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What to test, and where pictures go."""
+    parser.add_argument(
+        "words", nargs="*", metavar="PATH", help="test files or folders (.); what follows -- is pytest's own"
+    )
+    parser.add_argument(
+        "--tracks", type=Path, default=Path("tracks"), metavar="DIR", help="for the pictures (tracks)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run pytest with `lfield.testing.plugin`. Raises PluginError where pytest is not installed."""
+    try:
+        import pytest
+    except ImportError:
+        raise PluginError("the tests of missions need pytest: pip install pytest") from None
+    # Named twice it is loaded once; a project whose configuration names it need not be told of that.
+    words = ["-p", "lfield.testing.plugin", "--tracks", os.path.abspath(args.tracks), *args.words]
+    return _STATUSES[int(pytest.main(words))]

@@ -1,0 +1,148 @@
+"""The tracks of a run as a picture: seen from above, and where somebody flies, the heights over time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from itertools import cycle
+from typing import NamedTuple
+
+from lfield.testing.mission.watching import Point
+
+#: Pixels: the plan's longer side at most, its margin, the height of the strip with the heights, of a text.
+LONG, MARGIN, STRIP, TEXT = 640.0, 48.0, 120.0, 12
+#: Colours that colour-blind people tell apart (Okabe and Ito, 2008).
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#000000")
+#: Metres: a point nearer to the last one is not drawn; what rises no higher does not fly; the least extent.
+NEAR, FLIES, LEAST = 0.03, 0.3, 4.0
+
+
+class Mark(NamedTuple):
+    """Something that happened: when, in seconds; to which device, '' for none of them; in a few words."""
+
+    at: float
+    device: str
+    words: str
+
+
+class _Plan:
+    """From metres to pixels: north is up."""
+
+    def __init__(self, points: Sequence[Point]) -> None:
+        norths, easts = [p.north for p in points], [p.east for p in points]
+        self.south, self.west = min(norths), min(easts)
+        extent = max(max(norths) - self.south, max(easts) - self.west, LEAST)
+        self.scale = LONG / extent
+        self.width = max(LONG / 3, (max(easts) - self.west) * self.scale) + 2 * MARGIN
+        self.height = max(LONG / 5, (max(norths) - self.south) * self.scale) + 2 * MARGIN
+        self.step = _round_step(extent / 5)
+
+    def x(self, east: float) -> float:
+        """Pixels from the left."""
+        return MARGIN + (east - self.west) * self.scale
+
+    def y(self, north: float) -> float:
+        """Pixels from the top."""
+        return self.height - MARGIN - (north - self.south) * self.scale
+
+
+def draw(tracks: Mapping[str, Sequence[Point]], title: str, marks: Sequence[Mark] = ()) -> str:
+    """An SVG of all tracks that have a point. Raises ValueError without any."""
+    drawn = {name: points for name, points in tracks.items() if points}
+    if not drawn:
+        raise ValueError("nobody has told where it was")
+    plan = _Plan([point for points in drawn.values() for point in points])
+    colours = dict(zip(drawn, cycle(COLOURS), strict=False))
+    parts = [_grid(plan)]
+    parts += [_track(plan, name, points, colours[name]) for name, points in drawn.items()]
+    parts += [_mark(plan, drawn[mark.device], mark) for mark in marks if mark.device in drawn]
+    height = plan.height
+    if max(point.up for points in drawn.values() for point in points) > FLIES:
+        parts.append(_heights(plan, drawn, colours))
+        height += STRIP
+    words = [f"{mark.at:.1f} s: {mark.words}" for mark in marks]
+    parts += [_text(MARGIN, height + 16 * n, line, "#555") for n, line in enumerate(words)]
+    height += 16 * len(words)
+    body = "\n".join([_text(MARGIN, 24, title, "#222", weight="bold"), *parts])
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {plan.width:.0f} {height:.0f}" '
+        f'width="{plan.width:.0f}" font-family="sans-serif" font-size="{TEXT}">\n'
+        f'<rect width="100%" height="100%" fill="#fff"/>\n{body}\n</svg>\n'
+    )
+
+
+def _grid(plan: _Plan) -> str:
+    """Lines at whole metres, and what one square is."""
+    left, right, top, bottom = MARGIN / 2, plan.width - MARGIN / 2, MARGIN, plan.height - MARGIN / 2
+    lines = []
+    for east in _steps(plan.west, plan.step, plan.x, right):
+        lines.append(f"M{plan.x(east):.1f} {top:.1f}V{bottom:.1f}")
+    for north in _steps(plan.south, plan.step, lambda at: -plan.y(at), -top):
+        lines.append(f"M{left:.1f} {plan.y(north):.1f}H{right:.1f}")
+    told = _text(left, bottom + 14, f"a square is {plan.step:g} m; north is up", "#888")
+    return f'<path d="{"".join(lines)}" stroke="#e4e4e4" fill="none"/>\n{told}'
+
+
+def _steps(first: float, step: float, pixel: Callable[[float], float], last: float) -> list[float]:
+    found, at = [], math.ceil(first / step) * step
+    while pixel(at) <= last:
+        found.append(at)
+        at += step
+    return found
+
+
+def _track(plan: _Plan, name: str, points: Sequence[Point], colour: str) -> str:
+    """A line from a ring to a disc, with the name beside the disc."""
+    places = [(plan.x(point.east), plan.y(point.north)) for point in _thinned(points)]
+    (x0, y0), (x, y) = places[0], places[-1]
+    path = "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in places)
+    return (
+        f'<path d="{path}" stroke="{colour}" stroke-width="2" stroke-linejoin="round" fill="none"/>\n'
+        f'<circle cx="{x0:.1f}" cy="{y0:.1f}" r="5" stroke="{colour}" stroke-width="2" fill="#fff"/>\n'
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" fill="{colour}"/>\n{_text(x + 8, y + 4, name, colour)}'
+    )
+
+
+def _thinned(points: Sequence[Point]) -> list[Point]:
+    """Without the points that are where the one before was."""
+    kept = [points[0]]
+    for point in points[1:]:
+        if math.hypot(point.north - kept[-1].north, point.east - kept[-1].east) > NEAR:
+            kept.append(point)
+    return kept
+
+
+def _mark(plan: _Plan, points: Sequence[Point], mark: Mark) -> str:
+    """A cross where something happened to a device."""
+    point = min(points, key=lambda point: abs(point.at - mark.at))
+    x, y = plan.x(point.east), plan.y(point.north)
+    cross = f"M{x - 6:.1f} {y - 6:.1f}l12 12m0 -12l-12 12"
+    return f'<path d="{cross}" stroke="#d00" stroke-width="3"/>'
+
+
+def _heights(plan: _Plan, tracks: Mapping[str, Sequence[Point]], colours: Mapping[str, str]) -> str:
+    """Height over time, below the plan."""
+    end = max(points[-1].at for points in tracks.values()) or 1.0
+    top = max(point.up for points in tracks.values() for point in points)
+    width, base, tall = plan.width - 2 * MARGIN, plan.height + STRIP - 32, STRIP - 56
+    lines = [f'<path d="M{MARGIN} {base:.1f}h{width:.1f}" stroke="#ccc"/>']
+    for name, points in tracks.items():
+        if max(point.up for point in points) > FLIES:
+            places = (
+                f"{MARGIN + point.at / end * width:.1f} {base - point.up / top * tall:.1f}"
+                for point in points[::5]
+            )
+            lines.append(f'<path d="M{"L".join(places)}" stroke="{colours[name]}" fill="none"/>')
+    lines.append(_text(MARGIN, base + 14, f"height over {end:.0f} s, up to {top:.1f} m", "#888"))
+    return "\n".join(lines)
+
+
+def _text(x: float, y: float, words: str, colour: str, weight: str = "normal") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{colour}" font-weight="{weight}">{escape(words)}</text>'
+
+
+def _round_step(step: float) -> float:
+    """1, 2 or 5 times a power of ten, not below."""
+    power: float = 10.0 ** math.floor(math.log10(step))
+    return next(power * digit for digit in (1, 2, 5, 10) if power * digit >= step)

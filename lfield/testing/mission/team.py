@@ -1,0 +1,259 @@
+"""A team under test: the mission of a deployment, in one process, on virtual time.
+
+What runs are the hosts, machines, guards and drivers of a robot, against the fakes of `lfield up --sim`, by
+their wire protocols. Only what they stand on is a model: computers, network, cables, disks and clocks. One
+seed is one run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from lfield.errors import MissionTestError, Stuck
+from lfield.mission.load import load_mission
+from lfield.simulate.fleet import Fleet, Life
+from lfield.testing.mission.calls import Calls, PortalCall
+from lfield.testing.mission.doubles import Doubles, later_in
+from lfield.testing.mission.fakes import FakeDevice, Fakes
+from lfield.testing.mission.fence import fenced
+from lfield.testing.mission.picture import Mark
+from lfield.testing.mission.standing import standing
+from lfield.testing.mission.watching import Hop, Hops, Lines, Point, Tracks
+
+#: Seconds of virtual time after which what has not come is not waited for any more.
+AT_MOST = 3600.0
+#: Seconds between two looks for what is waited for.
+LOOK = 0.02
+#: Metres that are a move.
+MOVED = 0.5
+#: So many lines are shown of a host that has ended.
+LAST_WORDS = 5
+
+
+class Line(NamedTuple):
+    """A line of the log or of a program: seconds, host, text."""
+
+    at: float
+    host: str
+    text: str
+
+
+class Team:
+    """The team of the deployment `path`; see the module. Close it when it is done with.
+
+    `doubles` answer for resources: by agent, an object with a method for each portal. `fakes` are faults from
+    the beginning: by device, as in `{"scout.fc": ["battery=0.3"]}`. Without `keeps` hosts keep no journals.
+    Raises LfieldError, a MissionTestError for what a test may not ask.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        seed: int = 0,
+        doubles: Mapping[str, object] | None = None,
+        fakes: Mapping[str, Sequence[str]] | None = None,
+        keeps: bool = True,
+    ) -> None:
+        doubled = Doubles(load_mission(path, simulate=True), doubles or {})
+        mission = self.mission = doubled.mission
+        self._fakes, self._doubles = Fakes(fakes or {}, self._mark), doubled
+        #: What the test has done to the team, for its picture.
+        self.marks: list[Mark] = []
+        self._team_hosts = frozenset(mission.team.hosts)
+        #: The hosts that the test has ended.
+        self._away: set[str] = set()
+        self._calls, self._hops = Calls(lambda: self.now), Hops(lambda: self.now)
+        self._lines = Lines(mission.program, lambda seconds, event: self._fleet.later(seconds, event))
+        with fenced() as caught:
+            self._fleet = Fleet(
+                mission,
+                seed,
+                unreachable_after=mission.bindings.unreachable_after,
+                keeps=keeps,
+                born=self._born,
+                plug=self._fakes.plug,
+            )
+        self._check(caught)
+        self._tracks = Tracks(self._fakes.devices, lambda: self.now, self._fleet.later)
+
+    def _born(self, name: str, life: Life) -> None:
+        machine = life.core.machine
+        self._calls.watch(machine)
+        self._doubles.watch(machine, later_in(life))
+        self._hops.watch(life)
+        self._lines.watch(life)
+
+    # --- time -----------------------------------------------------------------------------------------
+
+    @property
+    def now(self) -> float:
+        """Seconds since the team began."""
+        return self._fleet.now
+
+    def run(
+        self,
+        seconds: float = 0.0,
+        *,
+        until: str | Callable[[], bool] = "",
+        until_done: bool = False,
+        at_most: float = AT_MOST,
+    ) -> None:
+        """Let time go on: for so many seconds, until a line has these words, until something is true, or
+        until every coordinator has ended.
+
+        Raises Stuck when that has not come after `at_most` seconds, or cannot come any more; and what went
+        wrong in a double, or wanted to touch this computer.
+        """
+        if until_done:
+            waited = "the coordinators have not ended"
+            self._wait(lambda: set(self.ended) >= self._coordinators, at_most, waited)
+        elif callable(until):
+            self._wait(until, at_most, "what the test waits for has not come")
+        elif until:
+            begin = len(self.log)
+            said = f"nobody has said {until!r}"
+            self._wait(lambda: any(until in line.text for line in self.log[begin:]), at_most, said)
+        else:
+            self._go(seconds)
+
+    def _wait(self, come: Callable[[], bool], at_most: float, why: str) -> None:
+        end = self.now + at_most
+        while not come():
+            if self.now >= end:
+                raise Stuck(f"{why} after {at_most:g} s of the mission", standing(self._fleet))
+            self._go(LOOK)
+            if gone := self._team_hosts - self._fleet.lives.keys() - self._away:
+                name = min(gone)
+                raise Stuck(f"{why}, and {name} has ended by itself", self._last_words(name))
+
+    def _go(self, seconds: float) -> None:
+        with fenced() as caught:
+            self._fleet.run(seconds)
+        self._check(caught)
+
+    def _check(self, caught: Sequence[MissionTestError]) -> None:
+        for trouble in (*self._doubles.trouble, *caught):
+            raise trouble
+        if self._fleet.failed:
+            raise Stuck("a host has ended because of a bug in lfield", self._last_words())
+
+    def _last_words(self, host: str = "") -> list[str]:
+        said = [line for line in self.log if host in ("", line.host)]
+        return [f"{line.host} said: {line.text}" for line in said[-LAST_WORDS:]]
+
+    # --- what was seen --------------------------------------------------------------------------------
+
+    @property
+    def log(self) -> list[Line]:
+        """Every line that programs and hosts have written, in order."""
+        return [
+            Line(at, host, line) for at, host, text in self._fleet.log for line in text.splitlines() if line
+        ]
+
+    def said(self, text: str, host: str = "") -> int:
+        """How many lines have these words, of one host or of all."""
+        return sum(text in line.text and host in ("", line.host) for line in self.log)
+
+    @property
+    def calls(self) -> list[PortalCall]:
+        """Every portal call that has begun, in that order."""
+        return self._calls.record
+
+    @property
+    def hops(self) -> list[Hop]:
+        """Every hop of every coordinator, in order."""
+        return self._hops.record
+
+    @property
+    def tracks(self) -> dict[str, list[Point]]:
+        """Where each device was, every tenth of a second, by its fake's own truth."""
+        return self._tracks.record
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether any device was at two places."""
+        return any(math.dist(points[0][1:], p[1:]) > MOVED for points in self.tracks.values() for p in points)
+
+    @property
+    def ended(self) -> dict[str, str]:
+        """How coordinators ended that did: `done`, `died`, `lost`."""
+        found: dict[str, tuple[int, str]] = {}
+        for life in self._fleet.lives.values():
+            for known in life.core.mobility.knowledge():
+                over = known.outcome if known.state == "EXITED" and known.outcome != "superseded" else ""
+                found[known.agent] = max(found.get(known.agent, (0, "")), (known.generation, over))
+        return {agent: outcome for agent, (_, outcome) in found.items() if outcome}
+
+    @property
+    def _coordinators(self) -> set[str]:
+        return {member.id for member in self.mission.team.members if member.kind == "coordinator"}
+
+    # --- what a test does -----------------------------------------------------------------------------
+
+    def fake(self, device: str) -> FakeDevice:
+        """The fake of a device, by its name. Raises MissionTestError."""
+        if device not in self._fakes.devices:
+            known = ", ".join(sorted(self._fakes.devices)) or "none"
+            raise MissionTestError(f"there is no device '{device}' with a fake here; there are: {known}")
+        return self._fakes.devices[device]
+
+    def at(self, seconds: float, action: Callable[[], None]) -> None:
+        """Do something at a moment, in seconds since the team began."""
+        self._fleet.timeline.at(seconds, action)
+
+    def when(self, line: str, action: Callable[[], None]) -> None:
+        """Do something, once, as soon as anybody comes to `mission.L:42`. Raises MissionTestError."""
+        self._lines.when(line, action)
+
+    def cut(self, one: str, other: str) -> None:
+        """Break what connects two hosts, and let nothing through until `heal`."""
+        self._fleet.cut(self._host(one), self._host(other))
+        self._mark(f"{one} and {other} are cut off")
+
+    def heal(self, one: str, other: str) -> None:
+        """Let everything through again."""
+        self._fleet.heal(self._host(one), self._host(other))
+        self._mark(f"{one} and {other} hear each other again")
+
+    def crash(self, host: str) -> None:
+        """Kill the process of a host, as by SIGKILL; its guards live on for as long as they need."""
+        self._away.add(self._host(host))
+        if host in self._fleet.lives:
+            self._fleet.crash(host)
+            self._mark(f"{host} is killed")
+
+    def power_off(self, host: str) -> None:
+        """The computer of a host is gone with all that runs there; its hardware is not."""
+        self._away.add(self._host(host))
+        self._fleet.power_off(host)
+        self._mark(f"{host} is switched off")
+
+    def boot(self, host: str) -> None:
+        """Start a host again, and its computer if that is off."""
+        self._away.discard(self._host(host))
+        if host not in self._fleet.lives:
+            self._fleet.boot(host)
+            self._mark(f"{host} is started again")
+
+    def stop(self, *hosts: str) -> None:
+        """Tell hosts, or all, to end in order, as by SIGTERM: their devices come to rest first."""
+        for host in hosts or tuple(self._fleet.lives):
+            self._away.add(self._host(host))
+            self._fleet.stop(host)
+
+    def close(self) -> None:
+        """End all that runs, at once."""
+        self._fleet.close()
+
+    def _mark(self, words: str, device: str = "") -> None:
+        self.marks.append(Mark(self.now, device, words))
+
+    def _host(self, name: str) -> str:
+        if name not in self._fleet.computers:
+            known = ", ".join(self._fleet.computers)
+            raise MissionTestError(f"there is no host '{name}'; there are: {known}")
+        return name

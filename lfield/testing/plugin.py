@@ -1,0 +1,78 @@
+"""The pytest plugin for tests of missions: `pytest_plugins = ["lfield.testing.plugin"]`, or `lfield test`.
+
+Nothing loads it by itself: a project that does not name it never sees it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from lfield.errors import LfieldError, ProgramError
+
+if TYPE_CHECKING:
+    from lfield.testing.mission.team import Team
+
+#: Makes a team: the deployment's path, beside the test's file where it is not absolute; and Team's options.
+OpenMission = Callable[..., "Team"]
+
+#: Under this name a test's report says which pictures it has drawn: it may have run in another process.
+_DRAWN = "lfield tracks"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Where pictures go."""
+    parser.getgroup("lfield").addoption(
+        "--tracks", metavar="DIR", type=Path, help="draw the tracks of each team there, as TEST.svg"
+    )
+
+
+@pytest.fixture
+def lfield_mission(request: pytest.FixtureRequest) -> Iterator[OpenMission]:
+    """Opens missions for a test: `team = lfield_mission("mission.dL", seed=1)`; options as `Team` has."""
+    # Here, since a run that opens no mission need not wait for it.
+    from lfield.testing.mission.team import Team
+
+    teams: list[Team] = []
+
+    def opened(path: str | Path, **options: Any) -> Team:
+        __tracebackhide__ = True
+        try:
+            team = Team(request.path.parent / path, **options)
+        except ProgramError as error:
+            pytest.fail("\n".join(finding.render() for finding in error.diagnostics), pytrace=False)
+        except LfieldError as error:
+            pytest.fail(f"{path}: {error}", pytrace=False)
+        teams.append(team)
+        return team
+
+    yield opened
+    for number, team in enumerate(teams, 1):
+        _draw(request, team, "" if len(teams) == 1 else f"-{number}")
+        team.close()
+
+
+def _draw(request: pytest.FixtureRequest, team: Team, which: str) -> None:
+    """The picture of a team, where somebody wants one and there is something to see."""
+    folder: Path | None = request.config.getoption("--tracks")
+    if folder is None or not team.has_moved:
+        return
+    from lfield.testing.mission.picture import draw
+
+    name = re.sub(r"[^\w.-]+", "-", request.node.name).strip("-") + which
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / f"{name}.svg"
+    file.write_text(draw(team.tracks, f"{team.mission.name}: {request.node.name}", team.marks))
+    request.node.user_properties.append((_DRAWN, str(file)))
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Say which pictures there are."""
+    reports = (report for found in terminalreporter.stats.values() for report in found)
+    ended = (report for report in reports if getattr(report, "when", "") == "teardown")
+    for file in sorted(value for report in ended for name, value in report.user_properties if name == _DRAWN):
+        terminalreporter.write_line(f"tracks: {file}")

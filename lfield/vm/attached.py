@@ -1,0 +1,68 @@
+"""What may be attached to a machine from outside: who watches its portal calls, and stand-ins for resources.
+
+Nothing is attached on a robot. A watcher is told and changes nothing; a stand-in answers the portals of one
+resource in the place of its program, as a test of a mission wants it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from lfield.vm.agent import Agent
+from lfield.vm.memory.block import Block
+
+
+class Watch(Protocol):
+    """Whoever watches the portal calls of a machine, by a `pcall` or in a `together`; `number` tells them
+    apart, in one life of the host. A place is one in the resource's block, as it is for this moment.
+
+    A call that its coordinator waits for no more goes on, and so it is told how that ends.
+    """
+
+    def began(self, resource: Agent, thread: int, number: int, method: int, caller: str) -> None:
+        """A portal (by its index) has begun: its arguments are in the frame of its thread."""
+
+    def gave(self, resource: Agent, number: int, word: int) -> None:
+        """A portal has come to its end; `word` is the result, as it stood in a slot."""
+
+    def threw(self, resource: Agent, number: int, thrown: int) -> None:
+        """A portal has ended by an exception, the object at the place `thrown`."""
+
+    def died(self, resource: Agent, reason: str) -> None:
+        """A resource has died, and none of its portals goes on."""
+
+
+class Asked(Protocol):
+    """A portal call that a stand-in has to answer: by `give` or `throw`, now or later, once.
+
+    An answer to a call that has ended meanwhile, since it was cancelled, is dropped.
+    """
+
+    @property
+    def resource(self) -> Agent:
+        """Whose portal was called."""
+
+    @property
+    def thread(self) -> int:
+        """The thread in whose frame the arguments are; it runs no instruction."""
+
+    @property
+    def method(self) -> int:
+        """The portal, by its index."""
+
+    def give(self, make: Callable[[Block], int]) -> None:
+        """End it with the result that `make` puts into the resource's block; that may raise Full."""
+
+    def throw(self, kind: str, message: str) -> None:
+        """End it by a built-in exception."""
+
+
+@dataclass(slots=True)
+class Attached:
+    """What is attached to one machine. `stand_ins` by the ids of resources, which must not have started yet:
+    their `init` does not run, and they are open at once."""
+
+    watch: Watch | None = None
+    stand_ins: dict[str, Callable[[Asked], None]] = field(default_factory=dict)

@@ -1,0 +1,107 @@
+"""A pseudo-terminal, as behind a USB adapter; on a simulated computer a serial port of that.
+
+The client finds it at a symbolic link, which stays the same when the adapter is pulled out and put back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import fcntl
+import os
+import struct
+import tty
+from collections.abc import Callable
+from pathlib import Path
+
+from lfield.errors import AddressError
+from lfield.loop import SerialEnd, Simulated
+
+#: Linux' struct termios2, which knows speeds that have no name: flags, line, characters, speeds.
+_TCGETS2, _TERMIOS2 = 0x802C542A, struct.Struct("4I20s2I")
+
+#: Takes what a client has sent, with the baud rate that it has set; None where the system does not say.
+Received = Callable[[bytes, int | None], None]
+
+
+class Terminal:
+    """A serial port at `path`; it is there from `plug` to `unplug`."""
+
+    def __init__(self, path: Path, received: Received) -> None:
+        self._path, self._received = path, received
+        self._loop = asyncio.get_running_loop()
+        self._ends: tuple[int, int] | None = None
+        self._simulated: SerialEnd | None = None
+
+    @property
+    def plugged(self) -> bool:
+        """Whether it is there."""
+        return self._ends is not None or self._simulated is not None
+
+    def plug(self) -> None:
+        """Be there. Raises AddressError."""
+        if self.plugged:
+            return
+        if isinstance(self._loop, Simulated):
+            self._simulated = self._loop.plug_serial(str(self._path), self._received)
+            return
+        if self._path.exists() and not self._path.is_symlink():
+            raise AddressError(str(self._path), "there is a file or a device of that name")
+        # The slave's end stays open, or the master reads an error whenever no client is there.
+        master, slave = self._ends = os.openpty()
+        tty.setraw(master)
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        try:
+            fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+            fresh.unlink(missing_ok=True)
+            fresh.symlink_to(os.ttyname(slave))
+            fresh.replace(self._path)
+        except OSError as error:
+            self.unplug()
+            raise AddressError(str(self._path), error.strerror or str(error)) from None
+        self._loop.add_reader(master, self._read)
+
+    def unplug(self) -> None:
+        """Be gone: clients get an input/output error."""
+        if self._simulated is not None:
+            self._simulated.close()
+            self._simulated = None
+        if self._ends is None:
+            return
+        master, slave = self._ends
+        self._ends = None
+        self._loop.remove_reader(master)
+        self._path.unlink(missing_ok=True)
+        os.close(master)
+        os.close(slave)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes. A client that reads nothing loses some, as it does at a serial port."""
+        if self._simulated is not None:
+            self._simulated.write(data)
+        if self._ends is None:
+            return
+        try:
+            os.write(self._ends[0], data)
+        except OSError as error:
+            if error.errno not in (errno.EAGAIN, errno.EIO):
+                raise
+
+    def _read(self) -> None:
+        assert self._ends is not None
+        try:
+            data = os.read(self._ends[0], 4096)
+        except BlockingIOError:
+            return
+        self._received(data, _speed(self._ends[1]))
+
+
+def _speed(terminal: int) -> int | None:
+    """Bits per second that the client has set; None where the system does not say."""
+    try:
+        answer = fcntl.ioctl(terminal, _TCGETS2, bytes(_TERMIOS2.size))
+    except OSError:
+        return None
+    speed: int = _TERMIOS2.unpack(answer)[-1]
+    return speed or None

@@ -1,0 +1,421 @@
+"""Resources whose portals answer from Python."""
+
+from __future__ import annotations
+
+import math
+import traceback
+from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from small_team import SmallTeam
+
+from lfield.errors import DoubleError, LfieldError
+from lfield.mission.load import load_mission
+from lfield.testing import After, LObject, Throws
+from lfield.testing.mission.doubles import Doubles
+
+PROGRAM = """
+class Place {
+    public real x;
+    public real[] more;
+    public Place next;
+    public Place(real at) { x = at; }
+}
+resource Pump {
+    Mavlink fc;
+    init(string[] arg) { print("the init of " + arg[0]); fc.release(); while (true) { sleep(1.0); } }
+    portal flow(int litres, real seconds) emit int {
+        try { fc.release(); sleep(seconds); } catch (Exception e) { return -1; }
+        return litres;
+    }
+    portal flow(int litres) emit int { return litres; }
+    portal stop() { fc.release(); }
+    portal name(string text) emit string { return text; }
+    portal go(Place there, int[][] grid) emit Place { return there; }
+    portal split(real[] parts) emit real[] { return parts; }
+    portal is(boolean on) emit boolean { return on; }
+}
+coordinator Boss {
+    init(string[] arg) {
+        Pump pump = findPump("pump");
+        Pump other = findPump("other");
+        try {
+            //body
+        } catch (Exception e) { print("thrown: " + e.message() + " of " + e.source()); }
+        print("the end");
+    }
+}
+"""
+DEPLOYMENT = "//Pump:pump@bravo //Pump:other@alpha //Boss:boss@alpha"
+
+
+def team_of(
+    folder: Path, body: str, doubles: Mapping[str, object] | None = None, **pump: object
+) -> SmallTeam:
+    """A team whose pump is doubled by functions, or whoever else is by objects."""
+    chosen = doubles or {"pump": SimpleNamespace(**pump)}
+    return SmallTeam(folder, PROGRAM.replace("//body", body), DEPLOYMENT, chosen)
+
+
+class Pump:
+    """A double with a life of its own: what has no underscore is a portal."""
+
+    def __init__(self) -> None:
+        self.total = 0
+
+    def flow(self, litres: int, seconds: float = 0.0) -> int:
+        self._add(litres)
+        return self.total
+
+    def _add(self, litres: int) -> None:
+        self.total += litres
+
+    @property
+    def full(self) -> bool:
+        raise AssertionError("nobody asks for it")
+
+
+def test_a_double_answers_and_neither_init_nor_devices_are_there(tmp_path: Path) -> None:
+    pump = Pump()
+    body = 'print("got " + i2s(pump.flow(3, 0.5)) + " " + i2s(pump.flow(4)));'
+    team = team_of(tmp_path, body, {"pump": pump})
+    team.until("the end")
+    assert team.said("got 3 7")
+    assert pump.total == 7
+    assert team.said("the init of other")
+    assert not team.said("the init of pump")
+    assert team.doubles.mission.bindings.devices["pump"] == {}
+    assert team.doubles.mission.bindings.devices["other"].keys() == {"fc"}
+    first, second = team.calls.record
+    assert (first.caller, first.resource, first.portal) == ("boss", "pump", "flow")
+    assert (first.arguments, first.result, first.ended) == ((3, 0.5), 3, first.at)
+    assert (second.arguments, second.result) == ((4,), 7)
+
+
+def test_values_go_both_ways(tmp_path: Path) -> None:
+    seen: list[object] = []
+
+    def go(there: LObject, grid: list[object]) -> LObject:
+        seen.extend((there, grid))
+        circle = LObject("Place", x=2, more=(1, 2.5), next=None)
+        return LObject("Place", x=there.x, more=[], next=LObject("Place", x=1.0, more=None, next=circle))
+
+    body = """
+        Place p = pump.go(new Place(0.25), new int[][] {new int[] {1, 2}});
+        print("x " + f2s(p.x + p.next.x + p.next.next.x) + " " + f2s(p.next.next.more[1]));
+        print(pump.name("a" + pump.name("é")));
+        real[] parts = pump.split(new real[] {1.0});
+        print("parts " + f2s(parts[1]));
+        if (pump.is(false)) { print("it is"); }
+        pump.stop();
+    """
+    team = team_of(
+        tmp_path,
+        body,
+        go=go,
+        name=lambda text: f"<{text}>",
+        split=lambda parts: [*parts, math.pi],
+        stop=lambda: None,
+        **{"is": lambda on: not on},
+    )
+    team.until("the end")
+    assert seen == [LObject("Place", x=0.25, more=None, next=None), [[1, 2]]]
+    assert team.said("x 3.25 2.5")
+    assert team.said("<a<é>>")
+    assert team.said(f"parts {math.pi}")
+    assert team.said("it is")
+
+
+def test_aliases_circles_and_depth_outlive_the_way(tmp_path: Path) -> None:
+    def go(there: LObject, grid: object) -> LObject:
+        chain = LObject("Place", x=7.0, more=None, next=None)
+        for _ in range(5000):
+            chain = LObject("Place", x=0.0, more=None, next=chain)
+        return chain if there.x else there
+
+    body = """
+        Place ring = new Place(0.0);
+        ring.next = ring;
+        Place back = pump.go(ring, null);
+        if (back.next == back && back != ring) { print("a ring"); }
+        Place at = pump.go(new Place(1.0), null);
+        int n = 0;
+        while (at.next != null) { at = at.next; n = n + 1; }
+        print(i2s(n) + " to " + f2s(at.x));
+    """
+    team = team_of(tmp_path, body, go=go)
+    team.until("the end")
+    assert team.said("a ring")
+    assert team.said("5000 to 7.0")
+
+
+def test_what_a_double_throws_is_thrown_in_l(tmp_path: Path) -> None:
+    def flow(litres: int, seconds: float = 0.0) -> int:
+        raise Throws("DeviceTimeoutException", "no water")
+
+    body = """
+        try { pump.flow(1); } catch (DeviceException e) { print("caught " + e.message()); }
+        pump.flow(1, 2.0);
+    """
+    team = team_of(tmp_path, body, flow=flow)
+    team.until("the end")
+    assert team.said("caught no water")
+    # Nothing of the portal itself is done, its own catch included.
+    assert team.said("thrown: no water of pump")
+    assert [call.thrown for call in team.calls.record] == ["DeviceTimeoutException: no water"] * 2
+
+
+def test_an_answer_may_take_its_time(tmp_path: Path) -> None:
+    answers = {1: After(2.0, 5), 2: After(0.5, Throws("DeviceException", "it leaks"))}
+    body = "pump.flow(1); pump.flow(2);"
+    team = team_of(tmp_path, body, flow=lambda litres, seconds=0.0: answers[litres])
+    team.until("the end")
+    first, second = team.calls.record
+    assert first.ended is not None
+    assert second.ended is not None
+    assert first.ended - first.at == pytest.approx(2.0)
+    assert second.ended - second.at == pytest.approx(0.5)
+    assert (first.result, second.thrown) == (5, "DeviceException: it leaks")
+
+
+def test_a_double_answers_calls_of_a_together(tmp_path: Path) -> None:
+    body = """
+        int[] got = new int[3];
+        together {
+            got[0] = pump.flow(1);
+            got[1] = pump.flow(2);
+            got[2] = other.flow(3);
+        }
+        print("got " + i2s(got[0]) + i2s(got[1]) + i2s(got[2]));
+    """
+    doubles = {
+        "pump": SimpleNamespace(flow=lambda litres, seconds=0.0: After(3.0 - litres, 10 * litres)),
+        "other": Pump(),
+    }
+    team = team_of(tmp_path, body, doubles)
+    team.until("the end")
+    assert team.said("got 10203")
+    slow, fast = (call for call in team.calls.record if call.resource == "pump")
+    assert slow.ended is not None
+    assert fast.ended is not None
+    assert fast.ended < slow.ended
+
+
+def test_what_a_double_throws_is_thrown_at_the_end_of_a_together(tmp_path: Path) -> None:
+    def flow(litres: int, seconds: float = 0.0) -> object:
+        if litres == 1:
+            raise Throws("DeviceException", "no water")
+        return After(2.0, 3)
+
+    doubles = {"pump": SimpleNamespace(flow=flow), "other": SimpleNamespace(flow=flow)}
+    team = team_of(tmp_path, "together { pump.flow(1); other.flow(2); pump.flow(2); }", doubles)
+    team.until("the end")
+    assert team.said("thrown: no water of pump")
+    assert [(call.result, call.thrown) for call in team.calls.record if call.resource == "pump"] == [
+        (None, "DeviceException: no water"),
+        (3, ""),
+    ]
+
+
+def test_a_call_that_waits_for_its_answer_can_be_cancelled(tmp_path: Path) -> None:
+    doubles = {
+        name: SimpleNamespace(flow=lambda litres, seconds=0.0: After(20.0, 3)) for name in ("pump", "other")
+    }
+    body = "within (1.0) { together { pump.flow(1); other.flow(2); pump.flow(2, 1.0); } }"
+    team = team_of(tmp_path, body, doubles)
+    team.until("the end")
+    assert team.now < 5.0
+    thrown = [call.thrown.partition(":")[0] for call in team.calls.record]
+    assert thrown == ["CancelledException"] * 3
+    # What would have been given then is dropped.
+    team.run(30.0)
+    assert team.call_results("flow") == [None, None, None]
+
+
+def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
+    body = (
+        'try { within (1.0) { pump.flow(1); } } catch (TimeLimitException e) { print("late"); } pump.flow(1);'
+    )
+    answers = [After(5.0, 1), 2]
+    team = team_of(tmp_path, body, flow=lambda litres, seconds=0.0: answers.pop(0))
+    team.until("the end")
+    assert team.said("late")
+    team.run(10.0)
+    assert team.call_results("flow")[-1] == 2
+
+
+def test_a_host_that_dies_takes_the_answer_with_it(tmp_path: Path) -> None:
+    answers = [After(5.0, 1), 2]
+    body = 'try { pump.flow(1); } catch (RestartException e) { print("again " + i2s(pump.flow(1))); }'
+    team = team_of(tmp_path, body, flow=lambda litres, seconds=0.0: answers.pop(0))
+    team.run(2.0)
+    team.crash("bravo")
+    team.boot("bravo")
+    team.until("the end")
+    assert team.said("again 2")
+    team.run(10.0)
+    assert team.call_results("flow") == [None, 2]
+
+
+def test_the_same_seed_is_the_same_run(tmp_path: Path) -> None:
+    digests = set()
+    for _ in range(2):
+        team = team_of(
+            tmp_path, "pump.flow(1); other.stop();", flow=lambda litres, seconds=0.0: After(1.0, 2)
+        )
+        team.until("the end")
+        digests.add(team.digest)
+    assert len(digests) == 1
+
+
+# --- what goes wrong ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("returned", "told"),
+    [
+        ("five", "gives int, and its double has returned str 'five': return a value of that type"),
+        (True, "gives int, and its double has returned bool True"),
+        (1.0, "gives int, and its double has returned float 1.0"),
+        (None, "gives int, and its double has returned NoneType None"),
+        (1 << 63, "gives int, and its double has returned int 9223372036854775808"),
+        (After(1.0, "five"), "gives int, and its double has returned str 'five'"),
+        ("x" * 200, f"has returned str 'xxx{75 * 'x'}…: return"),
+    ],
+)
+def test_a_value_of_another_type_is_told(tmp_path: Path, returned: object, told: str) -> None:
+    team = team_of(tmp_path, "pump.flow(1, 2.0);", flow=lambda litres, seconds=0.0: returned)
+    with pytest.raises(DoubleError) as caught:
+        team.until("the end")
+    assert str(caught.value).startswith("the portal pump.flow(int, real) gives int")
+    assert told in str(caught.value)
+    assert not team.said("thrown")
+
+
+@pytest.mark.parametrize(
+    ("body", "returned", "told"),
+    [
+        ("pump.stop();", 1, "gives nothing, and its double has returned int 1"),
+        (
+            "pump.split(null);",
+            [1.0, "x"],
+            "gives real[], and in it real, and its double has returned str 'x'",
+        ),
+        ("pump.split(null);", [True], "has returned bool True"),
+        ("pump.split(null);", 1 << 2000, "gives real[], and its double has returned int"),
+        ("pump.split(null);", [1 << 2000], "and in it real, and its double has returned int"),
+        (
+            "pump.go(null, null);",
+            LObject("Spot"),
+            "gives Place, and its double has returned an object of Spot",
+        ),
+        (
+            "pump.go(null, null);",
+            LObject("Place", x=1.0),
+            "has returned Place(x=1.0), whose fields are not x, m",
+        ),
+        ("pump.go(null, null);", {"x": 1.0}, "gives Place, and its double has returned dict {'x': 1.0}"),
+    ],
+)
+def test_a_part_of_another_type_is_told(tmp_path: Path, body: str, returned: object, told: str) -> None:
+    answer = {name: lambda *given: returned for name in ("stop", "split", "go")}
+    team = team_of(tmp_path, body, **answer)
+    with pytest.raises(DoubleError) as caught:
+        team.until("the end")
+    assert told in str(caught.value)
+
+
+def test_a_portal_that_the_double_lacks_is_told_when_it_is_called(tmp_path: Path) -> None:
+    team = team_of(tmp_path, "pump.flow(1); pump.stop();", flow=lambda litres, seconds=0.0: 1)
+    with pytest.raises(DoubleError) as caught:
+        team.until("the end")
+    assert str(caught.value) == (
+        "the mission calls pump.stop(), and the double of pump has no method stop: add one"
+    )
+    assert isinstance(caught.value, LfieldError)
+
+
+def broken(litres: int, seconds: float = 0.0) -> int:
+    assert litres == 0, "a pump of none"
+    return {}["nothing"]
+
+
+@pytest.mark.parametrize(("litres", "kind"), [(1, AssertionError), (0, KeyError)])
+def test_an_exception_of_the_double_is_one_of_the_test(
+    tmp_path: Path, litres: int, kind: type[Exception]
+) -> None:
+    team = team_of(tmp_path, f"pump.flow({litres});", flow=broken)
+    with pytest.raises(kind) as caught:
+        team.until("the end")
+    assert "broken" in [frame.name for frame in traceback.extract_tb(caught.value.__traceback__)]
+    team.run(5.0)
+    assert not team.said("thrown")
+    assert not team.said("the end")
+
+
+def test_a_test_that_is_given_up_in_a_double_is_given_up(tmp_path: Path) -> None:
+    team = team_of(tmp_path, "pump.flow(1);", flow=lambda litres, seconds=0.0: pytest.fail("enough"))
+    with pytest.raises(pytest.fail.Exception, match="enough"):
+        team.until("the end")
+
+
+@pytest.mark.parametrize(
+    ("doubles", "told"),
+    [
+        (
+            {"bump": SimpleNamespace()},
+            "a double stands for 'bump', and the deployment has no such resource: did you mean 'pump'?",
+        ),
+        (
+            {"xyzzy": SimpleNamespace()},
+            "a double stands for 'xyzzy', and the deployment has no such resource: it has pump and other",
+        ),
+        (
+            {"boss": SimpleNamespace()},
+            "a double stands for 'boss', which is a coordinator and has no portals: give doubles to "
+            "the resources that it calls",
+        ),
+        (
+            {"pump": SimpleNamespace(flwo=lambda: 0)},
+            "the double of pump has a method flwo, and Pump has no such portal: did you mean 'flow'?; what "
+            "is for the double alone begins with an underscore",
+        ),
+        (
+            {"pump": SimpleNamespace(xyzzy=lambda: 0)},
+            "the double of pump has a method xyzzy, and Pump has no such portal: its portals are flow, stop, "
+            "name, go, split and is; what is for the double alone begins with an underscore",
+        ),
+        (
+            {"pump": SimpleNamespace(flow=lambda litres: 0)},
+            "the method flow of the double of pump cannot take the 2 arguments of the portal flow(int, "
+            "real): give it as many parameters",
+        ),
+        (
+            {"pump": SimpleNamespace(name=lambda: 0)},
+            "the method name of the double of pump cannot take the 1 argument of the portal name(string): "
+            "give it as many parameters",
+        ),
+        ({"pump": Pump}, "the double of pump is the class Pump: give an object of it, Pump()"),
+    ],
+)
+def test_a_double_that_does_not_fit_is_refused(
+    tmp_path: Path, doubles: Mapping[str, object], told: str
+) -> None:
+    (tmp_path / "mission.L").write_text(PROGRAM)
+    (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
+    mission = load_mission(tmp_path / "mission.dL", simulate=True)
+    with pytest.raises(DoubleError) as caught:
+        Doubles(mission, doubles)
+    assert str(caught.value) == told
+
+
+def test_an_exception_that_l_does_not_have_and_a_time_that_is_none_are_refused() -> None:
+    with pytest.raises(DoubleError, match=r"'DeviceExeption'.*did you mean 'DeviceException'"):
+        Throws("DeviceExeption", "x")
+    with pytest.raises(DoubleError, match="take one of Exception, Unreach"):
+        Throws("xyzzy")
+    for seconds in (-1.0, math.nan, math.inf, "1"):
+        with pytest.raises(DoubleError, match="is no time to wait"):
+            After(seconds, 1)  # type: ignore[arg-type]

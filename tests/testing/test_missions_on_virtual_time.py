@@ -1,0 +1,197 @@
+"""Missions on virtual time with the real drivers and fakes of the examples, and what a test may do."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import MissionTestError, RealEndpoint, Stuck
+from lfield.testing.mission.team import Team
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+FLIGHT = EXAMPLES / "01-first-flight" / "mission.dL"
+
+WALK = """
+resource Post {
+    init(string[] arg) { }
+    portal work(real seconds) { print("works"); sleep(seconds); }
+    portal never() { while (true) sleep(1.0); }
+}
+coordinator Boss {
+    init(string[] arg) {
+        findPost("one").work(1.0);
+        findPost("two").work(2.0);
+        //more
+        print("over");
+    }
+}
+"""
+HOSTS = "//Post:one@alpha\n//Post:two@bravo\n//Boss:boss@alpha\n"
+
+
+@pytest.fixture
+def walk(tmp_path, lfield_mission):
+    """Makes a team of two hosts without devices; `more` is what its boss does in the end."""
+
+    def made(more: str = "", **options: object) -> Team:
+        (tmp_path / "walk.L").write_text(WALK.replace("//more", more))
+        (tmp_path / "walk.dL").write_text(HOSTS)
+        return lfield_mission(tmp_path / "walk.dL", **options)
+
+    return made
+
+
+def test_two_copters_fly_with_their_own_driver_and_fake(lfield_mission):
+    team = lfield_mission(FLIGHT)
+    team.run(until="taking off")
+    team.run(9.0)
+    assert team.fake("lead.fc").facts["airborne"] is True
+    team.run(until_done=True)
+    assert team.ended == {"pilot": "done"}
+    assert len(team.hops) == 11
+    assert [hop.agent for hop in team.hops] == ["pilot"] * 11
+    assert 1.9 < max(point.up for point in team.tracks["lead.fc"]) < 2.3
+    assert team.fake("lead.fc").facts["airborne"] is False
+    assert team.has_moved
+
+
+def test_the_same_seed_is_the_same_flight_and_another_is_not(lfield_mission):
+    seen = []
+    for seed in (3, 3, 4):
+        team = lfield_mission(FLIGHT, seed=seed)
+        team.run(until_done=True)
+        seen.append((team.log, team.tracks))
+    assert seen[0] == seen[1]
+    assert seen[0][0] != seen[2][0]
+
+
+def test_a_dead_motor_and_an_empty_battery_are_what_the_driver_tells_of(lfield_mission):
+    team = lfield_mission(FLIGHT, fakes={"wing.fc": ["battery=0.5"]})
+    team.at(15.0, lambda: team.fake("lead.fc").set("motor_failure=true"))
+    team.run(until_done=True)
+    assert team.said("Potential Thrust Loss", "alpha")
+    assert team.said("the motors are off")
+    assert team.said("wing 47 %") or team.said("wing 48 %")
+    assert [mark.device for mark in team.marks] == ["lead.fc"]
+
+
+def test_links_and_hosts_are_cut_and_killed_when_the_test_says(walk):
+    team = walk()
+    team.at(0.5, lambda: team.cut("alpha", "bravo"))
+    team.at(8.0, lambda: team.heal("alpha", "bravo"))
+    team.run(until_done=True)
+    assert team.now > 8.0
+    assert team.ended == {"boss": "done"}
+    team = walk()
+    team.run(until=lambda: team.said("works") == 2)
+    team.crash("bravo")
+    team.run(2.0)
+    assert team.ended == {}
+    team.boot("bravo")
+    team.run(until="RestartException")
+    assert team.said("works") == 2
+
+
+def test_something_happens_at_a_line_of_l_once(walk):
+    team = walk('for (int n = 0; n < 3; n = n + 1) findPost("one").work(0.1);')
+    times = []
+    # The call of two, from one's host, and later the beginning of each round.
+    team.when("walk.L:10", lambda: times.append(team.now))
+    team.when("walk.L:11", lambda: team.crash("bravo"))
+    team.run(until=lambda: "bravo" not in team._fleet.lives)
+    assert len(times) == 1
+    assert times[0] > 1.0
+    assert team.hops[-1].target == "bravo"
+
+
+@pytest.mark.parametrize("line", ["walk.L:1", "walk.L:900", "other.L:10", "walk.L", "10"])
+def test_a_line_without_code_is_none(walk, line):
+    team = walk()
+    with pytest.raises(MissionTestError, match="is no line of the mission with code"):
+        team.when(line, lambda: None)
+
+
+def test_a_mission_that_does_not_end_says_where_everybody_stands(walk):
+    team = walk('findPost("two").never();')
+    with pytest.raises(Stuck) as stuck:
+        team.run(until_done=True, at_most=20.0)
+    assert "the coordinators have not ended after 20 s" in str(stuck.value)
+    assert "one on alpha: idle" in stuck.value.standing
+    (boss,) = (line for line in stuck.value.standing if line.startswith("boss"))
+    assert "boss on bravo: waits for two.never()" in boss
+    assert "(walk.L:11)" in boss
+    assert any("Post.never (walk.L:5)" in line for line in stuck.value.standing)
+
+
+def test_who_waits_for_a_host_that_is_cut_off_says_for_which_call(walk):
+    team = walk()
+    team.run(until="works")
+    team.cut("alpha", "bravo")
+    with pytest.raises(Stuck, match=r"boss on alpha: leaving for two.work\(\) at Boss.init \(walk.L:10\)"):
+        team.run(until_done=True, at_most=5.0)
+
+
+def test_a_host_that_ends_by_itself_ends_the_test_with_its_words(lfield_mission, tmp_path):
+    # A drive whose bus is dead cannot be opened.
+    team = lfield_mission(FLIGHT, fakes={"lead.fc": ["silence=true"]})
+    with pytest.raises(Stuck, match="alpha has ended by itself") as stuck:
+        team.run(until_done=True)
+    assert any("alpha said:" in line and "lead.fc" in line for line in stuck.value.standing)
+
+
+def test_what_is_not_there_is_named_with_what_there_is(lfield_mission, walk):
+    team = lfield_mission(FLIGHT)
+    with pytest.raises(MissionTestError, match=r"there is no device 'lead' .*lead.fc, wing.fc"):
+        team.fake("lead")
+    with pytest.raises(MissionTestError, match=r"lead.fc: there is no fault 'wings'"):
+        team.fake("lead.fc").set("wings=off")
+    with pytest.raises(MissionTestError, match=r"there is no host 'lead'; there are: alpha, bravo"):
+        team.crash("lead")
+    with pytest.raises(pytest.fail.Exception, match=r"there is no device 'nobody.fc' with a fake"):
+        walk(fakes={"nobody.fc": ["silence=true"]})
+    with pytest.raises(pytest.fail.Exception, match=r"lead.fc: --fault: 'battery@lead.fc' is no fault"):
+        lfield_mission(FLIGHT, fakes={"lead.fc": ["battery"]})
+
+
+def test_a_wrong_program_is_shown_as_lfield_check_shows_it(walk):
+    with pytest.raises(pytest.fail.Exception, match=r"walk\.L:11:\d+: error") as failed:
+        walk("int n = true;")
+    assert "^" in str(failed.value)
+
+
+def test_nothing_real_is_touched_also_by_who_says_nothing_of_it(walk):
+    team = walk()
+
+    def reach_out() -> None:
+        try:
+            socket.create_connection(("127.0.0.1", 9), timeout=0.1)
+        except Exception:
+            return
+
+    team.at(0.5, reach_out)
+    with pytest.raises(RealEndpoint, match=r"it wanted to reach 127.0.0.1:9"):
+        team.run(1.0)
+
+    def open_port() -> None:
+        Path("/dev/ttyS0").open("rb").close()
+
+    team.at(1.5, open_port)
+    with pytest.raises(RealEndpoint, match="it wanted to open /dev/ttyS0"):
+        team.run(1.0)
+
+
+def test_outside_of_a_run_a_test_may_do_what_it_likes(walk):
+    walk().run(1.0)
+    with socket.socket() as door:
+        door.bind(("127.0.0.1", 0))
+
+
+def test_a_stop_brings_devices_to_rest_first(lfield_mission):
+    team = lfield_mission(FLIGHT)
+    team.run(until="at (3.5, 0.0)")
+    team.stop()
+    team.run(until=lambda: not team._fleet.lives)
+    assert team.fake("lead.fc").facts["airborne"] is False
+    assert team.fake("wing.fc").facts["airborne"] is False
