@@ -65,7 +65,8 @@ class PlannerSim:
         faults.apply(args.fault)
         _, host, port = args.listen.split(":")
         server = await asyncio.start_server(Talk(faults).serve, host, int(port), limit=1 << 16)
-        endpoint = f"tcp:{host}:{server.sockets[0].getsockname()[1]}"
+        host, port = server.sockets[0].getsockname()[:2]
+        endpoint = f"tcp:{host}:{port}"
         try:
             await serve_until_told(
                 "planner", endpoint, "", faults,
