@@ -27,6 +27,8 @@ from lfield.testing.mission.watching import Hop, Hops, Lines, Point, Tracks
 AT_MOST = 3600.0
 #: Seconds between two looks for what is waited for.
 LOOK = 0.02
+#: The time of day when a team begins, in seconds since 1970, as well as computers know it that hear of one.
+DAY = (1.8e9, 1.8e9 + 0.5)
 #: Metres that are a move.
 MOVED = 0.5
 #: So many lines are shown of a host that has ended.
@@ -78,6 +80,8 @@ class Team:
                 plug=self._fakes.plug,
             )
         self._check(caught)
+        for machine in self._fleet.machines.values():
+            machine.set_day(DAY)
         self._tracks = Tracks(self._fakes.devices, lambda: self.now, self._fleet.later)
 
     def _born(self, name: str, life: Life) -> None:
