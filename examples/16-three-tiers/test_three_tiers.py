@@ -24,8 +24,7 @@ def nearest(team, device="rover.fc"):
 
 def at_home(team):
     """Whether both are back, the copter on the ground."""
-    ends = [track[-1] for name, track in team.tracks.items() if name.endswith(".fc")]
-    return len(ends) == 2 and all(math.hypot(*end[1:]) < 2.0 for end in ends)
+    return all(math.hypot(*team.tracks[device][-1][1:]) < 2.0 for device in ("copter.fc", "rover.fc"))
 
 
 def test_what_the_rover_cannot_come_to_the_copter_takes(lfield_mission):
@@ -37,7 +36,7 @@ def test_what_the_rover_cannot_come_to_the_copter_takes(lfield_mission):
     assert len(done) == len(SITES)
     assert ("copter", "mast") in done
     assert team.said("rover did not come to mast: something is in the way") == 1
-    assert RADIUS + 2.0 < nearest(team) < RADIUS + 6.5
+    assert RADIUS + 2.0 < nearest(team) < RADIUS + 9.0
     assert at_home(team)
     # All hosts agree on what was sensed and what is next: once before the first step, and after each.
     hosts = {hop.target for hop in team.hops}
@@ -46,9 +45,92 @@ def test_what_the_rover_cannot_come_to_the_copter_takes(lfield_mission):
     assert len(team.hops) < agreements * len(hosts) * (len(hosts) - 1) == 36
 
 
-def test_tier_one_stops_for_what_is_in_the_way_without_asking_anybody(lfield_mission):
+def gone(team, device, metres):
+    """Whether a device has gone so far from home."""
+    track = team.tracks[device]
+    return bool(track) and math.hypot(track[-1].north, track[-1].east) > metres
+
+
+def test_tier_one_stops_for_what_is_in_the_way_and_asks_nobody(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until=lambda: gone(team, "rover.fc", 8.0))
+    for other in ("sky", "tower"):
+        team.cut("ground", other)
+    team.run(9.0)  # by itself it would be at the mast
+    assert RADIUS + 2.0 < nearest(team) < RADIUS + 9.0
+    for other in ("sky", "tower"):
+        team.heal("ground", other)
+    team.run(until="rover did not come to mast: something is in the way")
+    assert nearest(team) > RADIUS + 2.0
+
+
+def test_tier_one_comes_home_while_the_battery_lasts_and_asks_nobody(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until=lambda: gone(team, "copter.fc", 8.0))
+    asked = [call for call in team.calls if call.resource == "copter"]
+    team.fake("copter.fc").set("battery=0.29")
+    team.run(until="copter is home", at_most=40.0)
+    assert asked == [call for call in team.calls if call.resource == "copter"]
+    assert team.tracks["copter.fc"][-1].up < 0.1
+    team.run(until_done=True)
+    assert team.said("copter did not come to gate: its battery is low") == 1
+    # What the copter was to do the rover does; to the mast nobody comes.
+    assert sorted(inspected(team)) == [("rover", site) for site in sorted(SITES - {"mast"})]
+
+
+def test_when_the_wind_drains_the_battery_there_is_a_new_plan(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until=lambda: gone(team, "copter.fc", 3.0))
+    team.fake("copter.fc").set("battery=0.38")
+    team.run(until_done=True)
+    assert team.said("copter cannot go that far any more: 45 m") + team.said("copter can go 45 m") >= 1
+    assert ("copter", "gate") in inspected(team)
+    assert ("rover", "yard") in inspected(team)
+    assert at_home(team)
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("fails=MemoryError", "no plan: planner: it failed: MemoryError"),
+        ("nonsense=repeated", "no plan: planner: its plan makes no sense: it visits a site twice: [0, 0]"),
+        ("slow=1e6", "no plan in time: "),
+    ],
+)
+def test_without_a_new_plan_the_old_one_holds_and_the_planner_is_asked_again(lfield_mission, fault, told):
     team = lfield_mission("mission.dL")
     team.run(until="rover can go")
-    team.cut("ground", "tower")
-    team.cut("ground", "sky")
-    team.run(until=lambda: any(call.resource == "rover" for call in team.calls), at_most=60)
+    team.fake("strategist.planner").set(fault)
+    team.run(until=told)
+    team.fake("strategist.planner").set("fails=", "nonsense=", "slow=0")
+    team.run(until="rover inspects pump")
+    team.fake("rover.fc").set("battery=0.38")
+    team.run(until="rover can go")
+    team.run(until_done=True)
+    assert team.ended == {"sequencer": "done"}
+    assert {("rover", "pump"), ("copter", "gate")} <= {*inspected(team)}
+    assert at_home(team)
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("nonsense=unknown", "no plan: planner: its plan makes no sense: there is no site 6"),
+        ("nonsense=long", "no plan: planner: its plan makes no sense: it is 177 m long, of 84 m"),
+        ("nonsense=42", "no plan: planner: its answer makes no sense: '42'"),
+    ],
+)
+def test_without_any_plan_nobody_goes_anywhere(lfield_mission, fault, told):
+    team = lfield_mission("mission.dL", fakes={"strategist.planner": [fault]})
+    team.run(until_done=True)
+    assert team.ended == {"sequencer": "done"}
+    assert team.said(told) == 1
+    assert inspected(team) == []
+    assert not team.has_moved
+
+
+def test_a_slow_planner_is_waited_for(lfield_mission):
+    team = lfield_mission("mission.dL", fakes={"strategist.planner": ["slow=4"]})
+    team.run(until="rover can go")
+    (planned,) = (call for call in team.calls if call.portal == "plan")
+    assert 8.0 < planned.ended - planned.at < 10.0
