@@ -1,4 +1,4 @@
-"""The mission survives, on virtual time: `lfield test examples/04-the-mission-survives`."""
+"""Computers die on virtual time: `lfield test examples/04-the-mission-survives`."""
 
 from __future__ import annotations
 
@@ -58,9 +58,13 @@ def test_all_three_computers_lose_their_power_at_once(lfield_mission):
 
 def test_a_majority_goes_on_when_the_host_of_the_coordinator_never_comes_back(lfield_mission):
     team = lfield_mission("table.dL")
-    hosts = team.mission.team.hosts
-    team.run(until=lambda: len(team.calls) >= 3)
-    holder = team.hops[-1].target if team.hops else hosts[0]
-    team.crash(holder)
-    team.run(until="is recovered here", at_most=60.0)
-    team.run(until="told", at_most=60.0)
+    # It has been at the other arm: there its shadow is.
+    team.run(until=lambda: len(team.hops) == 2)
+    team.run(0.5)
+    team.power_off(team.hops[-1].target)
+    team.run(until="clearer is recovered here")
+    recovered = team.now
+    team.run(until_done=True)
+    assert team.said("told at part")
+    assert team.said("clearer: complete; 12 parts are in the box")
+    assert recovered < 30.0

@@ -89,7 +89,13 @@ STRING_METHODS: tuple[Function, ...] = (
 EXCEPTION_METHODS: tuple[Function, ...] = (
     Function("message", (), STRING, "exc_message", meaning="what went wrong, one sentence"),
     Function("type", (), STRING, "exc_type", meaning="the name of the class that was thrown"),
-    Function("source", (), STRING, "exc_source", meaning="the agent or device it is about, or ''"),
+    Function(
+        "source",
+        (),
+        STRING,
+        "exc_source",
+        meaning="the agent, or the device (of an agent, as in bob.fc), that it is about, or ''",
+    ),
     Function("others", (), array_of(EXCEPTION), "exc_others", meaning="what other calls of a together threw"),
 )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from lfield.bytecode.program import REFERENCES, TRACE
+from lfield.bytecode.program import REFERENCES, SOURCE, TRACE
 from lfield.vm.agent import Agent, Member
 from lfield.vm.begun import Begun
 from lfield.vm.contract import Trap
@@ -257,6 +257,8 @@ def _throw(scheduler: Scheduler, resource: Agent, thread: int, number: int, thro
         copied = deep_copy(resource.block, [thrown], block, scheduler.layouts)[0]
         if block.w[copied] >> 8 & 0xFFFFFF < scheduler.program.builtins:
             block.w[copied + 1 + TRACE] = block.new_string(here)
+            about = _whose(block.text(block.w[copied + 1 + SOURCE]), resource.id)
+            block.w[copied + 1 + SOURCE] = block.new_string(about)
         return copied
 
     if isinstance(waits, Begun):
@@ -264,6 +266,12 @@ def _throw(scheduler: Scheduler, resource: Agent, thread: int, number: int, thro
     else:
         _rethrow(scheduler, resource, *waits, copy)
     del scheduler.calls[number]
+
+
+def _whose(about: str, resource: str) -> str:
+    """What an exception is about, for those outside: the resource, or a device of it."""
+    known = about == resource or about.startswith(f"{resource}.")
+    return about if known else f"{resource}.{about}" if about else resource
 
 
 def _placed(line: str, resource: str) -> str:

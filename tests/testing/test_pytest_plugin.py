@@ -78,6 +78,27 @@ def test_lfield_test_tells_how_it_went_by_its_status(project):
     assert not (project / "tracks").exists(), "nobody has moved"
 
 
+FLOWN = """
+import hashlib, sys
+from pathlib import Path
+from lfield.testing.mission.team import Team
+team = Team(Path(sys.argv[1]), seed=5)
+team.run(until_done=True)
+print(hashlib.sha256(repr((team.log, team.tracks, team.hops)).encode()).hexdigest())
+"""
+
+
+def test_the_same_seed_is_the_same_flight_in_every_process(tmp_path, monkeypatch):
+    flight = str(Path(__file__).parents[2] / "examples/01-first-flight/mission.dL")
+    seen = set()
+    for number in ("1", "2"):
+        monkeypatch.setenv("PYTHONHASHSEED", number)
+        status, said = run(tmp_path, "-c", FLOWN, flight)
+        assert status == 0, said
+        seen.add(said)
+    assert len(seen) == 1
+
+
 def test_without_pytest_it_says_what_to_install(project):
     (project / "pytest.py").write_text("raise ImportError\n")
     status, said = run(project, "-m", "lfield", "test")

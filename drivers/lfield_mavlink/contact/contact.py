@@ -57,6 +57,7 @@ class Contact(Device):
         #: Sends it a message, which may be lost.
         self.send = send
         self.state = VehicleState(binding.option("kind"))
+        self._stack: str = binding.option("autopilot")
         self.exchange = Exchange(self.system, send, lambda: self.silence <= LINK_LOST)
         self.texts = Texts()
         self._heard_at = -math.inf
@@ -105,6 +106,8 @@ class Contact(Device):
             raise self.error(
                 f"system {self.system} has neither ArduPilot nor PX4 (MAV_AUTOPILOT {state.autopilot})"
             )
+        if self._stack not in ("any", stack.lower()):
+            raise self.error(f"system {self.system} has {stack}, not what the binding says: {self._stack}")
         if state.profile is None:
             raise self.error(f"a {kind} with {stack} is not served")
         if state.type not in state.profile.types:

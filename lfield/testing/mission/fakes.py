@@ -9,6 +9,7 @@ import argparse
 import random
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 from lfield.devices.fakes import conditions
 from lfield.driver.binding import DeviceBinding, by_bus
@@ -83,6 +84,8 @@ class Fakes:
     ) -> None:
         self._wrong, self._mark = wrong, mark
         self._problems: list[str] = []
+        #: What fakes have raised that they should not.
+        self.trouble: list[Exception] = []
         self._served: dict[tuple[str, str], tuple[Process, Fake]] = {}
         #: By the names of their bindings.
         self.devices: dict[str, FakeDevice] = {}
@@ -111,6 +114,7 @@ class Fakes:
         fleet.network.plug_in(machine)
         process = Computer(machine, fleet.network, {}).start()
         process.on_fake = partial(self._serves, bus, devices, process)
+        process.loop.set_exception_handler(self._raised)
         process.loop.enter(lambda: process.loop.create_task(self._serve(sim, args, devices)))
 
     def _options(self, devices: Sequence[DeviceBinding], sim: Sim) -> argparse.Namespace:
@@ -127,6 +131,10 @@ class Fakes:
             await sim.serve(args)
         except (LfieldError, ValueError) as error:
             self._problems.append(f"{devices[0].name}: {error}")
+
+    def _raised(self, _: object, context: dict[str, Any]) -> None:
+        """A bug of a fake: whoever runs the team raises it."""
+        self.trouble.append(context.get("exception") or RuntimeError(context["message"]))
 
     def _serves(
         self, bus: tuple[str, str], devices: Sequence[DeviceBinding], process: Process, fake: Fake

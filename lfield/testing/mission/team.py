@@ -140,7 +140,7 @@ class Team:
         self._check(caught)
 
     def _check(self, caught: Sequence[MissionTestError]) -> None:
-        for trouble in (*self._doubles.trouble, *caught):
+        for trouble in (*self._doubles.trouble, *caught, *self._fakes.trouble):
             raise trouble
         if self._fleet.failed:
             raise Stuck("a host has ended because of a bug in lfield", self._last_words())

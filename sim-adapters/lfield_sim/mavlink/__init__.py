@@ -82,7 +82,8 @@ class MavlinkSim:
         for device in devices:
             options = device.options
             number = int(str(options.get("system", 1)))
-            kind, flavour = str(options.get("kind", "copter")), str(options.get("flavour", "ardupilot"))
+            kind, stack = str(options.get("kind", "copter")), str(options.get("autopilot", "any"))
+            flavour = stack if stack in FLAVOURS else FLAVOURS[0]
             made.setdefault(number, VehicleOption(number, kind, flavour, device.name))
             for name, value in _set_up(device, made[number]).items():
                 parameters.append(f"--param={name}@{number}={value:.9g}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lfield_sim.autopilot.vehicle import Vector
 
@@ -27,6 +27,11 @@ class Place:
         latitude = self.latitude + math.degrees(north / EARTH_RADIUS)
         longitude = self.longitude + math.degrees(east / (EARTH_RADIUS * self._shrink))
         return round(latitude * 1e7), round(longitude * 1e7)
+
+    def moved(self, north: float, east: float) -> Place:
+        """The place so many metres from this one."""
+        latitude, longitude = self.at(north, east)
+        return replace(self, latitude=latitude / 1e7, longitude=longitude / 1e7)
 
     def local(self, latitude: float, longitude: float) -> tuple[float, float]:
         """Metres north and east of the origin, from 1e-7 degrees."""

@@ -50,6 +50,8 @@ STATES = {
     "motor_failure": "motor_failed",
     "warm_up": "warm_up",
 }
+#: Where it is put: from the start the origin of its frame is there, later it is carried off.
+WHERE = ("north", "east")
 #: Those that are a state of the air about it: the attribute of its wind.
 AIR = {"wind": "speed", "wind_from": "source", "gusts": "gusts"}
 
@@ -66,7 +68,9 @@ class MavlinkFake:
         faults: Faults | None = None,
     ) -> None:
         self.autopilot, self.system = autopilot, system
-        self.place, self.faults = place or Place(), faults or make_faults(systems=(system,))
+        self.faults = faults or make_faults(systems=(system,))
+        put = {name: self.faults.get(name, system) for name in WHERE}
+        self.place = (place or Place()).moved(**put)
         autopilot.altitude = self.place.altitude
         autopilot.vehicle.wind.dice = Random(system)
         autopilot.take_home(autopilot.vehicle.place)
@@ -77,7 +81,7 @@ class MavlinkFake:
         self._writer = Writer(system, COMPONENT)
         self._readers = Readers()
         self._rest = 0.0
-        self._known_faults = {fault.name: fault.default for fault in KNOWN}
+        self._known_faults = {fault.name: fault.default for fault in KNOWN} | put
         self._take_faults()
         self.faults.watch(self._take_faults)
         autopilot.perform = self._perform
@@ -223,6 +227,9 @@ class MavlinkFake:
                 setattr(self.autopilot, STATES[name], changed[name])
         for name in AIR:
             setattr(self.autopilot.vehicle.wind, AIR[name], changed[name])
+        north, east = (changed[name] - known[name] for name in WHERE)
+        at = self.autopilot.vehicle.place
+        self.autopilot.vehicle.place = (at[0] + north, at[1] + east, at[2])
         if changed["battery"] != known["battery"]:
             self.autopilot.battery.charge = changed["battery"]
         self._known_faults = changed

@@ -82,9 +82,7 @@ class Setup:
         kind = FLAVOURS[option.flavour][option.kind]
         board = self.board + number if self.board else 0
         autopilot = Autopilot(kind, board=board, battery=Battery(self.charge), payload=Payload(self.fitted))
-        start = Place()
-        latitude, longitude = start.at(0.0, number * APART)
-        place = Place(latitude / 1e7, longitude / 1e7, start.altitude)
+        place = Place().moved(0.0, number * APART)
         fake = MavlinkFake(autopilot, system=option.system, place=place, faults=faults)
         for limit, (name, scale) in kind.speeds.items():
             # What speeds up both ways does so up and down, too.

@@ -235,6 +235,16 @@ def test_another_kind_of_vehicle_is_refused(bench):
     b.run(mission, opened=False)
 
 
+def test_another_autopilot_is_refused(bench):
+    b = bench(options={"autopilot": "px4"})
+
+    async def mission(fc):
+        with pytest.raises(DeviceError, match="system 1 has ArduPilot, not what the binding says: px4"):
+            await fc.open()
+
+    b.run(mission, opened=False)
+
+
 def test_a_failsafe_ends_the_flight_and_is_not_fought(bench):
     b = bench()
 

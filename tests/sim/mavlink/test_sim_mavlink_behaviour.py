@@ -9,6 +9,7 @@ from mavlink_client import ACCEPTED, ARM, DENIED, FAILED, GUIDED, MODE, ONCE, ST
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
+from lfield_sim.mavlink.geo import Place
 from lfield_sim.mavlink.link.wire import make_faults
 from lfield_sim.mavlink.protocol import MavlinkFake, MavlinkLink
 
@@ -323,3 +324,13 @@ def test_px4_takes_a_home_in_a_calibration_without_a_word():
     assert c.command(CALIBRATE, 1) == ACCEPTED
     assert c.command_int(SET_HOME, x=before.latitude + 900, y=before.longitude, z=490.0) is None
     assert c.ask(HOME_POSITION).latitude == pytest.approx(before.latitude + 900, abs=2)
+
+
+def test_vehicles_are_put_apart_from_the_start_and_may_be_carried():
+    c = Client(faults=("north=30", "east=-40"))
+    assert Place().local(c.ask(33).lat, c.ask(33).lon) == pytest.approx((30.0, -40.0), abs=0.02)
+    assert (c.ask(32).x, c.ask(32).y) == (0.0, 0.0), "it was switched on there"
+    c.fault("north=32")
+    assert (c.ask(32).x, c.ask(32).y) == (2.0, 0.0), "and carried from there"
+    c.up()
+    assert Place().local(c.ask(33).lat, c.ask(33).lon) == pytest.approx((32.0, -40.0), abs=0.1)

@@ -171,7 +171,7 @@ def bound(field: str, **options) -> DeviceBinding:
 def test_the_bindings_of_a_bus_make_one_fake():
     devices = [
         bound("fc", kind="rover", system=9),
-        bound("up", kind="copter", system=2, flavour="px4"),
+        bound("up", kind="copter", system=2, autopilot="px4"),
         bound("gimbal", system=2),
     ]
     words = SIM.arguments(devices)

@@ -23,6 +23,8 @@ KNOWN = (
     Fault("wind", 0.0, "m/s of steady wind", 0.0, 40.0),
     Fault("wind_from", 0.0, "where it comes from, rad clockwise from north", -math.tau, math.tau),
     Fault("gusts", 0.0, "m/s that gusts are stronger than that at most", 0.0, 40.0),
+    Fault("north", 0.0, "m north of where all are switched on, where it is put", -1e4, 1e4),
+    Fault("east", 0.0, "m east of there", -1e4, 1e4),
     Fault("warm_up", 0.0, "seconds after a start without health", 0.0, 600.0),
 )
 #: How late a packet comes that is out of order, in seconds.
