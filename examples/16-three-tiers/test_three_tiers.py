@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import pytest
+
+from lfield.testing.mission.picture import draw
 
 SITES = {"gate", "mast", "pump", "tank", "well", "yard"}
 #: Where what nobody told the planner of stands: metres north and east, and its radius.
 OBSTACLE, RADIUS = (30.0, 12.0), 3.0
+
+
+PICTURE = (Path(__file__).parent / "tracks.svg").read_text(encoding="utf-8")
+
+
+def shows(picture):
+    """What a picture is of: its lines, each with the places where it begins and ends, to 20 dots."""
+    lines = [re.findall(r"[0-9.]+", line) for line in re.findall(r'd="(M[^"]*)"', picture)]
+    return [[round(float(number) / 20.0) for number in (*line[:2], *line[-2:])] for line in lines]
 
 
 def inspected(team):
@@ -38,6 +51,7 @@ def test_what_the_rover_cannot_come_to_the_copter_takes(lfield_mission):
     assert team.said("rover did not come to mast: something is in the way") == 1
     assert RADIUS + 2.0 < nearest(team) < RADIUS + 9.0
     assert at_home(team)
+    assert shows(draw(team.tracks, "three tiers", team.marks)) == shows(PICTURE), "draw it again"
     # All hosts agree on what was sensed and what is next: once before the first step, and after each.
     hosts = {hop.target for hop in team.hops}
     agreements = 1 + sum(call.portal == "learn" for call in team.calls)
@@ -79,14 +93,13 @@ def test_tier_one_comes_home_while_the_battery_lasts_and_asks_nobody(lfield_miss
 
 
 def test_when_the_wind_drains_the_battery_there_is_a_new_plan(lfield_mission):
-    team = lfield_mission("mission.dL")
-    team.run(until=lambda: gone(team, "copter.fc", 3.0))
-    team.fake("copter.fc").set("battery=0.38")
-    team.run(until="rover can go")
-    assert team.said("copter cannot go that far any more") + team.said("rover did not come to mast") == 1
-    assert inspected(team) == [("copter", "gate")]
-    assert "yard" not in [line.text for line in team.log if "copter can go" in line.text][-1]
-    assert "yard" in [line.text for line in team.log if "rover can go" in line.text][-1]
+    team = lfield_mission("mission.dL", fakes={"copter.fc": ["wind=9", "wind_from=0.5"]})
+    team.run(until="copter is home", at_most=100.0)
+    said = [line.text for line in team.log if "copter" in line.text]
+    assert "sequencer: copter cannot go that far any more: " in said[-3]
+    assert said[-2].endswith(" and shall visit nothing")
+    assert ("copter", "mast") in inspected(team)
+    assert team.tracks["copter.fc"][-1].up < 0.1
 
 
 @pytest.mark.parametrize(
