@@ -6,6 +6,5 @@ PLUGIN = Plugin(
     name="planner",
     package="lfield_planner",
     driver="lfield_planner.driver:PlannerDriver",
-    extra="planner",
     requires=("highspy",),
 )

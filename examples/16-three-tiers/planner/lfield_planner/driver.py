@@ -15,7 +15,7 @@ from typing import Any
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_planner.device import PlannerDevice
 
-#: Seconds for a link or a process to come about, and bytes of the longest line.
+#: Seconds for a link to come about, and bytes of the longest line.
 CONNECT, LONGEST = 10.0, 1 << 16
 #: The planner in a process of its own. In any other language it would be another command.
 WORKER = (sys.executable, "-m", "lfield_planner.worker")
@@ -37,8 +37,7 @@ class PlannerDriver(Driver):
 
     async def _open(self) -> None:
         self._lock = asyncio.Lock()
-        async with asyncio.timeout(CONNECT):
-            await self._connect()
+        await self._connect()
         for device in self.devices.values():
             assert isinstance(device, PlannerDevice)
             self.spawn(device.tell(lambda: self._link is not None and not self._link[0].at_eof()))
@@ -74,11 +73,12 @@ class PlannerDriver(Driver):
             if self.endpoint == "process:":
                 self._link = await self._start()
             elif kind == "tcp" and host and port.isdecimal():
-                self._link = await asyncio.open_connection(host, int(port), limit=LONGEST)
+                async with asyncio.timeout(CONNECT):
+                    self._link = await asyncio.open_connection(host, int(port), limit=LONGEST)
             else:
                 raise self._lost("this is no endpoint; write process: or tcp:HOST:PORT")
         except OSError as error:
-            raise self._lost(error.strerror or str(error)) from None
+            raise self._lost(error.strerror or str(error) or "nobody answers") from None
         return self._link
 
     async def _start(self) -> Link:
