@@ -38,6 +38,7 @@ def shown(team: Team) -> Team:
 def draw(team: Team) -> str:
     """An SVG of the hops, of the tuples that were worked on, and of what befell hosts."""
     parts = [text(8, y(host) + 4, host, "#222") for host in HOSTS]
+    parts += [text(8, y(host_of(team, client)) + 18, client, colour) for client, colour in COLOURS.items()]
     parts += [f'<path d="M{LEFT} {y(h)}H{x(team.now):.1f}" stroke="#ddd"/>' for h in HOSTS]
     parts += [text(x(t), y("east") + 40, f"{t} s", "#888") for t in range(int(team.now) + 1)]
     parts += [track(team, client) for client in COLOURS]
@@ -72,8 +73,7 @@ def worked(call: PortalCall) -> bool:
 
 def work(team: Team, call: PortalCall) -> str:
     """A bar with the tuple in it."""
-    whole = team.mission.team
-    place = y(next(whole.hosts[member.host] for member in whole.members if member.id == call.resource))
+    place = y(host_of(team, call.resource))
     end = call.ended or next(mark.at for mark in team.marks if mark.at > call.at)
     dashed = "" if call.ended else ' stroke-dasharray="4"'
     return (
@@ -89,6 +89,12 @@ def fields(tuple_: object) -> Iterator[str]:
     yield from values if values[0] == "row" else values[1:]
 
 
+def host_of(team: Team, agent: str) -> str:
+    """Where an agent is deployed."""
+    whole = team.mission.team
+    return next(whole.hosts[member.host] for member in whole.members if member.id == agent)
+
+
 def x(seconds: float) -> float:
     """Pixels from the left."""
     return LEFT + SECOND * seconds
@@ -96,7 +102,7 @@ def x(seconds: float) -> float:
 
 def y(host: str) -> float:
     """Pixels from the top."""
-    return ROW * (HOSTS.index(host) + 0.6)
+    return ROW * HOSTS.index(host) + 44.0
 
 
 def text(left: float, base: float, words: str, colour: str) -> str:

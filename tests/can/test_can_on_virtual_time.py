@@ -6,8 +6,6 @@ import threading
 
 import pytest
 
-pytest_plugins = ["lfield.testing.plugin"]
-
 MISSION = """
 resource Mill {
     CanAxis axis;
@@ -45,7 +43,7 @@ agents:
       axis:
         driver: can
         type: CanAxis
-        endpoint: socketcan:can1
+        endpoint: socketcan:can0
         protocol: odrive
         node: 3
         limits: {speed: 20.0}

@@ -102,6 +102,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield sim fault planner slow=1e6": TIERS,
         "lfield kit planner --endpoint process:": TIERS,
     },
+    "examples/15-tuple-space/README.md": {"lfield test examples/15-tuple-space": SUITE},
     "examples/20-gps-driver/README.md": {
         "pip install -e examples/20-gps-driver": GPS,
         "lfield sim gps &": GPS,

@@ -12,19 +12,21 @@ from functools import partial
 from typing import Any
 
 from lfield.devices.fakes import conditions
-from lfield.driver.binding import DeviceBinding, by_bus
+from lfield.driver.binding import DeviceBinding
 from lfield.driver.sims import Sim, SimOnLoop, sims_of
 from lfield.errors import LfieldError, MissionTestError, PluginError
 from lfield.loop import Fake
 from lfield.mission.mission import Mission
 from lfield.simulate.computers.computer import Computer, Process
 from lfield.simulate.computers.machines import Machine
-from lfield.simulate.fleet import Fleet, at_endpoints
+from lfield.simulate.fleet import Fleet, at_endpoints, buses_of
 
 #: Seconds for all fakes to be ready, and how often to look.
 READY, LOOK = 5.0, 0.01
 
 Place = tuple[float, float, float]
+#: Host, driver and endpoint.
+Bus = tuple[str, str, str]
 
 
 class FakeDevice:
@@ -86,26 +88,29 @@ class Fakes:
         self._problems: list[str] = []
         #: What fakes have raised that they should not.
         self.trouble: list[Exception] = []
-        self._served: dict[tuple[str, str], tuple[Process, Fake]] = {}
+        self._served: dict[Bus, tuple[Process, Fake]] = {}
         #: By the names of their bindings.
         self.devices: dict[str, FakeDevice] = {}
 
     def plug(self, fleet: Fleet, mission: Mission, _: random.Random) -> Mission:
         """Start them, and give the mission with their endpoints. Raises PluginError and MissionTestError."""
-        buses = by_bus(mission.bindings.all)
+        buses = buses_of(mission)
         names = {device.name for bus in buses.values() for device in bus}
         if unknown := sorted(self._wrong.keys() - names):
             known = ", ".join(sorted(names)) or "none"
             raise MissionTestError(f"there is no device '{unknown[0]}' with a fake here; there are: {known}")
-        sims = sims_of({driver for driver, _ in buses})
+        sims = sims_of({driver for _, driver, _ in buses})
         for bus, devices in buses.items():
-            if (sim := sims.get(bus[0])) is None:
-                raise PluginError(f"{devices[0].name}: there is no fake for driver '{bus[0]}'")
+            if (sim := sims.get(bus[1])) is None:
+                raise PluginError(f"{devices[0].name}: there is no fake for driver '{bus[1]}'")
             self._start(fleet, bus, devices, sim)
         self._wait(fleet, buses)
-        return at_endpoints(mission, {bus: fake.endpoint for bus, (_, fake) in self._served.items()})
+        endpoints = {bus: fake.endpoint for bus, (_, fake) in self._served.items()}
+        return at_endpoints(
+            mission, {d.name: endpoints[bus] for bus, devices in buses.items() for d in devices}
+        )
 
-    def _start(self, fleet: Fleet, bus: tuple[str, str], devices: Sequence[DeviceBinding], sim: Sim) -> None:
+    def _start(self, fleet: Fleet, bus: Bus, devices: Sequence[DeviceBinding], sim: Sim) -> None:
         if not isinstance(sim, SimOnLoop):
             raise PluginError(f"the fake '{sim.name}' cannot stand in a test of a mission: it has no `serve`")
         args = self._options(devices, sim)
@@ -136,16 +141,14 @@ class Fakes:
         """A bug of a fake: whoever runs the team raises it."""
         self.trouble.append(context.get("exception") or RuntimeError(context["message"]))
 
-    def _serves(
-        self, bus: tuple[str, str], devices: Sequence[DeviceBinding], process: Process, fake: Fake
-    ) -> None:
+    def _serves(self, bus: Bus, devices: Sequence[DeviceBinding], process: Process, fake: Fake) -> None:
         self._served[bus] = process, fake
         numbers = {called: number for number, called in fake.devices.items()}
         for device in devices:
             number = numbers.get(device.name, next(iter(fake.devices), ""))
             self.devices[device.name] = FakeDevice(device.name, process, fake, number, self._mark)
 
-    def _wait(self, fleet: Fleet, buses: Mapping[tuple[str, str], Sequence[DeviceBinding]]) -> None:
+    def _wait(self, fleet: Fleet, buses: Mapping[Bus, Sequence[DeviceBinding]]) -> None:
         while self._served.keys() < buses.keys():
             if self._problems:
                 raise MissionTestError("; ".join(self._problems))

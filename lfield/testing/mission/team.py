@@ -8,6 +8,7 @@ seed is one run.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -31,6 +32,8 @@ LOOK = 0.02
 DAY = (1.8e9, 1.8e9 + 0.5)
 #: Metres that are a move.
 MOVED = 0.5
+#: Seconds of real time that one `run` may take.
+PATIENCE = 120.0
 #: So many lines are shown of a host that has ended.
 LAST_WORDS = 5
 
@@ -70,16 +73,19 @@ class Team:
         self._away: set[str] = set()
         self._calls, self._hops = Calls(lambda: self.now), Hops(lambda: self.now)
         self._lines = Lines(mission.program, lambda seconds, event: self._fleet.later(seconds, event))
-        with fenced() as caught:
+        self._caught: Sequence[MissionTestError] = ()
+        self._patience = math.inf
+        with fenced() as self._caught:
             self._fleet = Fleet(
                 mission,
                 seed,
+                watch=self._watch,
                 unreachable_after=mission.bindings.unreachable_after,
                 keeps=keeps,
                 born=self._born,
                 plug=self._fakes.plug,
             )
-        self._check(caught)
+        self._watch(self._fleet)
         for machine in self._fleet.machines.values():
             machine.set_day(DAY)
         self._tracks = Tracks(self._fakes.devices, lambda: self.now, self._fleet.later)
@@ -109,9 +115,11 @@ class Team:
         """Let time go on: for so many seconds, until a line has these words, until something is true, or
         until every coordinator has ended.
 
-        Raises Stuck when that has not come after `at_most` seconds, or cannot come any more; and what went
-        wrong in a double, or wanted to touch this computer.
+        Raises Stuck when that has not come after `at_most` seconds, or cannot come any more, or when this
+        takes PATIENCE seconds of real time; and what went wrong in a double, or wanted to touch this
+        computer.
         """
+        self._patience = time.monotonic() + PATIENCE
         if until_done:
             waited = "the coordinators have not ended"
             self._wait(lambda: set(self.ended) >= self._coordinators, at_most, waited)
@@ -135,15 +143,18 @@ class Team:
                 raise Stuck(f"{why}, and {name} has ended by itself", self._last_words(name))
 
     def _go(self, seconds: float) -> None:
-        with fenced() as caught:
+        with fenced() as self._caught:
             self._fleet.run(seconds)
-        self._check(caught)
 
-    def _check(self, caught: Sequence[MissionTestError]) -> None:
-        for trouble in (*self._doubles.trouble, *caught, *self._fakes.trouble):
+    def _watch(self, fleet: Fleet) -> None:
+        """Something has happened: raise what went wrong with it."""
+        for trouble in (*self._doubles.trouble, *self._caught, *self._fakes.trouble):
             raise trouble
-        if self._fleet.failed:
+        if fleet.failed:
             raise Stuck("a host has ended because of a bug in lfield", self._last_words())
+        if time.monotonic() > self._patience:
+            why = f"the test has run for {PATIENCE:g} s; does a loop of L neither wait nor end?"
+            raise Stuck(f"at {fleet.now:.3f} s of the mission {why}", standing(fleet))
 
     def _last_words(self, host: str = "") -> list[str]:
         said = [line for line in self.log if host in ("", line.host)]
