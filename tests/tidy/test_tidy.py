@@ -84,8 +84,11 @@ def test_no_folder_has_more_than_14_files() -> None:
 
 
 def test_no_two_test_files_have_one_name() -> None:
-    """pytest imports them, and what they share, by their bare names: of two it takes one for the other."""
-    bare = (path for path in files("tests", "examples") if not (path.parent / "__init__.py").exists())
+    """pytest imports them, and what they share, by their bare names: of two it takes one for the other.
+
+    What is in a package is imported by the name of that too.
+    """
+    bare = (path for path in files("tests", "examples") if not (path.parent / "__init__.py").is_file())
     names = Counter(path.name for path in bare if path.name not in NAMESAKES)
     assert [name for name, count in names.items() if count > 1] == []
 

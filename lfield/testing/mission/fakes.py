@@ -147,6 +147,9 @@ class Fakes:
         for device in devices:
             number = numbers.get(device.name, next(iter(fake.devices), ""))
             self.devices[device.name] = FakeDevice(device.name, process, fake, number, self._mark)
+        # What several fakes have between them, such as a box that their robots push, has a name of its own.
+        for thing in fake.places.keys() - fake.devices.keys():
+            self.devices[thing] = FakeDevice(thing, process, fake, thing, self._mark)
 
     def _wait(self, fleet: Fleet, buses: Mapping[Bus, Sequence[DeviceBinding]]) -> None:
         while self._served.keys() < buses.keys():
