@@ -68,12 +68,12 @@ def test_a_conftest_that_asks_has_it(project):
 
 
 def test_lfield_test_tells_how_it_went_by_its_status(project):
-    status, said = run(project, "-m", "lfield", "test", "test_walk.py", "--", "-k", "it_ends")
+    status, said = run(project, "-m", "lfield", "test", "test_walk.py", "-k", "it_ends")
     assert (status, "1 passed" in said) == (exits.DONE, True), said
     status, said = run(project, "-m", "lfield", "test")
     assert (status, "1 failed, 1 passed" in said) == (exits.FAILED, True), said
     assert "nobody has said 'never' after 3600 s of the mission" in said
-    status, said = run(project, "-m", "lfield", "test", "--", "-k", "nothing")
+    status, said = run(project, "-m", "lfield", "test", "-k", "nothing")
     assert status == exits.NO_INPUT, said
     assert not (project / "tracks").exists(), "nobody has moved"
 
