@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-PROJECTS = sorted(Path(__file__).parent.glob("*/pyproject.toml"))
+PROJECTS = sorted(Path(__file__).parent.rglob("pyproject.toml"))
 
 
 @pytest.fixture(scope="session")

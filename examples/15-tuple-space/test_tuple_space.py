@@ -162,6 +162,7 @@ def test_a_robot_that_was_only_cut_off_writes_nothing_of_what_was_given_back(fie
 def test_a_wait_that_was_broken_off_goes_on_in_its_place(field):
     """Without a majority nobody may act, so those who wait are told; their call in the space lives on."""
     field.run(until='scout takes ("row", 1)')
+    field.run(0.1)
     for host in ROBOTS:
         field.cut("farm", host)
     field.run(4.0)

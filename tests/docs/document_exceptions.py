@@ -21,6 +21,7 @@ SURVIVES = LONG + "tests/cli/run/test_mission_survives.py runs it"
 DRIVER = "a driver of its own: tests/cli/robot/test_driver_new.py makes and tries one"
 SETUP = "writes to a vehicle, after a yes: tests/cli/robot/test_setup_command.py"
 GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake and its kit"
+TIERS = "of a driver of its own: examples/16-three-tiers runs the mission, and its test_tutorial.py the lines"
 ARENA = "installs a driver of its own: examples/21-box-pushing and 22-predators have their own tests"
 KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
 
@@ -89,6 +90,18 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,
         "sky   | carrier.fc: it has a watchdog of 2 s: nothing stops it sooner when this computer dies "
         "(waived by its binding)": EXAMPLES,
+    },
+    "examples/16-three-tiers/README.md": {
+        "pip install -e examples/16-three-tiers/planner": TIERS,
+        "lfield up --deploy examples/16-three-tiers/mission.dL --all --sim --until-done": TIERS,
+        "tower  | sequencer: copter can go 105 m, and shall visit gate yard": TIERS,
+        "lfield driver new router --sensor --into router": TIERS,
+        'echo \'{"sites": [[10, 0], [0, 10]], "worth": [1, 1], "start": [0, 0], "reach": 40}\' '
+        "| python -m lfield_planner.worker": TIERS,
+        '{"tour": [0, 1]}': TIERS,
+        "lfield sim planner --listen tcp:127.0.0.1:5598 --fault nonsense=repeated &": TIERS,
+        "lfield sim fault planner slow=1e6": TIERS,
+        "lfield kit planner --endpoint process:": TIERS,
     },
     "examples/15-tuple-space/README.md": {"lfield test examples/15-tuple-space": SUITE},
     "examples/20-gps-driver/README.md": {

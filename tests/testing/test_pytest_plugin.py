@@ -72,7 +72,7 @@ def test_lfield_test_tells_how_it_went_by_its_status(project):
     assert (status, "1 passed" in said) == (exits.DONE, True), said
     status, said = run(project, "-m", "lfield", "test")
     assert (status, "1 failed, 1 passed" in said) == (exits.FAILED, True), said
-    assert "nobody has said 'never' after 3600 s of the mission" in said
+    assert "nobody has said 'never' after 120 s of the mission, which has ended" in said
     status, said = run(project, "-m", "lfield", "test", "-k", "nothing")
     assert status == exits.NO_INPUT, said
     assert not (project / "tracks").exists(), "nobody has moved"
