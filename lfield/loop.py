@@ -105,7 +105,7 @@ class Fake(NamedTuple):
     """A fake that serves: its kind and endpoint, what can be set in it, and what is true of its devices.
 
     `devices` are ids with the names of their bindings; `facts` and `places` are by id. A place is in metres
-    north, east and up of one point for all fakes.
+    north, east and up of one point for all fakes. Things that are no device have places by their own names.
     """
 
     kind: str
@@ -134,7 +134,16 @@ class Simulated(Protocol):
         """Open a serial port for us alone. Raises OSError."""
 
     def plug_serial(self, path: str, received: Callable[[bytes, int], None]) -> SerialEnd:
-        """Be what stands at the far end of a new port; what comes has the baud rate of who sent it."""
+        """Be what stands at the far end of a new port; what comes has the baud rate of who sent it.
+
+        Raises OSError when there is one of that name.
+        """
+
+    def shared(self, name: str, make: Callable[[], T]) -> T:
+        """What is one for all fakes of this simulation, such as the ground that several of them stand on.
+
+        Whoever asks first makes it.
+        """
 
     async def serve(self, fake: Fake) -> None:
         """Be a fake of this simulation, until it is told to end."""

@@ -27,14 +27,14 @@ class Plugin:
 
     `package` holds a manifest for each device type, and the folder `L` with the L sources that missions
     include as `<servo/gripper.L>`. `driver` is the path of the driver's class and `kit` that of its
-    conformance kit (`package.kit:KIT`), both imported only where they run; `extra` is what to install when
-    one of the vendor modules in `requires` is missing.
+    conformance kit (`package.kit:KIT`), both imported only where they run; `extra` is that of lfield with the
+    vendor modules in `requires`, '' for a driver of one's own.
     """
 
     name: str
     package: str
     driver: str
-    extra: str
+    extra: str = ""
     requires: tuple[str, ...] = ()
     manifests: tuple[str, ...] = ("manifest.yaml",)
     kit: str = ""
@@ -47,7 +47,9 @@ class Plugin:
     @property
     def to_install(self) -> str:
         """The command that installs what may be missing."""
-        return f"pip install 'lfield[{self.extra}]'"
+        if self.extra:
+            return f"pip install 'lfield[{self.extra}]'"
+        return f"pip install {' '.join(self.missing or self.requires)}"
 
     def manifest_bytes(self, file: str) -> bytes:
         """One of its manifest files as it is installed. Raises PluginError."""

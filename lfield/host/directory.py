@@ -71,7 +71,8 @@ class TeamDirectory:
         self._clock = clock
         self.directory = Directory(registry, agents, name, nearby, clock, life)
         self._reports = Reports(registry, agents)
-        self._sampler = Sampler(registry.attributes, running, mission.needed, nearby, clock)
+        fields = {agent.id: mission.bindings.devices.get(agent.id, {}) for agent in agents}
+        self._sampler = Sampler(registry.attributes, running, fields, nearby, clock)
         self._linked: dict[str, None] = {}
         #: When `tick` has something to do next, None for never.
         self.due: float | None = None

@@ -9,13 +9,14 @@ from __future__ import annotations
 import hashlib
 import io
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 from msgspec import structs
 
 from lfield import exits
+from lfield.driver.binding import DeviceBinding
 from lfield.driver.known import KnownDrivers
 from lfield.errors import JournalError, LfieldError
 from lfield.host.core import HostCore
@@ -261,14 +262,13 @@ class Fleet:
 
 def plug_any_hardware(fleet: Fleet, mission: Mission, dice: random.Random) -> Mission:
     """The mission with a device of this simulation in the place of each; its driver is that of any device."""
-    hosts = {member.id: mission.team.hosts[member.host] for member in mission.team.members}
-    endpoints: dict[tuple[str, str], str] = {}
-    for device in mission.bindings.all:
-        if device.bus not in endpoints:
-            made = Hardware(fleet.timeline, random.Random(dice.random()))
-            endpoint = endpoints[device.bus] = f"virtual:{device.endpoint}"
-            fleet.machines[hosts[device.agent]].hardware[endpoint] = made
-            fleet.hardware[device.name] = made
+    endpoints: dict[str, str] = {}
+    for (host, *_), devices in buses_of(mission).items():
+        made = Hardware(fleet.timeline, random.Random(dice.random()))
+        endpoint = f"virtual:{devices[0].endpoint}"
+        fleet.machines[host].hardware[endpoint] = made
+        fleet.hardware[devices[0].name] = made
+        endpoints |= {device.name: endpoint for device in devices}
     simulated = {
         name: replace(driver, reference=REFERENCE, files={})
         for name, driver in mission.drivers.by_driver.items()
@@ -276,10 +276,19 @@ def plug_any_hardware(fleet: Fleet, mission: Mission, dice: random.Random) -> Mi
     return replace(at_endpoints(mission, endpoints), drivers=KnownDrivers(simulated))
 
 
-def at_endpoints(mission: Mission, endpoints: Mapping[tuple[str, str], str]) -> Mission:
-    """The mission with the devices of each bus (`DeviceBinding.bus`) at another endpoint."""
+def buses_of(mission: Mission) -> Mapping[tuple[str, str, str], Sequence[DeviceBinding]]:
+    """The devices of a mission by host, driver and endpoint: two hosts have two buses of one name."""
+    hosts = {member.id: mission.team.hosts[member.host] for member in mission.team.members}
+    buses: dict[tuple[str, str, str], list[DeviceBinding]] = {}
+    for device in mission.bindings.all:
+        buses.setdefault((hosts[device.agent], *device.bus), []).append(device)
+    return buses
+
+
+def at_endpoints(mission: Mission, endpoints: Mapping[str, str]) -> Mission:
+    """The mission with its devices, by their names, at other endpoints."""
     bound = {
-        agent: {field: structs.replace(d, endpoint=endpoints[d.bus]) for field, d in fields.items()}
+        agent: {field: structs.replace(d, endpoint=endpoints[d.name]) for field, d in fields.items()}
         for agent, fields in mission.bindings.devices.items()
     }
     return replace(mission, bindings=replace(mission.bindings, devices=bound))

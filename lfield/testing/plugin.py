@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 #: Makes a team: the deployment's path, beside the test's file where it is not absolute; and Team's options.
 OpenMission = Callable[..., "Team"]
 
-_DRAWN = pytest.StashKey[list[Path]]()
+#: Under this name a test's report says which pictures it has drawn: it may have run in another process.
+_DRAWN = "lfield tracks"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -66,10 +67,12 @@ def _draw(request: pytest.FixtureRequest, team: Team, which: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / f"{name}.svg"
     file.write_text(draw(team.tracks, f"{team.mission.name}: {request.node.name}", team.marks))
-    request.config.stash.setdefault(_DRAWN, []).append(file)
+    request.node.user_properties.append((_DRAWN, str(file)))
 
 
-def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+def pytest_terminal_summary(terminalreporter: Any) -> None:
     """Say which pictures there are."""
-    for file in config.stash.get(_DRAWN, []):
+    reports = (report for found in terminalreporter.stats.values() for report in found)
+    ended = (report for report in reports if getattr(report, "when", "") == "teardown")
+    for file in sorted(value for report in ended for name, value in report.user_properties if name == _DRAWN):
         terminalreporter.write_line(f"tracks: {file}")

@@ -154,9 +154,8 @@ def serve(
         turn(resource, served)
         return
     scheduler.set_state(resource, served, CALLING)
-    resource.block.w[place_of(resource.block, served) + THREAD_PC] = scheduler.program.core.methods[
-        method
-    ].entry
+    entry = scheduler.program.core.methods[method].entry
+    resource.block.w[place_of(resource.block, served) + THREAD_PC] = entry
     stand_in(_Call(scheduler, resource, served, method))
 
 

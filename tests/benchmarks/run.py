@@ -34,6 +34,7 @@ FIGURES = {
     "leases": "team.leases",
     "recovery": "team.recovery",
     "formation": "team.formation",
+    "missions": "team.tested_missions",
 }
 
 if __name__ == "__main__":

@@ -218,7 +218,7 @@ def understand(line: str) -> None:
     name, *words = shlex.split(line, comments=True)
     if name not in COMMANDS:
         raise ValueError(f"there is no subcommand '{name}'")
-    if name in ("sim", "kit") and {"lamp", "gps", "$name"}.intersection(words):
+    if name in ("sim", "kit") and {"lamp", "gps", "planner", "$name"}.intersection(words):
         # Of a driver that the lines before have made or installed.
         return
     parser = Strict()

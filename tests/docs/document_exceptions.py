@@ -21,6 +21,8 @@ SURVIVES = LONG + "tests/cli/run/test_mission_survives.py runs it"
 DRIVER = "a driver of its own: tests/cli/robot/test_driver_new.py makes and tries one"
 SETUP = "writes to a vehicle, after a yes: tests/cli/robot/test_setup_command.py"
 GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake and its kit"
+TIERS = "of a driver of its own: examples/16-three-tiers runs the mission, and its test_tutorial.py the lines"
+ARENA = "installs a driver of its own: examples/21-box-pushing and 22-predators have their own tests"
 KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
 
 #: By page: command lines, and first lines of outputs.
@@ -89,10 +91,35 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "sky   | carrier.fc: it has a watchdog of 2 s: nothing stops it sooner when this computer dies "
         "(waived by its binding)": EXAMPLES,
     },
+    "examples/16-three-tiers/README.md": {
+        "pip install -e examples/16-three-tiers/planner": TIERS,
+        "lfield up --deploy examples/16-three-tiers/mission.dL --all --sim --until-done": TIERS,
+        "tower  | sequencer: copter can go 105 m, and shall visit gate yard": TIERS,
+        "lfield driver new router --sensor --into router": TIERS,
+        'echo \'{"sites": [[10, 0], [0, 10]], "worth": [1, 1], "start": [0, 0], "reach": 40}\' '
+        "| python -m lfield_planner.worker": TIERS,
+        '{"tour": [0, 1]}': TIERS,
+        "lfield sim planner --listen tcp:127.0.0.1:5598 --fault nonsense=repeated &": TIERS,
+        "lfield sim fault planner slow=1e6": TIERS,
+        "lfield kit planner --endpoint process:": TIERS,
+    },
+    "examples/15-tuple-space/README.md": {"lfield test examples/15-tuple-space": SUITE},
     "examples/20-gps-driver/README.md": {
         "pip install -e examples/20-gps-driver": GPS,
         "lfield sim gps &": GPS,
         "lfield kit gps --endpoint serial:/dev/ttyUSB0:9600": GPS,
+    },
+    "examples/21-box-pushing/README.md": {
+        "pip install -e examples/21-box-pushing": ARENA,
+        "lfield up --deploy examples/21-box-pushing/mission.dL --all --sim --until-done": ARENA,
+        "lfield test examples/21-box-pushing": ARENA,
+        "centre    | movers: the box is at (2.99, 0.99), heading 0.51 after 23 steps and 97 hops": ARENA,
+    },
+    "examples/22-predators/README.md": {
+        "pip install -e examples/21-box-pushing": ARENA,
+        "lfield up --deploy examples/22-predators/mission.dL --all --sim --until-done": ARENA,
+        "lfield test examples/22-predators": ARENA,
+        "west  | hunt: caught by 4 at (4.8, 0.0) after 20 steps and 123 hops": ARENA,
     },
     "drivers/lfield_mavlink/README.md": {
         "lfield setup --deploy mission.dL": SETUP,

@@ -126,3 +126,10 @@ def test_plugins_can_be_added_by_reference():
     plugins = Plugins()
     plugins.add("lfield_mavlink:PLUGIN")
     assert "Mavlink" in plugins.device_types
+
+
+def test_a_driver_of_ones_own_names_the_vendor_library_that_is_missing():
+    """It is in no extra of lfield."""
+    plugin = Plugin("x", "json", "json:JSONDecoder", requires=("no_such_vendor", "json"))
+    with pytest.raises(PluginError, match=r"driver 'x' needs no_such_vendor: pip install no_such_vendor$"):
+        plugin.load()

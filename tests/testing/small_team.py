@@ -12,13 +12,21 @@ from lfield.testing.mission.doubles import Doubles, later_in
 
 
 class SmallTeam(Fleet):
-    """A program and a deployment on simulated computers; the first trouble of a double is raised."""
+    """A program and a deployment, or those in the folder, on simulated computers.
+
+    The first trouble of a double is raised.
+    """
 
     def __init__(
-        self, folder: Path, program: str, deployment: str, doubles: Mapping[str, object] | None = None
+        self,
+        folder: Path,
+        program: str = "",
+        deployment: str = "",
+        doubles: Mapping[str, object] | None = None,
     ) -> None:
-        (folder / "mission.L").write_text(program)
-        (folder / "mission.dL").write_text("\n".join([*deployment.split(), ""]))
+        if program:
+            (folder / "mission.L").write_text(program)
+            (folder / "mission.dL").write_text("\n".join([*deployment.split(), ""]))
         self.doubles = Doubles(load_mission(folder / "mission.dL", simulate=True), doubles or {})
         self.calls = Calls(lambda: self.now)
         super().__init__(self.doubles.mission, 1, watch=SmallTeam._look, born=self._watched)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+import shutil
 import traceback
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 from small_team import SmallTeam
 
-from lfield.errors import DoubleError, LfieldError
+from lfield.errors import DoubleError, LfieldError, Stuck
 from lfield.mission.load import load_mission
 from lfield.testing import After, LObject, Throws
 from lfield.testing.mission.doubles import Doubles
+from lfield.testing.mission.team import Team
 
 PROGRAM = """
 class Place {
@@ -232,6 +235,17 @@ def test_a_call_that_waits_for_its_answer_can_be_cancelled(tmp_path: Path) -> No
     # What would have been given then is dropped.
     team.run(30.0)
     assert team.call_results("flow") == [None, None, None]
+    assert team.lives.keys() == {"alpha", "bravo"}
+
+
+def test_what_is_too_large_for_its_resource_is_a_limit_as_ever(tmp_path: Path) -> None:
+    body = 'real[] parts = pump.split(null); print("got " + i2s(parts.length()));'
+    team = team_of(tmp_path, body, split=lambda parts: [0.5] * 200_000)
+    team.until("the end")
+    assert team.said("thrown: the heap of pump is over its limit of 1048576 bytes")
+    team = team_of(tmp_path, body, split=lambda parts: [0.5] * 100_000)
+    team.until("the end")
+    assert team.said("got 100000")
 
 
 def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
@@ -243,7 +257,8 @@ def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
     team.until("the end")
     assert team.said("late")
     team.run(10.0)
-    assert team.call_results("flow")[-1] == 2
+    assert team.call_results("flow") == [None, 2]
+    assert team.lives.keys() == {"alpha", "bravo"}
 
 
 def test_a_host_that_dies_takes_the_answer_with_it(tmp_path: Path) -> None:
@@ -257,6 +272,25 @@ def test_a_host_that_dies_takes_the_answer_with_it(tmp_path: Path) -> None:
     assert team.said("again 2")
     team.run(10.0)
     assert team.call_results("flow") == [None, 2]
+
+
+@pytest.mark.parametrize("body", ["pump.flow(1); pump.flow(2);", "together { pump.flow(1); } pump.flow(2);"])
+def test_a_double_that_ends_its_own_host_has_not_answered(tmp_path: Path, body: str) -> None:
+    asked: list[int] = []
+
+    def flow(litres: int, seconds: float = 0.0) -> int:
+        asked.append(litres)
+        team.crash("bravo")
+        return litres
+
+    team = team_of(tmp_path, body, flow=flow)
+    team.run(3.0)
+    assert asked == [1]
+    assert team.call("flow").ended is None
+    team.boot("bravo")
+    team.until("the end")
+    assert team.said("thrown: bravo was started again")
+    assert asked == [1]
 
 
 def test_the_same_seed_is_the_same_run(tmp_path: Path) -> None:
@@ -355,6 +389,16 @@ def test_an_exception_of_the_double_is_one_of_the_test(
     assert not team.said("the end")
 
 
+def test_who_waits_for_a_double_is_told_so(tmp_path: Path) -> None:
+    (tmp_path / "mission.L").write_text(PROGRAM.replace("//body", "pump.flow(1);"))
+    (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
+    double = SimpleNamespace(flow=lambda litres, seconds=0.0: After(1e6, 1))
+    made = Team(tmp_path / "mission.dL", doubles={"pump": double})
+    with closing(made) as team, pytest.raises(Stuck) as caught:
+        team.run(until_done=True, at_most=5.0)
+    assert "pump on bravo: its double has not answered yet at Pump.flow (mission.L:" in str(caught.value)
+
+
 def test_a_test_that_is_given_up_in_a_double_is_given_up(tmp_path: Path) -> None:
     team = team_of(tmp_path, "pump.flow(1);", flow=lambda litres, seconds=0.0: pytest.fail("enough"))
     with pytest.raises(pytest.fail.Exception, match="enough"):
@@ -419,3 +463,27 @@ def test_an_exception_that_l_does_not_have_and_a_time_that_is_none_are_refused()
     for seconds in (-1.0, math.nan, math.inf, "1"):
         with pytest.raises(DoubleError, match="is no time to wait"):
             After(seconds, 1)  # type: ignore[arg-type]
+
+
+def test_a_double_is_offered_as_what_it_stands_for(tmp_path: Path) -> None:
+    """It has no devices that could be in trouble. The examples' crane can Lift by itself, and is the best."""
+    source = Path(__file__).parents[2] / "examples" / "02-equivalent-lift"
+    lifted: list[float] = []
+
+    class Crane:
+        def home(self) -> None:
+            lifted.clear()
+
+        def lower(self, metres: float) -> After:
+            return After(1.0, metres)
+
+        def lift(self, metres: float) -> float:
+            lifted.append(metres)
+            return metres
+
+    shutil.copytree(source, tmp_path, dirs_exist_ok=True)
+    team = SmallTeam(tmp_path, doubles={"crane": Crane()})
+    team.until("and down again by 0.8 m")
+    assert team.said("crane shall lift")
+    assert lifted == [0.8]
+    assert [call.portal for call in team.calls.record] == ["home", "lower", "lift", "lower"]

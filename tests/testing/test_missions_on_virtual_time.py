@@ -195,3 +195,11 @@ def test_a_stop_brings_devices_to_rest_first(lfield_mission):
     team.run(until=lambda: not team._fleet.lives)
     assert team.fake("lead.fc").facts["airborne"] is False
     assert team.fake("wing.fc").facts["airborne"] is False
+
+
+def test_a_loop_of_l_that_never_waits_ends_the_test_too(walk, monkeypatch):
+    monkeypatch.setattr("lfield.testing.mission.team.PATIENCE", 1.0)
+    team = walk("while (true) { }")
+    with pytest.raises(Stuck, match="does a loop of L neither wait nor end") as stuck:
+        team.run(until_done=True)
+    assert any("boss on bravo: ready at Boss.init (walk.L:11)" in line for line in stuck.value.standing)

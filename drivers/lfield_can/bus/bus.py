@@ -53,7 +53,7 @@ class Bus:
             raise self._error(f"a frame could not be sent: {reason}")
 
     def post(self, frame: Frame) -> None:
-        """Send a frame, or not: for what is repeated anyway, or answered. From any thread; never waits."""
+        """Send a frame, or not: for what is repeated anyway, or answered; never waits."""
         interface = self._interface
         if interface is not None:
             interface.post(frame)

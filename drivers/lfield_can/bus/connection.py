@@ -103,7 +103,7 @@ class Connection:
         return await asyncio.wrap_future(self._queued(frame))
 
     def post(self, frame: Frame) -> None:
-        """Have a frame sent, or not. From any thread; never waits."""
+        """Have a frame sent, or not; never waits."""
         self._queued(frame)
 
     def _queued(self, frame: Frame) -> Future[str]:

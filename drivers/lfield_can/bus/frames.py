@@ -96,7 +96,7 @@ class Interface(Protocol):
         """Send a frame; '' once the interface has taken it, else the reason why it has not."""
 
     def post(self, frame: Frame) -> None:
-        """Send a frame, or not. From any thread; never waits."""
+        """Send a frame, or not; never waits."""
 
     async def close(self) -> None:
         """Give it back."""

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import threading
-from contextlib import suppress
 from typing import cast
 
 from lfield.driver import DeviceError
@@ -57,7 +55,6 @@ class Socketcand(asyncio.Protocol):
     def __init__(self, listener: Listener) -> None:
         self.malformed = 0
         self._listener = listener
-        self._loop, self._thread = asyncio.get_running_loop(), threading.get_ident()
         self._transport: asyncio.Transport | None = None
         self._unread = b""
         self._answers: asyncio.Queue[bytes] | None = asyncio.Queue()
@@ -83,12 +80,8 @@ class Socketcand(asyncio.Protocol):
         return self._send(frame)
 
     def post(self, frame: Frame) -> None:
-        """Send a frame, or not. From any thread; never waits."""
-        if threading.get_ident() == self._thread:
-            self._send(frame)
-            return
-        with suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(self._send, frame)
+        """Send a frame, or not; never waits."""
+        self._send(frame)
 
     def _send(self, frame: Frame) -> str:
         if frame.fd:

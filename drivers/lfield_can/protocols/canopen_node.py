@@ -1,15 +1,13 @@
-"""SDO with one node through `canopen`, whose calls block: each node has a thread for them.
+"""The objects of one node, read and written by SDO on the loop, one transfer at a time.
 
-Answers are bounded in time and size; every write is read back, since canopen's client does not look at which
-object an answer to a write is about, and takes a late one for its own.
+`SdoClient` decides; here its frames are sent and its waits are timed. Object dictionaries, EDS files and the
+encoding of values are `canopen`'s.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from collections.abc import Callable, Sequence
 
 import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable
@@ -17,16 +15,9 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from lfield.driver import DeviceError
 from lfield_can.bus.frames import Frame
-from lfield_can.protocols.cia402_tables import OBJECTS, SDO_ANSWER, SDO_REQUEST, name_of
+from lfield_can.protocols.cia402_tables import OBJECTS, SDO_REQUEST, name_of
+from lfield_can.protocols.sdo import ABORT, Done, Effect, Failed, Refused, Result, SdoClient, Send
 
-T = TypeVar("T")
-
-#: Tries of one request, and seconds to wait for each answer.
-TRIES, ANSWER = 3, 0.3
-#: More bytes than this are no answer to anything that is asked here.
-LONGEST = 64
-#: First byte of a request that ends a transfer; it has no answer.
-ABORT = 0x80
 #: The request for object 0x1000.
 PING = bytes.fromhex("4000100000000000")
 #: Abort codes that say that there is no such object, or that it cannot be written.
@@ -41,52 +32,34 @@ class SdoRefused(DeviceError):
         self.absent = code in ABSENT
 
 
-class _Network(canopen.Network):
-    """canopen's view of our bus: what it sends is ours to send, what came in is handed to it."""
-
-    def __init__(self, post: Callable[[Frame], None]) -> None:
-        super().__init__()
-        self._post = post
-        self.requests = 0
-
-    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        self.requests += data[0] != ABORT
-        self._post(Frame(can_id, bytes(data)))
-
-
 class CanopenNode:
     """One node: its objects by (index, subindex), read and written one after the other."""
 
     def __init__(self, name: str, node: int, post: Callable[[Frame], None]) -> None:
-        self._name, self._id = name, node
-        self._network = _Network(post)
+        self._name, self._id, self._post = name, node, post
         self._dictionary = standard_dictionary()
-        self._node = self._made()
-        self._worker = ThreadPoolExecutor(1, f"sdo-{node}")
-        self._answers = 0
+        self._client, self._turn = SdoClient(), asyncio.Lock()
+        self._result: asyncio.Future[Result] | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._requests = self._answers = 0
         #: Called with every object that was written, and its bytes.
         self.on_written: Callable[[int, int, bytes], None] = lambda index, subindex, data: None
-
-    def _made(self) -> canopen.RemoteNode:
-        node = canopen.RemoteNode(self._id, self._dictionary)
-        node.sdo.RESPONSE_TIMEOUT = ANSWER
-        self._network[self._id] = node
-        return node
 
     def load(self, path: str) -> None:
         """Take the objects from an EDS file. Raises DeviceError."""
         self._dictionary = read_eds(self._name, path, self._id)
-        self._node = self._made()
 
     def ping(self) -> None:
-        """Ask for the device type and do not wait for the answer."""
-        self._network.send_message(SDO_REQUEST + self._id, PING)
+        """Ask for the device type and do not wait for the answer.
+
+        It never changes, so an answer to this may be taken for that to a later question.
+        """
+        self._send(PING)
 
     def on_answer(self, data: bytes) -> None:
         """A frame of the node's SDO server."""
         self._answers += 1
-        if len(data) == 8:
-            self._network.notify(SDO_ANSWER + self._id, bytearray(data), 0.0)
+        self._do(self._client.answered(data))
 
     async def read(self, index: int, subindex: int = 0) -> int:
         """The value of an object. Raises DeviceError."""
@@ -102,10 +75,14 @@ class CanopenNode:
 
     async def read_raw(self, index: int, subindex: int) -> bytes:
         """The bytes of an object. Raises DeviceError."""
-        return await self._run(lambda: self._upload(index, subindex), index, subindex)
+        return await self._transfer(lambda: self._client.upload((index, subindex)), index, subindex)
 
     async def write(self, index: int, subindex: int, value: int) -> None:
-        """Write an object and read it back. Raises DeviceError."""
+        """Write an object and read it back. Raises DeviceError.
+
+        An answer says that the node has taken the value, not that it holds it: a limit may be clipped or
+        rounded to what the drive can do, and people stand in front of the one that it keeps.
+        """
         await self.write_raw(index, subindex, self._encoded(index, subindex, value))
         back = await self.read(index, subindex)
         if back != value:
@@ -113,8 +90,8 @@ class CanopenNode:
             raise DeviceError(self._name, f"{label} was set to {value} and is {back}")
 
     async def write_raw(self, index: int, subindex: int, data: bytes) -> None:
-        """Write the bytes of an object. Raises DeviceError."""
-        await self._run(lambda: self._node.sdo.download(index, subindex, data), index, subindex)
+        """Write the bytes of an object, 1 to 4. Raises DeviceError."""
+        await self._transfer(lambda: self._client.download((index, subindex), data), index, subindex)
         self.on_written(index, subindex, data)
 
     def has(self, index: int, subindex: int = 0) -> bool:
@@ -124,35 +101,65 @@ class CanopenNode:
     @property
     def doubled(self) -> bool:
         """Whether more answers came than were asked for: two nodes have this id."""
-        return self._answers > self._network.requests
+        return self._answers > self._requests
 
     def close(self) -> None:
-        """The worker ends after what it is at."""
-        self._worker.shutdown(wait=False, cancel_futures=True)
+        """The driver ends: what is under way gets no answer."""
+        self._do([*self._client.cancelled(), Failed("the driver has ended", silent=True)])
 
-    def _upload(self, index: int, subindex: int) -> bytes:
-        """As the client's `upload`, with a bound: a server may send segments for ever."""
-        stream = self._node.sdo.open(index, subindex, buffering=0)
-        data = b""
-        while len(data) < LONGEST and (part := stream.read(7)):
-            data += part
-        return data
+    # -- transfers --------------------------------------------------------------------------------------
 
-    async def _run(self, call: Callable[[], T], index: int, subindex: int) -> T:
-        loop, tries = asyncio.get_running_loop(), TRIES
-        while True:
-            tries -= 1
+    async def _transfer(self, begin: Callable[[], Sequence[Effect]], index: int, subindex: int) -> bytes:
+        """One transfer when it has its turn; its data. Raises DeviceError."""
+        async with self._turn:
+            result = self._result = asyncio.get_running_loop().create_future()
             try:
-                return await loop.run_in_executor(self._worker, call)
-            except SdoAbortedError as error:
-                raise SdoRefused(
-                    self._name, f"{self._label(index, subindex)} refused: {error}", error.code
-                ) from None
-            except Exception as error:  # no answer, or one that canopen stumbles over
-                if tries:
-                    continue
-                label = self._label(index, subindex)
-                raise DeviceError(self._name, f"{label}: {error}", kind="DeviceTimeoutException") from None
+                self._do(begin())
+                ended = await result
+            finally:
+                self._do(self._client.cancelled())
+                self._stop_timer()
+        label = self._label(index, subindex)
+        match ended:
+            case Done(data):
+                return data
+            case Refused(code):
+                # The words for codes are canopen's.
+                raise SdoRefused(self._name, f"{label} refused: {SdoAbortedError(code)}", code)
+        kind = "DeviceTimeoutException" if ended.silent else "DeviceException"
+        raise DeviceError(self._name, f"{label}: {ended.why}", kind=kind)
+
+    def _do(self, effects: Sequence[Effect]) -> None:
+        for effect in effects:
+            if not isinstance(effect, Send):
+                self._end(effect)
+                continue
+            if effect.within is not None:
+                # Set before it is sent, since the answer may be here at once.
+                self._set_timer(effect.within)
+            self._send(effect.data)
+
+    def _send(self, request: bytes) -> None:
+        self._requests += request[0] != ABORT
+        self._post(Frame(SDO_REQUEST + self._id, request))
+
+    def _end(self, result: Result) -> None:
+        self._stop_timer()
+        if self._result is not None and not self._result.done():
+            self._result.set_result(result)
+
+    def _set_timer(self, seconds: float) -> None:
+        self._stop_timer()
+        self._timer = asyncio.get_running_loop().call_later(seconds, self._on_time)
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def _on_time(self) -> None:
+        self._timer = None
+        self._do(self._client.expired())
 
     def _encoded(self, index: int, subindex: int, value: int) -> bytes:
         variable = self._variable(index, subindex)

@@ -261,7 +261,7 @@ class Cia402Node(AxisProtocol):
             self.wiring.sync.want(self.node, self._sync_id)
 
     def close(self) -> None:
-        """No heartbeats, no worker."""
+        """No heartbeats, no transfers."""
         self._beats.stop()
         self.wiring.sync.leave(self.node)
         self.objects.close()

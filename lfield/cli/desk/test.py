@@ -17,9 +17,11 @@ _STATUSES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to test, and where pictures go."""
-    parser.add_argument(
-        "words", nargs="*", metavar="PATH", help="test files or folders (.); what follows -- is pytest's own"
-    )
+    parser.add_argument("paths", nargs="*", metavar="PATH", help="test files or folders (.)")
+    parser.add_argument("-k", default="", metavar="WORDS", help="only tests whose names fit, as in pytest")
+    parser.add_argument("-x", action="store_true", help="stop at the first that fails")
+    parser.add_argument("-v", action="store_true", help="name each test")
+    parser.add_argument("-s", action="store_true", help="show what tests print")
     parser.add_argument(
         "--tracks", type=Path, default=Path("tracks"), metavar="DIR", help="for the pictures (tracks)"
     )
@@ -32,5 +34,7 @@ def run(args: argparse.Namespace) -> int:
     except ImportError:
         raise PluginError("the tests of missions need pytest: pip install pytest") from None
     # Named twice it is loaded once; a project whose configuration names it need not be told of that.
-    words = ["-p", "lfield.testing.plugin", "--tracks", os.path.abspath(args.tracks), *args.words]
-    return _STATUSES[int(pytest.main(words))]
+    words = ["-p", "lfield.testing.plugin", "--tracks", os.path.abspath(args.tracks)]
+    words += [flag for flag in ("-x", "-v", "-s") if getattr(args, flag[1:])]
+    words += ["-k", args.k] if args.k else []
+    return _STATUSES[int(pytest.main([*words, *args.paths]))]

@@ -7,7 +7,7 @@ import errno
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 from lfield.loop import Fake, SerialEnd, SerialUser
 from lfield.simulate.computers.loop import ProcessLoop
@@ -15,6 +15,8 @@ from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.network import Listening, Network
 from lfield.simulate.computers.pipes import Child
 from lfield.simulate.computers.serial import SerialPort
+
+T = TypeVar("T")
 
 #: Seconds until a child runs that was just started.
 STARTS = (0.05, 0.3)
@@ -138,10 +140,20 @@ class _Loop(ProcessLoop):
         return port.open(self, baud, user)
 
     def plug_serial(self, path: str, received: Callable[[bytes, int], None]) -> SerialEnd:
-        """Be what stands at the far end of a new port."""
+        """Be what stands at the far end of a new port. Raises OSError when there is one of that name."""
         ports = self._computer.network.ports
+        if path in ports:
+            raise OSError(errno.EEXIST, "File exists")
         port = ports[path] = SerialPort(self, received, partial(ports.__delitem__, path))
         return port
+
+    def shared(self, name: str, make: Callable[[], T]) -> T:
+        """One for all processes."""
+        common = self._computer.network.common
+        if name not in common:
+            common[name] = make()
+        made: T = common[name]
+        return made
 
     async def serve(self, fake: Fake) -> None:
         """Be a fake until the process ends."""

@@ -87,6 +87,8 @@ class End(asyncio.Transport):
         self._pending = 0
         self._due = 0.0
         self._early: list[Callable[[], None]] = []
+        #: What has come while nobody wants to read, or None when somebody does.
+        self._unread: list[Callable[[], None]] | None = None
 
     @property
     def way(self) -> Way:
@@ -141,6 +143,21 @@ class End(asyncio.Transport):
         """How much waits."""
         return self._pending
 
+    def is_reading(self) -> bool:
+        """Whether what comes is handed on."""
+        return self._unread is None and not self.is_closing()
+
+    def pause_reading(self) -> None:
+        """What comes waits from now on."""
+        if self._unread is None:
+            self._unread = []
+
+    def resume_reading(self) -> None:
+        """It is handed on again, what has come meanwhile first."""
+        unread, self._unread = self._unread or [], None
+        for event in unread:
+            self.loop.call_soon(partial(self._come, event))
+
     # --- on the way -----------------------------------------------------------------------------------
 
     def _send(self, what: bytes | Exception | None) -> None:
@@ -182,7 +199,13 @@ class End(asyncio.Transport):
 
     def arrive(self, event: Callable[[], None]) -> None:
         """Something comes to this end."""
-        self.loop.enter(event)
+        self.loop.enter(partial(self._come, event))
+
+    def _come(self, event: Callable[[], None]) -> None:
+        if self._unread is None:
+            event()
+        else:
+            self._unread.append(event)
 
     def _received(self, data: bytes) -> None:
         if self._protocol is None:

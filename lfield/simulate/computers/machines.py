@@ -63,16 +63,25 @@ class Machine:
 
     def __init__(self, name: str, timeline: Timeline, dice: random.Random, rate: float = 1.0) -> None:
         self.name, self.timeline, self.dice, self.rate = name, timeline, dice, rate
+        #: What its time of day was when the simulation began, at least and at most; None for anything.
+        self.day: tuple[float, float] | None = None
         #: What is plugged in, by endpoint.
         self.hardware: dict[str, object] = {}
         self.on = False
         self.switch_on()
 
     def switch_on(self) -> None:
-        """Its monotonic clock begins anew, its time of day is anything."""
+        """Its monotonic clock begins anew; its time of day is anything, or what it was told."""
         self.on = True
         self.clock = MachineClock(self.timeline, began=self.dice.uniform(1.0, 1e5), rate=self.rate)
         self.clock.ahead = self.dice.uniform(0.0, 2e9)
+        if self.day is not None:
+            self.set_day(self.day)
+
+    def set_day(self, day: tuple[float, float]) -> None:
+        """From now on it knows the time of day about so well, also after it was switched off."""
+        self.day = day
+        self.clock.ahead = self.dice.uniform(*day) + self.timeline.now - self.clock.monotonic()
 
 
 class Ways:

@@ -7,6 +7,7 @@ import errno
 import random
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 from lfield.simulate.computers.connection import Address, Connection, End, Socket, reset
 from lfield.simulate.computers.loop import ProcessLoop
@@ -32,6 +33,8 @@ class Network:
         self.ports: dict[str, SerialPort] = {}
         #: Which process has taken what only one may have, by name.
         self.taken: dict[str, ProcessLoop] = {}
+        #: What fakes have in common, by name.
+        self.common: dict[str, Any] = {}
 
     def plug_in(self, machine: Machine) -> None:
         """A machine hangs on a cable from now on: none of the ways between the others leads through it."""

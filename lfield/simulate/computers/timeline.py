@@ -33,6 +33,7 @@ class Timeline:
         self.events, self.most = 0, math.inf
         self._queue: list[tuple[float, int, Planned]] = []
         self._asked = 0
+        self._paused = False
 
     def at(self, when: float, event: Callable[[], None]) -> Planned:
         """Let something happen at a time, now if that is past."""
@@ -47,7 +48,7 @@ class Timeline:
 
     def run(self, seconds: float, watch: Callable[[], None] = lambda: None) -> None:
         """Let time go on for so long. `watch` is called after each event. Raises Endless."""
-        end = self.now + seconds
+        end, self._paused = self.now + seconds, False
         while self._queue and self._queue[0][0] <= end:
             self.now, _, planned = heapq.heappop(self._queue)
             if planned.event is not None:
@@ -56,4 +57,10 @@ class Timeline:
                 self.events += 1
                 planned.event()
                 watch()
+                if self._paused:
+                    return
         self.now = end
+
+    def pause(self) -> None:
+        """Let `run` return now, at this moment, when what happens is over."""
+        self._paused = True

@@ -24,11 +24,11 @@ class PortalCall:
     """
 
     at: float
+    ended: float | None
     caller: str
     resource: str
     portal: str
     arguments: tuple[object, ...]
-    ended: float | None = None
     result: object = None
     thrown: str = ""
 
@@ -70,7 +70,7 @@ class _Noting:
         """A portal has begun."""
         portal = self._machine.program.core.methods[method]
         arguments = tuple(arguments_of(self._machine, resource, thread, method))
-        call = PortalCall(self._now(), caller, resource.id, portal.name, arguments)
+        call = PortalCall(self._now(), None, caller, resource.id, portal.name, arguments)
         self._open[number] = call, portal.result
         self._record.append(call)
 

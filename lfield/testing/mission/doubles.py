@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
 from lfield.bytecode.disassemble import type_name
 from lfield.bytecode.program import MethodRecord, Program
@@ -20,8 +21,16 @@ from lfield.vm.agent import Member
 from lfield.vm.attached import Asked
 from lfield.vm.machine import Machine
 
-#: Lets something happen after so many seconds of true time, and lets the host that it happens on see it.
-Later = Callable[[float, Callable[[], None]], None]
+
+class Later(Protocol):
+    """Lets something happen in one life of a host, after so many seconds of true time."""
+
+    def __call__(self, seconds: float, event: Callable[[], None]) -> None:
+        """Let it happen, and the host see it, unless this life is over by then."""
+
+    @property
+    def is_over(self) -> bool:
+        """Whether this life is over: a double may end it itself, in the middle of what the host does."""
 
 
 class Doubles:
@@ -29,9 +38,12 @@ class Doubles:
     can be called. It is given the arguments as Python values (`values`) and returns the result, or `After`;
     it may raise `Throws`.
 
-    The resource of a double is open at once: its `init` does not run, and it has no devices. What goes wrong
-    in a double is put into `trouble`, and the portal that was called never ends: whoever runs the team raises
-    that after the event. Raises DoubleError for a double that does not fit the mission.
+    The resource of a double is open at once: its `init` does not run, and it has no devices. So its live
+    attributes are not known; in all else it offers what its class does. Calls of a `synchronized` portal do
+    not wait for one another: the double is asked at once, and may answer `After`.
+
+    What goes wrong in a double is put into `trouble`, and the portal that was called never ends: whoever runs
+    the team raises that after the event. Raises DoubleError for a double that does not fit the mission.
     """
 
     def __init__(self, mission: Mission, doubles: Mapping[str, object]) -> None:
@@ -52,8 +64,12 @@ class Doubles:
 
     def _asked(self, machine: Machine, later: Later, double: object, asked: Asked) -> None:
         """A portal is called. No exception of the double may come to L: it is one of the test."""
+        if later.is_over:
+            return
         try:
-            self._answer(machine, later, asked, _answered(machine, double, asked))
+            answer = _answered(machine, double, asked)
+            if not later.is_over:
+                self._answer(machine, later, asked, answer)
         except (KeyboardInterrupt, SystemExit):
             raise
         except BaseException as error:
@@ -74,15 +90,23 @@ class Doubles:
 
 def later_in(life: Life) -> Later:
     """Lets things happen in one life of a host of a simulated team; what is due after that does not."""
+    return _InLife(life)
 
-    def later(seconds: float, event: Callable[[], None]) -> None:
+
+@dataclass(frozen=True, slots=True)
+class _InLife:
+    life: Life
+
+    def __call__(self, seconds: float, event: Callable[[], None]) -> None:
         def happen() -> None:
             event()
-            life.host.turn()
+            self.life.host.turn()
 
-        life.process.loop.soon(happen, seconds)
+        self.life.process.loop.soon(happen, seconds)
 
-    return later
+    @property
+    def is_over(self) -> bool:
+        return self.life.process.loop.dead
 
 
 def without_devices(mission: Mission, ids: Mapping[str, object]) -> Mission:

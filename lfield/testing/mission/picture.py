@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from itertools import cycle
 from typing import NamedTuple
 
 from lfield.testing.mission.watching import Point
 
-#: Pixels: the plan's longer side at most, its margin, the height of the strip with the heights, of a text.
-LONG, MARGIN, STRIP, TEXT = 640.0, 48.0, 120.0, 12
+#: Pixels: the plan's longer side at most, its margin, the height of the strip with the heights, of a text and
+#: of a line of text; the least width of all.
+LONG, MARGIN, STRIP, TEXT, LINE, LEAST_WIDTH = 640.0, 48.0, 120.0, 12, 16, 480.0
 #: Colours that colour-blind people tell apart (Okabe and Ito, 2008).
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#000000")
 #: Metres: a point nearer to the last one is not drawn; what rises no higher does not fly; the least extent.
@@ -27,14 +28,15 @@ class Mark(NamedTuple):
 
 
 class _Plan:
-    """From metres to pixels: north is up."""
+    """From metres to pixels: north is up. On its right is room for the longest of some `names`."""
 
-    def __init__(self, points: Sequence[Point]) -> None:
+    def __init__(self, points: Sequence[Point], names: Iterable[str]) -> None:
         norths, easts = [p.north for p in points], [p.east for p in points]
         self.south, self.west = min(norths), min(easts)
         extent = max(max(norths) - self.south, max(easts) - self.west, LEAST)
         self.scale = LONG / extent
-        self.width = max(LONG / 3, (max(easts) - self.west) * self.scale) + 2 * MARGIN
+        room = MARGIN + max(map(_length, names))
+        self.width = max(LEAST_WIDTH, (max(easts) - self.west) * self.scale + MARGIN + room)
         self.height = max(LONG / 5, (max(norths) - self.south) * self.scale) + 2 * MARGIN
         self.step = _round_step(extent / 5)
 
@@ -52,7 +54,7 @@ def draw(tracks: Mapping[str, Sequence[Point]], title: str, marks: Sequence[Mark
     drawn = {name: points for name, points in tracks.items() if points}
     if not drawn:
         raise ValueError("nobody has told where it was")
-    plan = _Plan([point for points in drawn.values() for point in points])
+    plan = _Plan([point for points in drawn.values() for point in points], drawn)
     colours = dict(zip(drawn, cycle(COLOURS), strict=False))
     parts = [_grid(plan)]
     parts += [_track(plan, name, points, colours[name]) for name, points in drawn.items()]
@@ -62,9 +64,10 @@ def draw(tracks: Mapping[str, Sequence[Point]], title: str, marks: Sequence[Mark
         parts.append(_heights(plan, drawn, colours))
         height += STRIP
     words = [f"{mark.at:.1f} s: {mark.words}" for mark in marks]
-    parts += [_text(MARGIN, height + 16 * n, line, "#555") for n, line in enumerate(words)]
-    height += 16 * len(words)
-    body = "\n".join([_text(MARGIN, 24, title, "#222", weight="bold"), *parts])
+    parts += [_text(MARGIN, height + LINE * (n + 1), line, "#555") for n, line in enumerate(words)]
+    height += LINE * (len(words) + 1)
+    title = title if _length(title) < plan.width else title.partition(": ")[2] or title
+    body = "\n".join([_text(MARGIN / 2, 24, title, "#222", weight="bold"), *parts])
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {plan.width:.0f} {height:.0f}" '
         f'width="{plan.width:.0f}" font-family="sans-serif" font-size="{TEXT}">\n'
@@ -136,6 +139,11 @@ def _heights(plan: _Plan, tracks: Mapping[str, Sequence[Point]], colours: Mappin
             lines.append(f'<path d="M{"L".join(places)}" stroke="{colours[name]}" fill="none"/>')
     lines.append(_text(MARGIN, base + 14, f"height over {end:.0f} s, up to {top:.1f} m", "#888"))
     return "\n".join(lines)
+
+
+def _length(words: str) -> float:
+    """The pixels of a text, more or less."""
+    return 0.6 * TEXT * len(words)
 
 
 def _text(x: float, y: float, words: str, colour: str, weight: str = "normal") -> str:

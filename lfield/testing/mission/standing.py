@@ -48,6 +48,8 @@ def _does(core: HostCore, agent: Agent, place: int) -> str:
     state = agent.block.w[place + THREAD_STATE]
     if state == WAITING:
         return f"waits for {_instruction(core, agent, place)}"
+    if agent.id in core.machine.attached.stand_ins:
+        return "its double has not answered yet"
     if agent.member.kind != "coordinator":
         return STATE_NAMES[state]
     called = core.machine.calling(agent) if agent.frozen or state == CALLING else None

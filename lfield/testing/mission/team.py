@@ -8,6 +8,7 @@ seed is one run.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -25,10 +26,16 @@ from lfield.testing.mission.watching import Hop, Hops, Lines, Point, Tracks
 
 #: Seconds of virtual time after which what has not come is not waited for any more.
 AT_MOST = 3600.0
+#: Seconds for resources to say something when all coordinators have ended.
+AFTERWARDS = 120.0
 #: Seconds between two looks for what is waited for.
 LOOK = 0.02
+#: The time of day when a team begins, in seconds since 1970, as well as computers know it that hear of one.
+DAY = (1.8e9, 1.8e9 + 0.5)
 #: Metres that are a move.
 MOVED = 0.5
+#: Seconds of real time that one `run` may take.
+PATIENCE = 120.0
 #: So many lines are shown of a host that has ended.
 LAST_WORDS = 5
 
@@ -68,16 +75,23 @@ class Team:
         self._away: set[str] = set()
         self._calls, self._hops = Calls(lambda: self.now), Hops(lambda: self.now)
         self._lines = Lines(mission.program, lambda seconds, event: self._fleet.later(seconds, event))
-        with fenced() as caught:
+        self._caught: Sequence[MissionTestError] = ()
+        self._patience = math.inf
+        #: Words that somebody shall say, and how much of the log was looked at for them.
+        self._awaited, self._read = "", 0
+        with fenced() as self._caught:
             self._fleet = Fleet(
                 mission,
                 seed,
+                watch=self._watch,
                 unreachable_after=mission.bindings.unreachable_after,
                 keeps=keeps,
                 born=self._born,
                 plug=self._fakes.plug,
             )
-        self._check(caught)
+        self._watch(self._fleet)
+        for machine in self._fleet.machines.values():
+            machine.set_day(DAY)
         self._tracks = Tracks(self._fakes.devices, lambda: self.now, self._fleet.later)
 
     def _born(self, name: str, life: Life) -> None:
@@ -105,41 +119,52 @@ class Team:
         """Let time go on: for so many seconds, until a line has these words, until something is true, or
         until every coordinator has ended.
 
-        Raises Stuck when that has not come after `at_most` seconds, or cannot come any more; and what went
-        wrong in a double, or wanted to touch this computer.
+        Raises Stuck when that has not come after `at_most` seconds, or cannot come any more, or when this
+        takes PATIENCE seconds of real time; and what went wrong in a double, or wanted to touch this
+        computer.
         """
+        self._patience = time.monotonic() + PATIENCE
         if until_done:
             waited = "the coordinators have not ended"
-            self._wait(lambda: set(self.ended) >= self._coordinators, at_most, waited)
+            self._wait(lambda: self._have_ended, at_most, waited)
         elif callable(until):
             self._wait(until, at_most, "what the test waits for has not come")
         elif until:
-            begin = len(self.log)
-            said = f"nobody has said {until!r}"
-            self._wait(lambda: any(until in line.text for line in self.log[begin:]), at_most, said)
+            self._awaited, self._read = until, len(self._fleet.log)
+            self._wait(lambda: not self._awaited, at_most, f"nobody has said {until!r}")
         else:
             self._go(seconds)
 
     def _wait(self, come: Callable[[], bool], at_most: float, why: str) -> None:
-        end = self.now + at_most
+        began, end, over = self.now, self.now + at_most, False
         while not come():
             if self.now >= end:
-                raise Stuck(f"{why} after {at_most:g} s of the mission", standing(self._fleet))
+                took = f"{self.now - began:.0f} s of the mission" + (", which has ended" if over else "")
+                raise Stuck(f"{why} after {took}", standing(self._fleet))
             self._go(LOOK)
+            if self._awaited and not over and self._have_ended:
+                over, end = True, min(end, self.now + AFTERWARDS)
             if gone := self._team_hosts - self._fleet.lives.keys() - self._away:
                 name = min(gone)
                 raise Stuck(f"{why}, and {name} has ended by itself", self._last_words(name))
 
     def _go(self, seconds: float) -> None:
-        with fenced() as caught:
+        with fenced() as self._caught:
             self._fleet.run(seconds)
-        self._check(caught)
 
-    def _check(self, caught: Sequence[MissionTestError]) -> None:
-        for trouble in (*self._doubles.trouble, *caught):
+    def _watch(self, fleet: Fleet) -> None:
+        """Something has happened: raise what went wrong with it, and stop at a line that is waited for."""
+        if self._awaited and any(self._awaited in text for _, _, text in fleet.log[self._read :]):
+            self._awaited = ""
+            fleet.timeline.pause()
+        self._read = len(fleet.log)
+        for trouble in (*self._doubles.trouble, *self._caught, *self._fakes.trouble):
             raise trouble
-        if self._fleet.failed:
+        if fleet.failed:
             raise Stuck("a host has ended because of a bug in lfield", self._last_words())
+        if time.monotonic() > self._patience:
+            why = f"the test has run for {PATIENCE:g} s; does a loop of L neither wait nor end?"
+            raise Stuck(f"at {fleet.now:.3f} s of the mission {why}", standing(fleet))
 
     def _last_words(self, host: str = "") -> list[str]:
         said = [line for line in self.log if host in ("", line.host)]
@@ -189,8 +214,10 @@ class Team:
         return {agent: outcome for agent, (_, outcome) in found.items() if outcome}
 
     @property
-    def _coordinators(self) -> set[str]:
-        return {member.id for member in self.mission.team.members if member.kind == "coordinator"}
+    def _have_ended(self) -> bool:
+        """Whether all coordinators have."""
+        members = self.mission.team.members
+        return set(self.ended) >= {member.id for member in members if member.kind == "coordinator"}
 
     # --- what a test does -----------------------------------------------------------------------------
 

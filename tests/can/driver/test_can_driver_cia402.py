@@ -1,4 +1,4 @@
-"""CiA 402 with canopen's LocalNode as the drive. In real time: canopen's SDO client needs a thread."""
+"""CiA 402 with canopen's LocalNode as the drive, on jumping time."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_a_drive_is_identified_set_up_and_moves(rig):
         assert b.drive.position == pytest.approx(2.0 / math.tau * 10_000, abs=20)
         await axis.execute("disable", [])
 
-    b.run_real(mission)
+    b.run(mission)
     assert b.drive.get(0x1017) == 100
     assert b.drive.get(0x607F) == round(20.0 / math.tau * 10_000)
     assert b.values["enabled"] is False
@@ -60,7 +60,7 @@ def test_who_it_is(rig):
         return await axis.open(), await axis.serial()
 
     identity = "CiA 402 drive, node 5, vendor 0xABC, product 0x7"
-    assert b.run_real(mission, opened=False) == (identity, "serial number 4711")
+    assert b.run(mission, opened=False) == (identity, "serial number 4711")
 
 
 def test_its_watchdog_is_set_read_back_and_fed_until_the_bus_is_quiet(rig):
@@ -81,7 +81,7 @@ def test_its_watchdog_is_set_read_back_and_fed_until_the_bus_is_quiet(rig):
         assert b.bus.sent[-1].id == 0x77F
         await b.until(lambda: len(b.drive.beats) > sent + 2)
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 @pytest.mark.parametrize("absent", [0x6007, 0x1016])
@@ -90,7 +90,7 @@ def test_a_drive_without_a_watchdog_needs_a_waiver(rig, absent):
         with pytest.raises(DeviceError, match=r"waivers: \[device_watchdog\]"):
             await axis.open()
 
-    rig(LocalDrive(without={absent})).run_real(mission, opened=False)
+    rig(LocalDrive(without={absent})).run(mission, opened=False)
 
 
 def test_setpoints_are_sent_once(rig):
@@ -109,7 +109,7 @@ def test_setpoints_are_sent_once(rig):
         assert b.drive.get(0x6061) == 4
         assert b.drive.get(0x6071) == 200  # thousandths of 0.5 N m
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_a_drive_that_only_positions(rig):
@@ -121,7 +121,7 @@ def test_a_drive_that_only_positions(rig):
         with pytest.raises(DeviceError, match="the drive does not take velocities"):
             await axis.execute("setVelocity", [1.0])
 
-    b.run_real(mission)
+    b.run(mission)
     assert any("it does not take velocities" in note for note in b.notes)
 
 
@@ -145,7 +145,7 @@ def test_a_halt_stands_on_the_way_enabled_and_its_old_goal_is_over(rig, without)
         await axis.execute("moveTo", [0.0, 10.0])
         assert b.values["position"] == pytest.approx(0.0, abs=0.01)
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_an_axis_that_does_not_halt_is_an_exception(rig, monkeypatch):
@@ -162,7 +162,7 @@ def test_an_axis_that_does_not_halt_is_an_exception(rig, monkeypatch):
         ):
             await axis.execute("halt", [])
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_a_halt_of_a_drive_that_is_off_changes_nothing(rig):
@@ -174,7 +174,7 @@ def test_a_halt_of_a_drive_that_is_off_changes_nothing(rig):
         assert b.drive.controls[sent:] == []
         assert b.values["enabled"] is False
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_the_drive_hears_a_heartbeat_as_soon_as_it_watches_for_it(rig):
@@ -192,7 +192,7 @@ def test_the_drive_hears_a_heartbeat_as_soon_as_it_watches_for_it(rig):
         last_write = max(n for n, frame in enumerate(b.bus.sent) if frame.data == watched[-1])
         assert any(frame.id == 0x77F for frame in b.bus.sent[last_write:])
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_a_cyclic_setpoint_is_streamed_until_its_time_is_over(rig):
@@ -217,7 +217,7 @@ def test_a_cyclic_setpoint_is_streamed_until_its_time_is_over(rig):
         # Within the speed limit, not with a leap.
         assert 0 < b.drive.position - before < 20.0 / math.tau * 10_000 * 0.2
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ def test_safe_states_are_seen(rig, state, control, status):
         with pytest.raises(DeviceError, match=r"not enabled .* call enable\(\) first"):
             await axis.execute("setVelocity", [1.0])
 
-    b.run_real(mission)
+    b.run(mission)
     assert (b.drive.get(0x605A) == 6) is (state == "torque_hold")
 
 
@@ -252,7 +252,7 @@ def test_a_safe_state_that_does_not_come_is_told(rig, monkeypatch):
             async with asyncio.timeout(8.0):
                 await axis.make_safe()
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_a_fault_is_told_in_words_and_reset(rig):
@@ -272,7 +272,7 @@ def test_a_fault_is_told_in_words_and_reset(rig):
         await b.until(lambda: b.values["fault"] == "")
         await axis.execute("enable", [])
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_a_travel_that_is_stuck_ends(rig, monkeypatch):
@@ -287,7 +287,7 @@ def test_a_travel_that_is_stuck_ends(rig, monkeypatch):
         ):
             await axis.execute("moveTo", [3.0, 5.0])
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_homing_gives_the_positions_a_meaning(rig):
@@ -301,7 +301,7 @@ def test_homing_gives_the_positions_a_meaning(rig):
         await b.until(lambda: b.values["referenced"])
         await axis.execute("moveTo", [1.0, 5.0])
 
-    b.run_real(mission)
+    b.run(mission)
     assert b.drive.get(0x6098) == 37
     assert b.drive.get(0x6099, 1) == round(1.0 / math.tau * 10_000)
 
@@ -317,7 +317,7 @@ def test_a_drive_that_restarts_is_set_up_again_and_stays_off(rig):
         assert b.values["enabled"] is False
         await axis.execute("enable", [])
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(rig):
@@ -338,7 +338,7 @@ def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(rig):
         await b.until(lambda: b.values["online"] and b.drive.state != 0x0237)
         await axis.make_safe()
 
-    b.run_real(mission)
+    b.run(mission)
     assert [note for note in b.notes if "heard" in note] == ["it is not heard any more", "heard again"]
 
 
@@ -357,7 +357,7 @@ def test_two_devices_with_one_id_are_seen(rig):
         with pytest.raises(DeviceError, match="two devices answer to this node id"):
             await axis.open()
 
-    b.run_real(mission, opened=False)
+    b.run(mission, opened=False)
 
 
 def test_two_bindings_of_one_node_are_refused(rig, binding):
@@ -369,7 +369,7 @@ def test_two_bindings_of_one_node_are_refused(rig, binding):
     with pytest.raises(
         DeviceError, match=r"winch.other and winch.axis have the same frames \(id 0x\w+\); give every device"
     ):
-        b.run_real(mission)
+        b.run(mission)
 
 
 @pytest.mark.parametrize(
@@ -385,7 +385,7 @@ def test_options_that_make_no_sense(rig, options, words):
         raise AssertionError("it must not be opened")
 
     with pytest.raises(DeviceError, match=words):
-        rig(options=options).run_real(mission)
+        rig(options=options).run(mission)
 
 
 def test_something_else_that_answers_is_no_drive(rig):
@@ -396,7 +396,7 @@ def test_something_else_that_answers_is_no_drive(rig):
         with pytest.raises(DeviceError, match="is no CiA 402 drive: its device type 0x1000 is 0x00000191"):
             await axis.open()
 
-    b.run_real(mission, opened=False)
+    b.run(mission, opened=False)
 
 
 def test_nobody_there_is_an_error_within_its_bound(rig):
@@ -410,7 +410,7 @@ def test_nobody_there_is_an_error_within_its_bound(rig):
         assert error.value.kind == "DeviceTimeoutException"
         assert b.driver.clock.monotonic() - start < 1.5
 
-    b.run_real(mission, opened=False)
+    b.run(mission, opened=False)
 
 
 def test_answers_that_are_nonsense_are_errors_not_crashes(rig):
@@ -422,4 +422,4 @@ def test_answers_that_are_nonsense_are_errors_not_crashes(rig):
         with pytest.raises(DeviceError, match="device type 0x1000:0"):
             await axis.open()
 
-    b.run_real(mission, opened=False)
+    b.run(mission, opened=False)

@@ -128,7 +128,7 @@ def test_a_quick_stop_that_lets_go_is_no_brake(drive, state):
         with pytest.raises(DeviceError, match=r"quick stop lets it run out \(0x605A is 0\).* set it to 2"):
             await axis.open()
 
-    b.run_real(mission, opened=False)
+    b.run(mission, opened=False)
 
 
 def test_option_codes_that_only_the_manual_explains_are_told(drive):
@@ -139,7 +139,7 @@ def test_option_codes_that_only_the_manual_explains_are_told(drive):
     async def mission(axis):
         assert [note for note in b.notes if "0x605" in note] == ["a fault lets it run out (0x605E is 0)"]
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_what_comes_only_by_changes_holds_while_the_heartbeat_is_heard(drive):
@@ -156,7 +156,7 @@ def test_what_comes_only_by_changes_holds_while_the_heartbeat_is_heard(drive):
             await asyncio.sleep(0.3)
             assert b.values.keys() >= {"position", "velocity", "state", "enabled"}
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_a_load_is_not_let_go_when_an_axis_that_held_it_is_enabled(drive):
@@ -176,7 +176,7 @@ def test_a_load_is_not_let_go_when_an_axis_that_held_it_is_enabled(drive):
         await axis.execute("setVelocity", [2.0])
         await b.until(lambda: b.values["velocity"] == pytest.approx(2.0, abs=0.1))
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 def test_a_load_that_turns_an_axis_without_torque_is_no_rest(rig):
@@ -264,7 +264,7 @@ def test_a_drive_that_coasts(bench, binding, bus):
         await b.until(lambda: axis.moving() == "")
         assert abs(drive.velocity) < 0.05 * 10_000
 
-    b.run_real(mission)
+    b.run(mission)
 
 
 @pytest.mark.parametrize("state", ["torque_off", "torque_hold", "brake"])

@@ -77,6 +77,9 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
 }
 #: Where the others are tried.
 ELSEWHERE: dict[tuple[str, int], str] = {
+    ("test", 1): "../testing/test_pytest_plugin.py",
+    ("test", 66): "../testing/test_pytest_plugin.py",
+    ("test", 69): "../testing/test_pytest_plugin.py",
     ("up", 1): "run/test_up_life_and_death.py",
     ("up", 3): "stops",
     ("up", 4): "run/test_up_life_and_death.py",

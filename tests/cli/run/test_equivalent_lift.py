@@ -1,7 +1,4 @@
-"""The example of capabilities: of its four runs, each with one more robot that has failed, the third.
-
-`make test-more` runs all four, as its README does.
-"""
+"""The example of capabilities as its README runs it: `make test-more`. Its own tests are beside it."""
 
 from __future__ import annotations
 
@@ -13,13 +10,6 @@ from pathlib import Path
 import pytest
 
 DEMO = Path(__file__).parents[3] / "examples" / "02-equivalent-lift" / "demo.py"
-#: The crane and the copter have failed.
-THIRD = """
-import sys
-import demo
-from lfield import exits
-sys.exit(demo.run(demo.FAILURES[1:3]) != exits.UNSAFE)
-"""
 
 pytestmark = [pytest.mark.process, pytest.mark.long, pytest.mark.timeout(600)]
 
@@ -38,12 +28,6 @@ def shown(lfield, alone, *words: str) -> str:
     assert "Traceback" not in done.stdout + done.stderr
     assert lfield.left() == []
     return done.stdout
-
-
-def test_an_arm_and_a_hand_together_when_crane_and_copter_have_failed(lfield, alone):
-    run = shown(lfield, alone, "-c", THIRD)
-    assert lifts_of(run) == [("bench", "0.8")], run
-    assert "composed: grip-and-climb of Grip (hand), Climb (arm)" in run
 
 
 @pytest.mark.few(0)

@@ -68,63 +68,6 @@ def test_the_programs_of_the_thesis_print_what_it_prints(lfield, name):
     assert len(by_host) == 3
 
 
-def test_client_server_example(lfield):
-    by_host = fly(lfield, EXAMPLES / "10-client-server" / "mission.dL")
-    assert set(by_host) == {"yard", "north", "south"}
-    assert by_host["north"] == [f"red has delivered {n}" for n in _sums(by_host["yard"], "red")]
-    assert by_host["south"] == [f"blue has delivered {n}" for n in _sums(by_host["yard"], "blue")]
-    taken = [re.fullmatch(r"(red|blue) takes (\d+) from shelf ([012])", line) for line in by_host["yard"]]
-    assert all(taken)
-    assert [m[1] for m in taken].count("red") == 3
-    assert [m[1] for m in taken].count("blue") == 2
-    stock = [7, 12, 5]
-    for match in taken:
-        assert stock[int(match[3])] == max(stock), "the fullest shelf gives"
-        stock[int(match[3])] -= int(match[2])
-    assert min(stock) >= 0
-
-
-def _sums(yard: list[str], rover: str) -> list[int]:
-    amounts = [int(line.split()[2]) for line in yard if line.startswith(rover)]
-    return [sum(amounts[: n + 1]) for n in range(len(amounts))]
-
-
-def test_multiple_tiers_example(lfield):
-    assert fly(lfield, EXAMPLES / "11-multiple-tiers" / "mission.dL") == {
-        "sky": [
-            "flight 1: cell 1 blocked: true",
-            "flight 2: cell 2 blocked: false",
-            "flight 3: cell 3 blocked: false",
-            "flight 4: cell 4 blocked: true",
-        ],
-        "road": [
-            "truck: cell 1 is blocked, going round",
-            "truck: cell 2 is free",
-            "truck: cell 3 is free",
-            "truck: cell 2 is free",
-            "truck: cell 1 is blocked, going round",
-            "truck: cell 4 is blocked, going round",
-        ],
-    }
-
-
-def test_peer_to_peer_example(lfield):
-    by_host = fly(lfield, EXAMPLES / "12-peer-to-peer" / "mission.dL")
-    lines = [line for lines in by_host.values() for line in lines]
-    asked = re.findall(r"^(\w+) asks (\w+) about target (\d)$", "\n".join(lines), re.M)
-    assert sorted(asked) == [
-        ("ann", "bob", "0"), ("ann", "cyd", "1"),
-        ("bob", "ann", "1"), ("bob", "cyd", "0"), ("bob", "cyd", "2"),
-        ("cyd", "ann", "0"), ("cyd", "bob", "1"),
-    ]  # fmt: skip
-    for who, whom, target in asked:
-        confirmed = (int(target) + 3) % 2 == 0
-        verdict = "keeps" if confirmed else "drops"
-        assert f"{whom} judges target {target} of {who}: {str(confirmed).lower()}" in lines
-        assert f"{who} {verdict} target {target}" in lines
-    assert len(lines) == 3 * len(asked)
-
-
 @pytest.mark.timeout(240)
 def test_first_flight(lfield):
     """The product's main job: two copters on fakes, one policy that travels between them."""

@@ -1,0 +1,58 @@
+"""First flight, on virtual time: `lfield test examples/01-first-flight`."""
+
+from __future__ import annotations
+
+import math
+
+
+def test_the_two_copters_mirror_each_other_and_keep_apart(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    assert team.ended == {"pilot": "done"}
+    legs = [call for call in team.calls if call.portal == "fly"]
+    assert [(call.resource, call.arguments[2]) for call in legs] == [("lead", 2.0), ("wing", 3.5)] * 3
+    for lead, wing in zip(legs[::2], legs[1::2], strict=True):
+        assert lead.arguments[:2] == tuple(-part for part in wing.arguments[:2])
+        assert lead.at < wing.at < lead.ended, "both fly at one time"
+    # Takeoff, three legs, landing: out to begin and back to fetch; the summary ends on the other host.
+    assert len(team.hops) == 11
+    lead, wing = (team.tracks[name] for name in ("lead.fc", "wing.fc"))
+    # They are switched on at one place, and fly each from its own: apart by height there.
+    flying = [(a, b) for a, b in zip(lead, wing, strict=True) if legs[0].at < a.at < legs[-1].ended]
+    assert min(math.dist(a[1:], b[1:]) for a, b in flying) > 1.1
+    assert lead[-1].up < 0.05
+    assert wing[-1].up < 0.05
+
+
+def test_when_one_cannot_fly_on_the_other_is_brought_down(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until=lambda: any(call.portal == "fly" for call in team.calls))
+    team.run(1.0)
+    team.fake("lead.fc").set("motor_failure=true")
+    team.run(until_done=True)
+    assert team.ended == {"pilot": "done"}
+    assert team.said("pilot: cutting the flight short: fc: ")
+    assert len([call for call in team.calls if call.portal == "fly"]) == 2
+    assert team.said("wing: landed", "bravo") == 1
+    assert team.fake("wing.fc").facts["airborne"] is False
+
+
+def test_half_the_charge_makes_shorter_legs(lfield_mission):
+    longest = {}
+    for charge in ("1.0", "0.45"):
+        team = lfield_mission("mission.dL", fakes={"wing.fc": [f"battery={charge}"]})
+        team.run(until_done=True)
+        longest[charge] = max(point.north for point in team.tracks["lead.fc"])
+    assert 3.5 < longest["1.0"] < 4.5
+    assert 2.0 < longest["0.45"] < 3.0
+
+
+def test_a_link_that_is_cut_in_flight_costs_time_and_nothing_else(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until="lead: at")
+    team.cut("alpha", "bravo")
+    team.run(4.0)
+    team.heal("alpha", "bravo")
+    team.run(until_done=True)
+    assert team.ended == {"pilot": "done"}
+    assert [call.portal for call in team.calls].count("fly") == 6

@@ -1,0 +1,58 @@
+"""The runs of demo.py, on virtual time: `lfield test examples/02-equivalent-lift`."""
+
+from __future__ import annotations
+
+import re
+
+import demo
+import pytest
+
+#: Each run has failures of those before.
+FAILURES = [(device, fault) for device, fault, _ in demo.FAILURES[1:]]
+
+
+def run(lfield_mission, failures):
+    """The mission with these robots failing once the hook is down; the team when it has ended."""
+    team = lfield_mission("mission.dL")
+    team.run(until="the parcel is coming")
+    for device, fault in failures:
+        team.fake(device).set(fault)
+    team.run(until_done=True)
+    assert team.ended == {"foreman": "done"}
+    return team
+
+
+def lifts(team):
+    """Where the foreman was when the parcel had gone up, and by how many metres."""
+    found = [(line.host, re.match(r"foreman: the parcel went up by (.*) m$", line.text)) for line in team.log]
+    return [(host, match[1]) for host, match in found if match]
+
+
+@pytest.mark.parametrize(
+    ("count", "lift", "way"),
+    [
+        (0, ("yard", "0.8"), "crane shall lift (direct, "),
+        (1, ("air", None), "equivalent: climb-lifts of Climb"),
+        (2, ("bench", "0.8"), "composed: grip-and-climb of Grip (hand), Climb (arm)"),
+        (3, None, "nobody can lift the parcel"),
+    ],
+)
+def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield_mission, count, lift, way):
+    team = run(lfield_mission, FAILURES[:count])
+    assert team.said(way)
+    found = lifts(team)
+    if lift is None:
+        assert found == []
+        for why in ("crane: axis: not heard", "sky: battery 0.15 < 0.3", "hand: motor: not heard"):
+            assert team.said(why)
+        return
+    ((host, height),) = found
+    assert host == lift[0]
+    # The crane and the arm are exact, a copter is not.
+    assert height == lift[1] or (lift[1] is None and abs(float(height) - 0.8) < 0.3)
+
+
+def test_the_copter_that_stands_in_has_lifted_in_truth(lfield_mission):
+    team = run(lfield_mission, FAILURES[:1])
+    assert max(point.up for point in team.tracks["sky.fc"]) > 1.0
+    assert team.fake("sky.fc").facts["airborne"] is False

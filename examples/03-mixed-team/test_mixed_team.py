@@ -1,0 +1,48 @@
+"""The mixed team, on virtual time: `lfield test examples/03-mixed-team`."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+
+def test_the_parcel_goes_from_the_copter_to_the_hand_under_the_hook(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    assert team.ended == {"courier": "done"}
+    steps = [line.text for line in team.log if line.text.startswith("courier: ")]
+    assert [text.split(",")[0].split(" at ")[0] for text in steps[:4]] == [
+        "courier: the copter has the parcel",
+        "courier: the hook is",
+        "courier: the hand has the parcel; the copter may land",
+        "courier: the hook is back",
+    ]
+    assert not team.said("closed on nothing")
+    (there,) = re.findall(r"the hook is at ([\d.]+) m", "\n".join(steps))
+    assert float(there) == pytest.approx(1.2, abs=0.02)
+    calls = {(call.resource, call.portal): call for call in team.calls}
+    assert calls["hoist", "lower"].at < calls["carrier", "goTo"].ended, "the hook comes down while it flies"
+    far = max(point.north**2 + point.east**2 for point in team.tracks["carrier.fc"]) ** 0.5
+    assert far == pytest.approx(5.0, abs=0.5)
+
+
+def test_in_the_end_each_goes_to_its_safe_state(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    team.stop()
+    team.run(5.0)
+    for device, state in (("carrier.fc", "land"), ("hoist.axis", "brake"), ("hand.motor", "torque_hold")):
+        assert team.said(f"{device}: is in its safe state '{state}': the host is stopping") == 1
+
+
+def test_a_hoist_that_loses_its_bus_is_an_exception_and_the_copter_comes_down(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until="the copter has the parcel")
+    team.fake("hoist.axis").set("silence=true")
+    team.run(until_done=True)
+    assert team.ended == {"courier": "died"}
+    assert team.said("courier died of an uncaught Device")
+    team.stop()
+    team.run(40.0)
+    assert team.fake("carrier.fc").facts["airborne"] is False

@@ -1,0 +1,114 @@
+"""Who carried what, and when: a run of the mission as a picture, time to the right and hosts downwards.
+
+`python examples/15-tuple-space/carried.py` flies the mission that the page shows, and draws tracks.svg.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from html import escape
+from pathlib import Path
+
+from lfield.testing.mission.calls import PortalCall
+from lfield.testing.mission.team import Team
+
+HERE = Path(__file__).parent
+#: Pixels: of a second, of a host, left of the beginning, between the lanes of those who wait in the space.
+SECOND, ROW, LEFT, LANE = 84.0, 72.0, 64.0, 8.0
+#: The hosts from above, the space in the middle; a colour for each carrier (Okabe and Ito, 2008).
+HOSTS = ("sky", "north", "farm", "south", "east")
+COLOURS = {"scout": "#0072b2", "hoe1": "#d55e00", "hoe2": "#009e73", "fork": "#cc79a7"}
+
+
+def main() -> None:
+    """Fly it: the computer of a hoe is killed while it pulls a weed, and started again."""
+    team = shown(Team(HERE / "mission.dL"))
+    (HERE / "tracks.svg").write_text(draw(team))
+    team.close()
+
+
+def shown(team: Team) -> Team:
+    """The run of the page."""
+    team.at(4.0, lambda: team.crash("north"))
+    team.at(5.5, lambda: team.boot("north"))
+    team.run(until_done=True)
+    return team
+
+
+def draw(team: Team) -> str:
+    """An SVG of the hops, of the tuples that were worked on, and of what befell hosts."""
+    parts = [text(8, y(host) + 4, host, "#222") for host in HOSTS]
+    parts += [text(8, y(host_of(team, client)) + 18, client, colour) for client, colour in COLOURS.items()]
+    parts += [f'<path d="M{LEFT} {y(h)}H{x(team.now):.1f}" stroke="#ddd"/>' for h in HOSTS]
+    parts += [text(x(t), y("east") + 40, f"{t} s", "#888") for t in range(int(team.now) + 1)]
+    parts += [track(team, client) for client in COLOURS]
+    parts += [work(team, call) for call in team.calls if worked(call)]
+    for mark in team.marks:
+        place = y(mark.words.split()[0])
+        parts.append(f'<path d="M{x(mark.at) - 5:.1f} {place - 5}l10 10m0 -10l-10 10" stroke="#d00"/>')
+        parts.append(text(x(mark.at) - 4, place - 20, mark.words, "#d00"))
+    width, height = x(team.now) + 40, y("east") + 56
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" '
+        'font-family="sans-serif" font-size="11">\n<rect width="100%" height="100%" fill="#fff"/>\n'
+        + "\n".join(parts)
+        + "\n</svg>\n"
+    )
+
+
+def track(team: Team, client: str) -> str:
+    """Where a carrier was: on its client's host, or in the space, in a lane of its own."""
+    lane = LANE * (list(COLOURS).index(client) - 1.5)
+    path = ""
+    for hop in (hop for hop in team.hops if hop.agent == f"{client}-carrier"):
+        ends = [y(host) + lane * (host == "farm") for host in (hop.source, hop.target)]
+        path += f"{'L' if path else 'M'}{x(hop.at):.1f} {ends[0]}V{ends[1]}"
+    return f'<path d="{path}" stroke="{COLOURS[client]}" fill="none" stroke-width="1.5"/>'
+
+
+def worked(call: PortalCall) -> bool:
+    """Whether a client worked on a tuple; one that was killed has not ended."""
+    return call.portal == "reply" and (call.ended is None or call.ended > call.at)
+
+
+def work(team: Team, call: PortalCall) -> str:
+    """A bar with the tuple in it."""
+    place = y(host_of(team, call.resource))
+    end = call.ended or next(mark.at for mark in team.marks if mark.at > call.at)
+    dashed = "" if call.ended else ' stroke-dasharray="4"'
+    return (
+        f'<rect x="{x(call.at):.1f}" y="{place - 11}" width="{x(end) - x(call.at):.1f}" height="22" rx="4" '
+        f'fill="#fff" stroke="{COLOURS[call.resource]}"{dashed}/>\n'
+        + text(x(call.at) + 4, place + 4, " ".join(fields(call.arguments[0])), COLOURS[call.resource])
+    )
+
+
+def fields(tuple_: object) -> Iterator[str]:
+    """What a tuple says, without the word that it begins with where that is clear."""
+    values = tuple_.values  # type: ignore[attr-defined]
+    yield from values if values[0] == "row" else values[1:]
+
+
+def host_of(team: Team, agent: str) -> str:
+    """Where an agent is deployed."""
+    whole = team.mission.team
+    return next(whole.hosts[member.host] for member in whole.members if member.id == agent)
+
+
+def x(seconds: float) -> float:
+    """Pixels from the left."""
+    return LEFT + SECOND * seconds
+
+
+def y(host: str) -> float:
+    """Pixels from the top."""
+    return ROW * HOSTS.index(host) + 44.0
+
+
+def text(left: float, base: float, words: str, colour: str) -> str:
+    """Words, not bold."""
+    return f'<text x="{left:.1f}" y="{base:.1f}" fill="{colour}">{escape(words)}</text>'
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""The device: what its manifest promises. Nothing that the planner answers is believed unchecked."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from collections.abc import Awaitable, Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+from lfield.driver import Device
+
+#: Sites that it is asked about at most, seconds between two signs of life, and metres that are nothing.
+MOST, SIGN, NOTHING = 12, 1.0, 0.01
+
+Place = Sequence[float]
+
+
+class PlannerDevice(Device):
+    """A planner. It moves nothing: a pure sensor, of what had best be done."""
+
+    def __init__(
+        self, binding: Any, manifest: Any, clock: Any, reports: Any, ask: Callable[[str], Awaitable[str]]
+    ) -> None:
+        super().__init__(binding, manifest, clock, reports)
+        self._ask = ask
+        self._plans = self._failures = 0
+
+    async def tell(self, alive: Callable[[], bool]) -> None:
+        """Its signs of life."""
+        while True:
+            if alive():
+                self.heard()
+            self.publish(plans=self._plans, failures=self._failures)
+            await asyncio.sleep(SIGN)
+
+    async def _open(self) -> str:
+        self.heard()
+        await self.do_tour([], [], [0.0, 0.0], 1.0)
+        return "a planner that answers"
+
+    async def do_tour(
+        self, sites: list[float], worth: list[float], start: list[float], reach: float
+    ) -> list[int]:
+        """Asked by a line and answered by one, in `patience` seconds or not at all."""
+        places = list(zip(sites[::2], sites[1::2], strict=False))
+        if len(sites) != 2 * len(worth) or len(start) != 2 or len(places) > MOST:
+            raise self.error(
+                f"a tour is of up to {MOST} sites, {{north, east}} each, a worth for each, and a start"
+            )
+        if not all(map(math.isfinite, (*sites, *worth, *start, reach))) or min(worth, default=1.0) <= 0.0:
+            raise self.error("sites, start and reach are numbers, and what a site is worth is above 0")
+        request = {"sites": places, "worth": worth, "start": start, "reach": reach}
+        self._failures += 1  # until it has succeeded
+        try:
+            tour = self._read(await self._patiently(json.dumps(request)))
+            if wrong := mistake(tour, places, start, reach):
+                raise self.error(f"its plan makes no sense: {wrong}")
+            self._plans, self._failures = self._plans + 1, self._failures - 1
+            self.heard()
+            return tour
+        finally:
+            self.publish(plans=self._plans, failures=self._failures)
+
+    async def _patiently(self, request: str) -> str:
+        patience = self.binding.option("patience")
+        try:
+            async with asyncio.timeout(patience):
+                return await self._ask(request)
+        except TimeoutError:
+            raise self.error(f"no plan within {patience:g} s; it was given up", timeout=True) from None
+
+    def _read(self, answer: str) -> list[int]:
+        try:
+            told = json.loads(answer)
+        except ValueError:
+            told = None
+        match told:
+            case {"tour": [*tour]} if all(type(site) is int for site in tour):
+                return tour
+            case {"error": str(reason)}:
+                raise self.error(f"it failed: {reason[:200]}")
+        raise self.error(f"its answer makes no sense: {answer[:80]!r}")
+
+
+def mistake(tour: Sequence[int], sites: Sequence[Place], start: Place, reach: float) -> str:
+    """What is wrong with a tour that ends at home, (0, 0); '' when nothing is."""
+    unknown = next((site for site in tour if not 0 <= site < len(sites)), None)
+    if unknown is not None:
+        return f"there is no site {unknown}"
+    if len(set(tour)) < len(tour):
+        return f"it visits a site twice: {list(tour)}"
+    way = [start, *(sites[site] for site in tour), (0.0, 0.0)]
+    length = sum(math.dist(a, b) for a, b in pairwise(way))
+    return "" if length <= reach + NOTHING else f"it is {length:.0f} m long, of {reach:.0f} m"

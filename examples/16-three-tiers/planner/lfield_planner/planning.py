@@ -1,0 +1,74 @@
+"""The planner itself: which sites to visit in which order, by the optimiser HiGHS.
+
+It knows nothing of lfield, and lfield nothing of it: any program that answers a line by a line would do.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+
+import highspy
+
+Place = Sequence[float]
+
+#: Seconds after which the optimiser gives up by itself, and metres that are nothing.
+PATIENCE, NOTHING = 60.0, 1e-6
+
+
+def plan(sites: Sequence[Place], worth: Sequence[float], start: Place, reach: float) -> list[int]:
+    """The sites to visit on a way of at most `reach` metres from `start` that ends at home, (0, 0).
+
+    They are worth as much as can be, and the way is the shortest for that. It is a mixed-integer program: a
+    variable for each leg that could be gone, and one for the turn of each site, so that no legs make a circle
+    of their own (Miller, Tucker and Zemlin). Raises ValueError when there is no such way.
+    """
+    first, home = len(sites), len(sites) + 1
+    places = [*sites, start, (0.0, 0.0)]
+    solver = _silent()
+    legs = {(a, b): solver.addBinary() for a in range(home) for b in (*range(first), home) if a != b}
+    turn = [solver.addVariable(0, home) for _ in places]
+    length = sum(math.dist(places[a], places[b]) * taken for (a, b), taken in legs.items())
+    solver.addConstr(length <= reach)
+    solver.addConstr(sum(legs[first, b] for b in (*range(first), home)) == 1)
+    for site in range(first):
+        comes = sum(taken for (_, b), taken in legs.items() if b == site)
+        goes = sum(taken for (a, _), taken in legs.items() if a == site)
+        solver.addConstr(comes == goes)
+        solver.addConstr(comes <= 1)
+    for (a, b), taken in legs.items():
+        solver.addConstr(turn[b] >= turn[a] + 1 - (home + 1) * (1 - taken))
+    gained = sum(worth[b] * taken for (_, b), taken in legs.items() if b < first)
+    # All metres together count less than the least site does.
+    solver.maximize(gained - 0.5 * min(worth, default=1.0) / max(reach, 1.0) * length)
+    if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
+        raise ValueError(f"there is no way home of {reach:.1f} m")
+    found = {a: b for (a, b), taken in legs.items() if solver.val(taken) > 0.5}
+    tour = [found[first]]
+    while tour[-1] != home:
+        tour.append(found[tour[-1]])
+    tour.pop()
+    # From home and back both directions are as good: always the same one, whatever the optimiser's version.
+    return min(tour, tour[::-1]) if math.dist(start, places[home]) < NOTHING else tour
+
+
+def _silent() -> highspy.Highs:
+    solver = highspy.Highs()  # type: ignore[no-untyped-call]
+    for option, value in (
+        ("output_flag", False),
+        ("threads", 1),
+        ("time_limit", PATIENCE),
+        ("mip_rel_gap", 0.0),
+    ):
+        solver.setOptionValue(option, value)
+    return solver
+
+
+def answer(line: str) -> str:
+    """What a request is answered with, a line of JSON each: {"tour": [2, 0]} or {"error": "..."}."""
+    try:
+        asked = json.loads(line)
+        return json.dumps({"tour": plan(asked["sites"], asked["worth"], asked["start"], asked["reach"])})
+    except Exception as error:  # it is told to whoever asked, and the next one is answered
+        return json.dumps({"error": f"{type(error).__name__}: {error}"})

@@ -1,0 +1,207 @@
+"""The planner's driver: the optimiser in its process, and in its place programs that are no planners."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+import os
+import random
+import sys
+from functools import partial
+
+import pytest
+from lfield_planner import PLUGIN
+from lfield_planner.device import mistake
+from lfield_planner.driver import PlannerDriver
+from lfield_planner.fake import nonsense
+from lfield_planner.planning import answer, plan
+
+from lfield.driver import DeviceError
+from lfield.testing.driver_bench import DriverBench, bind, running_fake
+
+HOME = (0.0, 0.0)
+
+#: Says its number and then, to each line, something else.
+STUB = """
+import json, os, sys, time
+open(sys.argv[2], "w").write(str(os.getpid()))
+for line in sys.stdin:
+    asked = json.loads(line)
+    if not asked["sites"]:
+        print('{"tour": []}', flush=True)
+    elif asked["reach"] == 13.0:
+        time.sleep(1000)
+    else:
+        print(sys.argv[1], flush=True)
+        if not sys.argv[1]:
+            raise RuntimeError("a planner with a bug")
+"""
+
+
+def length(start, sites, tour):
+    """Of the way from the start by these sites home."""
+    way = [start, *(sites[site] for site in tour), HOME]
+    return sum(math.dist(a, b) for a, b in itertools.pairwise(way))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_no_other_way_is_better(seed):
+    dice = random.Random(seed)
+    sites = [(dice.uniform(-40, 40), dice.uniform(-40, 40)) for _ in range(dice.randint(0, 5))]
+    worth = [dice.choice((1.0, 3.0)) for _ in sites]
+    start = dice.choice((HOME, (dice.uniform(-20, 20), 5.0)))
+    reach = dice.uniform(math.dist(start, HOME) + 0.1, 250.0)
+    ways = (
+        way for count in range(len(sites) + 1) for way in itertools.permutations(range(len(sites)), count)
+    )
+    best = max(
+        (sum(worth[site] for site in way), -length(start, sites, way))
+        for way in ways
+        if length(start, sites, way) <= reach
+    )
+    found = plan(sites, worth, start, reach)
+    assert mistake(found, sites, start, reach) == ""
+    assert (sum(worth[site] for site in found), -length(start, sites, found)) == pytest.approx(best)
+
+
+def test_whoever_cannot_come_home_is_told():
+    assert answer('{"sites": [], "worth": [], "start": [30, 40], "reach": 49}') == (
+        '{"error": "ValueError: there is no way home of 49.0 m"}'
+    )
+    assert "JSONDecodeError" in answer("what?")
+
+
+def planner(*command, patience=20.0):
+    """A bench with a planner in a process: ours, or another program."""
+    binding = bind(PLUGIN, "Planner", field="planner", endpoint="process:", options={"patience": patience})
+    make = partial(PlannerDriver, command=command) if command else None
+    return DriverBench(PLUGIN, binding, make=make)
+
+
+@pytest.mark.process
+def test_it_plans_in_a_process_of_its_own():
+    bench = planner()
+
+    async def story(device):
+        tour = ([10.0, 0.0, 0.0, 10.0, 90.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0], 40.0)
+        assert await device.execute("tour", tour) == [0, 1]
+        await bench.until(lambda: bench.values["plans"] == 2)  # the first one when it was opened
+        assert bench.values["failures"] == 0
+
+    bench.run_real(story)
+
+
+SITES = [10.0, 0.0, 0.0, 10.0], [1.0, 1.0], [0.0, 0.0]
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("", "process:: it ended without an answer|its answer makes no sense: ''"),
+        ('{"error": "out of memory"}', "it failed: out of memory"),
+        ("Segmentation fault", "its answer makes no sense: 'Segmentation fault'"),
+        ('{"tour": [true]}', "its answer makes no sense"),
+        ('{"tour": [0, 2]}', "its plan makes no sense: there is no site 2"),
+        ('{"tour": [1, 1]}', r"its plan makes no sense: it visits a site twice: \[1, 1\]"),
+        ('{"tour": [0, 1]}', "its plan makes no sense: it is 34 m long, of 30 m"),
+    ],
+)
+def test_a_planner_that_fails_or_answers_nonsense_is_not_believed(said, told, tmp_path):
+    bench = planner(sys.executable, "-c", STUB, said, str(tmp_path / "pid"))
+
+    async def story(device):
+        for _ in range(2):
+            with pytest.raises(DeviceError, match=told):
+                await device.execute("tour", (*SITES, 30.0))
+        await bench.until(lambda: bench.values["failures"] == 2)
+
+    bench.run_real(story)
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("patience", [0.3, 20.0])
+def test_a_planner_that_takes_for_ever_is_ended_and_the_next_one_asked(patience, tmp_path):
+    bench = planner(sys.executable, "-c", STUB, '{"tour": [0]}', str(tmp_path / "pid"), patience=patience)
+
+    async def story(device):
+        first = int((tmp_path / "pid").read_text())
+        thinking = asyncio.ensure_future(device.execute("tour", (*SITES, 13.0)))
+        if patience > 1.0:
+            # The guard gives it up, since the time of a program is over.
+            await asyncio.sleep(0.1)
+            thinking.cancel()
+        with pytest.raises((DeviceError, asyncio.CancelledError)) as ended:
+            await thinking
+        if patience < 1.0:
+            assert "no plan within 0.3 s; it was given up" in str(ended.value)
+        await bench.until(lambda: not alive(first))
+        assert await device.execute("tour", (*SITES, 30.0)) == [0]
+        assert int((tmp_path / "pid").read_text()) != first
+
+    bench.run_real(story)
+
+
+def alive(number):
+    """Whether there is such a process."""
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("arguments", [
+    ([1.0], [1.0], [0.0, 0.0], 9.0),
+    ([1.0, 2.0], [1.0], [0.0], 9.0),
+    ([1.0, 2.0], [0.0], [0.0, 0.0], 9.0),
+    ([1.0, math.nan], [1.0], [0.0, 0.0], 9.0),
+    ([1.0] * 26, [1.0] * 13, [0.0, 0.0], 9.0),
+])  # fmt: skip
+def test_what_is_no_question_is_not_asked(arguments, tmp_path):
+    bench = planner(sys.executable, "-c", STUB, "never", str(tmp_path / "pid"))
+
+    async def story(device):
+        with pytest.raises(DeviceError, match=r"a tour is of|are numbers"):
+            await device.execute("tour", arguments)
+
+    bench.run_real(story)
+
+
+def test_there_is_no_other_endpoint():
+    binding = bind(PLUGIN, "Planner", endpoint="thought:")
+
+    async def story(device):
+        pass
+
+    with pytest.raises(DeviceError, match="this is no endpoint; write process: or tcp:HOST:PORT"):
+        DriverBench(PLUGIN, binding).run(story)
+
+
+@pytest.mark.process
+def test_the_fake_is_the_planner_with_what_can_be_wrong():
+    with running_fake("planner") as fake:
+        bench = DriverBench(
+            PLUGIN, bind(PLUGIN, "Planner", endpoint=fake.endpoint, options={"patience": 0.5})
+        )
+
+        async def story(device):
+            for fault, told in (
+                ("silent=true", "it ended without an answer"),
+                ("fails=no licence", "it failed: no licence"),
+                ("nonsense=unknown", "there is no site 2"),
+                ("nonsense=repeated", "it visits a site twice"),
+                ("nonsense=long", "it is 34 m long"),
+                ("nonsense=42", "its answer makes no sense"),
+                ("slow=1e6", "no plan within 0.5 s"),
+            ):
+                fake.fault(fault)
+                with pytest.raises(DeviceError, match=told):
+                    await device.execute("tour", (*SITES, 30.0))
+                fake.fault("silent=false", "fails=", "nonsense=", "slow=0")
+                assert await device.execute("tour", (*SITES, 35.0)) == [0, 1]
+
+        bench.run_real(story)
+    assert nonsense("unknown", '{"sites": []}') == '{"tour": [0]}'

@@ -1,0 +1,146 @@
+"""Three tiers, on virtual time: `lfield test examples/16-three-tiers`."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from lfield.testing.mission.picture import draw
+
+SITES = {"gate", "mast", "pump", "tank", "well", "yard"}
+#: Where what nobody told the planner of stands: metres north and east, and its radius.
+OBSTACLE, RADIUS = (30.0, 12.0), 3.0
+
+
+PICTURE = (Path(__file__).parent / "tracks.svg").read_text(encoding="utf-8")
+
+
+def shows(picture):
+    """What a picture is of: its lines, each with the places where it begins and ends, to 20 dots."""
+    lines = [re.findall(r"[0-9.]+", line) for line in re.findall(r'd="(M[^"]*)"', picture)]
+    return [[round(float(number) / 20.0) for number in (*line[:2], *line[-2:])] for line in lines]
+
+
+def inspected(team):
+    """Who has inspected what, in order."""
+    words = (line.text.split() for line in team.log)
+    return [(said[0], said[2]) for said in words if said[1:2] == ["inspects"]]
+
+
+def nearest(team, device="rover.fc"):
+    """How near a device came to the obstacle, in metres."""
+    return min(math.dist((point.north, point.east), OBSTACLE) for point in team.tracks[device])
+
+
+def at_home(team):
+    """Whether both are back, the copter on the ground."""
+    return all(math.hypot(*team.tracks[device][-1][1:]) < 2.0 for device in ("copter.fc", "rover.fc"))
+
+
+def test_what_the_rover_cannot_come_to_the_copter_takes(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    assert team.ended == {"sequencer": "done"}
+    done = inspected(team)
+    assert {site for _, site in done} == SITES
+    assert len(done) == len(SITES)
+    assert ("copter", "mast") in done
+    assert team.said("rover did not come to mast: something is in the way") == 1
+    assert RADIUS + 2.0 < nearest(team) < RADIUS + 9.0
+    assert at_home(team)
+    assert shows(draw(team.tracks, "three tiers", team.marks)) == shows(PICTURE), "draw it again"
+    # All hosts agree on what was sensed and what is next: once before the first step, and after each.
+    hosts = {hop.target for hop in team.hops}
+    agreements = 1 + sum(call.portal == "learn" for call in team.calls)
+    assert (len(team.hops), agreements, len(hosts)) == (23, 6, 3)
+    assert len(team.hops) < agreements * len(hosts) * (len(hosts) - 1) == 36
+
+
+def gone(team, device, metres):
+    """Whether a device has gone so far from home."""
+    track = team.tracks[device]
+    return bool(track) and math.hypot(track[-1].north, track[-1].east) > metres
+
+
+def test_tier_one_stops_for_what_is_in_the_way_and_asks_nobody(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until=lambda: gone(team, "rover.fc", 8.0))
+    for other in ("sky", "tower"):
+        team.cut("ground", other)
+    team.run(9.0)  # by itself it would be at the mast
+    assert RADIUS + 2.0 < nearest(team) < RADIUS + 9.0
+    for other in ("sky", "tower"):
+        team.heal("ground", other)
+    team.run(until="rover did not come to mast: something is in the way")
+    assert nearest(team) > RADIUS + 2.0
+
+
+def test_tier_one_comes_home_while_the_battery_lasts_and_asks_nobody(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until=lambda: gone(team, "copter.fc", 8.0))
+    asked = [call for call in team.calls if call.resource == "copter"]
+    team.fake("copter.fc").set("battery=0.29")
+    team.run(until="copter is home", at_most=40.0)
+    assert asked == [call for call in team.calls if call.resource == "copter"]
+    assert team.tracks["copter.fc"][-1].up < 0.1
+    team.run(until_done=True)
+    assert team.said("copter did not come to gate: its battery is low") == 1
+    # What the copter was to do the rover does; to the mast nobody comes.
+    assert sorted(inspected(team)) == [("rover", site) for site in sorted(SITES - {"mast"})]
+
+
+def test_when_the_wind_drains_the_battery_there_is_a_new_plan(lfield_mission):
+    team = lfield_mission("mission.dL", fakes={"copter.fc": ["wind=9", "wind_from=0.5"]})
+    team.run(until="copter is home", at_most=100.0)
+    said = [line.text for line in team.log if "copter" in line.text]
+    assert "sequencer: copter cannot go that far any more: " in said[-3]
+    assert said[-2].endswith(" and shall visit nothing")
+    assert ("copter", "mast") in inspected(team)
+    assert team.tracks["copter.fc"][-1].up < 0.1
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("fails=MemoryError", "no plan: planner: it failed: MemoryError"),
+        ("nonsense=repeated", "no plan: planner: its plan makes no sense: it visits a site twice: [0, 0]"),
+        ("slow=1e6", "no plan in time: "),
+    ],
+)
+def test_without_a_new_plan_the_old_one_holds_and_the_planner_is_asked_again(lfield_mission, fault, told):
+    team = lfield_mission("mission.dL")
+    team.run(until="rover can go")
+    team.fake("strategist.planner").set(fault)
+    team.run(until=told)
+    team.fake("strategist.planner").set("fails=", "nonsense=", "slow=0")
+    team.run(until="rover inspects pump")
+    team.fake("rover.fc").set("battery=0.38")
+    team.run(until="rover can go")
+    assert team.said("rover can go") == 2
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("nonsense=unknown", "no plan: planner: its plan makes no sense: there is no site 6"),
+        ("nonsense=long", "no plan: planner: its plan makes no sense: it is 177 m long, of 84 m"),
+        ("nonsense=42", "no plan: planner: its answer makes no sense: '42'"),
+    ],
+)
+def test_without_any_plan_nobody_goes_anywhere(lfield_mission, fault, told):
+    team = lfield_mission("mission.dL", fakes={"strategist.planner": [fault]})
+    team.run(until_done=True)
+    assert team.ended == {"sequencer": "done"}
+    assert team.said(told) == 1
+    assert inspected(team) == []
+    assert not team.has_moved
+
+
+def test_a_slow_planner_is_waited_for(lfield_mission):
+    team = lfield_mission("mission.dL", fakes={"strategist.planner": ["slow=4"]})
+    team.run(until="rover can go")
+    (planned,) = (call for call in team.calls if call.portal == "plan")
+    assert 8.0 < planned.ended - planned.at < 10.0

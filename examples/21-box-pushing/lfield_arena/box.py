@@ -1,0 +1,93 @@
+"""A box on the floor: its mass, the friction below it, and what robots that touch it do to it. Pure.
+
+The friction is a *limit surface* (Goyal, Ruina and Papadopoulos, 1991): all forces and torques that the floor
+can hold. Here it is a ball over force and torque divided by the radius of gyration. A box at rest stays there
+while the push is inside; when it slides, the floor takes all that it can, against the motion. So unequal
+pushes turn it, as they do a real one.
+
+Places are north and east in metres, headings in radians from north to east. A box moves `ahead`, along its
+heading, and `aside`, to the right of it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+Vector = tuple[float, float]
+
+#: The sides of the box in metres, ahead and across. kg, and newtons that the floor holds.
+LENGTH, WIDTH, MASS, FRICTION = 0.4, 1.2, 10.0, 12.0
+#: Its radius of gyration in metres, as of a plate.
+GYRATION = math.hypot(LENGTH, WIDTH) / math.sqrt(12.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """Where a disc is nearest to the box.
+
+    `gap` is in metres, below 0 where they overlap; `normal` points from the disc into the box; `lever` are
+    the metres by which a push along it turns the box.
+    """
+
+    gap: float
+    normal: Vector
+    lever: float
+
+
+@dataclass(slots=True)
+class Box:
+    """A box by its pose, and its motion in m/s and rad/s."""
+
+    north: float
+    east: float
+    heading: float
+    speed: Vector = (0.0, 0.0)
+    spin: float = 0.0
+
+    @property
+    def energy(self) -> float:
+        """Of its motion, in joules."""
+        return 0.5 * MASS * (math.hypot(*self.speed) ** 2 + (GYRATION * self.spin) ** 2)
+
+    def touch(self, place: Vector, radius: float) -> Contact:
+        """Of a disc of that radius."""
+        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        north, east = place[0] - self.north, place[1] - self.east
+        ahead, aside = north * cos + east * sin, east * cos - north * sin
+        near = _clamp(ahead, LENGTH / 2.0), _clamp(aside, WIDTH / 2.0)
+        away = math.hypot(ahead - near[0], aside - near[1])
+        if away > 0.0:
+            inward = (near[0] - ahead) / away, (near[1] - aside) / away
+        else:
+            # The middle of the disc is inside: out by the nearest side.
+            depth = LENGTH / 2.0 - abs(ahead), WIDTH / 2.0 - abs(aside)
+            away = -min(depth)
+            out = depth[0] < depth[1]
+            inward = (-math.copysign(1.0, ahead), 0.0) if out else (0.0, -math.copysign(1.0, aside))
+        lever = near[0] * inward[1] - near[1] * inward[0]
+        normal = inward[0] * cos - inward[1] * sin, inward[0] * sin + inward[1] * cos
+        return Contact(away - radius, normal, lever)
+
+    def speed_at(self, contact: Contact) -> float:
+        """How fast the touched place goes along the normal, in m/s."""
+        return (
+            self.speed[0] * contact.normal[0] + self.speed[1] * contact.normal[1] + self.spin * contact.lever
+        )
+
+    def step(self, pushes: list[tuple[Contact, float]], seconds: float) -> None:
+        """Let time pass under pushes in newtons: Newton's second law, then friction, which only slows."""
+        kick = seconds / MASS
+        north = self.speed[0] + kick * sum(contact.normal[0] * force for contact, force in pushes)
+        east = self.speed[1] + kick * sum(contact.normal[1] * force for contact, force in pushes)
+        spin = self.spin + kick / GYRATION**2 * sum(contact.lever * force for contact, force in pushes)
+        motion = math.hypot(north, east, GYRATION * spin)
+        left = max(0.0, 1.0 - kick * FRICTION / motion) if motion > 0.0 else 0.0
+        self.speed, self.spin = (north * left, east * left), spin * left
+        self.north += self.speed[0] * seconds
+        self.east += self.speed[1] * seconds
+        self.heading = math.remainder(self.heading + self.spin * seconds, math.tau)
+
+
+def _clamp(value: float, most: float) -> float:
+    return min(most, max(-most, value))

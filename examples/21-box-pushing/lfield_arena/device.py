@@ -1,0 +1,124 @@
+"""One robot on the plane: what its manifest promises. Its requests are those of `robot.py`."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from lfield.driver import Device, DeviceError
+
+#: Seconds between two polls, and for its wheels to stand.
+POLL, STAND = 0.05, 0.5
+#: What every state tells.
+STATE = ("north", "east", "moving", "broken", "watchdog", "target_north", "target_east", "target_heading")
+
+
+class OmniDevice(Device):
+    """A robot; `ask` sends a request and gives its answer."""
+
+    def __init__(self, *given: Any) -> None:
+        *own, ask = given
+        super().__init__(*own)
+        self._ask: Callable[[str], Awaitable[str]] = ask
+        self._lost = self._moves = False
+
+    async def poll(self) -> None:
+        """Read its state; that it is lost, or back, is told once."""
+        try:
+            await self._state()
+        except DeviceError as error:
+            if not self._lost:
+                self.note(f"lost: {error.reason}")
+            self._lost = True
+        else:
+            if self._lost:
+                self.note("it answers again")
+            self._lost = False
+
+    async def _open(self) -> str:
+        end = self.clock.monotonic() + self.binding.option("connect")
+        while True:
+            try:
+                state = await self._state()
+                return f"robot {self.binding.option('robot')} at ({state['north']:.2f}, {state['east']:.2f})"
+            except DeviceError:
+                if self.clock.monotonic() >= end:
+                    raise
+                await asyncio.sleep(POLL)
+
+    async def _set_watchdog(self, longest: float) -> float | None:
+        await self._command(f"watchdog {longest:.3f}")
+        return (await self._state())["watchdog"]
+
+    async def _make_safe(self, state: str) -> None:
+        await self._command("stop")
+        end = self.clock.monotonic() + STAND
+        while (await self._state())["moving"]:
+            if self.clock.monotonic() > end:
+                raise self.error("it was told to stop and still moves")
+            await asyncio.sleep(POLL)
+
+    def _moving(self) -> str:
+        if self._lost:
+            return "not heard"
+        return "still moving" if self._moves else ""
+
+    async def do_drive_to(self, north: float, east: float, seconds: float) -> bool:
+        """Done when its state says that it stands: there, or where it is when the time is over."""
+        self._check(north, east, seconds)
+        if math.hypot(north, east) > self.binding.limits.get("radius", math.inf):
+            raise self.error(f"({north:g}, {east:g}) is farther out than {self.binding.limits['radius']:g} m")
+        end = self.clock.monotonic() + seconds
+        await self._command(f"go {north} {east} {self._limit}")
+        while (state := await self._state())["moving"]:
+            if self.clock.monotonic() >= end:
+                await self._make_safe("stop")
+                return False
+            await asyncio.sleep(POLL)
+        if state["broken"]:
+            raise self.error("its motors are off: a fault")
+        return True
+
+    async def do_stop(self) -> None:
+        """Done when its state says that it stands; also what a cancel of driveTo does."""
+        await self._make_safe("stop")
+
+    async def do_set_velocity(self, north: float, east: float) -> None:
+        """Sent once; the guard sees to its end."""
+        self._check(north, east)
+        if math.hypot(north, east) > self._limit:
+            raise self.error(f"{math.hypot(north, east):g} m/s is faster than its limit of {self._limit:g}")
+        await self._command(f"drive {north} {east}")
+
+    @property
+    def _limit(self) -> float:
+        return self.binding.limits.get("speed", 1e3)
+
+    def _check(self, *numbers: float) -> None:
+        if not all(map(math.isfinite, numbers)):
+            raise self.error(f"these are no numbers to drive by: {', '.join(map(str, numbers))}")
+
+    async def _command(self, line: str) -> None:
+        answer = await self._ask(line)
+        if answer != "ok":
+            raise self.error(answer if answer.isprintable() else repr(answer))
+
+    async def _state(self) -> dict[str, float]:
+        """Its state as a table, published."""
+        words = (await self._ask("?")).split()
+        try:
+            state = {name: float(value) for name, value in zip(words[::2], words[1::2], strict=True)}
+            if not all(map(math.isfinite, state.values())) or not state.keys() >= set(STATE):
+                raise ValueError
+        except ValueError:
+            raise self.error(f"its state makes no sense: {' '.join(words)[:80]!r}") from None
+        self._moves = bool(state["moving"])
+        self.heard()
+        self.publish(
+            position=[state["north"], state["east"]],
+            moving=self._moves,
+            target=[state["target_north"], state["target_east"], state["target_heading"]],
+        )
+        return state

@@ -1,0 +1,130 @@
+"""A robot on the plane, as a fake: its radio, at a port of its own. The plane is that of all such fakes."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from collections.abc import Sequence
+from contextlib import suppress
+
+from lfield.driver import DeviceBinding
+from lfield.errors import AddressError, UsageError
+from lfield_arena.field import LAYOUTS
+from lfield_arena.plane import HOST, LONGEST, LOOK, PORTS, Plane, Way, way_to
+from lfield_sim.faults import Fault, Faults, add_fault_option
+from lfield_sim.serving import serve_until_told
+
+#: Seconds for a driver to leave.
+PATIENCE = 5.0
+
+FAULTS = (
+    Fault("weak", 1.0, "the share of its grip that is left", 0.0, 1.0),
+    Fault("broken", False, "its motors are off, and it says so"),
+    Fault("silent", False, "it does not answer"),
+)
+
+
+class Radio:
+    """What stands between the driver of a robot and the plane, with what is wrong with the robot."""
+
+    def __init__(self, way: Way, number: str, faults: Faults) -> None:
+        self._way, self._number, self._faults = way, number, faults
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._drivers = 0
+        faults.watch(self._follow)
+        self._follow()
+
+    async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a driver; a request is a line, and so is its answer."""
+        self._drivers += 1
+        try:
+            while line := (await reader.readline()).decode("ascii", "replace").strip():
+                answer = await self._way.ask(f"{self._number} {line}")
+                if not self._faults.get("silent", self._number):
+                    writer.write(f"{answer}\n".encode())
+        except (OSError, ValueError):
+            pass
+        finally:
+            writer.close()
+            self._drivers -= 1
+
+    async def left(self) -> None:
+        """Wait until no driver is there, but not for long: a killed host's guard still stops its robot."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(PATIENCE):
+                while self._drivers:
+                    await asyncio.sleep(LOOK)
+
+    def _follow(self) -> None:
+        task = asyncio.get_running_loop().create_task(self._tell())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _tell(self) -> None:
+        weak, broken = self._faults.get("weak", self._number), self._faults.get("broken", self._number)
+        # Where the plane is gone its driver is told, by a link that is closed.
+        with suppress(OSError):
+            await self._way.ask(f"{self._number} wrong {weak} {int(broken)}")
+
+
+class ArenaSim:
+    """The fake for `lfield sim arena` and `lfield up --sim`."""
+
+    name = "arena"
+    help = "A small robot on a plane with a box or a prey; all that run here are on the same plane."
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Which robot on which plane, where it answers, and what is wrong with it."""
+        parser.add_argument("--plane", default="box", choices=sorted(LAYOUTS), help="what is on it (box)")
+        parser.add_argument("--robot", type=int, default=1, metavar="NUMBER", help="its number (1)")
+        parser.add_argument("--listen", default=f"tcp:{HOST}:0", metavar="tcp:HOST:PORT")
+        parser.add_argument("--called", default="", metavar="NAME", help="the name of its binding")
+        parser.add_argument("--until-stdin-closes", action="store_true", help="end with who started it")
+        add_fault_option(parser)
+
+    def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
+        """The robot of a binding, on a free port."""
+        device = devices[0]
+        plane, robot = device.option("plane"), device.option("robot")
+        return ["--plane", plane, "--robot", str(robot), "--called", device.name]
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Serve until told to end; 0. Raises UsageError and AddressError."""
+        asyncio.run(self.serve(args))
+        return 0
+
+    async def serve(self, args: argparse.Namespace) -> None:
+        """The same on the running loop. Raises UsageError and AddressError."""
+        kind, _, place = args.listen.partition(":")
+        host, _, port = place.rpartition(":")
+        if kind != "tcp" or not port.isdecimal():
+            raise UsageError(f"'{args.listen}' is no place to listen at: write tcp:HOST:PORT")
+        number, there = str(args.robot), LAYOUTS[args.plane].robots
+        if args.robot not in there:
+            known = ", ".join(map(str, there))
+            raise UsageError(f"there is no robot {number} on the plane '{args.plane}'; there are: {known}")
+        faults = Faults(FAULTS, {number: args.called})
+        faults.apply(args.fault)
+        try:
+            way = await way_to(args.plane)
+            radio = Radio(way, number, faults)
+            server = await asyncio.start_server(radio.talk, host, int(port), limit=LONGEST)
+        except OSError as error:
+            places = f"{place} or {HOST}:{PORTS[args.plane]}"
+            raise AddressError(places, error.strerror or str(error)) from None
+        host, port = server.sockets[0].getsockname()[:2]
+        here = {number: way.robots[number].place, **way.places} if isinstance(way, Plane) else {}
+        await serve_until_told(
+            "arena",
+            f"tcp:{host}:{port}",
+            "",
+            faults,
+            devices={number: args.called},
+            until_stdin_closes=args.until_stdin_closes,
+            places=here,
+        )
+        await radio.left()
+        await way.leave()
+
+
+SIM = ArenaSim()

@@ -1,0 +1,161 @@
+"""The plane with all that is on it: robots, which are discs, and a box or a prey. Pure; moved by `step`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from lfield_arena.box import Box, Vector
+
+#: Metres. A robot touches the box when it is as near as this.
+RADIUS, TOUCH = 0.15, 0.001
+#: Newtons that the wheels of a robot have before they slip, and N per m/s by which they lack speed.
+GRIP, STIFFNESS = 10.0, 100.0
+#: Of the prey: its radius, how far it sees and from where on it runs, in metres, and how fast, in m/s.
+PREY_RADIUS, SIGHT, NEAR, PREY_SPEED = 0.2, 2.5, 1.2, 0.3
+#: Overlaps smaller than this are none, in metres; and how often all are looked at in one step.
+EXACT, SWEEPS = 1e-7, 400
+#: So often a prey that meets robots gives way in one step.
+SLIDES = 4
+
+
+@dataclass(slots=True)
+class Body:
+    """A disc: where it is, where its wheels want to go in m/s, and the share of its grip that it has."""
+
+    place: Vector
+    wish: Vector = (0.0, 0.0)
+    radius: float = RADIUS
+    grip: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How a field begins: robots by number, and what else there is."""
+
+    robots: Mapping[int, Vector]
+    box: tuple[float, float, float] | None = None
+    prey: Vector | None = None
+
+
+LAYOUTS: Mapping[str, Layout] = {
+    "box": Layout({1: (-0.6, -0.9), 2: (-1.0, 0.1), 3: (-0.6, 0.8)}, box=(0.0, 0.0, 0.0)),
+    "hunt": Layout({1: (0.0, -1.2), 2: (0.0, -0.4), 3: (0.0, 0.4), 4: (0.0, 1.2)}, prey=(1.6, 0.2)),
+}
+
+
+@dataclass(slots=True)
+class Field:
+    """Robots by number. Who meets moves nobody's wheels: it stops there, or is pushed away."""
+
+    robots: dict[int, Body]
+    box: Box | None = None
+    prey: Body | None = None
+    #: Seconds since it began.
+    now: float = field(default=0.0)
+
+    @classmethod
+    def of(cls, layout: Layout) -> Field:
+        """The field as it begins."""
+        return cls(
+            {number: Body(place) for number, place in layout.robots.items()},
+            None if layout.box is None else Box(*layout.box),
+            None if layout.prey is None else Body(layout.prey, radius=PREY_RADIUS),
+        )
+
+    def step(self, seconds: float) -> None:
+        """Let time pass."""
+        self.now += seconds
+        if self.prey is not None:
+            self.prey.wish = flight(self.prey.place, [robot.place for robot in self.robots.values()])
+        if self.box is not None:
+            self._push(self.box, seconds)
+        for robot in self.robots.values():
+            robot.place = _moved(robot.place, robot.wish, seconds)
+        self._part()
+        if self.prey is not None:
+            self._run(self.prey, seconds)
+
+    @property
+    def target(self) -> tuple[float, float, float]:
+        """What the robots are there for: north, east and heading of the box, or of the prey."""
+        if self.box is not None:
+            return self.box.north, self.box.east, self.box.heading
+        if self.prey is not None:
+            return *self.prey.place, math.atan2(self.prey.wish[1], self.prey.wish[0])
+        return 0.0, 0.0, 0.0
+
+    @property
+    def _bodies(self) -> list[Body]:
+        return [*self.robots.values(), *([] if self.prey is None else [self.prey])]
+
+    def _push(self, box: Box, seconds: float) -> None:
+        """Wheels push by the speed that they lack, up to their grip; those that stand hold."""
+        pushes = []
+        for robot in self.robots.values():
+            contact = box.touch(robot.place, robot.radius)
+            if contact.gap < TOUCH:
+                wanted = robot.wish[0] * contact.normal[0] + robot.wish[1] * contact.normal[1]
+                lacking = STIFFNESS * (wanted - box.speed_at(contact))
+                pushes.append((contact, min(GRIP * robot.grip, max(0.0, lacking))))
+        box.step(pushes, seconds)
+
+    def _run(self, prey: Body, seconds: float) -> None:
+        """It pushes nobody: where somebody is it gives way, and where it cannot it stays."""
+        before = prey.place
+        prey.place = _moved(before, prey.wish, seconds)
+        for _ in range(SLIDES):
+            for robot in self.robots.values():
+                away = math.dist(robot.place, prey.place)
+                overlap = robot.radius + prey.radius - away
+                if overlap > 0.0 and away > 0.0:
+                    out = (prey.place[0] - robot.place[0]) / away, (prey.place[1] - robot.place[1]) / away
+                    prey.place = _moved(prey.place, out, overlap)
+        least = [math.dist(robot.place, prey.place) for robot in self.robots.values()]
+        if min(least, default=math.inf) < RADIUS + PREY_RADIUS - EXACT:
+            prey.place = before
+
+    def _part(self) -> None:
+        """Nothing is where something else is: discs give way to each other by halves, and to the box."""
+        bodies = self._bodies
+        for _ in range(SWEEPS):
+            worst = 0.0
+            for index, one in enumerate(bodies):
+                for other in bodies[index + 1 :]:
+                    worst = max(worst, _apart(one, other))
+                if self.box is not None:
+                    contact = self.box.touch(one.place, one.radius)
+                    one.place = _moved(one.place, contact.normal, min(0.0, contact.gap))
+                    worst = max(worst, -contact.gap)
+            if worst < EXACT:
+                return
+
+
+def _apart(one: Body, other: Body) -> float:
+    """Move two discs apart that overlap; by how much they did, in metres."""
+    north, east = other.place[0] - one.place[0], other.place[1] - one.place[1]
+    away = math.hypot(north, east)
+    overlap = one.radius + other.radius - away
+    if overlap > 0.0:
+        along = (north / away, east / away) if away > 0.0 else (1.0, 0.0)
+        one.place = _moved(one.place, along, -overlap / 2.0)
+        other.place = _moved(other.place, along, overlap / 2.0)
+    return overlap
+
+
+def _moved(place: Vector, along: Vector, metres: float) -> Vector:
+    return place[0] + along[0] * metres, place[1] + along[1] * metres
+
+
+def flight(place: Vector, hunters: Sequence[Vector]) -> Vector:
+    """Where a prey runs, in m/s: to the middle of the widest gap between those that it sees."""
+    seen = [
+        (hunter[0] - place[0], hunter[1] - place[1]) for hunter in hunters if math.dist(hunter, place) < SIGHT
+    ]
+    if all(math.hypot(*way) > NEAR for way in seen):
+        return 0.0, 0.0
+    angles = sorted(math.atan2(east, north) for north, east in seen)
+    ends = [*angles[1:], angles[0] + math.tau]
+    gap, begin = max((end - begin, begin) for begin, end in zip(angles, ends, strict=True))
+    return PREY_SPEED * math.cos(begin + gap / 2.0), PREY_SPEED * math.sin(begin + gap / 2.0)

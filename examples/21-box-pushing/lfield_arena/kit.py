@@ -1,0 +1,51 @@
+"""What an Omni promises beyond what every device does: checks for the fake and for the real thing."""
+
+from __future__ import annotations
+
+import math
+
+from lfield.driver.kit import Bench, CheckFailed, Kit, cancelled, held, rested
+
+KIT = Kit()
+
+#: Metres of a small way, and how near to its end counts; seconds for it.
+WAY, NEAR, PATIENCE = 0.2, 0.03, 10.0
+
+
+@KIT.check("goes somewhere and says where it is", moves=True)
+async def goes(bench: Bench) -> str:
+    """A small way, seen in the telemetry."""
+    north, east, *_ = bench.query("position")
+    if not await bench.call("driveTo", north + WAY, east, PATIENCE):
+        raise CheckFailed(f"it was not {WAY:g} m to the north within {PATIENCE:g} s")
+    there = bench.query("position")
+    await bench.until(lambda: math.dist(bench.query("position"), (north + WAY, east)) < NEAR, 1.0, "it there")
+    return f"({north:.2f}, {east:.2f}) to ({there[0]:.2f}, {there[1]:.2f})"
+
+
+@KIT.check("what takes too long is ended", moves=True)
+async def ended(bench: Bench) -> str:
+    """It stands when the time of a way is over."""
+    north, east, *_ = bench.query("position")
+    if await bench.call("driveTo", north, east + 3.0, 0.5):
+        raise CheckFailed("it was 3 m away within 0.5 s")
+    await bench.until(lambda: not bench.query("moving"), 1.0, "it to stand")
+    return "it stands after 0.5 s"
+
+
+@KIT.check("a way that is cancelled ends", moves=True)
+async def cancels(bench: Bench) -> str:
+    """Given up on its way, it ends as the manifest says of a cancel."""
+    north, east, *_ = bench.query("position")
+    told = await cancelled(bench, lambda: bool(bench.query("moving")), "driveTo", north, east + 3.0, PATIENCE)
+    await bench.until(lambda: not bench.query("moving"), 1.0, "it to stand")
+    return told
+
+
+@KIT.check("a velocity that is not renewed ends", moves=True)
+async def ends(bench: Bench) -> str:
+    """Its time-to-live over, the robot is in its safe state and stands."""
+    await bench.call("setVelocity", 0.0, 0.1)
+    await bench.until(lambda: bool(bench.latched), 5.0 + bench.binding.ttl, "the guard to end it")
+    await rested(bench)
+    return await held(bench, 0.0)

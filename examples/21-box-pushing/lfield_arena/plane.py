@@ -1,0 +1,124 @@
+"""The plane that all robots stand on, and the ways of their fakes to it.
+
+Of the fakes of one computer the first has the plane, and serves it at a port; the others join it there. On a
+simulated computer they share it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Protocol
+
+from lfield.loop import Simulated
+from lfield_arena.box import WIDTH
+from lfield_arena.field import LAYOUTS, Field
+from lfield_arena.robot import Robot
+
+#: Seconds of a step, and between two looks whether somebody is still there. The longest line.
+TICK, LOOK, LONGEST = 0.01, 0.1, 4096
+#: Where each plane is.
+HOST, PORTS = "127.0.0.1", {"box": 7100, "hunt": 7200}
+Place = tuple[float, float, float]
+
+
+class Way(Protocol):
+    """How a fake gets to the plane."""
+
+    async def ask(self, line: str) -> str:
+        """Tell the plane something of a robot, `NUMBER REQUEST`; its answer. Raises OSError."""
+
+    async def leave(self) -> None:
+        """End it; the plane itself stays until all others have left."""
+
+
+class Plane:
+    """The plane, here."""
+
+    def __init__(self, layout: str) -> None:
+        self.field = Field.of(LAYOUTS[layout])
+        self.robots = {str(number): Robot(self.field, number) for number in self.field.robots}
+        self._guests = 0
+        self._living = asyncio.get_running_loop().create_task(self._live())
+
+    @property
+    def places(self) -> dict[str, Callable[[], Place]]:
+        """Where things are that are no robots: metres north, east and up, by their names."""
+        if self.field.box is None:
+            return {"prey": lambda: (*self.field.target[:2], 0.0)}
+        ends = {"box": 0.0, "box, left end": -WIDTH / 2.0, "box, right end": WIDTH / 2.0}
+        return {name: partial(self._beside, aside) for name, aside in ends.items()}
+
+    def _beside(self, aside: float) -> Place:
+        north, east, heading = self.field.target
+        return north - aside * math.sin(heading), east + aside * math.cos(heading), 0.0
+
+    async def serve(self, port: int) -> None:
+        """Let others join. Raises OSError where a plane is there already."""
+        await asyncio.start_server(self._talk, HOST, port, limit=LONGEST)
+
+    async def ask(self, line: str) -> str:
+        """See Way."""
+        number, _, request = line.partition(" ")
+        return self.robots[number].answer(request)
+
+    async def leave(self) -> None:
+        """See Way."""
+        while self._guests:
+            await asyncio.sleep(LOOK)
+        self._living.cancel()
+
+    async def _live(self) -> None:
+        while True:
+            await asyncio.sleep(TICK)
+            for robot in self.robots.values():
+                robot.step(TICK)
+            self.field.step(TICK)
+
+    async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._guests += 1
+        try:
+            while line := (await reader.readline()).decode("ascii", "replace").strip():
+                writer.write(f"{await self.ask(line)}\n".encode())
+        except (OSError, ValueError, KeyError):
+            pass
+        finally:
+            writer.close()
+            self._guests -= 1
+
+
+class Joined:
+    """The plane of another fake, over its port."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader, self._writer = reader, writer
+        self._lock = asyncio.Lock()
+
+    async def ask(self, line: str) -> str:
+        """See Way."""
+        async with self._lock:
+            self._writer.write(f"{line}\n".encode())
+            answer = (await self._reader.readline()).decode("ascii").strip()
+        if not answer:
+            raise OSError("the plane is gone")
+        return answer
+
+    async def leave(self) -> None:
+        """See Way."""
+        self._writer.close()
+
+
+async def way_to(layout: str) -> Way:
+    """The plane of that name: shared, or joined, or begun. Raises OSError where something else is there."""
+    loop = asyncio.get_running_loop()
+    if isinstance(loop, Simulated):
+        return loop.shared(f"the plane '{layout}'", lambda: Plane(layout))
+    plane = Plane(layout)
+    try:
+        await plane.serve(PORTS[layout])
+    except OSError:
+        await plane.leave()
+        return Joined(*await asyncio.open_connection(HOST, PORTS[layout], limit=LONGEST))
+    return plane

@@ -1,0 +1,106 @@
+"""The computer of a robot on the plane: its line protocol, its wheels' wishes, its watchdog. Pure.
+
+A request is a line, and so is its answer:
+
+    ?                     where it is, what its wheels do, what it sees: names and numbers
+    go NORTH EAST SPEED   metres, m/s: goes there, and stands
+    drive NORTH EAST      m/s
+    stop
+    watchdog SECONDS      without a request for longer it stops by itself; 0 is off
+    wrong GRIP BROKEN     by its fake: the share of its grip that is left, 1 when its motors are off
+"""
+
+from __future__ import annotations
+
+import math
+
+from lfield_arena.box import Vector
+from lfield_arena.field import Body, Field
+
+#: The fastest and the slowest that it goes, in m/s; how many seconds before its goal it begins to slow down;
+#: metres that count as there.
+FASTEST, SLOWEST, BRAKE, THERE = 0.5, 0.1, 0.3, 0.01
+#: So many numbers each request has, and which of its words there are.
+REQUESTS = {"go": 3, "drive": 2, "stop": 0, "watchdog": 1, "wrong": 2}
+
+
+class Robot:
+    """One robot on a field."""
+
+    def __init__(self, field: Field, number: int) -> None:
+        self._field, self._number = field, number
+        self._goal: tuple[Vector, float] | None = None
+        self._velocity: Vector = (0.0, 0.0)
+        self.watchdog = self._since = 0.0
+        self._broken = False
+
+    @property
+    def body(self) -> Body:
+        """Itself on the plane."""
+        return self._field.robots[self._number]
+
+    def place(self) -> tuple[float, float, float]:
+        """Where it is: metres north, east and up."""
+        return *self.body.place, 0.0
+
+    def step(self, seconds: float) -> None:
+        """Say what the wheels shall do next."""
+        self._since += seconds
+        if self._broken or 0.0 < self.watchdog < self._since:
+            self._stop()
+        if self._goal is not None and math.dist(self.body.place, self._goal[0]) < THERE:
+            self._stop()
+        self.body.wish = self._wish()
+
+    def _wish(self) -> Vector:
+        if self._goal is None:
+            return self._velocity
+        (north, east), speed = self._goal
+        here = self.body.place
+        away = math.dist(here, (north, east))
+        pace = min(speed, max(SLOWEST, away / BRAKE)) / away
+        return (north - here[0]) * pace, (east - here[1]) * pace
+
+    def _stop(self) -> None:
+        self._goal, self._velocity = None, (0.0, 0.0)
+
+    def answer(self, line: str) -> str:
+        """What a request is answered with."""
+        word, *rest = line.split() or [""]
+        if word != "wrong":
+            self._since = 0.0
+        if word == "?":
+            return self._state()
+        try:
+            numbers = [float(text) for text in rest]
+        except ValueError:
+            return "what?"
+        if len(numbers) != REQUESTS.get(word) or not all(map(math.isfinite, numbers)):
+            return "what?"
+        if self._broken and word in ("go", "drive"):
+            return "its motors are off: a fault"
+        self._obey(word, numbers)
+        return "ok"
+
+    def _obey(self, word: str, numbers: list[float]) -> None:
+        if word == "wrong":
+            self.body.grip, self._broken = min(1.0, max(0.0, numbers[0])), bool(numbers[1])
+            return
+        if word == "watchdog":
+            self.watchdog = max(0.0, numbers[0])
+            return
+        self._stop()
+        if word == "go":
+            self._goal = (numbers[0], numbers[1]), min(FASTEST, max(0.0, numbers[2]))
+        elif word == "drive":
+            much = max(1.0, math.hypot(*numbers) / FASTEST)
+            self._velocity = numbers[0] / much, numbers[1] / much
+
+    def _state(self) -> str:
+        """`north 0.5 east 1.0 moving 0 ...`, each a name and a number."""
+        place, target = self.body.place, self._field.target
+        moving = self._goal is not None or self._velocity != (0.0, 0.0)
+        told: dict[str, float] = {"north": place[0], "east": place[1], "moving": moving}
+        told |= {"broken": self._broken, "watchdog": self.watchdog}
+        told |= {"target_north": target[0], "target_east": target[1], "target_heading": target[2]}
+        return " ".join(f"{name} {float(value):.6f}" for name, value in told.items())

@@ -1,0 +1,79 @@
+"""Three rovers and a box, on virtual time: `lfield test examples/21-box-pushing`."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+#: Where the box shall be, and within what bounds: metres and radians.
+GOAL, NEAR, STRAIGHT = (3.0, 1.0, 0.5), 0.05, 0.05
+
+
+def pose(team):
+    """Of the box in the end, as a rover that stands there sees it."""
+    looks = [call for call in team.calls if call.portal in ("look", "driveTo") and call.result is not None]
+    return looks[-1].result.target
+
+
+def arrived(team):
+    assert team.ended == {"movers": "done"}
+    north, east, heading = pose(team)
+    assert math.dist((north, east), GOAL[:2]) < NEAR
+    assert abs(heading - GOAL[2]) < STRAIGHT
+
+
+def test_the_box_arrives_as_it_shall(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    arrived(team)
+    assert math.dist(team.fake("box").place[:2], GOAL[:2]) < NEAR, "the plane says so too"
+    # Two hops for each rover but one in a step; each telling each other would take N(N-1) = 6 messages.
+    steps = sum(call.portal == "driveTo" for call in team.calls) // 3
+    assert 20 < steps < 30
+    assert len(team.hops) <= 4 * steps + 1
+
+
+def test_all_of_a_step_drive_at_one_time(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    drives = [call for call in team.calls if call.portal == "driveTo"]
+    for step in zip(*[iter(drives)] * 3, strict=True):
+        assert max(call.at for call in step) < min(call.ended for call in step)
+
+
+@pytest.mark.parametrize("who", ["left", "middle", "right"])
+def test_a_weak_rover_is_made_up_for(lfield_mission, who):
+    team = lfield_mission("mission.dL", fakes={f"{who}.wheels": ["weak=0.3"]})
+    team.run(until_done=True)
+    arrived(team)
+    assert not team.said("pushes no more")
+
+
+@pytest.mark.parametrize("who", ["left", "middle", "right"])
+@pytest.mark.parametrize("fault", ["broken", "silent"])
+def test_one_that_fails_is_left_behind_and_two_go_on(lfield_mission, who, fault):
+    team = lfield_mission("mission.dL")
+    team.at(12.0, lambda: team.fake(f"{who}.wheels").set(f"{fault}=true"))
+    team.run(until_done=True)
+    arrived(team)
+    assert team.said(f"{who} pushes no more") == 1
+    assert math.dist(team.fake(f"{who}.wheels").place[:2], GOAL[:2]) > 1.0
+
+
+def test_a_rover_whose_computer_is_gone_stops_by_itself_and_two_go_on(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.at(12.0, lambda: team.crash("port"))
+    team.run(14.0)
+    stood = team.fake("left.wheels").place
+    team.run(until_done=True)
+    arrived(team)
+    assert team.said("left pushes no more: port could not be reached") == 1
+    assert math.dist(team.fake("left.wheels").place, stood) < 0.3, "it was only pushed aside"
+
+
+def test_one_rover_alone_gives_up_and_says_where_the_box_is(lfield_mission):
+    team = lfield_mission("mission.dL", fakes={f"{who}.wheels": ["broken=true"] for who in ("left", "right")})
+    team.run(until_done=True)
+    assert team.ended == {"movers": "done"}
+    assert team.said("the box is at (0.00, 0.00)") == 1

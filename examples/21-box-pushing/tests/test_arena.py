@@ -1,0 +1,293 @@
+"""The plane, its physics and its robots: properties of the pure parts, and the driver on the bench."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from functools import partial
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from lfield_arena import PLUGIN
+from lfield_arena.box import FRICTION, MASS, Box
+from lfield_arena.driver import ArenaDriver
+from lfield_arena.fake import SIM
+from lfield_arena.field import GRIP, LAYOUTS, PREY_SPEED, RADIUS, Body, Field, Layout, flight
+from lfield_arena.plane import TICK
+from lfield_arena.robot import FASTEST, Robot
+
+from lfield.driver import DeviceError
+from lfield.driver.plugins import Plugins
+from lfield.testing.desk import Desk
+from lfield.testing.driver_bench import DriverBench, bind
+
+SPEEDS = st.floats(-0.5, 0.5)
+WISHES = st.lists(st.tuples(SPEEDS, SPEEDS), min_size=3, max_size=3)
+
+
+def with_wishes(field, wishes):
+    for robot, wish in zip(field.robots.values(), wishes, strict=True):
+        robot.wish = wish
+    return field
+
+
+def behind(*asides):
+    """A field whose robots touch the back of a box."""
+    places = {number: (-0.35, aside) for number, aside in enumerate(asides, 1)}
+    return Field.of(Layout(places, box=(0.0, 0.0, 0.0)))
+
+
+# --- the physics ----------------------------------------------------------------------------------
+
+
+@given(st.lists(WISHES, min_size=1, max_size=40))
+@settings(max_examples=50)
+def test_energy_does_not_appear_from_nothing(rounds):
+    field = behind(-0.4, 0.0, 0.4)
+    for wishes in rounds:
+        with_wishes(field, wishes)
+        before, most = field.box.energy, sum(GRIP * math.hypot(*wish) for wish in wishes)
+        field.step(TICK)
+        # What wheels do is their grip times their speed at most; the floor only takes.
+        assert field.box.energy <= before + most * TICK + 1e-9
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
+def test_a_box_that_nobody_pushes_comes_to_rest(north, east, spin):
+    field = Field.of(Layout({}, box=(0.0, 0.0, 0.0)))
+    field.box.speed, field.box.spin = (north, east), spin
+    last = field.box.energy
+    while last > 0.0:
+        field.step(TICK)
+        assert field.box.energy < last
+        last = field.box.energy
+    assert field.now <= 2.0 * MASS / FRICTION
+
+
+@given(st.floats(0.05, 0.5), st.floats(0.1, 0.45))
+@settings(max_examples=30)
+def test_a_symmetric_push_moves_straight(speed, aside):
+    field = with_wishes(behind(-aside, 0.0, aside), [(speed, 0.0)] * 3)
+    for _ in range(100):
+        field.step(TICK)
+    assert field.box.north > 0.0
+    assert field.box.east == pytest.approx(0.0, abs=1e-9)
+    assert field.box.heading == pytest.approx(0.0, abs=1e-9)
+
+
+@given(st.floats(0.1, 0.5))
+def test_an_unequal_push_turns_it_away_from_the_stronger(aside):
+    field = with_wishes(behind(-aside, 0.0, aside), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.0)])
+    for _ in range(100):
+        field.step(TICK)
+    assert field.box.heading < 0.0, "the right side is pushed: it turns to the left"
+
+
+def test_what_the_floor_holds_does_not_move():
+    field = with_wishes(behind(0.0), [(0.1, 0.0)])
+    for _ in range(100):
+        field.step(TICK)
+    assert (field.box.north, field.box.heading) == (0.0, 0.0), f"{GRIP} N against {FRICTION} N"
+
+
+@given(
+    st.sampled_from(["box", "hunt"]), st.lists(st.tuples(SPEEDS, SPEEDS), min_size=4, max_size=4), st.data()
+)
+@settings(max_examples=40, deadline=None)
+def test_nothing_is_where_something_else_is(layout, wishes, data):
+    field = Field.of(LAYOUTS[layout])
+    if field.prey is not None:
+        # All of them run at it, so that they meet.
+        field.prey.place = data.draw(st.tuples(st.floats(0.6, 1.2), st.floats(-1.0, 1.0)))
+    for _ in range(300):
+        for robot, wish in zip(field.robots.values(), wishes, strict=False):
+            goal = field.target
+            robot.wish = (
+                wish[0] + 0.5 * (goal[0] - robot.place[0]),
+                wish[1] + 0.5 * (goal[1] - robot.place[1]),
+            )
+        field.step(TICK)
+        bodies = [*field.robots.values(), *([field.prey] if field.prey else [])]
+        for index, one in enumerate(bodies):
+            for other in bodies[index + 1 :]:
+                assert math.dist(one.place, other.place) > one.radius + other.radius - 1e-4
+            if field.box is not None:
+                assert field.box.touch(one.place, one.radius).gap > -1e-4
+
+
+@given(st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0)), max_size=5))
+def test_a_prey_runs_at_its_speed_or_stands(hunters):
+    assert math.hypot(*flight((0.0, 0.0), hunters)) == pytest.approx(PREY_SPEED) or flight(
+        (0.0, 0.0), hunters
+    ) == (0.0, 0.0)
+
+
+def test_a_prey_runs_from_one_and_between_two():
+    assert flight((0.0, 0.0), [(1.0, 0.0)]) == pytest.approx((-PREY_SPEED, 0.0))
+    assert flight((0.0, 0.0), [(0.0, 1.0), (0.0, -1.0), (1.0, 0.0)]) == pytest.approx((-PREY_SPEED, 0.0))
+    assert flight((0.0, 0.0), [(1.5, 0.0)]) == (0.0, 0.0), "far enough away"
+
+
+@given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0), st.floats(-math.pi, math.pi))
+def test_a_touch_points_into_the_box(north, east, heading):
+    box = Box(0.0, 0.0, heading)
+    contact = box.touch((north, east), RADIUS)
+    assume(contact.gap > 0.002 - RADIUS)
+    assert math.hypot(*contact.normal) == pytest.approx(1.0)
+    moved = north + 0.001 * contact.normal[0], east + 0.001 * contact.normal[1]
+    assert box.touch(moved, RADIUS).gap < contact.gap
+
+
+# --- the robot's computer -------------------------------------------------------------------------
+
+
+@given(
+    st.text(max_size=30)
+    | st.sampled_from(["go 1 nan 1", "go 1 2", "drive 1e999 0", "watchdog x", "?", "stop"])
+)
+def test_any_request_has_an_answer_of_one_line(line):
+    robot = Robot(Field({1: Body((0.0, 0.0))}), 1)
+    assert "\n" not in robot.answer(line)
+    assert robot.answer(line)
+
+
+@given(st.floats(-10.0, 10.0), st.floats(-10.0, 10.0))
+def test_it_is_never_faster_than_it_can_be(north, east):
+    robot = Robot(Field({1: Body((0.0, 0.0))}), 1)
+    for request in (f"drive {north} {east}", f"go {north} {east} 9"):
+        robot.answer(request)
+        robot.step(TICK)
+        assert math.hypot(*robot.body.wish) <= FASTEST + 1e-9
+
+
+def test_a_driver_that_is_silent_is_stopped_by_the_watchdog():
+    field = Field({1: Body((0.0, 0.0))})
+    robot = Robot(field, 1)
+    robot.answer("watchdog 0.5")
+    robot.answer("drive 0.1 0")
+    for _ in range(200):
+        robot.step(TICK)
+        field.step(TICK)
+    assert field.robots[1].place[0] == pytest.approx(0.05, abs=0.002)
+
+
+# --- the driver -----------------------------------------------------------------------------------
+
+
+class Wire:
+    """A robot, and a wire to it in memory: what is written is answered, unless it is cut."""
+
+    def __init__(self):
+        self.field, self.cut, self.says = Field.of(LAYOUTS["hunt"]), False, None
+        self.robot = Robot(self.field, 1)
+
+    async def live(self):
+        while True:
+            await asyncio.sleep(TICK)
+            self.robot.step(TICK)
+            self.field.step(TICK)
+
+    async def connect(self, host, port, *, limit):
+        self.reader = asyncio.StreamReader(limit)
+        return self.reader, self
+
+    def write(self, data):
+        if not self.cut:
+            line = data.decode().strip()
+            said = self.says if self.says and line == "?" else self.robot.answer(line)
+            self.reader.feed_data(f"{said}\n".encode())
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def wire():
+    return Wire()
+
+
+@pytest.fixture
+def bench(wire):
+    binding = bind(PLUGIN, endpoint="tcp:memory:1", limits={"speed": 0.4, "radius": 5.0})
+    return DriverBench(PLUGIN, binding, make=partial(ArenaDriver, connect=wire.connect), fakes=[wire.live])
+
+
+def test_it_is_there_when_it_says_so(bench, wire):
+    async def story(robot):
+        assert await robot.execute("driveTo", [0.5, -1.0, 5.0]) is True
+        assert wire.robot.body.place == pytest.approx((0.5, -1.0), abs=0.011)
+        assert bench.values["position"] == pytest.approx([0.5, -1.0], abs=0.011)
+        assert bench.values["target"][0] == pytest.approx(1.6, abs=0.2)
+
+    bench.run(story)
+
+
+def test_what_it_cannot_reach_in_time_ends_where_it_is(bench, wire):
+    async def story(robot):
+        assert await robot.execute("driveTo", [3.0, -1.2, 1.0]) is False
+        assert 0.3 < wire.robot.body.place[0] < 0.5, "at 0.4 m/s"
+        await bench.until(lambda: robot.moving() == "")
+
+    bench.run(story)
+
+
+@pytest.mark.parametrize(
+    ("call", "why"),
+    [
+        (("driveTo", [math.nan, 0.0, 1.0]), "no numbers to drive by"),
+        (("driveTo", [4.0, 4.0, 1.0]), "farther out than 5 m"),
+        (("setVelocity", [0.4, 0.4]), "faster than its limit of 0.4"),
+        (("setVelocity", [math.inf, 0.0]), "no numbers to drive by"),
+    ],
+)
+def test_what_is_beyond_a_limit_is_refused(bench, wire, call, why):
+    async def story(robot):
+        with pytest.raises(DeviceError, match=why):
+            await robot.execute(*call)
+        assert wire.robot.body.wish == (0.0, 0.0)
+
+    bench.run(story)
+
+
+def test_motors_that_fail_on_the_way_are_told(bench, wire):
+    async def story(robot):
+        asyncio.get_running_loop().call_later(0.5, wire.robot.answer, "wrong 1 1")
+        with pytest.raises(DeviceError, match="its motors are off: a fault"):
+            await robot.execute("driveTo", [3.0, 0.0, 10.0])
+        with pytest.raises(DeviceError, match="its motors are off: a fault"):
+            await robot.execute("setVelocity", [0.1, 0.0])
+
+    bench.run(story)
+
+
+def test_a_wire_that_is_cut_is_told_and_it_comes_back(bench, wire):
+    async def story(robot):
+        wire.cut = True
+        with pytest.raises(DeviceError, match="no answer"):
+            await robot.execute("driveTo", [1.0, 0.0, 1.0])
+        await bench.until(lambda: any(note.startswith("lost: ") for note in bench.notes))
+        assert robot.moving() == "not heard"
+        wire.cut = False
+        await bench.until(lambda: bench.notes[-1] == "it answers again")
+
+    bench.run(story)
+
+
+@pytest.mark.parametrize("nonsense", ["north 1", "what?", "north x east 2", "north nan east 2 moving 0"])
+def test_a_state_that_makes_no_sense_is_an_error(bench, wire, nonsense):
+    async def story(robot):
+        wire.says = nonsense
+        with pytest.raises(DeviceError, match="its state makes no sense"):
+            await robot.make_safe()
+
+    bench.run(story)
+
+
+def test_it_passes_the_kit():
+    plugins = Plugins()
+    plugins.add("lfield_arena:PLUGIN")
+    desk = Desk(plugins=plugins)
+    fake = desk.fake(SIM, "--plane", "hunt")
+    found = desk.try_kit(bind(PLUGIN, endpoint=fake.endpoint))
+    assert [f"{f.check}: {f.seen}" for f in found if f.outcome == "failed"] == []

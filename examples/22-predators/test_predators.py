@@ -1,0 +1,115 @@
+"""Four predators and a prey, on virtual time: `lfield test examples/22-predators`."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+#: The radii of a predator and of the prey, in metres.
+PREDATOR, PREY = 0.15, 0.2
+PACK = {"grey": "north", "black": "east", "white": "south", "brown": "west"}
+
+
+def surrounded(team, without=""):
+    """Whether the prey fits through no gap between two predators, and they are on all sides."""
+    prey = team.fake("prey").place[:2]
+    places = [team.fake(f"{who}.wheels").place[:2] for who in PACK if who != without]
+
+    def bearing(place):
+        return math.atan2(place[1] - prey[1], place[0] - prey[0])
+
+    around = sorted(places, key=bearing)
+    for one, other in zip(around, [*around[1:], around[0]], strict=True):
+        turn = (bearing(other) - bearing(one)) % math.tau
+        if turn >= math.pi or math.dist(one, other) - 2.0 * PREDATOR >= 2.0 * PREY:
+            return False
+    return True
+
+
+def test_they_surround_it(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    assert team.ended == {"hunt": "done"}
+    assert team.said("caught by 4") == 1
+    assert surrounded(team)
+    assert team.fake("prey").place[0] > 3.0, "it ran"
+    # Two hops for each but the first in a step, where each telling each other would take N(N-1) = 12.
+    steps = sum(call.portal == "driveTo" for call in team.calls) // 4
+    assert len(team.hops) <= 6 * steps + 3
+
+
+def test_what_is_caught_stays_caught(lfield_mission):
+    team = lfield_mission("mission.dL")
+    team.run(until_done=True)
+    place = team.fake("prey").place
+    team.run(10.0)
+    assert surrounded(team)
+    assert math.dist(team.fake("prey").place, place) < 0.2
+
+
+@pytest.mark.parametrize("who", PACK)
+def test_three_catch_it_when_a_computer_dies(lfield_mission, who):
+    team = lfield_mission("mission.dL", seed=len(who))
+    team.at(8.0, lambda: team.power_off(PACK[who]))
+    team.run(until_done=True)
+    assert team.ended == {"hunt": "done"}
+    assert team.said("caught by 3") == 1
+    assert surrounded(team, without=who)
+
+
+@pytest.mark.process
+def test_in_processes_all_are_on_one_plane():
+    """As the README has it: a process for each host and each fake, in real time."""
+    mission = Path(__file__).parent / "mission.dL"
+    command = [
+        sys.executable,
+        "-m",
+        "lfield",
+        "up",
+        "--deploy",
+        str(mission),
+        "--all",
+        "--sim",
+        "--until-done",
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "hunt: caught by 4" in done.stderr + done.stdout
+
+
+def line_of(words):
+    """The line of the mission that has these words."""
+    text = (Path(__file__).parent / "mission.L").read_text().splitlines()
+    (number,) = [number for number, line in enumerate(text, 1) if words in line]
+    return f"mission.L:{number}"
+
+
+def test_the_coordinator_goes_on_elsewhere_when_its_computer_dies(lfield_mission):
+    team, killed = lfield_mission("mission.dL", seed=2), []
+
+    def kill():
+        # The coordinator is where it came to last.
+        killed.append(team.hops[-1].target)
+        team.crash(killed[0])
+
+    team.run(6.0)
+    team.when(line_of("sights[i] = circle[i].rover.driveTo"), kill)
+    team.run(until="is recovered here")
+    team.run(until_done=True)
+    assert team.ended == {"hunt": "done"}
+    assert team.said("caught by 3") == 1
+    assert surrounded(team, without=next(who for who, host in PACK.items() if host == killed[0]))
+
+
+def test_who_is_back_hunts_again(lfield_mission):
+    team = lfield_mission("mission.dL", seed=1)
+    team.at(3.0, lambda: team.crash("east"))
+    team.at(4.0, lambda: team.boot("east"))
+    team.run(until_done=True)
+    assert team.said("black hunts again") == 1
+    assert team.said("caught by 4") == 1
+    assert surrounded(team)

@@ -1,0 +1,39 @@
+"""The drivers that examples bring count as installed in their tests, as `pip install -e` would have it."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+
+import pytest
+
+PROJECTS = sorted(Path(__file__).parent.rglob("pyproject.toml"))
+
+
+@pytest.fixture(scope="session")
+def projects(tmp_path_factory):
+    """Folders for Python's path: the projects, and what tells of their entry points."""
+    site = tmp_path_factory.mktemp("site")
+    for file in PROJECTS:
+        project = tomllib.loads(file.read_text())["project"]
+        name, version = project["name"], project["version"]
+        info = site / f"{name.replace('-', '_')}-{version}.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+        groups = project.get("entry-points", {})
+        lines = [
+            line
+            for group, points in groups.items()
+            for line in (f"[{group}]", *(f"{key} = {value}" for key, value in points.items()))
+        ]
+        (info / "entry_points.txt").write_text("\n".join(lines))
+    return [str(site), *(str(file.parent) for file in PROJECTS)]
+
+
+@pytest.fixture(autouse=True)
+def installed(projects, monkeypatch):
+    """For a test, and for the processes that it starts."""
+    for folder in projects:
+        monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*projects, os.environ.get("PYTHONPATH", "")]))

@@ -1,0 +1,22 @@
+"""Runs the mission of a deployment on virtual time; prints its seconds, those that it took, and its hops."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+from lfield.testing.mission.team import Team
+
+
+def main() -> None:
+    """Open it first: that is compiling, mostly."""
+    team = Team(Path(sys.argv[1]).resolve())
+    began, clock = team.now, time.perf_counter()
+    team.run(until_done=True)
+    took = time.perf_counter() - clock
+    print(team.now - began, took, len(team.hops), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""The shell of the SDO client: turns, waits and ends, on jumping time and on a simulated computer."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import struct
+
+import pytest
+
+from lfield.driver import DeviceError
+from lfield.simulate.computers.loop import ProcessLoop
+from lfield.simulate.computers.machines import Machine
+from lfield.simulate.computers.timeline import Timeline
+from lfield.simulate.time import run_jumping
+from lfield_can.protocols.canopen_node import CanopenNode
+from lfield_can.protocols.sdo import ABORT, ANSWER, TRIES
+
+POSITION, VELOCITY, SPEED = (0x6064, 0), (0x606C, 0), (0x607F, 0)
+
+
+class Node:
+    """A node at the other end: each answer comes after `delays`, in seconds, in turn; None is never."""
+
+    def __init__(self, *delays) -> None:
+        self.client = CanopenNode("axis", 5, self.on_frame)
+        self.delays, self.heard, self.highest = list(delays), [], 1 << 31
+        self.values = {POSITION: 7, VELOCITY: 8, SPEED: 0, (0x1018, 0): 4}
+
+    def on_frame(self, frame) -> None:
+        assert frame.id == 0x605
+        self.heard.append(frame.data)
+        command, index, subindex, value = struct.unpack("<BHBI", frame.data)
+        if command == ABORT:
+            return
+        if command != 0x40:
+            self.values[index, subindex] = min(value, self.highest)
+        delay = self.delays.pop(0) if self.delays else 0.001
+        if delay is not None:
+            answer = (0x43, self.values[index, subindex]) if command == 0x40 else (0x60, 0)
+            data = struct.pack("<BHBI", answer[0], index, subindex, answer[1])
+            asyncio.get_running_loop().call_later(delay, self.client.on_answer, data)
+
+    @property
+    def requests(self) -> list[int]:
+        """The indexes that were asked about."""
+        return [data[1] | data[2] << 8 for data in self.heard if data[0] != ABORT]
+
+
+def test_transfers_take_turns():
+    async def story():
+        node, open_now = Node(0.1, 0.1, 0.1), []
+        answered = node.client.on_answer
+        node.client.on_answer = lambda data: (open_now.append(len(node.heard)), answered(data))
+        reads = (node.client.read(*key) for key in (POSITION, VELOCITY, POSITION))
+        assert await asyncio.gather(*reads) == [7, 8, 7]
+        assert open_now == [1, 2, 3]
+
+    run_jumping(story())
+
+
+def test_silence_is_an_exception_in_its_time():
+    async def story():
+        node, running = Node(None, None, None), asyncio.get_running_loop()
+        start = running.time()
+        with pytest.raises(
+            DeviceError, match=r"position 0x6064:0: no answer within 0\.3 s, 3 times"
+        ) as error:
+            await node.client.read(*POSITION)
+        assert error.value.kind == "DeviceTimeoutException"
+        assert running.time() - start == pytest.approx(TRIES * ANSWER)
+        assert await node.client.read(*VELOCITY) == 8
+        assert node.requests == [0x6064, 0x6064, 0x6064, 0x606C]
+
+    run_jumping(story())
+
+
+def test_an_answer_that_comes_late_is_not_that_to_the_next_question():
+    async def story():
+        node = Node(1.0, None, None, 0.2)
+        with pytest.raises(DeviceError):
+            await node.client.read(*POSITION)
+        node.values[POSITION] = 9
+        # The late one comes while the node is asked about its identity.
+        assert await node.client.read(*POSITION) == 9
+        assert node.requests == [0x6064, 0x6064, 0x6064, 0x1018, 0x6064]
+
+    run_jumping(story())
+
+
+def test_who_gives_up_leaves_its_turn_and_its_answer_to_nobody():
+    async def story():
+        node, running = Node(0.2), asyncio.get_running_loop()
+        first = running.create_task(node.client.read(*POSITION))
+        await asyncio.sleep(0.1)
+        start = running.time()
+        first.cancel()
+        node.values[POSITION] = 9
+        assert await node.client.read(*VELOCITY) == 8
+        assert running.time() - start < 0.01
+        assert await node.client.read(*POSITION) == 9
+        assert first.cancelled()
+        assert node.requests == [0x6064, 0x606C, 0x1018, 0x6064]
+        assert node.heard[1][0] == ABORT
+
+    run_jumping(story())
+
+
+def test_a_value_that_the_drive_takes_and_does_not_hold_is_seen():
+    async def story():
+        node, written = Node(), []
+        node.client.on_written = lambda *what: written.append(what)
+        await node.client.write(*SPEED, 500)
+        node.highest = 300
+        with pytest.raises(DeviceError, match="max profile velocity 0x607F:0 was set to 400 and is 300"):
+            await node.client.write(*SPEED, 400)
+        assert written == [(*SPEED, struct.pack("<I", value)) for value in (500, 400)]
+
+    run_jumping(story())
+
+
+def test_when_the_driver_ends_nobody_waits_and_nothing_is_left_on_the_loop():
+    async def story():
+        node, running = Node(None), asyncio.get_running_loop()
+        read = running.create_task(node.client.read(*POSITION))
+        await asyncio.sleep(0.1)
+        start = running.time()
+        node.client.close()
+        with pytest.raises(DeviceError, match="the driver has ended"):
+            await read
+        assert running.time() == start
+        await asyncio.sleep(10.0)
+        assert node.requests == [0x6064]
+
+    run_jumping(story())
+
+
+def test_it_is_at_home_on_the_loop_of_a_simulated_computer():
+    """Its time only goes on when nobody has anything to do: whoever waits in a thread waits for ever."""
+    timeline = Timeline()
+    simulated = ProcessLoop(Machine("barn", timeline, random.Random(1)))
+    told = []
+
+    async def story():
+        node = Node(None, 0.2)
+        told.append(await node.client.read(*POSITION))
+        told.append(round(timeline.now - start, 6))
+
+    start = timeline.now
+    simulated.enter(lambda: told.append(simulated.create_task(story())))
+    timeline.run(5.0)
+    assert told[1:] == [7, ANSWER + 0.2]
+    simulated.close()

@@ -1,0 +1,283 @@
+"""The core of the SDO client: a server that answers in order, late, or not at all, and nonsense in between.
+
+Every value and every abort code of the server is there once, so that an old answer shows.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield_can.protocols.sdo import (
+    ABORT,
+    ANSWER,
+    LONGEST,
+    PROBES,
+    TRIES,
+    Done,
+    Failed,
+    Refused,
+    SdoClient,
+    Send,
+)
+from lfield_sim.can.canopen.sdo import Abort, SdoServer
+
+KEY, OTHER = (0x6064, 0), (0x6041, 0)
+#: Lengths of the objects of the server; what is not here it does not have.
+LENGTHS = {KEY: 4, OTHER: 2, (0x1008, 0): 20, (0x100A, 0): 7, (0x1018, 1): 4, (0x2000, 3): 60}
+#: Waits that an answer may be late by: fewer than there are probes.
+LATEST = 14
+
+
+class Objects:
+    """What a server answers from: every read has a number of its own, every refusal too."""
+
+    def __init__(self) -> None:
+        self.serial = 0
+        self.refuses = False
+        self.writes = []
+
+    def read(self, key):
+        self._count(key)
+        return self.serial.to_bytes(2, "little").ljust(LENGTHS[key], b"\xee")
+
+    def check_writable(self, key):
+        return LENGTHS[key]
+
+    def write(self, key, data):
+        self._count(key)
+        self.writes.append((self.serial, key, data))
+
+    def _count(self, key):
+        self.serial += 1
+        if self.refuses or key not in LENGTHS:
+            raise Abort(0x0800_0000 + self.serial)
+
+
+class Line:
+    """The client and a server that is heard in order; `late` is how many waits each answer is on its way."""
+
+    def __init__(self) -> None:
+        self.client, self.objects = SdoClient(), Objects()
+        self.server = SdoServer(self.objects)
+        self.coming: deque[list] = deque()
+        self.waits = 0
+        self.asked = 0
+
+    def do(self, effects, late, lost, noise):
+        """Carry out effects; the result, when there is one."""
+        for effect in effects:
+            if not isinstance(effect, Send):
+                return effect
+            assert len(effect.data) == 8
+            assert (effect.within is None) == (effect.data[0] == ABORT)
+            if effect.within is not None:
+                self.asked += 1
+                assert self.client.answered(nonsense(effect.data, noise)) == []
+            if lost == "request":
+                continue
+            answer = self.server.answer(effect.data)
+            if answer is not None and lost != "answer":
+                # No answer overtakes another one.
+                due = max([self.waits + late, *(due for due, _ in self.coming)])
+                self.coming.append([due, answer])
+        return None
+
+    def run(self, effects, fates):
+        """Let a transfer go on to its end; its result, or None when nobody waited for it."""
+        result = self.do(effects, *next(fates))
+        while result is None:
+            late, lost, noise = next(fates)
+            if lost == "nobody waits":
+                return self.do(self.client.cancelled(), late, "", noise)
+            if self.coming and self.coming[0][0] <= self.waits:
+                frame = self.coming.popleft()[1]
+                result = self.do(self.client.answered(frame), late, lost, noise)
+            else:
+                self.waits += 1
+                result = self.do(self.client.expired(), late, lost, noise)
+        return result
+
+
+def nonsense(request, noise):
+    """What is no answer to a request, in one of several ways."""
+    way, kind, rest = noise
+    wanted = {0x20: 0x60, 0x40: 0x40, 0x60: 0x00}[request[0] & 0xE0]
+    if way == "of another kind" and kind not in (wanted, 0x80):
+        return bytes([kind]) + request[1:4] + rest[:4]
+    if way == "with the wrong toggle" and wanted == 0x00:
+        return bytes([0x10 - (request[0] & 0x10)]) + b"\xff" * 7
+    if way == "of another length":
+        return (bytes([wanted]) + request[1:])[: kind >> 5]
+    # About an object that nobody asks for.
+    return bytes([wanted or 0x80]) + b"\xff\xff\xff" + rest[:4]
+
+
+def endless(drawn):
+    """Fates as drawn, then none that is bad."""
+    yield from drawn
+    while True:
+        yield 0, "", ("", 0, bytes(4))
+
+
+KEYS = st.sampled_from([*LENGTHS, (0x1000, 7), (0x1018, 0)])
+NOISE = st.tuples(
+    st.sampled_from(["", "of another kind", "with the wrong toggle", "of another length"]),
+    st.sampled_from(range(0, 0x100, 0x20)),
+    st.binary(min_size=4, max_size=4),
+)
+LOSSES = st.sampled_from([*[""] * 6, "request", "answer", "nobody waits"])
+FATES = st.lists(st.tuples(st.integers(0, LATEST), LOSSES, NOISE), max_size=60)
+
+
+@settings(derandomize=True, database=None, max_examples=200)
+@given(st.lists(st.tuples(KEYS, st.booleans(), st.booleans()), max_size=12), FATES)
+def test_no_answer_to_an_earlier_question_is_ever_taken(transfers, drawn):
+    line, fates = Line(), endless(drawn)
+    for key, writes, refuses in transfers:
+        line.objects.refuses = refuses
+        before = line.objects.serial
+        data = struct.pack("<H", before)
+        line.asked = 0
+        effects = line.client.download(key, data) if writes else line.client.upload(key)
+        result = line.run(effects, fates)
+        # Each try costs at most a probe, a beginning, and its segments.
+        assert line.asked <= TRIES + 1 + TRIES * (1 + LONGEST // 7 + 1)
+        match result:
+            case Done(value) if writes:
+                assert value == b""
+                assert any(serial > before and at == [key, data] for serial, *at in line.objects.writes)
+            case Done(value):
+                assert len(value) == LENGTHS[key]
+                assert int.from_bytes(value[:2], "little") > before
+            case Refused(code):
+                assert code - 0x0800_0000 > before
+            case Failed(silent=silent):
+                assert silent
+            case None:
+                assert line.client.cancelled() == []
+
+
+# -- answers, one by one
+
+
+def begun(key=KEY):
+    client = SdoClient()
+    return client, client.upload(key)
+
+
+def about(command, key=KEY, rest=b""):
+    return struct.pack("<BHB", command, *key) + rest.ljust(4, b"\0")
+
+
+ABORTED = 0x05040000
+SEGMENT = Send(b"\x60".ljust(8, b"\0"), ANSWER)
+
+
+def refused(code, why, key=KEY):
+    return [Send(about(ABORT, key, code.to_bytes(4, "little"))), Failed(why)]
+
+
+@pytest.mark.parametrize(
+    ("command", "data"),
+    [
+        (0x43, b"\1\2\3\4"),
+        (0x42, b"\1\2\3\4"),
+        (0x4E, b"\1\2\3\4"),
+        (0x47, b"\1\2\3"),
+        (0x4B, b"\1\2"),
+        (0x4F, b"\1"),
+    ],
+)
+def test_an_answer_has_as_many_bytes_as_it_says_or_four(command, data):
+    client, sent = begun()
+    assert sent == [Send(about(0x40), ANSWER)]
+    assert client.answered(about(command, rest=b"\1\2\3\4")) == [Done(data)]
+    assert client.answered(about(command, rest=b"\1\2\3\4")) == []
+
+
+@pytest.mark.parametrize(
+    ("data", "command"), [(b"\1", 0x2F), (b"\1\2", 0x2B), (b"\1\2\3", 0x27), (b"\1\2\3\4", 0x23)]
+)
+def test_a_download_says_how_many_bytes_it_has(data, command):
+    client = SdoClient()
+    assert client.download(KEY, data) == [Send(about(command, rest=data), ANSWER)]
+    assert client.answered(about(0x60)) == [Done()]
+
+
+def test_segments_with_and_without_their_number_before():
+    for size in (9, 0):
+        client, _ = begun()
+        rest = size.to_bytes(4, "little") if size else b"\xff" * 4
+        assert client.answered(about(0x41 if size else 0x40, rest=rest)) == [SEGMENT]
+        assert client.answered(b"\x00abcdefg") == [Send(b"\x70".ljust(8, b"\0"), ANSWER)]
+        assert client.answered(b"\x00abcdefg") == []  # the same once more
+        assert client.answered(b"\x1bhi\0\0\0\0\0") == [Done(b"abcdefghi")]
+
+
+def test_what_is_too_long_or_of_the_wrong_length_is_refused_and_not_tried_again():
+    client, _ = begun()
+    long = about(0x41, rest=(LONGEST + 1).to_bytes(4, "little"))
+    assert client.answered(long) == refused(0x05040005, "65 bytes came, more than 64")
+    client.upload(KEY)
+    client.answered(about(0x40))
+    for n in range(LONGEST // 7):
+        assert len(client.answered(bytes([0x10 * (n % 2)]) + bytes(7))) == 1
+    assert client.answered(b"\x10" + bytes(7)) == refused(0x05040005, "more than 64 bytes came")
+    client.upload(KEY)
+    client.answered(about(0x41, rest=b"\5"))
+    assert client.answered(b"\x0e" + bytes(7)) == refused(0x06070010, "a segment without bytes came")
+    client.upload(KEY)
+    client.answered(about(0x41, rest=b"\5"))
+    assert client.answered(b"\x01" + bytes(7)) == [Failed("7 bytes came, and 5 were announced")]
+
+
+def test_a_refusal_is_one_only_for_the_object_that_was_asked_for():
+    client, _ = begun()
+    assert client.answered(about(ABORT, OTHER, b"\0\0\2\6")) == []
+    assert client.answered(about(ABORT, KEY, b"\0\0\2\6")) == [Refused(0x06020000)]
+    assert client.answered(about(ABORT, KEY, b"\0\0\2\6")) == []
+    client.upload(KEY)
+    client.answered(about(0x41, rest=b"\x09"))
+    assert client.answered(about(ABORT, OTHER, b"\0\0\2\6")) == []
+    assert client.answered(about(ABORT, KEY, b"\0\0\2\6")) == [Refused(0x06020000)]
+
+
+def test_silence_is_an_end_after_its_tries_and_doubt_is_over_with_any_answer_to_a_probe():
+    client, sent = begun()
+    given_up = Send(about(ABORT, rest=ABORTED.to_bytes(4, "little")))
+    assert [client.expired() for _ in range(TRIES)] == [
+        [given_up, *sent],
+        [given_up, *sent],
+        [given_up, Failed("no answer within 0.3 s, 3 times", silent=True)],
+    ]
+    assert client.upload(OTHER) == [Send(about(0x40, OTHER), ANSWER)]
+    assert client.answered(about(0x43, OTHER)) == [Done(bytes(4))]
+    # What answers may be late.
+    probe = Send(about(0x40, PROBES[0]), ANSWER)
+    assert client.download(KEY, b"\1") == [probe]
+    for late in (about(0x43), about(0x60), about(ABORT), about(0x60, PROBES[0])):
+        assert client.answered(late) == []
+    assert client.answered(about(ABORT, PROBES[0], b"\x11\0\x09\6")) == [
+        Send(about(0x2F, rest=b"\1"), ANSWER)
+    ]
+    assert client.answered(about(0x60)) == [Done()]
+    assert client.upload(KEY) == sent
+
+
+def test_a_probe_in_doubt_is_followed_by_another_one_never_by_what_is_asked_for():
+    client, _ = begun(PROBES[0])
+    for _ in range(TRIES):
+        client.expired()
+    asked = []
+    for _ in range(10):
+        effects = client.upload(PROBES[0])
+        for _ in range(TRIES):
+            asked.append(effects[-1].data[1:4])
+            effects = client.expired()
+    probes = [about(0, key)[1:4] for key in PROBES[1:]]
+    assert asked == probes * 2

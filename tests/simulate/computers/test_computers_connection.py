@@ -1,0 +1,52 @@
+"""A simulated connection whose reader is busy: what comes waits, in order, its end too."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+
+from lfield.simulate.computers.connection import Connection
+from lfield.simulate.computers.loop import ProcessLoop
+from lfield.simulate.computers.machines import Machine, Ways
+from lfield.simulate.computers.timeline import Timeline
+
+
+class Slow(asyncio.Protocol):
+    """Reads one piece, then nothing until it is told to."""
+
+    def __init__(self) -> None:
+        self.got: list[bytes | None] = []
+
+    def connection_made(self, transport) -> None:
+        self.transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        self.got.append(data)
+        self.transport.pause_reading()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.got.append(None)
+
+
+def test_what_comes_while_nobody_reads_waits_in_its_order():
+    timeline, reader = Timeline(), Slow()
+    alpha, bravo = (ProcessLoop(Machine(name, timeline, random.Random(1))) for name in "ab")
+    near, far = Connection(Ways(random.Random(2)), alpha, bravo, (("a", 1), ("b", 2))).ends
+    alpha.enter(lambda: near.begin(asyncio.Protocol))
+    bravo.enter(lambda: far.begin(lambda: reader))
+    for piece in (b"one", b"two"):
+        near.write(piece)
+    near.close()
+    timeline.run(1.0)
+    assert reader.got == [b"one"]
+    assert not far.is_reading()
+    bravo.enter(far.resume_reading)
+    timeline.run(2.0)
+    assert reader.got == [b"one", b"two"]
+    bravo.enter(far.resume_reading)
+    bravo.enter(far.resume_reading)
+    timeline.run(3.0)
+    assert reader.got == [b"one", b"two", None]
+    assert not far.is_reading()
+    alpha.close()
+    bravo.close()

@@ -1,0 +1,130 @@
+"""The pytest plugin in projects of others: who asks has it, who does not never sees it; `lfield test`."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from lfield import exits
+
+pytestmark = pytest.mark.process
+
+MISSION = """
+coordinator Boss {
+    init(string[] arg) { print("over"); }
+}
+"""
+TEST = """
+def test_it_ends(lfield_mission):
+    team = lfield_mission("walk.dL")
+    team.run(until_done=True)
+    assert team.ended == {"boss": "done"}
+
+def test_it_does_not(lfield_mission):
+    team = lfield_mission("walk.dL")
+    team.run(until="never")
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A mission with a test that passes and one that does not."""
+    (tmp_path / "walk.L").write_text(MISSION)
+    (tmp_path / "walk.dL").write_text("//Boss:boss@alpha\n")
+    (tmp_path / "test_walk.py").write_text(TEST)
+    return tmp_path
+
+
+def run(folder: Path, *words: str) -> tuple[int, str]:
+    """A command of Python in a project; its status, and what it says."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    done = subprocess.run(
+        [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=60.0
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_run_that_does_not_ask_has_no_fixture_and_loads_nothing_of_ours(project):
+    (project / "test_walk.py").write_text(
+        "import sys\ndef test_a():\n    assert 'lfield' not in sys.modules\n"
+    )
+    status, said = run(project, "-m", "pytest", "-q")
+    assert status == 0, said
+    (project / "test_walk.py").write_text(TEST)
+    _, said = run(project, "-m", "pytest", "-q")
+    assert "fixture 'lfield_mission' not found" in said
+
+
+def test_a_conftest_that_asks_has_it(project):
+    (project / "conftest.py").write_text('pytest_plugins = ["lfield.testing.plugin"]\n')
+    status, said = run(project, "-m", "pytest", "-q", "-k", "it_ends")
+    assert status == 0, said
+    assert "1 passed" in said
+
+
+def test_lfield_test_tells_how_it_went_by_its_status(project):
+    status, said = run(project, "-m", "lfield", "test", "test_walk.py", "-k", "it_ends")
+    assert (status, "1 passed" in said) == (exits.DONE, True), said
+    status, said = run(project, "-m", "lfield", "test")
+    assert (status, "1 failed, 1 passed" in said) == (exits.FAILED, True), said
+    assert "nobody has said 'never' after 120 s of the mission, which has ended" in said
+    status, said = run(project, "-m", "lfield", "test", "-k", "nothing")
+    assert status == exits.NO_INPUT, said
+    assert not (project / "tracks").exists(), "nobody has moved"
+
+
+FLOWN = """
+import hashlib, sys
+from pathlib import Path
+from lfield.testing.mission.team import Team
+team = Team(Path(sys.argv[1]), seed=5)
+team.run(until_done=True)
+print(hashlib.sha256(repr((team.log, team.tracks, team.hops)).encode()).hexdigest())
+"""
+
+
+def test_the_same_seed_is_the_same_flight_in_every_process(tmp_path, monkeypatch):
+    flight = str(Path(__file__).parents[2] / "examples/01-first-flight/mission.dL")
+    seen = set()
+    for number in ("1", "2"):
+        monkeypatch.setenv("PYTHONHASHSEED", number)
+        status, said = run(tmp_path, "-c", FLOWN, flight)
+        assert status == 0, said
+        seen.add(said)
+    assert len(seen) == 1
+
+
+def test_without_pytest_it_says_what_to_install(project):
+    (project / "pytest.py").write_text("raise ImportError\n")
+    status, said = run(project, "-m", "lfield", "test")
+    assert (status, said) == (
+        exits.UNAVAILABLE,
+        "lfield: the tests of missions need pytest: pip install pytest\n",
+    )
+
+
+def test_a_picture_shows_every_device_and_what_was_done_to_it():
+    from lfield.testing.mission.picture import Mark, draw
+    from lfield.testing.mission.watching import Point
+
+    tracks = {
+        "a.fc": [Point(0.0, 0.0, 0.0, 0.0), Point(1.0, 5.0, 1.0, 2.0)],
+        "b & c": [Point(0.0, 1.0, 1.0, 0.0)],
+        "nowhere": [],
+    }
+    svg = draw(
+        tracks, "a <title>", [Mark(0.9, "a.fc", "a.fc: motor_failure=true"), Mark(0.5, "", "alpha is cut")]
+    )
+    root = ElementTree.fromstring(svg)
+    texts = [text.text for text in root.iter("{http://www.w3.org/2000/svg}text")]
+    assert {"a <title>", "a.fc", "b & c", "0.9 s: a.fc: motor_failure=true", "0.5 s: alpha is cut"} <= set(
+        texts
+    )
+    assert "height over 1 s, up to 2.0 m" in texts
+    with pytest.raises(ValueError, match="nobody has told where it was"):
+        draw({"nowhere": []}, "empty")
