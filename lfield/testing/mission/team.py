@@ -68,6 +68,8 @@ class Team:
         doubled = Doubles(load_mission(path, simulate=True), doubles or {})
         mission = self.mission = doubled.mission
         self._fakes, self._doubles = Fakes(fakes or {}, self._mark), doubled
+        #: How coordinators ended, with the start that did: hosts that are gone tell it no more.
+        self._outcomes: dict[str, tuple[int, str]] = {}
         #: What the test has done to the team, for its picture.
         self.marks: list[Mark] = []
         self._team_hosts = frozenset(mission.team.hosts)
@@ -206,7 +208,7 @@ class Team:
     @property
     def ended(self) -> dict[str, str]:
         """How coordinators ended that did: `done`, `died`, `lost`."""
-        found: dict[str, tuple[int, str]] = {}
+        found = self._outcomes
         for life in self._fleet.lives.values():
             for known in life.core.mobility.knowledge():
                 over = known.outcome if known.state == "EXITED" and known.outcome != "superseded" else ""
