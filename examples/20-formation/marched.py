@@ -12,7 +12,7 @@ from lfield.testing.mission.watching import Point
 
 HERE = Path(__file__).parent
 #: Pixels of a metre; metres that the picture's lower left corner and upper right one are from the start.
-METRE, SOUTH, WEST, NORTH, EAST = 14.0, -10.0, -9.0, 24.0, 31.0
+METRE, SOUTH, WEST, NORTH, EAST = 14.0, -9.0, -20.0, 23.0, 32.0
 #: Colours that colour-blind people tell apart (Okabe and Ito, 2008).
 COLOURS = {"ada": "#0072b2", "bob": "#d55e00", "cat": "#009e73", "dan": "#cc79a7", "eve": "#e69f00"}
 #: Seconds since the start at which bob loses a motor.

@@ -22,6 +22,7 @@ DRIVER = "a driver of its own: tests/cli/robot/test_driver_new.py makes and trie
 SETUP = "writes to a vehicle, after a yes: tests/cli/robot/test_setup_command.py"
 GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake and its kit"
 TIERS = "of a driver of its own: examples/16-three-tiers runs the mission, and its test_tutorial.py the lines"
+FORMATION = LONG + "examples/20-formation/test_formation.py flies the same on virtual time"
 ARENA = "installs a driver of its own: examples/21-box-pushing and 22-predators have their own tests"
 KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
 
@@ -104,6 +105,11 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield kit planner --endpoint process:": TIERS,
     },
     "examples/15-tuple-space/README.md": {"lfield test examples/15-tuple-space": SUITE},
+    "examples/20-formation/README.md": {
+        "lfield up --deploy examples/20-formation/mission.dL --all --sim --until-done": FORMATION,
+        "lfield test examples/20-formation": SUITE,
+        "carol | march: the march is over; the coordinator migrated 100 times": FORMATION,
+    },
     "examples/20-gps-driver/README.md": {
         "pip install -e examples/20-gps-driver": GPS,
         "lfield sim gps &": GPS,
