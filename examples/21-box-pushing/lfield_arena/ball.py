@@ -17,8 +17,8 @@ LENGTH, WIDTH, GOAL = 4.0, 3.0, 1.0
 BALL_RADIUS, REACH, HARDEST = 0.06, 0.05, 2.0
 #: What rolling takes of its speed each second; the shares of it that walls and robots give back.
 ROLL, WALL, BUMPER = 0.4, 0.6, 0.3
-#: How long it lies in a goal.
-PAUSE = 3.0
+#: How long it lies in a goal. One that does not come so many metres in so many seconds is put into the middle.
+PAUSE, PROGRESS, PATIENCE = 3.0, 0.2, 4.0
 
 
 @dataclass(slots=True)
@@ -31,6 +31,9 @@ class Ball:
     goals: list[int] = field(default_factory=lambda: [0, 0])
     #: How long it still lies in a goal; 0 in play.
     rests: float = 0.0
+    #: A place near which it has been for so long.
+    mark: Vector = (0.0, 0.0)
+    stuck: float = 0.0
 
     def step(self, seconds: float) -> None:
         """Let time pass."""
@@ -45,11 +48,19 @@ class Ball:
         if abs(self.place[0]) > LENGTH / 2.0 + self.radius:
             self.goals[self.place[0] < 0.0] += 1
             self.speed, self.rests = (0.0, 0.0), PAUSE
+        self._progress(seconds)
 
     def _rest(self, seconds: float) -> None:
         self.rests = max(0.0, self.rests - seconds)
         if self.rests == 0.0:
             self.place = (0.0, 0.0)
+
+    def _progress(self, seconds: float) -> None:
+        self.stuck += seconds
+        if math.dist(self.place, self.mark) > PROGRESS:
+            self.mark, self.stuck = self.place, 0.0
+        if self.stuck > PATIENCE:
+            self.place, self.speed, self.stuck = (0.0, 0.0), (0.0, 0.0), 0.0
 
     def hold(self) -> None:
         """Beyond a wall it is put at the wall, and bounces; between the posts there is none."""
@@ -84,7 +95,7 @@ class Ball:
         self.speed = self.speed[0] + normal[0] * gained, self.speed[1] + normal[1] * gained
 
     def kicked(self, place: Vector, radius: float, speed: float) -> bool:
-        """By a disc: straight away from it, so who aims stands behind it. False when it is not near enough."""
+        """By a disc: straight away from it, so who aims stands behind it. False when too far away."""
         gap, normal = self.touch(place, radius)
         if gap > REACH or self.rests > 0.0:
             return False
