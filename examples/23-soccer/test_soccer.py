@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import pytest
 
-#: Metres from the middle to the goal lines, and of the ball; the seconds of a match.
-LINE, BALL, MATCH = 2.0, 0.06, 60.0
+#: Metres: to the goal lines, the side walls and the posts from the middle; radii of the ball and of a robot.
+LINE, SIDE, POST, BALL, ROBOT = 2.0, 1.5, 0.5, 0.06, 0.15
 HOSTS = {"red1": "ann", "red2": "bob", "red3": "cid"}
 
 
@@ -96,3 +96,13 @@ def test_a_team_plays_on_without_its_coach_and_gets_it_back(lfield_mission):
     assert told(team, "red") == goals(team)
     assert told(team, "blue") == goals(team)[::-1]
     assert {call.resource for call in team.calls if call.at > back and call.result} >= set(left)
+
+
+def test_the_ball_leaves_between_the_posts_and_nobody_else_leaves(lfield_mission):
+    """From the kick-off to the first goal: with `-k posts --tracks DIR` the picture of the README."""
+    team = lfield_mission("mission.dL", seed=3)
+    team.run(until=lambda: abs(team.fake("ball").place[0]) > LINE + BALL)
+    assert abs(team.fake("ball").place[1]) < POST - BALL + 0.01
+    robots = [point for name, points in team.tracks.items() if name != "ball" for point in points]
+    assert max(abs(point.north) for point in robots) < LINE - ROBOT + 0.01
+    assert max(abs(point.east) for point in robots) < SIDE - ROBOT + 0.01

@@ -22,7 +22,7 @@ DRIVER = "a driver of its own: tests/cli/robot/test_driver_new.py makes and trie
 SETUP = "writes to a vehicle, after a yes: tests/cli/robot/test_setup_command.py"
 GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake and its kit"
 TIERS = "of a driver of its own: examples/16-three-tiers runs the mission, and its test_tutorial.py the lines"
-ARENA = (
+ARENA = "installs a driver of its own: 21-box-pushing, 22-predators and 23-soccer have their own tests"
     "installs a driver of its own: examples 21-box-pushing, 22-predators and 23-soccer have their own tests"
 )
 KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
