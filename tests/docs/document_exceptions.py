@@ -23,8 +23,6 @@ SETUP = "writes to a vehicle, after a yes: tests/cli/robot/test_setup_command.py
 GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake and its kit"
 TIERS = "of a driver of its own: examples/16-three-tiers runs the mission, and its test_tutorial.py the lines"
 ARENA = "installs a driver of its own: 21-box-pushing, 22-predators and 23-soccer have their own tests"
-    "installs a driver of its own: examples 21-box-pushing, 22-predators and 23-soccer have their own tests"
-)
 KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
 
 #: By page: command lines, and first lines of outputs.
