@@ -17,7 +17,7 @@ LENGTH, WIDTH, GOAL = 4.0, 3.0, 1.0
 BALL_RADIUS, REACH, HARDEST = 0.06, 0.05, 2.0
 #: What rolling takes of its speed each second; the shares of it that walls and robots give back.
 ROLL, WALL, BUMPER = 0.4, 0.6, 0.3
-#: How long it lies in a goal. One that does not come so many metres in so many seconds is put into the middle.
+#: How long it lies in a goal; by how many metres it comes in how many seconds, or is put into the middle.
 PAUSE, PROGRESS, PATIENCE = 3.0, 0.2, 4.0
 
 
