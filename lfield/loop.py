@@ -134,7 +134,10 @@ class Simulated(Protocol):
         """Open a serial port for us alone. Raises OSError."""
 
     def plug_serial(self, path: str, received: Callable[[bytes, int], None]) -> SerialEnd:
-        """Be what stands at the far end of a new port; what comes has the baud rate of who sent it."""
+        """Be what stands at the far end of a new port; what comes has the baud rate of who sent it.
+
+        Raises OSError when there is one of that name.
+        """
 
     def shared(self, name: str, make: Callable[[], T]) -> T:
         """What is one for all fakes of this simulation, such as the ground that several of them stand on.

@@ -37,7 +37,6 @@ WAITING = (
     "tests/cli/run/test_up_",
     "tests/cli/stops/",
     "tests/cli/team/test_estop.py",
-    "tests/kits/",
     "tests/mavlink/client/",
 )
 

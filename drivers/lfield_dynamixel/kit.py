@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import time
 from functools import partial
 
 from lfield.driver import WATCHDOG
@@ -132,11 +131,11 @@ async def speed(bench: Bench) -> str:
 async def ends(bench: Bench) -> str:
     """Past its time-to-live the guard brings it into the safe state, where it stands still."""
     await _get_ready(bench)
-    last = time.monotonic()
+    last = bench.now
     await bench.call("setPositions" if _is_group(bench) else "setPosition", _goal(bench, 0.0))
     ttl = bench.binding.ttl
     await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
-    ended = time.monotonic() - last
+    ended = bench.now - last
     if ended > ttl + LATE:
         raise CheckFailed(f"it ended only after {ended:.2f} s")
     await rested(bench)

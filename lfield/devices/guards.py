@@ -44,7 +44,7 @@ class Guards:
         silence: float = SILENCE,
         turned: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._drivers, self._clock, self._note = drivers, clock, note
+        self._drivers, self.clock, self._note = drivers, clock, note
         #: How late the beats for the guards are.
         self.lateness = Lateness(Limit(silence, loop.may_be_prompt()))
         self._turned = turned
@@ -79,7 +79,7 @@ class Guards:
             return
         for bus in by_bus(placed).values():
             driver = self._drivers.by_driver[bus[0].driver]
-            guard = Guard(driver, bus, self._clock, self._note, self.lateness, self._turned)
+            guard = Guard(driver, bus, self.clock, self._note, self.lateness, self._turned)
             guard.held.barred = self._barred
             self._guards.append(guard)
             self._by_device.update(

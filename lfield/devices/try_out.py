@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from lfield.clock import SystemClock
+from lfield.clock import Clock
 from lfield.devices.guards import Guards
 from lfield.devices.keeper import Guard
 from lfield.driver.binding import DeviceBinding
@@ -49,6 +49,11 @@ class LiveBench:
     @property
     def _guard(self) -> Guard:
         return self._guards.guard_of(self.binding.name)
+
+    @property
+    def now(self) -> float:
+        """Seconds of the host's clock."""
+        return self._guards.clock.monotonic()
 
     @property
     def identity(self) -> str:
@@ -117,10 +122,9 @@ class LiveBench:
 
     async def until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
         """Wait until the condition holds. Raises CheckFailed."""
-        loop = asyncio.get_running_loop()
-        end = loop.time() + bound
+        end = self.now + bound
         while not _holds(condition):
-            if loop.time() >= end:
+            if self.now >= end:
                 raise CheckFailed(f"waited {bound:g} s for {what}")
             await asyncio.sleep(LOOK)
 
@@ -160,15 +164,17 @@ async def try_devices(
     may_move: bool,
     show: Callable[[Finding], None],
     *,
+    clock: Clock,
     silence: float = SILENCE,
 ) -> list[Finding]:
     """Run the checks on one device after the other, and show each finding as it is made.
 
-    The last is of LEFT: each device that was not seen at rest in its safe state in the end. `silence` is how
-    long this host may be silent, in seconds. Raises DevicesError when a device cannot be opened.
+    The last is of LEFT: each device that was not seen at rest in its safe state in the end. `clock` is that
+    of this host, and `silence` how long it may be silent, in seconds. Raises DevicesError when a device
+    cannot be opened.
     """
     checks, notes, findings = list(checks), list[str](), list[Finding]()
-    guards = Guards(plugins, SystemClock(), notes.append, silence=silence)
+    guards = Guards(plugins, clock, notes.append, silence=silence)
     await guards.open(devices)
     try:
         for device in devices:

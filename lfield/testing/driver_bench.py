@@ -233,14 +233,18 @@ class GuardedDevice(LiveBench):
 
 @asynccontextmanager
 async def guarded(
-    *bindings: DeviceBinding, plugins: Plugins | None = None, silence: float = SILENCE
+    *bindings: DeviceBinding,
+    plugins: Plugins | None = None,
+    silence: float = SILENCE,
+    clock: Clock | None = None,
 ) -> AsyncIterator[tuple[GuardedDevice, ...]]:
     """Devices behind guards in processes of their own, in the order of their bindings; closed with the block.
 
-    `plugins` are the drivers, by default those that are installed. Raises DevicesError.
+    `plugins` are the drivers, by default those that are installed, and `clock` is that of the loop, the
+    system's by default. Raises DevicesError.
     """
     drivers, notes = plugins or discover(), list[str]()
-    guards = Guards(drivers, SystemClock(), notes.append, silence=silence)
+    guards = Guards(drivers, clock or SystemClock(), notes.append, silence=silence)
     await guards.open(bindings)
     try:
         yield tuple(

@@ -43,7 +43,10 @@ class Terminal:
         if self.plugged:
             return
         if isinstance(self._loop, Simulated):
-            self._simulated = self._loop.plug_serial(str(self._path), self._received)
+            try:
+                self._simulated = self._loop.plug_serial(str(self._path), self._received)
+            except OSError as error:
+                raise AddressError(str(self._path), error.strerror or str(error)) from None
             return
         if self._path.exists() and not self._path.is_symlink():
             raise AddressError(str(self._path), "there is a file or a device of that name")

@@ -79,3 +79,32 @@ def bench() -> type[CanBench]:
 @pytest.fixture
 def bus() -> MemoryBus:
     return MemoryBus()
+
+
+@pytest.fixture
+def drive(binding: Any) -> Any:
+    """A binding of the CiA 402 drive, but for its endpoint."""
+
+    def make(**changes):
+        given = {"limits": {"speed": 20.0}, "waivers": ["no_homing"], "ttl": 1.0, **changes}
+        options = {"protocol": "cia402", "node": 5, "counts": 4096, **given.pop("options", {})}
+        return lambda endpoint: binding("CanAxis", endpoint=endpoint, options=options, **given)
+
+    return make
+
+
+@pytest.fixture
+def odrive(binding: Any) -> Any:
+    """The same of the ODrive."""
+
+    def make(**changes):
+        given = {
+            "limits": {"speed": 20.0},
+            "waivers": ["no_homing", "device_watchdog"],
+            "ttl": 1.0,
+            **changes,
+        }
+        options = {"protocol": "odrive", "node": 3}
+        return lambda endpoint: binding("CanAxis", field="wheel", endpoint=endpoint, options=options, **given)
+
+    return make

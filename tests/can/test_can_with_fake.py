@@ -1,4 +1,7 @@
-"""Driver, guard and fake as three processes, through both doors of the fake's bus."""
+"""Driver, guard and fake as three processes, through both doors of the fake's bus.
+
+What needs neither a process nor a door is in test_can_on_desk.py, where nothing waits.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +15,17 @@ from pathlib import Path
 import can
 import pytest
 from can_places import tcp
+from can_stories import BOUND, DRIVE, ODRIVE, vanish_and_return
 
 import lfield_sim.can
 from lfield.driver import DeviceError
 from lfield.testing.driver_bench import guarded, running_fake
 
-pytestmark = [pytest.mark.process, pytest.mark.long]
+pytestmark = pytest.mark.process
 
 DOORS = ("socketcand", "slcan")
 LISTEN = ("--listen", "socketcand:127.0.0.1:0", "--listen", "slcan-pty")
 GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
-BOUND = 20.0
 
 
 @asynccontextmanager
@@ -33,33 +36,6 @@ async def team(door: str, *bindings, devices):
         endpoint = fake.words[DOORS.index(door)]
         async with guarded(*(make(endpoint=endpoint) for make in bindings)) as members:
             yield fake, *members
-
-
-@pytest.fixture
-def drive(binding):
-    """A binding of the CiA 402 drive, but for its endpoint."""
-
-    def make(**changes):
-        given = {"limits": {"speed": 20.0}, "waivers": ["no_homing"], "ttl": 1.0, **changes}
-        options = {"protocol": "cia402", "node": 5, "counts": 4096, **given.pop("options", {})}
-        return lambda endpoint: binding("CanAxis", endpoint=endpoint, options=options, **given)
-
-    return make
-
-
-@pytest.fixture
-def odrive(binding):
-    def make(**changes):
-        given = {
-            "limits": {"speed": 20.0},
-            "waivers": ["no_homing", "device_watchdog"],
-            "ttl": 1.0,
-            **changes,
-        }
-        options = {"protocol": "odrive", "node": 3}
-        return lambda endpoint: binding("CanAxis", field="wheel", endpoint=endpoint, options=options, **given)
-
-    return make
 
 
 @pytest.fixture
@@ -81,9 +57,6 @@ def gripper(binding):
         )
 
     return make
-
-
-DRIVE, ODRIVE = "cia402:5,counts=4096", "odrive:3"
 
 
 @pytest.mark.parametrize("door", DOORS)
@@ -120,43 +93,6 @@ def test_a_setpoint_that_is_over_ends_in_the_safe_state(door, drive):
             await axis.reads("velocity", lambda speed: abs(speed) < 0.1)
             await axis.call("release")
             await axis.call("enable")
-
-    asyncio.run(mission())
-
-
-def test_every_mode_of_a_drive(drive):
-    async def mission():
-        both = drive(waivers=[], options={"homing_method": 37, "homing_speed": 1.0})
-        async with team("socketcand", both, devices=[DRIVE]) as (_, axis):
-            await axis.call("enable")
-            await axis.call("home")
-            await axis.reads("referenced", lambda value: value is True)
-            await axis.call("setPosition", 1.0)
-            await axis.reads("position", lambda at: abs(at - 1.0) < 0.1)
-            await axis.call("setTorque", 0.01)
-            await axis.call("stop")
-            await axis.call("enable")
-            await axis.call("moveTo", 0.0, 5.0)
-            await axis.call("disable")
-
-    asyncio.run(mission())
-
-
-def test_cyclic_modes(drive):
-    async def mission():
-        async with team("socketcand", drive(options={"cyclic": True}), devices=[DRIVE]) as (_, axis):
-            await axis.call("enable")
-            for _ in range(10):
-                await axis.call("setVelocity", 4.0)
-                await asyncio.sleep(0.05)
-            await axis.reads("velocity", lambda speed: abs(speed - 4.0) < 0.5)
-            await axis.call("stop")
-            await axis.call("enable")
-            at = await axis.call("position")
-            for _ in range(20):
-                await axis.call("setPosition", at + 1.0)
-                await asyncio.sleep(0.05)
-            await axis.reads("position", lambda now: abs(now - at - 1.0) < 0.1)
 
     asyncio.run(mission())
 
@@ -202,92 +138,6 @@ def test_a_guard_that_dies_comes_back_with_everything_safe(drive, odrive):
     asyncio.run(mission())
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("door", DOORS)
-def test_a_device_that_vanishes_and_returns(door, drive, odrive):
-    async def mission():
-        async with team(door, drive(), odrive(), devices=[DRIVE, ODRIVE]) as (fake, axis, wheel):
-            # An ODrive that is not spoken to goes limp, and takes its time to come to rest.
-            for device, node, speed in ((axis, "5", 5.0), (wheel, "3", 0.3)):
-                await device.call("enable")
-                travel = asyncio.create_task(device.call("moveTo", 500.0, speed))
-                await asyncio.sleep(0.3)
-                start = time.monotonic()
-                fake.fault(f"silence@{node}=true")
-                with pytest.raises(DeviceError, match="not heard for") as error:
-                    await travel
-                assert error.value.kind == "DeviceTimeoutException"
-                assert time.monotonic() - start < 10.0
-                await device.told(f"{device.binding.name}: it is not heard any more")
-                fake.fault(f"silence@{node}=false")
-                await device.told(f"{device.binding.name}: heard again")
-                await device.reads("online", lambda value: value is True)
-                await device.reads("velocity", lambda speed: abs(speed) < 0.1)
-                await enabled_again(device)
-                await device.call("moveTo", await device.call("position") + 0.5, 5.0)
-
-    async def enabled_again(device):
-        async with asyncio.timeout(BOUND):
-            while True:
-                try:
-                    await device.call("enable")
-                    return
-                except DeviceError:
-                    await asyncio.sleep(0.1)
-
-    asyncio.run(mission())
-
-
-def test_faults_are_told_in_words_and_reset(drive, odrive):
-    async def mission():
-        async with team("socketcand", drive(), odrive(), devices=[DRIVE, ODRIVE]) as (fake, axis, wheel):
-            for device, node, words in ((axis, "5", "current"), (wheel, "3", "over-current")):
-                await device.call("enable")
-                fake.fault(f"overcurrent@{node}=true")
-                fault = await device.reads("fault", lambda text: text != "")
-                assert words in fault
-                with pytest.raises(DeviceError, match=r"resetFault\(\) clears it"):
-                    await device.call("setVelocity", 1.0)
-                fake.fault(f"overcurrent@{node}=false")
-                await device.call("resetFault")
-                await device.call("enable")
-
-    asyncio.run(mission())
-
-
-@pytest.mark.parametrize("fault", ["loss=0.05", "corrupt=0.02", "delay@5=0.05", "nonsense@5=0.1"])
-def test_a_bad_bus_costs_time_or_an_exception_but_nothing_crashes(fault, drive):
-    async def mission():
-        async with team("socketcand", drive(), devices=[DRIVE]) as (fake, axis):
-            fake.fault(fault)
-            for _ in range(3):
-                try:
-                    await axis.call("enable")
-                    await axis.call("moveTo", 1.0, 5.0)
-                    await axis.call("stop")
-                except DeviceError as error:
-                    axis.notes.append(str(error))
-            fake.fault(fault.partition("=")[0] + "=0")
-            await axis.reads("online", lambda value: value is True)
-            assert not any("the driver failed" in note for note in axis.notes)
-
-    asyncio.run(mission())
-
-
-def test_a_bus_that_is_off_comes_back(drive):
-    async def mission():
-        async with team("socketcand", drive(), devices=[DRIVE]) as (fake, axis):
-            await axis.call("enable")
-            await axis.call("setVelocity", 2.0)
-            fake.fault("bus_off=true")
-            await axis.told("it is not heard any more")
-            fake.fault("bus_off=false")
-            await axis.told("heard again")
-            await axis.reads("velocity", lambda speed: abs(speed) < 0.1)
-
-    asyncio.run(mission())
-
-
 def test_a_setpoint_leaves_within_milliseconds(drive):
     async def mission():
         async with team("socketcand", drive(ttl=5.0), devices=[DRIVE]) as (_, axis):
@@ -301,3 +151,15 @@ def test_a_setpoint_leaves_within_milliseconds(drive):
             return sorted(times)[50]
 
     assert asyncio.run(mission()) < 0.05
+
+
+@pytest.mark.few(0)
+@pytest.mark.parametrize("door", ["slcan"])
+def test_a_device_that_vanishes_and_returns_through_an_adapter(door, drive, odrive):
+    """What test_can_on_desk.py tries on virtual time."""
+
+    async def mission():
+        async with team(door, drive(), odrive(), devices=[DRIVE, ODRIVE]) as members:
+            await vanish_and_return(*members)
+
+    asyncio.run(mission())

@@ -25,9 +25,15 @@ MINUTE = 60.0
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory):
-    """The folder of a new driver."""
+    """The folder of a new driver, which is installed for whoever has it in the path."""
     folder = tmp_path_factory.mktemp("project")
     write("lamp", folder)
+    info = folder / "lfield_lamp-0.1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lfield-lamp\nVersion: 0.1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[lfield.drivers.v1]\nlamp = lfield_lamp:PLUGIN\n[lfield.sims.v1]\nlamp = lfield_lamp.fake:SIM\n"
+    )
     return folder
 
 
@@ -215,7 +221,7 @@ def test_the_tests_of_a_new_driver_pass(project):
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"],
         cwd=project, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=60,
     )  # fmt: skip
-    assert "4 passed" in tests.stdout, tests.stdout
+    assert "5 passed" in tests.stdout, tests.stdout
 
 
 def test_the_guide_shows_the_tests_of_a_new_driver(project):

@@ -9,6 +9,7 @@ from contextlib import suppress
 
 import pytest
 
+from lfield.clock import SystemClock
 from lfield.devices.try_out import LEFT, try_devices
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
@@ -141,6 +142,13 @@ def test_a_callback_that_raises_while_the_device_is_opened(plugins):
         asyncio.run(opening())
 
 
+def tried(plugins, endpoint):
+    """A kit without checks."""
+    return try_devices(
+        plugins, [binding(endpoint)], [], False, lambda finding: None, clock=SystemClock(), silence=5.0
+    )
+
+
 @pytest.mark.parametrize(
     ("endpoint", "why"),
     [
@@ -154,11 +162,9 @@ def test_a_callback_that_raises_while_the_device_is_opened(plugins):
     ],
 )
 def test_who_was_not_left_safe_and_at_rest_is_the_last_finding_of_a_kit(plugins, endpoint, why):
-    trial = try_devices(plugins, [binding(endpoint)], [], False, lambda finding: None, silence=5.0)
-    (left,) = asyncio.run(trial)
+    (left,) = asyncio.run(tried(plugins, endpoint))
     assert (left.device, left.check, left.outcome, left.seen) == ("a.t", LEFT, "failed", why)
 
 
 def test_whoever_is_left_safe_and_at_rest_is_no_finding(plugins):
-    trial = try_devices(plugins, [binding("calm")], [], False, lambda finding: None, silence=5.0)
-    assert asyncio.run(trial) == []
+    assert asyncio.run(tried(plugins, "calm")) == []

@@ -1,4 +1,7 @@
-"""The guard as a process, with the MAVLink driver and its fake: flight, death on either side, silence."""
+"""The guard as a process, with the MAVLink driver and its fake: flight, death on either side, silence.
+
+What needs no process is in test_guard_flights.py, on virtual time.
+"""
 
 from __future__ import annotations
 
@@ -69,35 +72,6 @@ def test_a_flight_through_guard_and_fake():
             await flight.reads("landed", bool)
             assert await flight.call("age") < 2.0
             assert 0.5 < await flight.call("battery") <= 1.0
-
-    asyncio.run(mission())
-
-
-def test_a_setpoint_that_is_over_latches_the_safe_state():
-    async def mission():
-        async with fake("hold") as f, flying(f, ttl=1.0, safe_state="hold") as flight:
-            await flight.call("arm")
-            await flight.call("takeoff", 3.0)
-            await flight.call("setVelocity", 2.0, 0.0, 0.0)
-            await flight.told("is in its safe state 'hold': the setpoint's time-to-live of 1 s is over")
-            with pytest.raises(DeviceError, match=r"call release\(\) first"):
-                await flight.call("goTo", 0.0, 0.0, -3.0)
-            assert flight.latched
-            await flight.call("release")
-            await flight.call("goTo", 0.0, 0.0, -3.0)
-
-    asyncio.run(mission())
-
-
-def test_closing_lands_what_flies():
-    async def mission():
-        async with fake() as f:
-            async with flying(f) as flight:
-                await flight.call("arm")
-                await flight.call("takeoff", 3.0)
-            assert "alpha.fc: is in its safe state 'land': the host is stopping" in flight.notes
-            async with flying(f) as again:
-                await again.reads("armed", lambda now: now is False)
 
     asyncio.run(mission())
 

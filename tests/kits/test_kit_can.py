@@ -4,29 +4,26 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from kit_findings import failed, not_run
-
-pytestmark = pytest.mark.process
 
 DBC = Path(__file__).parents[2] / "sim-adapters/lfield_sim/can/gripper.dbc"
 DRIVE = "type: CanAxis, protocol: cia402, counts: 10000, homing_method: 37"
 ODRIVE = "type: CanAxis, protocol: odrive, waivers: [no_homing, device_watchdog]"
 
 
-def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(fake, try_kit):
+def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(desk, try_kit):
     # An endpoint has one guard, so each has a bus of its own.
-    drive, odrive, gripper = (fake("can", "--device", d) for d in ("cia402:5", "odrive:3", f"dbc:{DBC}"))
+    drive, odrive, gripper = (desk.fake("can", "--device", d) for d in ("cia402:5", "odrive:3", f"dbc:{DBC}"))
     found = try_kit(
         "can",
-        {"drive": f'endpoint: "{drive.endpoint}", node: 5, {DRIVE}, limits: {{speed: 5.0, torque: 1.0}}'},
-        # Its setpoints live for longer than the host may be silent: which is over first is no chance.
-        {"odrive": f'endpoint: "{odrive.endpoint}", node: 3, {ODRIVE}, ttl: 1.6, limits: {{speed: 5.0}}'},
         {
+            "drive": f'endpoint: "{drive.endpoint}", node: 5, {DRIVE}, limits: {{speed: 5.0, torque: 1.0}}',
+            # Its setpoints live for longer than the host may be silent: which is over first is no chance.
+            "odrive": f'endpoint: "{odrive.endpoint}", node: 3, {ODRIVE}, ttl: 1.6, limits: {{speed: 5.0}}',
             "gripper": f'endpoint: "{gripper.endpoint}", type: CanSignals, dbc: "{DBC}", '
             "commands: [GripperCommand], "
             "safe: [GripperCommand.TargetWidth=0.05, GripperCommand.TargetForce=0, GripperCommand.Enable=0], "
-            "confirm: [GripperStatus.Enable=0], waivers: [device_watchdog]"
+            "confirm: [GripperStatus.Enable=0], waivers: [device_watchdog]",
         },
     )
     assert failed(found) == []
@@ -39,16 +36,18 @@ def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(fake, try_kit):
     )
 
 
-def test_an_axis_that_does_not_do_it_fails(fake, try_kit):
-    n5, n6, n7 = (fake("can", "--device", f"cia402:{node}") for node in (5, 6, 7))
-    n3 = fake("can", "--device", "odrive:3")
+def test_an_axis_that_does_not_do_it_fails(desk, try_kit):
+    n5, n6, n7 = (desk.fake("can", "--device", f"cia402:{node}") for node in (5, 6, 7))
+    n3 = desk.fake("can", "--device", "odrive:3")
     n5.fault("stuck@5=true")
     turning, sound = "a velocity that is not renewed ends", "it is heard, and nothing is wrong with it"
     found = try_kit(
         "can",
-        {"n5": f'endpoint: "{n5.endpoint}", node: 5, {DRIVE}'},
-        {"n6": f'endpoint: "{n6.endpoint}", node: 6, {DRIVE}'},
-        {"n3": f'endpoint: "{n3.endpoint}", node: 3, {ODRIVE}'},
+        {
+            "n5": f'endpoint: "{n5.endpoint}", node: 5, {DRIVE}',
+            "n6": f'endpoint: "{n6.endpoint}", node: 6, {DRIVE}',
+            "n3": f'endpoint: "{n3.endpoint}", node: 3, {ODRIVE}',
+        },
         only=("enabled, it stays where it is", turning),
     )
     assert found["n5", turning].outcome == "failed"
@@ -58,8 +57,10 @@ def test_an_axis_that_does_not_do_it_fails(fake, try_kit):
     n3.fault("overcurrent@3=true")
     found = try_kit(
         "can",
-        {"n7": f'endpoint: "{n7.endpoint}", node: 7, {DRIVE}'},
-        {"n3": f'endpoint: "{n3.endpoint}", node: 3, {ODRIVE}'},
+        {
+            "n7": f'endpoint: "{n7.endpoint}", node: 7, {DRIVE}',
+            "n3": f'endpoint: "{n3.endpoint}", node: 3, {ODRIVE}',
+        },
         only=(sound,),
     )
     assert "too hot" in found["n7", sound].seen

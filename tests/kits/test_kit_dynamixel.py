@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import pytest
 from kit_findings import failed
 
-pytestmark = pytest.mark.process
 
-
-def servos(fake, *specs):
+def servos(desk, *specs):
     options = [word for spec in specs for word in ("--servo", spec)]
-    return fake("dynamixel", "--baud", "1000000", *options)
+    return desk.fake("dynamixel", "--baud", "1000000", *options)
 
 
-def test_a_servo_and_a_group_pass(fake, try_kit):
-    chain = servos(fake, "1:XM430-W350", "2:XL330-M288", "3:XM430-W350")
+def test_a_servo_and_a_group_pass(desk, try_kit):
+    chain = servos(desk, "1:XM430-W350", "2:XL330-M288", "3:XM430-W350")
     where = f'endpoint: "{chain.endpoint}", ttl: 0.3, limits: {{speed: 4.0}}'
     found = try_kit(
         "dynamixel",
@@ -28,8 +25,8 @@ def test_a_servo_and_a_group_pass(fake, try_kit):
     assert found["group", "every member answers"].seen == "2 members"
 
 
-def test_servos_that_do_not_do_it_fail(fake, try_kit):
-    chain = servos(fake, "1:XM430-W350", "2:XL330-M288", "3:XL330-M288", "4:XM430-W350")
+def test_servos_that_do_not_do_it_fail(desk, try_kit):
+    chain = servos(desk, "1:XM430-W350", "2:XL330-M288", "3:XL330-M288", "4:XM430-W350")
     where = f'endpoint: "{chain.endpoint}", ttl: 0.3'
     volts, turn, all_there = (
         "supply and temperature are plausible",

@@ -40,7 +40,6 @@ SMALL = {
     "lfield/host/surroundings.py": "what the core may look at",
     "lfield/net/control.py": "the door of a fake, from outside",
     "lfield/net/guests.py": "who may wait at the door before the greeting",
-    "lfield/simulate/computers/timeline.py": "the one queue of a simulation",
     "lfield/simulate/judging/breaches.py": "what a judge says, for all of them",
     "lfield/simulate/judging/devices.py": "what the fake hardware saw",
     "lfield/simulate/judging/saved.py": "what is asked of simulated journals",
@@ -54,8 +53,9 @@ SMALL = {
 }
 
 
-#: Names that begin with an underscore and are documented for others: named tuples', python-can's.
-DOCUMENTED = {"_replace", "_asdict", "_recv_internal"}
+#: Names that begin with an underscore and are documented for others: named tuples', python-can's, asyncio's
+#: for those who make loops.
+DOCUMENTED = {"_replace", "_asdict", "_recv_internal", "_get_running_loop", "_set_running_loop"}
 
 
 def files(*folders: str) -> list[Path]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import time
 
 from lfield.driver.kit import SAFE, Bench, CheckFailed, Kit, NotTried, cancelled, held, refused, rested
 
@@ -114,7 +113,7 @@ async def velocity(bench: Bench) -> str:
     last = await _drive(bench, math.copysign(_speed(bench), _way(bench, TURN)))
     ttl = bench.binding.ttl
     await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
-    ended = time.monotonic() - last
+    ended = bench.now - last
     _see(ended <= ttl + LATE, f"it ended only after {ended:.2f} s")
     words = await rested(bench)
     seen = abs(bench.query("velocity"))
@@ -178,10 +177,10 @@ async def ends(bench: Bench) -> str:
 
 async def _drive(bench: Bench, speed: float) -> float:
     """Renew a velocity until it is seen to turn; the time of the last one."""
-    end = time.monotonic() + 3.0
+    end = bench.now + 3.0
     start = bench.query("position")
-    while time.monotonic() < end:
-        last = time.monotonic()
+    while bench.now < end:
+        last = bench.now
         await bench.call("setVelocity", speed)
         if abs(bench.query("velocity")) >= 0.3 * abs(speed) or abs(bench.query("position") - start) >= NEAR:
             return last

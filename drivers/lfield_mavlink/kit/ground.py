@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from lfield.driver import DeviceError
 from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, refused
 from lfield_mavlink.link.dialect import dialect, result_words
@@ -83,9 +81,9 @@ async def parameters(bench: Bench) -> str:
 @GROUND.check("an unknown parameter is an error soon", moves=False)
 async def unknown_parameter(bench: Bench) -> str:
     """Autopilots answer with silence: that must end."""
-    start = time.monotonic()
+    start = bench.now
     reason = await refused(bench, "parameter", NO_PARAMETER)
-    took = time.monotonic() - start
+    took = bench.now - start
     if took > UNKNOWN_BY:
         raise CheckFailed(f"after {took:.1f} s: {reason}")
     return f"after {took:.1f} s: {reason}"
@@ -115,11 +113,11 @@ async def files(bench: Bench) -> str:
 @GROUND.check("it can be armed", moves=True)
 async def ready(bench: Bench) -> str:
     """Its own checks have passed, and it knows where it is; from cold that takes 45 s."""
-    start = time.monotonic()
+    start = bench.now
     await bench.call("waitReady", READY_BY)
     if not await bench.call("isReady") or await bench.call("whyNotReady"):
         raise CheckFailed(f"waitReady() returned, and it is not ready: {await bench.call('whyNotReady')}")
-    return f"after {time.monotonic() - start:.1f} s, in {bench.query('mode')}"
+    return f"after {bench.now - start:.1f} s, in {bench.query('mode')}"
 
 
 @GROUND.check("raw commands do not move it", moves=True)

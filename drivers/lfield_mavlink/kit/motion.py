@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -120,7 +119,7 @@ async def velocity(bench: Bench) -> str:
         last = await _drive(bench, min(SPEED, bench.binding.limits.get("speed", math.inf)))
         ttl = bench.binding.ttl
         await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
-        ended = time.monotonic() - last
+        ended = bench.now - last
         _see(ended <= ttl + LATE, f"it ended only after {ended:.2f} s")
         reason = bench.latched
         words = await rested(bench)
@@ -172,9 +171,9 @@ async def _under_way(bench: Bench) -> AsyncIterator[None]:
 async def _drive(bench: Bench, speed: float) -> float:
     """Renew a velocity to the north until it is seen to move; the time of the last one."""
     pause = bench.binding.ttl / 4.0
-    end = time.monotonic() + 5.0
-    while time.monotonic() < end:
-        last = time.monotonic()
+    end = bench.now + 5.0
+    while bench.now < end:
+        last = bench.now
         await bench.call("setVelocity", speed, 0.0, 0.0)
         if math.hypot(*bench.query("velocity")[:2]) >= MOVES * speed:
             return last

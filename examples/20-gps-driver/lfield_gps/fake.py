@@ -5,12 +5,9 @@ from __future__ import annotations
 import argparse
 import asyncio
 import math
-import os
 import random
 import tempfile
-import tty
 from collections.abc import Sequence
-from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -18,6 +15,7 @@ from lfield.driver import DeviceBinding
 from lfield_gps.nmea import KNOT, sentence
 from lfield_sim.faults import Fault, Faults, add_fault_option, share
 from lfield_sim.serving import serve_until_told
+from lfield_sim.terminal import Terminal
 
 #: Where the circle is, in degrees and metres; its radius in metres, and the speed on it in m/s.
 LATITUDE, LONGITUDE, HEIGHT, RADIUS, SPEED = 47.397742, 8.545594, 488.0, 20.0, 2.0
@@ -63,8 +61,9 @@ class Receiver:
     """The receiver at its adapter; `path` is a link to the terminal, the same after every unplug."""
 
     def __init__(self, path: Path, faults: Faults, rate: float) -> None:
-        self._path, self._faults, self._rate = path, faults, rate
-        self._ends: tuple[int, int] | None = None
+        self._faults, self._rate = faults, rate
+        # It is told nothing: what comes is not looked at.
+        self._terminal = Terminal(path, lambda data, baud: None)
         self._random = random.Random(1)
 
     async def run(self) -> None:
@@ -72,27 +71,17 @@ class Receiver:
         seconds = 0.0
         while True:
             self.be_plugged(not self._faults.get("unplug"))
-            if self._ends is not None and not self._faults.get("silent"):
-                said = sentences(seconds, fix=not self._faults.get("no_fix"))
-                self._write(self._ends[0], self._damaged(said))
+            if not self._faults.get("silent"):
+                self._terminal.write(self._damaged(sentences(seconds, fix=not self._faults.get("no_fix"))))
             await asyncio.sleep(1.0 / self._rate)
             seconds += 1.0 / self._rate
 
     def be_plugged(self, plugged: bool) -> None:
-        """Be there, or be gone: then a client gets an input/output error."""
-        if plugged and self._ends is None:
-            # The far end stays open here, or nobody could write before a client is there.
-            near, far = self._ends = os.openpty()
-            tty.setraw(near)
-            tty.setraw(far)
-            os.set_blocking(near, False)
-            self._path.unlink(missing_ok=True)
-            self._path.symlink_to(os.ttyname(far))
-        elif not plugged and self._ends is not None:
-            self._path.unlink(missing_ok=True)
-            for end in self._ends:
-                os.close(end)
-            self._ends = None
+        """Be there, or be gone: then a client gets an input/output error. Raises AddressError."""
+        if plugged:
+            self._terminal.plug()
+        else:
+            self._terminal.unplug()
 
     def _damaged(self, said: bytes) -> bytes:
         noise, half = self._faults.get("noise"), self._faults.get("half")
@@ -102,11 +91,6 @@ class Receiver:
         return bytes(
             self._random.randrange(256) if self._random.random() < noise else byte for byte in b"".join(lines)
         )
-
-    def _write(self, end: int, data: bytes) -> None:
-        # A client that reads nothing loses bytes, as at a serial port.
-        with suppress(BlockingIOError):
-            os.write(end, data)
 
 
 class GpsSim:
@@ -129,25 +113,25 @@ class GpsSim:
 
     def run(self, args: argparse.Namespace) -> int:
         """Serve until told to end."""
-        return asyncio.run(_serve(args))
+        with tempfile.TemporaryDirectory(prefix="lfield-gps-") as folder:
+            args.listen = args.listen or f"{folder}/gps"
+            asyncio.run(self.serve(args))
+        return 0
 
-
-async def _serve(args: argparse.Namespace) -> int:
-    faults = Faults(FAULTS, {"1": args.called})
-    faults.apply(args.fault)
-    with tempfile.TemporaryDirectory(prefix="lfield-gps-") as folder:
-        path = Path(args.listen or f"{folder}/gps")
-        receiver = Receiver(path, faults, min(10.0, max(1.0, args.rate)))
+    async def serve(self, args: argparse.Namespace) -> None:
+        """The same on a loop that runs; in a test that may be on virtual time."""
+        faults = Faults(FAULTS, {"1": args.called})
+        faults.apply(args.fault)
+        path = args.listen or f"/dev/{args.called or 'gps'}"
+        receiver = Receiver(Path(path), faults, min(10.0, max(1.0, args.rate)))
         receiver.be_plugged(True)
         speaking = asyncio.get_running_loop().create_task(receiver.run())
-        ends = args.until_stdin_closes
-        endpoint = f"serial:{path}:9600"
+        ends, devices = args.until_stdin_closes, {"1": args.called}
         await serve_until_told(
-            "gps", endpoint, "", faults, devices={"1": args.called}, until_stdin_closes=ends
+            "gps", f"serial:{path}:9600", "", faults, devices=devices, until_stdin_closes=ends
         )
         speaking.cancel()
         receiver.be_plugged(False)
-    return 0
 
 
 SIM = GpsSim()

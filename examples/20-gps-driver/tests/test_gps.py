@@ -14,13 +14,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from lfield_gps import PLUGIN
-from lfield_gps.fake import FAULTS, LATITUDE, LONGITUDE, Receiver, sentences
+from lfield_gps.fake import FAULTS, LATITUDE, LONGITUDE, SIM, Receiver, sentences
 from lfield_gps.nmea import Nonsense, parse, sentence
 
+from lfield.clock import SystemClock
 from lfield.devices.try_out import checks_of, try_devices
 from lfield.driver import DeviceError
 from lfield.driver.plugins import Plugins
 from lfield.lang.frontend import check_text
+from lfield.testing.desk import Desk
 from lfield.testing.driver_bench import DriverBench, bind
 from lfield_sim.faults import Faults
 
@@ -87,16 +89,16 @@ class Rig:
     """A bench with the fake on a pseudo-terminal; real time, at ten times a second."""
 
     def __init__(self, folder: Path) -> None:
-        self.faults = Faults(FAULTS, ["1"])
-        self.fake = Receiver(folder / "gps", self.faults, 10.0)
+        self.faults, self._path = Faults(FAULTS, ["1"]), folder / "gps"
         binding = bind(PLUGIN, endpoint=f"serial:{folder / 'gps'}:9600", options={"connect": 1.0})
         self.bench = DriverBench(PLUGIN, binding, fakes=[self.live])
 
     async def live(self) -> None:
+        fake = Receiver(self._path, self.faults, 10.0)
         try:
-            await self.fake.run()
+            await fake.run()
         finally:
-            self.fake.be_plugged(False)
+            fake.be_plugged(False)
 
 
 @pytest.fixture
@@ -159,7 +161,7 @@ def test_nobody_there_is_an_error_within_its_time(rig):
 
 
 @pytest.mark.process
-def test_it_passes_the_kit_without_anybody_having_to_agree(monkeypatch):
+def test_it_is_tried_as_a_process(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(HOME), os.environ.get("PYTHONPATH", "")]))
     plugins = Plugins()
     plugins.add("lfield_gps:PLUGIN")
@@ -167,11 +169,19 @@ def test_it_passes_the_kit_without_anybody_having_to_agree(monkeypatch):
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as fake:
         ready, endpoint = fake.stdout.readline().split()
         assert ready == "ready"
-        checks = checks_of(plugins.by_driver["gps"])
-        found = asyncio.run(
-            try_devices(plugins, [bind(PLUGIN, endpoint=endpoint)], checks, False, print, silence=1.0)
-        )
+        checks, clock = checks_of(plugins.by_driver["gps"])[:2], SystemClock()
+        gps = bind(PLUGIN, endpoint=endpoint)
+        found = asyncio.run(try_devices(plugins, [gps], checks, False, print, clock=clock, silence=1.0))
         fake.stdin.close()
+    assert [(f.check, f.outcome) for f in found] == [("identity", "passed"), ("telemetry", "passed")]
+
+
+def test_it_passes_the_kit_without_anybody_having_to_agree():
+    plugins = Plugins()
+    plugins.add("lfield_gps:PLUGIN")
+    desk = Desk(plugins=plugins)
+    fake = desk.fake(SIM)
+    found = desk.try_kit(bind(PLUGIN, endpoint=fake.endpoint), may_move=False)
     assert [f"{f.check}: {f.seen}" for f in found if f.outcome == "failed"] == []
     assert {f.check for f in found if f.outcome == "not run"} == {
         "the safe state is latched until release", "it comes to rest in its safe state",

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import os
-import subprocess
-import sys
 from functools import partial
 
 import pytest
@@ -16,13 +13,14 @@ from lfield_arena import PLUGIN
 from lfield_arena.ball import Ball
 from lfield_arena.box import FRICTION, MASS, Box
 from lfield_arena.driver import ArenaDriver
+from lfield_arena.fake import SIM
 from lfield_arena.field import GRIP, LAYOUTS, PREY_SPEED, RADIUS, Body, Field, Layout, flight
 from lfield_arena.plane import TICK
 from lfield_arena.robot import FASTEST, Robot
 
-from lfield.devices.try_out import checks_of, try_devices
 from lfield.driver import DeviceError
 from lfield.driver.plugins import Plugins
+from lfield.testing.desk import Desk
 from lfield.testing.driver_bench import DriverBench, bind
 
 SPEEDS = st.floats(-0.5, 0.5)
@@ -300,23 +298,10 @@ def test_a_state_that_makes_no_sense_is_an_error(bench, wire, nonsense):
     bench.run(story)
 
 
-@pytest.mark.process
 def test_it_passes_the_kit():
     plugins = Plugins()
     plugins.add("lfield_arena:PLUGIN")
-    command = [sys.executable, "-m", "lfield.driver.sims", "lfield_arena.fake:SIM", "--plane", "hunt"]
-    with subprocess.Popen(
-        [*command, "--until-stdin-closes"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        env=os.environ,
-    ) as fake:
-        ready, endpoint = fake.stdout.readline().split()
-        assert ready == "ready"
-        checks = checks_of(plugins.by_driver["arena"])
-        found = asyncio.run(
-            try_devices(plugins, [bind(PLUGIN, endpoint=endpoint)], checks, True, print, silence=1.0)
-        )
-        fake.stdin.close()
+    desk = Desk(plugins=plugins)
+    fake = desk.fake(SIM, "--plane", "hunt")
+    found = desk.try_kit(bind(PLUGIN, endpoint=fake.endpoint))
     assert [f"{f.check}: {f.seen}" for f in found if f.outcome == "failed"] == []

@@ -45,6 +45,7 @@ def _seconds(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """0 when nothing failed, 1 when a check did, 3 when a device was not left safe and at rest."""
+    from lfield.clock import SystemClock
     from lfield.devices.try_out import LEFT, checks_of, try_devices
     from lfield.driver.plugins import discover
 
@@ -54,8 +55,9 @@ def run(args: argparse.Namespace) -> int:
     checks = checks_of(installed)
     may_move = args.yes or _agreed(checks, devices)
     show = _printer(args.json)
+    trying = try_devices(plugins, devices, checks, may_move, show, clock=SystemClock(), silence=args.silence)
     try:
-        findings = asyncio.run(try_devices(plugins, devices, checks, may_move, show, silence=args.silence))
+        findings = asyncio.run(trying)
     except DevicesError as error:
         raise error.cured_by(setup_command(args)) from None
     if not args.json:

@@ -140,8 +140,10 @@ class _Loop(ProcessLoop):
         return port.open(self, baud, user)
 
     def plug_serial(self, path: str, received: Callable[[bytes, int], None]) -> SerialEnd:
-        """Be what stands at the far end of a new port."""
+        """Be what stands at the far end of a new port. Raises OSError when there is one of that name."""
         ports = self._computer.network.ports
+        if path in ports:
+            raise OSError(errno.EEXIST, "File exists")
         port = ports[path] = SerialPort(self, received, partial(ports.__delitem__, path))
         return port
 

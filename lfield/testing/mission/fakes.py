@@ -1,28 +1,19 @@
-"""The fakes of a mission under test, on virtual time: each bus stands on a cable beside its robot's computer.
-
-A fake is a process of its own machine: it goes on whatever becomes of the computer, as hardware does.
-"""
+"""The fakes of a mission under test, on virtual time: each bus is on a cable beside its robot's computer."""
 
 from __future__ import annotations
 
-import argparse
 import random
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from typing import Any
 
 from lfield.devices.fakes import conditions
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.sims import Sim, SimOnLoop, sims_of
-from lfield.errors import LfieldError, MissionTestError, PluginError
+from lfield.driver.sims import sims_of
+from lfield.errors import MissionTestError, PluginError
 from lfield.loop import Fake
 from lfield.mission.mission import Mission
-from lfield.simulate.computers.computer import Computer, Process
-from lfield.simulate.computers.machines import Machine
+from lfield.simulate.computers.computer import Process
 from lfield.simulate.fleet import Fleet, at_endpoints, buses_of
-
-#: Seconds for all fakes to be ready, and how often to look.
-READY, LOOK = 5.0, 0.01
+from lfield.testing.cables import CabledFake, all_serve
 
 Place = tuple[float, float, float]
 #: Host, driver and endpoint.
@@ -85,12 +76,14 @@ class Fakes:
         self, wrong: Mapping[str, Sequence[str]], mark: Callable[[str, str], None] = lambda words, name: None
     ) -> None:
         self._wrong, self._mark = wrong, mark
-        self._problems: list[str] = []
-        #: What fakes have raised that they should not.
-        self.trouble: list[Exception] = []
-        self._served: dict[Bus, tuple[Process, Fake]] = {}
+        self._cabled: dict[Bus, CabledFake] = {}
         #: By the names of their bindings.
         self.devices: dict[str, FakeDevice] = {}
+
+    @property
+    def trouble(self) -> list[Exception]:
+        """What fakes have raised that they should not."""
+        return [error for fake in self._cabled.values() for error in fake.trouble]
 
     def plug(self, fleet: Fleet, mission: Mission, _: random.Random) -> Mission:
         """Start them, and give the mission with their endpoints. Raises PluginError and MissionTestError."""
@@ -103,46 +96,18 @@ class Fakes:
         for bus, devices in buses.items():
             if (sim := sims.get(bus[1])) is None:
                 raise PluginError(f"{devices[0].name}: there is no fake for driver '{bus[1]}'")
-            self._start(fleet, bus, devices, sim)
-        self._wait(fleet, buses)
-        endpoints = {bus: fake.endpoint for bus, (_, fake) in self._served.items()}
-        return at_endpoints(
-            mission, {d.name: endpoints[bus] for bus, devices in buses.items() for d in devices}
-        )
+            options = [*sim.arguments(devices), *conditions(devices), *self._faults(devices)]
+            self._cabled[bus] = CabledFake(devices[0].name, sim, options, fleet.timeline, fleet.network)
+        served = all_serve(self._cabled, fleet.timeline)
+        for bus, fake in served.items():
+            self._name(buses[bus], self._cabled[bus].process, fake)
+        return at_endpoints(mission, {d.name: served[bus].endpoint for bus in buses for d in buses[bus]})
 
-    def _start(self, fleet: Fleet, bus: Bus, devices: Sequence[DeviceBinding], sim: Sim) -> None:
-        if not isinstance(sim, SimOnLoop):
-            raise PluginError(f"the fake '{sim.name}' cannot stand in a test of a mission: it has no `serve`")
-        args = self._options(devices, sim)
-        # The hardware's dice come from its name: one device more changes nothing for the others.
-        machine = Machine(devices[0].name, fleet.timeline, random.Random(devices[0].name))
-        fleet.network.plug_in(machine)
-        process = Computer(machine, fleet.network, {}).start()
-        process.on_fake = partial(self._serves, bus, devices, process)
-        process.loop.set_exception_handler(self._raised)
-        process.loop.enter(lambda: process.loop.create_task(self._serve(sim, args, devices)))
-
-    def _options(self, devices: Sequence[DeviceBinding], sim: Sim) -> argparse.Namespace:
-        parser = _Parser(prog=f"the fake '{sim.name}'", add_help=False)
-        sim.add_arguments(parser)
+    def _faults(self, devices: Sequence[DeviceBinding]) -> list[str]:
         wrong = [_at(text, d.name) for d in devices for text in self._wrong.get(d.name, ())]
-        options = [word for text in wrong for word in ("--fault", text)]
-        return parser.parse_args([*sim.arguments(devices), *conditions(devices), *options])
+        return [word for text in wrong for word in ("--fault", text)]
 
-    async def _serve(
-        self, sim: SimOnLoop, args: argparse.Namespace, devices: Sequence[DeviceBinding]
-    ) -> None:
-        try:
-            await sim.serve(args)
-        except (LfieldError, ValueError) as error:
-            self._problems.append(f"{devices[0].name}: {error}")
-
-    def _raised(self, _: object, context: dict[str, Any]) -> None:
-        """A bug of a fake: whoever runs the team raises it."""
-        self.trouble.append(context.get("exception") or RuntimeError(context["message"]))
-
-    def _serves(self, bus: Bus, devices: Sequence[DeviceBinding], process: Process, fake: Fake) -> None:
-        self._served[bus] = process, fake
+    def _name(self, devices: Sequence[DeviceBinding], process: Process, fake: Fake) -> None:
         numbers = {called: number for number, called in fake.devices.items()}
         for device in devices:
             number = numbers.get(device.name, next(iter(fake.devices), ""))
@@ -150,19 +115,3 @@ class Fakes:
         # What several fakes have between them, such as a box that their robots push, has a name of its own.
         for thing in fake.places.keys() - fake.devices.keys():
             self.devices[thing] = FakeDevice(thing, process, fake, thing, self._mark)
-
-    def _wait(self, fleet: Fleet, buses: Mapping[Bus, Sequence[DeviceBinding]]) -> None:
-        while self._served.keys() < buses.keys():
-            if self._problems:
-                raise MissionTestError("; ".join(self._problems))
-            if fleet.now > READY:
-                late = ", ".join(bus[0].name for name, bus in buses.items() if name not in self._served)
-                raise MissionTestError(f"the fake of {late} was not ready within {READY:g} s")
-            fleet.timeline.run(LOOK)
-
-
-class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are a test's, and end no process."""
-
-    def error(self, message: str) -> None:  # type: ignore[override]
-        raise MissionTestError(f"{self.prog}: {message}")

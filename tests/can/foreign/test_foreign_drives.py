@@ -10,6 +10,7 @@ import pytest
 from foreign_drive import foreign
 from foreign_objects import UNFIT, UNUSED, VARIANTS
 
+from lfield.clock import SystemClock
 from lfield.devices.try_out import checks_of, try_devices
 from lfield.driver.plugins import discover
 from lfield.errors import DevicesError
@@ -56,6 +57,7 @@ def test_every_foreign_drive_passes_the_kit(bus, bound, pytestconfig):
             checks_of(plugins.by_driver["can"]),
             True,
             lambda finding: None,
+            clock=SystemClock(),
             silence=SILENCE,
         )
         return [f"{name}: {f.check}: {f.outcome}: {f.seen}" for f in found if f.outcome != "passed"]

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import asyncio
 import os
 import subprocess
 import sys
 
 import pytest
 
-from lfield.devices.try_out import checks_of, try_devices
 from lfield.driver.plugin import load_plugin
 from lfield.driver.plugins import Plugins
+from lfield.driver.sims import load_sim
 from lfield.driver.skeleton import write
 from lfield.lang.frontend import check_text
+from lfield.testing.desk import Desk
 from lfield.testing.driver_bench import bind
 
 pytestmark = pytest.mark.process
@@ -29,20 +29,27 @@ def site(tmp_path_factory):
     )  # fmt: skip
     assert "lfield_lamp/L/mover.L" in new.stdout
     (folder / "project" / "lfield_lamp").rename(folder / "lfield_lamp")
-    info = folder / "lfield_lamp-0.1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lfield-lamp\nVersion: 0.1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[lfield.drivers.v1]\nlamp = lfield_lamp:PLUGIN\n[lfield.sims.v1]\nlamp = lfield_lamp.fake:SIM\n"
-    )
+    install("lamp", folder)
     return folder
+
+
+def install(name, folder):
+    """As pip leaves it."""
+    info = folder / f"lfield_{name}-0.1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: lfield-{name}\nVersion: 0.1.0\n")
+    (info / "entry_points.txt").write_text(
+        f"[lfield.drivers.v1]\n{name} = lfield_{name}:PLUGIN\n"
+        f"[lfield.sims.v1]\n{name} = lfield_{name}.fake:SIM\n"
+    )
 
 
 @pytest.fixture(scope="module")
 def sensor_site(tmp_path_factory):
-    """The same with a driver for a pure sensor, without being installed: its fake is given by its path."""
+    """The same with a driver for a pure sensor."""
     folder = tmp_path_factory.mktemp("sensor")
     assert folder / "tests" / "test_eye.py" in write("eye", folder, sensor=True)
+    install("eye", folder)
     return folder
 
 
@@ -72,10 +79,24 @@ def test_it_passes_the_kit_on_its_own_fake(site, endpoint):
     assert "12 passed, 0 failed, 0 not run" in said
 
 
-def test_the_kit_sees_what_is_wrong_with_it(site, endpoint):
+def test_the_kit_sees_what_is_wrong_with_it(site, monkeypatch):
+    monkeypatch.syspath_prepend(str(site))
+    plugins = Plugins()
+    plugins.add("lfield_lamp:PLUGIN")
+    desk = Desk(plugins=plugins)
+    fake = desk.fake(load_sim("lfield_lamp.fake:SIM"), "--fault", "stuck=true")
+    found = desk.try_kit(bind(load_plugin("lfield_lamp:PLUGIN"), endpoint=fake.endpoint, ttl=0.2))
+    (failed,) = (finding for finding in found if finding.outcome == "failed")
+    assert failed.check == "moves and says where it is"
+    assert "was not done within 10 s: at 0" in failed.seen
+
+
+def test_a_check_that_fails_is_told_by_the_status(site, endpoint):
     fault = lfield(site, "sim", "fault", endpoint, "stuck=true")
     assert "stuck = true" in fault.communicate(timeout=30)[0]
-    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", "--set", "ttl=0.2", "--silence", "2")
+    # So short a way that the check's own is refused at once.
+    short = ("--set", "ttl=0.2", "--set", "limits={value: 0.05}")
+    kit = lfield(site, "kit", "lamp", "--endpoint", endpoint, "--yes", *short, "--silence", "0.5")
     said, _ = kit.communicate(timeout=90)
     assert kit.returncode == 1, said
     assert "FAILED  kit.device: moves and says where it is" in said
@@ -110,16 +131,13 @@ def test_a_sensor_passes_its_tests_and_the_kit_without_anybody_having_to_agree(s
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(sensor_site), os.environ.get("PYTHONPATH", "")]))
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "tests"]
     tests = subprocess.run(command, cwd=sensor_site, capture_output=True, text=True, timeout=60)
-    assert "3 passed" in tests.stdout, tests.stdout
+    assert "4 passed" in tests.stdout, tests.stdout
     plugins = Plugins()
     plugins.add("lfield_eye:PLUGIN")
-    fake = [sys.executable, "-m", "lfield.driver.sims", "lfield_eye.fake:SIM", "--until-stdin-closes"]
-    with subprocess.Popen(fake, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as running:
-        endpoint = running.stdout.readline().split()[1]
-        binding = bind(load_plugin("lfield_eye:PLUGIN"), endpoint=endpoint)
-        checks = checks_of(plugins.by_driver["eye"])
-        found = asyncio.run(try_devices(plugins, [binding], checks, False, print, silence=2.0))
-        running.stdin.close()
+    desk = Desk(plugins=plugins)
+    fake = desk.fake(load_sim("lfield_eye.fake:SIM"))
+    binding = bind(load_plugin("lfield_eye:PLUGIN"), endpoint=fake.endpoint)
+    found = desk.try_kit(binding, may_move=False)
     assert [f"{f.check}: {f.seen}" for f in found if f.outcome == "failed"] == []
     assert {f.check for f in found if f.outcome == "not run"} == {
         "the safe state is latched until release", "it comes to rest in its safe state",

@@ -71,6 +71,25 @@ def test_the_devices_of_a_file_as_json_without_agreement(lfield, bus):
     assert {f["seen"] for f in turns} == {"it would move the device, and nobody agreed to that"}
 
 
+@pytest.mark.parametrize(
+    ("driver", "fake", "settings", "passed"),
+    [
+        ("dynamixel", ["--servo", "1:XM430-W350"], ["id=1"], 5),
+        ("mavlink", ["--listen", "udp:127.0.0.1:0", "--set-up"], ["waivers=[device_watchdog]"], 10),
+    ],
+)
+def test_what_does_not_move_is_tried_on_a_fake_by_the_command(lfield, driver, fake, settings, passed):
+    """tests/kits has the whole kits, on virtual time."""
+    sim = lfield.start("sim", driver, *fake, "--until-stdin-closes", stdin=True)
+    words = [word for setting in settings for word in ("--set", setting)]
+    types = ["--type", "Dynamixel"] if driver == "dynamixel" else []
+    where = sim.wait_for(r"^ready (\S+)")[1]
+    kit = lfield("kit", driver, "--endpoint", where, *types, *words, "--silence", "2")
+    assert lfield.status(kit) == 0, kit.said
+    assert kit.out[0].startswith("ok      kit.device: identity: ")
+    assert kit.out[-1].startswith(f"{passed} passed, 0 failed, ")
+
+
 def test_an_endpoint_on_the_command_line_stands_for_those_of_the_file(lfield, bus):
     lfield.write(
         "crane.yaml",

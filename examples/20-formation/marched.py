@@ -1,0 +1,84 @@
+"""The march as a picture: tracks from above, and the formation in which everybody stands at the end of a leg.
+
+`python examples/20-formation/marched.py` flies the march in which bob loses a motor, and draws tracks.svg.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from lfield.testing.mission.team import Team
+from lfield.testing.mission.watching import Point
+
+HERE = Path(__file__).parent
+#: Pixels of a metre; metres that the picture's lower left corner and upper right one are from the start.
+METRE, SOUTH, WEST, NORTH, EAST = 14.0, -10.0, -9.0, 24.0, 31.0
+#: Colours that colour-blind people tell apart (Okabe and Ito, 2008).
+COLOURS = {"ada": "#0072b2", "bob": "#d55e00", "cat": "#009e73", "dan": "#cc79a7", "eve": "#e69f00"}
+#: Seconds since the start at which bob loses a motor.
+DEAD = 38.0
+
+
+def main() -> None:
+    """Fly it, and draw it."""
+    team = Team(HERE / "mission.dL")
+    team.at(DEAD, lambda: team.fake("bob.fc").set("motor_failure=true"))
+    team.run(until_done=True)
+    (HERE / "tracks.svg").write_text(draw(team))
+    team.close()
+
+
+def draw(team: Team) -> str:
+    """An SVG of the tracks, with a disc for whoever stands in a formation when it is told of."""
+    tracks = {name.partition(".")[0]: points for name, points in team.tracks.items()}
+    parts = [path(points, COLOURS[name]) for name, points in tracks.items()]
+    parts += [text(points[0], name, COLOURS[name]) for name, points in tracks.items()]
+    for line in (line for line in team.log if " is at (" in line.text):
+        stands = {name: at(points, line.at) for name, points in tracks.items()}
+        there = [point for name, point in stands.items() if name != "bob" or line.at < DEAD]
+        parts += [disc(stands[name], COLOURS[name]) for name in stands if stands[name] in there]
+        parts.append(text(max(there), line.text.removeprefix("march: "), "#222"))
+    fallen = at(tracks["bob"], DEAD)
+    parts.append(f'<path d="M{x(fallen) - 6:.1f} {y(fallen) - 6:.1f}l12 12m0 -12l-12 12" stroke="#d00"/>')
+    parts.append(text(fallen, "a motor of bob is dead", "#d00"))
+    width, height = (EAST - WEST) * METRE, (NORTH - SOUTH) * METRE
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
+        f'width="{width:.0f}" font-family="sans-serif" font-size="12" stroke-width="2">\n'
+        '<rect width="100%" height="100%" fill="#fff"/>\n' + "\n".join(parts) + "\n</svg>\n"
+    )
+
+
+def at(points: list[Point], moment: float) -> Point:
+    """Where it was then."""
+    return min(points, key=lambda point: abs(point.at - moment))
+
+
+def x(point: Point) -> float:
+    """Pixels from the left."""
+    return (point.east - WEST) * METRE
+
+
+def y(point: Point) -> float:
+    """Pixels from the top: north is up."""
+    return (NORTH - point.north) * METRE
+
+
+def path(points: list[Point], colour: str) -> str:
+    """A track, a place each half second."""
+    places = "L".join(f"{x(point):.1f} {y(point):.1f}" for point in points[::5])
+    return f'<path d="M{places}" stroke="{colour}" stroke-opacity="0.5" fill="none"/>'
+
+
+def disc(point: Point, colour: str) -> str:
+    """Somebody in a formation."""
+    return f'<circle cx="{x(point):.1f}" cy="{y(point):.1f}" r="6" fill="{colour}"/>'
+
+
+def text(point: Point, words: str, colour: str) -> str:
+    """Words beside a place."""
+    return f'<text x="{x(point) + 9:.1f}" y="{y(point) - 9:.1f}" fill="{colour}">{words}</text>'
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""The march on virtual time: `lfield test examples/20-formation`."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations, permutations
+
+import pytest
+
+COPTERS, ROVERS = ("ada", "bob", "cat"), ("dan", "eve")
+HOSTS = dict(zip((*COPTERS, *ROVERS), ("alpha", "bravo", "carol", "delta", "echo"), strict=True))
+#: Metres: between two, and what the worst may be off its slot when a leg ends.
+SPACING, OFF = 4.0, 0.6
+#: Where each leg ends, north and east, and the heading there.
+LEGS = {"wedge": (18.0, 0.0, 0.0), "column": (18.0, 18.0, math.pi / 2), "line": (0.0, 18.0, math.pi)}
+#: Seconds since the start: in the middle of the second leg, which is flown as a column.
+MID = 38.0
+
+
+def places(formation, many):
+    """The slots of a formation where its leg ends, by other means than the mission's."""
+    north, east, heading = LEGS[formation]
+    if formation == "wedge":
+        steps = [(-rank, side * rank) for rank, side in ((0, 0), (1, -1), (1, 1), (2, -1), (2, 1))]
+        body = [(ahead * SPACING / math.sqrt(2), right * SPACING / math.sqrt(2)) for ahead, right in steps]
+    else:
+        body = [(-SPACING * i, 0.0) for i in range(many)]
+    if formation == "line":
+        body = [(0.0, SPACING * (i - (many - 1) / 2)) for i in range(many)]
+    cos, sin = math.cos(heading), math.sin(heading)
+    return [(north + a * cos - r * sin, east + a * sin + r * cos) for a, r in body[:many]]
+
+
+def told(team, formation):
+    """How many stood in it, and when."""
+    (line,) = [line for line in team.log if f"a {formation} of" in line.text]
+    return int(line.text.split(" of ")[1].split()[0]), line.at
+
+
+def at(team, who, moment):
+    return min(team.tracks[f"{who}.fc"], key=lambda point: abs(point.at - moment))
+
+
+def worst(team, formation, members=(*COPTERS, *ROVERS)):
+    """How far the worst is off its slot when the leg ends, in metres: they may stand in any order."""
+    many, moment = told(team, formation)
+    assert many == len(members)
+    here = [at(team, who, moment)[1:3] for who in members]
+    slots = places(formation, many)
+    return min(max(map(math.dist, here, order)) for order in permutations(slots))
+
+
+def closest(team, group):
+    """The least distance of any two of a group, ever."""
+    tracks = [team.tracks[f"{who}.fc"] for who in group]
+    return min(math.dist(a[1:], b[1:]) for x, y in combinations(tracks, 2) for a, b in zip(x, y, strict=True))
+
+
+def agreements(team):
+    """How many times all had to agree: each has gone to so many slots, and once they landed."""
+    return max(sum(call.resource == who for call in team.calls) for who in HOSTS)
+
+
+def keeps_step(team):
+    """On the march nobody is further from the others than half a step allows."""
+    begin, end = told(team, "wedge")[1] + 10.0, told(team, "column")[1]
+    for tenth in range(int(begin * 10), int(end * 10)):
+        column = sorted(at(team, who, tenth / 10).east for who in HOSTS)
+        assert column[-1] - column[0] < 4 * SPACING + 6.0, "a step is 6 m"
+
+
+def moves_at_one_time(team):
+    """All of a step, for a visit to begin and one to fetch, but for the host where it is."""
+    goes = [call for call in team.calls if call.portal in ("flyToGlobal", "driveToGlobal")]
+    steps = [goes[i : i + 5] for i in range(0, len(goes), 5)]
+    assert len(steps) == agreements(team) - 1 == 12
+    assert all(max(call.at for call in step) < min(call.ended for call in step) for step in steps)
+    # Where everybody told everybody it would be N(N-1) = 20 messages each time.
+    assert len(team.hops) <= 8 * 13
+
+
+def marched(lfield_mission, **options):
+    team = lfield_mission("mission.dL", **options)
+    team.run(until_done=True)
+    assert team.ended == {"march": "done"}
+    return team
+
+
+def stopped(lfield_mission, act):
+    """A march in which something happens in the middle of the second leg."""
+    team = lfield_mission("mission.dL")
+    team.at(MID, lambda: act(team))
+    team.run(until_done=True, at_most=200.0)
+    assert team.ended == {"march": "done"}
+    assert worst(team, "wedge") < OFF
+    assert told(team, "wedge")[1] < MID < told(team, "column")[1]
+    return team
+
+
+def test_every_formation_is_reached_and_nobody_meets(lfield_mission):
+    team = marched(lfield_mission)
+    assert [worst(team, formation) < OFF for formation in LEGS] == [True] * 3
+    assert closest(team, COPTERS) > SPACING - 0.5
+    assert closest(team, ROVERS) > SPACING / 2
+    assert 3.5 < max(point.up for point in team.tracks["ada.fc"]) < 4.5
+    assert not any(team.fake(f"{who}.fc").facts["airborne"] for who in COPTERS), "they have landed"
+    keeps_step(team)
+    moves_at_one_time(team)
+
+
+@pytest.mark.parametrize("who", ["bob", "cat", "dan"])
+def test_a_dead_motor_in_the_middle_of_a_leg_and_the_others_close_up(lfield_mission, who):
+    team = stopped(lfield_mission, lambda team: team.fake(f"{who}.fc").set("motor_failure=true"))
+    others = [each for each in HOSTS if each != who]
+    assert team.said(f"march: {who}.fc is left behind") == 1
+    assert worst(team, "column", others) < OFF
+    assert worst(team, "line", others) < OFF
+
+
+@pytest.mark.parametrize("who", ["cat", "dan"])
+def test_a_host_that_is_lost_is_left_behind(lfield_mission, who):
+    def act(team):
+        here = team.hops[-1].target
+        assert here != HOSTS[who], "another test is about that"
+        team.crash(HOSTS[who])
+
+    team = stopped(lfield_mission, act)
+    others = [each for each in HOSTS if each != who]
+    assert team.said(f"march: {who} is left behind: {HOSTS[who]} could not be reached") == 1
+    assert worst(team, "line", others) < OFF
+    assert not team.fake(f"{who}.fc").facts["moving"], "it is in its safe state"
+
+
+def test_the_host_of_the_coordinator_is_lost_and_the_march_goes_on(lfield_mission):
+    lost = []
+
+    def act(team):
+        lost.append(team.hops[-1].target)
+        team.power_off(lost[0])
+
+    team = stopped(lfield_mission, act)
+    assert team.said("march is recovered here") == 1
+    (gone,) = (who for who, host in HOSTS.items() if host == lost[0])
+    assert team.said(f"march: {gone} is left behind") == 1
+    many, moment = told(team, "line")
+    assert many >= 3, "whose device the recovery has made safe stays behind, too"
+    here = [at(team, who, moment)[1:3] for who in HOSTS if who != gone]
+    assert all(min(math.dist(slot, place) for place in here) < OFF for slot in places("line", many))
+
+
+def test_two_fail_at_once(lfield_mission):
+    def act(team):
+        team.fake("bob.fc").set("motor_failure=true")
+        (
+            team.cut("echo", "alpha"),
+            team.cut("echo", "bravo"),
+            team.cut("echo", "carol"),
+            team.cut("echo", "delta"),
+        )
+
+    team = stopped(lfield_mission, act)
+    assert team.said("is left behind") == 2
+    assert worst(team, "line", ["ada", "cat", "dan"]) < OFF
+
+
+def test_wind_and_gusts_do_not_cost_the_formation(lfield_mission):
+    wind = ["wind=7", "gusts=4", "wind_from=0.8"]
+    blown = marched(lfield_mission, fakes={f"{who}.fc": wind for who in COPTERS})
+    assert [worst(blown, formation) < OFF for formation in LEGS] == [True] * 3
+
+
+def test_one_who_is_taken_along_by_a_storm_is_left_behind(lfield_mission):
+    team = stopped(lfield_mission, lambda team: team.fake("ada.fc").set("wind=20"))
+    assert team.said("march: ada.fc is left behind") == 1
+    assert worst(team, "line", ["bob", "cat", "dan", "eve"]) < OFF
+
+
+def test_a_low_battery_does_not_march(lfield_mission):
+    team = marched(lfield_mission, fakes={"bob.fc": ["battery=0.25"]})
+    assert worst_of_four(team) < OFF
+    assert not any(point.up > 0.1 for point in team.tracks["bob.fc"])
+
+
+def worst_of_four(team):
+    """The others have another middle, which is where their march begins."""
+    members = [who for who in HOSTS if who != "bob"]
+    starts = [team.tracks[f"{who}.fc"][0] for who in members]
+    north, east = (sum(point[axis] for point in starts) / 4 for axis in (1, 2))
+    moment = told(team, "line")[1]
+    here = [at(team, who, moment)[1:3] for who in members]
+    slots = [(n + north, e + east) for n, e in places("line", 4)]
+    return min(max(map(math.dist, here, order)) for order in permutations(slots))
+
+
+def test_one_seed_is_one_march(lfield_mission):
+    first, again = (marched(lfield_mission, seed=1) for _ in range(2))
+    assert first.tracks == again.tracks
+    assert first.log == again.log

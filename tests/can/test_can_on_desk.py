@@ -1,0 +1,105 @@
+"""Drives and the fake's bus on a desk of virtual time: what a device does, and what becomes of its faults."""
+
+from __future__ import annotations
+
+import asyncio
+from functools import partial
+
+import pytest
+from can_stories import DRIVE, ODRIVE, vanish_and_return
+
+from lfield.driver import DeviceError
+from lfield.testing.desk import Desk
+
+
+def play(story, *bindings, devices=(DRIVE,)):
+    """A fake with devices, and those that have a binding behind a guard: `story(fake, *members)`."""
+    desk = Desk()
+    fake = desk.fake("can", *(word for device in devices for word in ("--device", device)))
+    desk.run(partial(story, fake), *(make(endpoint=fake.endpoint) for make in bindings))
+
+
+def test_every_mode_of_a_drive(drive):
+    async def story(fake, axis):
+        await axis.call("enable")
+        await axis.call("home")
+        await axis.reads("referenced", lambda value: value is True)
+        await axis.call("setPosition", 1.0)
+        await axis.reads("position", lambda at: abs(at - 1.0) < 0.1)
+        await axis.call("setTorque", 0.01)
+        await axis.call("stop")
+        await axis.call("enable")
+        await axis.call("moveTo", 0.0, 5.0)
+        await axis.call("disable")
+
+    both = drive(waivers=[], options={"homing_method": 37, "homing_speed": 1.0})
+    play(story, both)
+
+
+def test_cyclic_modes(drive):
+    async def story(fake, axis):
+        await axis.call("enable")
+        for _ in range(10):
+            await axis.call("setVelocity", 4.0)
+            await asyncio.sleep(0.05)
+        await axis.reads("velocity", lambda speed: abs(speed - 4.0) < 0.5)
+        await axis.call("stop")
+        await axis.call("enable")
+        at = await axis.call("position")
+        for _ in range(20):
+            await axis.call("setPosition", at + 1.0)
+            await asyncio.sleep(0.05)
+        await axis.reads("position", lambda now: abs(now - at - 1.0) < 0.1)
+
+    play(story, drive(options={"cyclic": True}))
+
+
+def test_a_device_that_vanishes_and_returns(drive, odrive):
+    play(vanish_and_return, drive(), odrive(), devices=(DRIVE, ODRIVE))
+
+
+def test_faults_are_told_in_words_and_reset(drive, odrive):
+    async def story(fake, axis, wheel):
+        for device, node, words in ((axis, "5", "current"), (wheel, "3", "over-current")):
+            await device.call("enable")
+            fake.fault(f"overcurrent@{node}=true")
+            fault = await device.reads("fault", lambda text: text != "")
+            assert words in fault
+            with pytest.raises(DeviceError, match=r"resetFault\(\) clears it"):
+                await device.call("setVelocity", 1.0)
+            fake.fault(f"overcurrent@{node}=false")
+            await device.call("resetFault")
+            await device.call("enable")
+
+    play(story, drive(), odrive(), devices=(DRIVE, ODRIVE))
+
+
+@pytest.mark.parametrize("fault", ["loss=0.05", "corrupt=0.02", "delay@5=0.05", "nonsense@5=0.1"])
+def test_a_bad_bus_costs_time_or_an_exception_but_nothing_crashes(fault, drive):
+    async def story(fake, axis):
+        fake.fault(fault)
+        for _ in range(3):
+            try:
+                await axis.call("enable")
+                await axis.call("moveTo", 1.0, 5.0)
+                await axis.call("stop")
+            except DeviceError as error:
+                axis.notes.append(str(error))
+        fake.fault(fault.partition("=")[0] + "=0")
+        await axis.reads("online", lambda value: value is True)
+        assert not any("the driver failed" in note for note in axis.notes)
+
+    play(story, drive())
+
+
+def test_a_bus_that_is_off_comes_back(drive):
+    async def story(fake, axis):
+        await axis.call("enable")
+        await axis.call("setVelocity", 2.0)
+        fake.fault("bus_off=true")
+        await axis.told("it is not heard any more")
+        fake.fault("bus_off=false")
+        await axis.told("heard again")
+        await axis.reads("velocity", lambda speed: abs(speed) < 0.1)
+
+    play(story, drive())

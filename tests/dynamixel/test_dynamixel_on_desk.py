@@ -1,0 +1,119 @@
+"""Servos on a desk of virtual time: a chain at the other end of a line, and what becomes of its faults."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import pytest
+
+from lfield.driver import DeviceError
+from lfield.testing.desk import Desk, DeskFake
+from lfield.testing.driver_bench import DriverBench, bind
+from lfield_dynamixel import PLUGIN
+
+
+@pytest.fixture
+def desk() -> Desk:
+    return Desk()
+
+
+@pytest.fixture
+def chain(desk: Desk) -> DeskFake:
+    servos = ("--servo", "1:XL330-M288", "--servo", "2:XL330-M288", "--servo", "3:XM430-W350")
+    return desk.fake("dynamixel", "--baud", "1000000", *servos)
+
+
+@pytest.fixture
+def run(desk, chain):
+    """Run a story with one device of the driver and its bench."""
+
+    def play(story, *ids: int, safe_state: str = "torque_hold") -> None:
+        kind, options = (
+            ("DynamixelGroup", {"ids": list(ids)}) if len(ids) > 1 else ("Dynamixel", {"id": ids[0]})
+        )
+        bound = bind(PLUGIN, kind, endpoint=chain.endpoint, safe_state=safe_state, options=options)
+        bench = DriverBench(PLUGIN, bound)
+        desk.run(lambda: bench.play(lambda device: story(device, bench), desk.clock))
+
+    return play
+
+
+def test_a_dead_servo_is_missing_and_the_others_are_safe(chain, run):
+    async def story(group, bench):
+        await group.execute("torque", [True])
+        chain.fault("dead@2=true")
+        await bench.until(lambda: bench.values["missing"] == [2])
+        assert math.isnan(bench.values["positions"][1])
+        with pytest.raises(DeviceError, match="servo 2 does not answer"):
+            await group.make_safe()
+        chain.fault("dead@2=false")
+        await bench.until(lambda: bench.values["missing"] == [])
+        await group.make_safe()
+        await bench.until(lambda: not bench.values["torqueOn"])
+
+    run(story, 1, 2, 3, safe_state="torque_off")
+
+
+def test_lost_replies_do_not_stop_a_travel(chain, run):
+    async def story(group, bench):
+        await group.execute("torque", [True])
+        await group.execute("setProfile", [2.0, 20.0])
+        chain.fault("lose=0.05", "noise=0.05")
+        await group.execute("moveTo", [[0.6, 0.6, 0.6]])
+        assert bench.values["positions"] == pytest.approx([0.6, 0.6, 0.6], abs=0.03)
+
+    run(story, 1, 2, 3)
+
+
+def test_a_pulled_plug_is_told_once_and_it_comes_back_still(desk, chain, run):
+    async def story(servo, bench):
+        await servo.execute("torque", [True])
+        await servo.execute("setProfile", [0.4, 0.0])
+        moving = asyncio.ensure_future(servo.execute("moveTo", [1.5]))
+        await bench.until(lambda: bench.values["position"] > 0.1)
+        start = desk.now
+        chain.fault("unplug=true")
+        with pytest.raises(DeviceError) as caught:
+            await moving
+        assert caught.value.kind == "DeviceTimeoutException"
+        assert desk.now - start < 10.0
+        # Longer than its watchdog: the servo has stopped by itself when the plug is back.
+        await asyncio.sleep(1.5)
+        chain.fault("unplug=false")
+        await bench.until(lambda: any("answers again" in note for note in bench.notes))
+        assert sum("is gone" in note for note in bench.notes) == 1
+        assert any("torque on, stopped by its watchdog" in note for note in bench.notes)
+        await servo.execute("release", [])
+        place = (await servo.servo.present()).position
+        assert place < 1.3
+        await servo.execute("moveTo", [place])
+
+    run(story, 3)
+
+
+def test_overload_is_told_in_words(chain, run):
+    async def story(servo, bench):
+        await servo.execute("torque", [True])
+        chain.fault("overload@1=true")
+        with pytest.raises(DeviceError):
+            await servo.execute("moveTo", [1.0])
+        await bench.until(lambda: "overload" in bench.values["fault"])
+        chain.fault("overload@1=false")
+        await servo.execute("reboot", [])
+        assert bench.values["fault"] == ""
+
+    run(story, 1)
+
+
+def test_a_silent_owner_lets_the_watchdog_stop_the_servo(chain, run):
+    async def story(servo, bench):
+        await servo.execute("torque", [True])
+        bench.driver.quiet()
+        await asyncio.sleep(1.3)
+        bench.driver.resume()
+        await bench.until(lambda: any("stopped by its own watchdog" in note for note in bench.notes))
+        await servo.execute("release", [])
+        await servo.execute("moveTo", [0.2])
+
+    run(story, 1)

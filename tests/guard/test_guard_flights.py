@@ -1,0 +1,147 @@
+"""The guard of a vehicle in the air, on virtual time: setpoints that are over, the end, and its own death."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from pymavlink import mavutil
+from test_guard_process import BRISK, binding
+
+from lfield.driver import DeviceError
+from lfield.testing.desk import Desk
+
+AGAIN = "its guard died and was started again"
+
+
+@pytest.fixture
+def desk():
+    return Desk()
+
+
+@pytest.fixture
+def fly(desk):
+    """Run a story with a vehicle behind its guard: `fly(story, safe_state="hold")`."""
+
+    def run(story, **changes):
+        state = changes.get("safe_state", "land")
+        fake = desk.fake("mavlink", "--listen", "udp:127.0.0.1:0", "--set-up", state, *BRISK)
+        return desk.run(story, binding(fake.endpoint, **changes))
+
+    return run
+
+
+async def up(flight, height=5.0):
+    await flight.call("arm")
+    await flight.call("takeoff", height)
+
+
+async def mode_is(flight, mode):
+    await flight.reads("mode", lambda now: now == mode)
+
+
+def test_a_setpoint_that_is_over_latches_the_safe_state(fly):
+    async def story(flight):
+        await up(flight, 3.0)
+        await flight.call("setVelocity", 2.0, 0.0, 0.0)
+        await flight.told("is in its safe state 'hold': the setpoint's time-to-live of 1 s is over")
+        with pytest.raises(DeviceError, match=r"call release\(\) first"):
+            await flight.call("goTo", 0.0, 0.0, -3.0)
+        assert flight.latched
+        await flight.call("release")
+        await flight.call("goTo", 0.0, 0.0, -3.0)
+
+    fly(story, ttl=1.0, safe_state="hold")
+
+
+def test_closing_lands_what_flies(desk, fly):
+    flights = []
+
+    async def story(flight):
+        flights.append(flight)
+        await up(flight, 3.0)
+
+    fly(story)
+    (flight,) = flights
+    assert "alpha.fc: is in its safe state 'land': the host is stopping" in flight.notes
+
+    async def look(again):
+        await again.reads("armed", lambda now: now is False)
+
+    desk.run(look, flight.binding)
+
+
+# --- whose vehicle it is when its guard dies: the program's, unless somebody else is known to have it ------
+
+
+async def by_a_pilot(flight, mode):
+    """Somebody else at the same vehicle, by a link of his own."""
+    _, host, port = flight.binding.endpoint.split(":")
+    _, link = await asyncio.open_connection(host, int(port))
+    numbers = {name: number for number, name in mavutil.mode_mapping_acm.items()}
+    pilot = mavutil.mavlink.MAVLink(link, srcSystem=77)
+    pilot.set_mode_send(1, mavutil.mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, numbers[mode])
+    link.close()
+
+
+async def in_a_mission(flight):
+    """On a long leg of a mission, in AUTO."""
+    north, east, _ = await flight.call("globalPosition")
+    await flight.call("uploadMission", [north + 0.01, east, 5.0])
+    flight.leg = asyncio.ensure_future(flight.call("startMission"))
+    flight.leg.add_done_callback(lambda leg: leg.exception())
+    await mode_is(flight, "AUTO")
+
+
+async def in_loiter(flight):
+    await flight.call("setMode", "LOITER")
+
+
+@pytest.mark.parametrize("flown", [in_a_mission, in_loiter])
+def test_what_the_program_flies_is_landed_in_any_mode(desk, fly, flown):
+    async def story(flight):
+        await up(flight)
+        await flown(flight)
+        # Twice: the second guard knows no more than the first.
+        for _ in range(2):
+            desk.kill(flight.guard_pid)
+            await flight.until(lambda: not flight.guard_pid, 20.0, "the end of the guard")
+            await flight.until(lambda: flight.guard_pid, 20.0, "the next guard")
+        await flight.told(f"is in its safe state 'land': {AGAIN}")
+        await mode_is(flight, "LAND")
+        await flight.reads("armed", lambda now: now is False)
+        assert not any("left to them" in note for note in flight.notes)
+
+    fly(story)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_what_a_pilot_flies_is_left_to_him(desk, fly, times):
+    async def story(flight):
+        await up(flight)
+        await by_a_pilot(flight, "LOITER")
+        await mode_is(flight, "LOITER")
+        for _ in range(times):
+            pid = flight.guard_pid
+            desk.kill(pid)
+            await flight.until(lambda pid=pid: flight.guard_pid not in (0, pid), 20.0, "the next guard")
+            await flight.until(lambda: flight.moving, 20.0, "a word of it")
+        assert flight.moving.startswith("flown by a pilot in LOITER, ")
+        await asyncio.sleep(3.0)
+        assert flight.query("mode") == "LOITER"
+        assert any("left to them" in note for note in flight.notes)
+
+    fly(story, rest_within=2.0)
+
+
+def test_what_was_given_back_to_the_program_is_landed(desk, fly):
+    async def story(flight):
+        await up(flight)
+        await by_a_pilot(flight, "LOITER")
+        await mode_is(flight, "LOITER")
+        await flight.call("release")
+        desk.kill(flight.guard_pid)
+        await flight.told(f"is in its safe state 'land': {AGAIN}")
+        await mode_is(flight, "LAND")
+
+    fly(story)

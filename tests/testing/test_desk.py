@@ -1,0 +1,176 @@
+"""A desk on virtual time: fakes on cables, drivers behind guards, and what goes wrong with them."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+
+from lfield.driver.kit import Check
+from lfield.errors import DeviceError, DevicesError, MissionTestError, PluginError, RealEndpoint, Stuck
+from lfield.testing.desk import Desk
+from lfield.testing.driver_bench import bind
+from lfield_dynamixel import PLUGIN
+
+SERVO = ("--baud", "1000000", "--servo", "1:XM430-W350")
+
+
+@pytest.fixture
+def desk():
+    return Desk()
+
+
+@pytest.fixture
+def fake(desk):
+    return desk.fake("dynamixel", *SERVO)
+
+
+@pytest.fixture
+def servo(fake):
+    return bind(PLUGIN, "Dynamixel", endpoint=fake.endpoint, options={"id": 1})
+
+
+async def moves(servo):
+    await servo.call("setProfile", 1.0, 5.0)
+    await servo.call("torque", True)
+    await servo.call("moveTo", servo.query("position") + 1.0)
+    return servo.now
+
+
+def test_a_story_has_devices_behind_guards_and_gives_what_it_returns(desk, servo):
+    began = desk.clock.monotonic()
+    ended = desk.run(moves, servo)
+    assert 1.0 < ended - began < 3.0
+    assert 1.0 < desk.now < 5.0
+
+
+def test_it_is_the_same_each_time_and_another_with_another_seed():
+    def ends(seed):
+        desk = Desk(seed=seed)
+        endpoint = desk.fake("dynamixel", *SERVO).endpoint
+        desk.run(moves, bind(PLUGIN, "Dynamixel", endpoint=endpoint, options={"id": 1}))
+        return desk.now
+
+    assert ends(1) == ends(1)
+    clocks = {Desk(seed=seed).clock.monotonic() for seed in (1, 1, 2)}
+    assert len(clocks) == 2
+
+
+def test_faults_are_set_in_a_story_and_at_a_moment(desk, fake, servo):
+    async def story(servo):
+        await servo.call("torque", True)
+        fake.fault("stuck=true")
+        with pytest.raises(DeviceError, match="something is in the way"):
+            await servo.call("moveTo", servo.query("position") + 1.0)
+        desk.at(desk.now + 5.0, lambda: fake.fault("stuck=false", "dead=true"))
+        return await servo.reads("age", lambda age: age > 3.0)
+
+    assert desk.run(story, servo) > 3.0
+    assert fake.facts("1")["torque"] in (True, False)
+
+
+def test_what_a_story_raises_and_what_it_waits_for_in_vain(desk, servo):
+    async def wrong(servo):
+        return servo.query("wings")
+
+    with pytest.raises(DeviceError, match="wings"):
+        desk.run(wrong, servo)
+
+    async def waits(servo):
+        await servo.reads("position", lambda angle: angle > 1e9, 1e6)
+
+    with pytest.raises(Stuck, match="the story was not over after 30 s of virtual time"):
+        desk.run(waits, servo, within=30.0)
+    # Its guard is gone with it, and the next one finds the port free.
+    assert desk.run(moves, servo) > 0.0
+
+
+def test_a_device_that_is_not_there_is_told_as_by_lfield_kit(desk, servo):
+    nobody = bind(PLUGIN, "Dynamixel", endpoint="serial:/dev/none:57600", options={"id": 1})
+    with pytest.raises(DevicesError, match="No such file or directory"):
+        desk.try_kit(nobody)
+
+
+def test_two_fakes_cannot_have_one_port(desk, fake):
+    with pytest.raises(MissionTestError, match="dynamixel 2: cannot use /dev/ttyDXL: File exists"):
+        desk.fake("dynamixel", *SERVO)
+    other = desk.fake("dynamixel", *SERVO, "--listen", "/dev/other")
+    assert (fake.endpoint, other.endpoint) == ("serial:/dev/ttyDXL:1000000", "serial:/dev/other:1000000")
+
+
+def test_a_kit_takes_its_silences_and_dead_guards_from_the_same_time(desk, servo):
+    found = {finding.check: finding for finding in desk.try_kit(servo)}
+    unlimited = "a faster profile than its limit is refused"
+    assert [check for check, finding in found.items() if finding.outcome != "passed"] == [unlimited]
+    assert "because its guard died" in found["a guard that dies comes back safe"].seen
+    assert found["its own watchdog"].outcome == "passed"
+    assert len(found) == 20
+
+
+def test_who_left_a_device_unsafe_is_told(desk, fake, servo):
+    async def act(bench):
+        await bench.call("torque", True)
+        fake.fault("dead=true")
+        return "dead now"
+
+    (done, left) = desk.try_kit(servo, checks=[Check("dies", act, moves=False)])
+    assert done.outcome == "passed"
+    assert (left.check, left.outcome) == ("left safe and at rest", "failed")
+
+
+@pytest.mark.parametrize(
+    ("sim", "options", "error", "words"),
+    [
+        ("pigeon", (), PluginError, r"there is no fake 'pigeon' \(fakes installed: can, dynamixel"),
+        ("dynamixel", ("--wings", "2"), MissionTestError, "unrecognized arguments: --wings 2"),
+        ("dynamixel", ("--servo", "1:XM999"), MissionTestError, "there is no fake of the servo 'XM999'"),
+        ("can", ("--fault", "wings=2"), MissionTestError, "there is no fault 'wings'"),
+    ],
+)
+def test_a_fake_that_does_not_start_says_why(desk, sim, options, error, words):
+    with pytest.raises(error, match=words):
+        desk.fake(sim, *options)
+
+
+def test_a_fault_that_there_is_not_is_refused_where_it_is_set(desk, fake, servo):
+    with pytest.raises(MissionTestError, match="the fake 'dynamixel': there is no fault 'wings'"):
+        fake.fault("wings=true")
+
+    async def story(servo):
+        with pytest.raises(MissionTestError, match="there is no device '9'"):
+            fake.fault("stuck@9=true")
+
+    desk.run(story, servo)
+
+
+def test_a_fake_without_serve_and_one_that_breaks(desk):
+    class Old:
+        name, help = "old", "it has its own loop"
+
+        def add_arguments(self, parser):
+            pass
+
+        def arguments(self, devices):
+            return []
+
+        def run(self, args):
+            return 0
+
+    with pytest.raises(PluginError, match="the fake 'old' cannot run on virtual time: it has no `serve`"):
+        desk.fake(Old())
+
+    class Broken(Old):
+        async def serve(self, args):
+            raise ZeroDivisionError("a bug")
+
+    with pytest.raises(ZeroDivisionError, match="a bug"):
+        desk.fake(Broken())
+
+
+def test_nothing_real_is_touched(desk):
+    async def story():
+        with socket.socket() as door:
+            door.connect(("127.0.0.1", 9))
+
+    with pytest.raises(RealEndpoint, match="it wanted to connect"):
+        desk.run(story)
