@@ -24,6 +24,7 @@ GPS = "installs a driver of its own: examples/20-gps-driver/tests runs its fake 
 TIERS = "of a driver of its own: examples/16-three-tiers runs the mission, and its test_tutorial.py the lines"
 FORMATION = LONG + "examples/20-formation/test_formation.py flies the same on virtual time"
 ARENA = "installs a driver of its own: examples/21-box-pushing and 22-predators have their own tests"
+ARENA = "installs a driver of its own: 21-box-pushing, 22-predators and 23-soccer have their own tests"
 KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
 
 #: By page: command lines, and first lines of outputs.
@@ -126,6 +127,11 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield up --deploy examples/22-predators/mission.dL --all --sim --until-done": ARENA,
         "lfield test examples/22-predators": ARENA,
         "west  | hunt: caught by 4 at (4.8, 0.0) after 20 steps and 123 hops": ARENA,
+    },
+    "examples/23-soccer/README.md": {
+        "pip install -e examples/21-box-pushing": ARENA,
+        "lfield up --deploy examples/23-soccer/mission.dL --all --sim --until-done": ARENA,
+        "lfield test examples/23-soccer": ARENA,
     },
     "drivers/lfield_mavlink/README.md": {
         "lfield setup --deploy mission.dL": SETUP,

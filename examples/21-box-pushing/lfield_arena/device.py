@@ -12,7 +12,10 @@ from lfield.driver import Device, DeviceError
 #: Seconds between two polls, and for its wheels to stand.
 POLL, STAND = 0.05, 0.5
 #: What every state tells.
-STATE = ("north", "east", "moving", "broken", "watchdog", "target_north", "target_east", "target_heading")
+STATE = (
+    *("north", "east", "moving", "broken", "watchdog", "target_north", "target_east", "target_heading"),
+    *("now", "north_goals", "south_goals"),
+)
 
 
 class OmniDevice(Device):
@@ -92,6 +95,14 @@ class OmniDevice(Device):
             raise self.error(f"{math.hypot(north, east):g} m/s is faster than its limit of {self._limit:g}")
         await self._command(f"drive {north} {east}")
 
+    async def do_kick(self, speed: float) -> bool:
+        """The ball, if it is near enough."""
+        self._check(speed)
+        answer = await self._ask(f"kick {speed}")
+        if answer not in ("ok", "no ball"):
+            raise self.error(answer if answer.isprintable() else repr(answer))
+        return answer == "ok"
+
     @property
     def _limit(self) -> float:
         return self.binding.limits.get("speed", 1e3)
@@ -120,5 +131,6 @@ class OmniDevice(Device):
             position=[state["north"], state["east"]],
             moving=self._moves,
             target=[state["target_north"], state["target_east"], state["target_heading"]],
+            match=[state["now"], state["north_goals"], state["south_goals"]],
         )
         return state

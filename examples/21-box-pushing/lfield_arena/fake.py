@@ -71,7 +71,7 @@ class ArenaSim:
     """The fake for `lfield sim arena` and `lfield up --sim`."""
 
     name = "arena"
-    help = "A small robot on a plane with a box or a prey; all that run here are on the same plane."
+    help = "A small robot on a plane with a box, a prey or a ball; all that run here are on the same plane."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Which robot on which plane, where it answers, and what is wrong with it."""

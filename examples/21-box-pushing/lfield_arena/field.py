@@ -1,4 +1,4 @@
-"""The plane with all that is on it: robots, which are discs, and a box or a prey. Pure; moved by `step`."""
+"""The plane with all that is on it: robots, which are discs, and a box, a prey or a ball. Pure."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from lfield_arena.ball import LENGTH, WIDTH, Ball
 from lfield_arena.box import Box, Vector
 
 #: Metres. A robot touches the box when it is as near as this.
@@ -30,6 +31,10 @@ class Body:
     grip: float = 1.0
 
 
+#: What gives way to others.
+Disc = Body | Ball
+
+
 @dataclass(frozen=True, slots=True)
 class Layout:
     """How a field begins: robots by number, and what else there is."""
@@ -37,11 +42,17 @@ class Layout:
     robots: Mapping[int, Vector]
     box: tuple[float, float, float] | None = None
     prey: Vector | None = None
+    ball: bool = False
 
 
 LAYOUTS: Mapping[str, Layout] = {
     "box": Layout({1: (-0.6, -0.9), 2: (-1.0, 0.1), 3: (-0.6, 0.8)}, box=(0.0, 0.0, 0.0)),
     "hunt": Layout({1: (0.0, -1.2), 2: (0.0, -0.4), 3: (0.0, 0.4), 4: (0.0, 1.2)}, prey=(1.6, 0.2)),
+    # One to three play to the north, four to six to the south.
+    "pitch": Layout(
+        {1: (-0.6, 0.0), 2: (-1.0, -0.8), 3: (-1.7, 0.0), 4: (0.6, 0.0), 5: (1.0, 0.8), 6: (1.7, 0.0)},
+        ball=True,
+    ),
 }
 
 
@@ -52,6 +63,7 @@ class Field:
     robots: dict[int, Body]
     box: Box | None = None
     prey: Body | None = None
+    ball: Ball | None = None
     #: Seconds since it began.
     now: float = field(default=0.0)
 
@@ -62,6 +74,7 @@ class Field:
             {number: Body(place) for number, place in layout.robots.items()},
             None if layout.box is None else Box(*layout.box),
             None if layout.prey is None else Body(layout.prey, radius=PREY_RADIUS),
+            Ball() if layout.ball else None,
         )
 
     def step(self, seconds: float) -> None:
@@ -73,22 +86,38 @@ class Field:
             self._push(self.box, seconds)
         for robot in self.robots.values():
             robot.place = _moved(robot.place, robot.wish, seconds)
+        if self.ball is not None:
+            self._roll(self.ball, seconds)
         self._part()
         if self.prey is not None:
             self._run(self.prey, seconds)
 
     @property
     def target(self) -> tuple[float, float, float]:
-        """What the robots are there for: north, east and heading of the box, or of the prey."""
+        """What the robots are there for: north, east and heading of the box, the prey or the ball."""
         if self.box is not None:
             return self.box.north, self.box.east, self.box.heading
         if self.prey is not None:
             return *self.prey.place, math.atan2(self.prey.wish[1], self.prey.wish[0])
+        if self.ball is not None:
+            return *self.ball.place, math.atan2(self.ball.speed[1], self.ball.speed[0])
         return 0.0, 0.0, 0.0
 
     @property
-    def _bodies(self) -> list[Body]:
-        return [*self.robots.values(), *([] if self.prey is None else [self.prey])]
+    def _bodies(self) -> list[Disc]:
+        there: list[Disc] = [*self.robots.values()]
+        if self.prey is not None:
+            there.append(self.prey)
+        if self.ball is not None and not self.ball.rests:
+            there.append(self.ball)
+        return there
+
+    def _roll(self, ball: Ball, seconds: float) -> None:
+        for robot in self.robots.values():
+            gap, normal = ball.touch(robot.place, robot.radius)
+            if gap < TOUCH and not ball.rests:
+                ball.struck(normal, robot.wish)
+        ball.step(seconds)
 
     def _push(self, box: Box, seconds: float) -> None:
         """Wheels push by the speed that they lack, up to their grip; those that stand hold."""
@@ -128,11 +157,25 @@ class Field:
                     contact = self.box.touch(one.place, one.radius)
                     one.place = _moved(one.place, contact.normal, min(0.0, contact.gap))
                     worst = max(worst, -contact.gap)
+            if self.ball is not None:
+                self._wall_in(self.ball)
             if worst < EXACT:
                 return
 
+    def _wall_in(self, ball: Ball) -> None:
+        """Robots stay on the pitch, in front of the goals as well; the ball as it does."""
+        for robot in self.robots.values():
+            most = LENGTH / 2.0 - robot.radius, WIDTH / 2.0 - robot.radius
+            robot.place = _within(robot.place[0], most[0]), _within(robot.place[1], most[1])
+        if not ball.rests:
+            ball.hold()
 
-def _apart(one: Body, other: Body) -> float:
+
+def _within(value: float, most: float) -> float:
+    return min(most, max(-most, value))
+
+
+def _apart(one: Disc, other: Disc) -> float:
     """Move two discs apart that overlap; by how much they did, in metres."""
     north, east = other.place[0] - one.place[0], other.place[1] - one.place[1]
     away = math.hypot(north, east)

@@ -20,7 +20,7 @@ from lfield_arena.robot import Robot
 #: Seconds of a step, and between two looks whether somebody is still there. The longest line.
 TICK, LOOK, LONGEST = 0.01, 0.1, 4096
 #: Where each plane is.
-HOST, PORTS = "127.0.0.1", {"box": 7100, "hunt": 7200}
+HOST, PORTS = "127.0.0.1", {"box": 7100, "hunt": 7200, "pitch": 7300}
 Place = tuple[float, float, float]
 
 
@@ -47,7 +47,8 @@ class Plane:
     def places(self) -> dict[str, Callable[[], Place]]:
         """Where things are that are no robots: metres north, east and up, by their names."""
         if self.field.box is None:
-            return {"prey": lambda: (*self.field.target[:2], 0.0)}
+            what = "prey" if self.field.prey is not None else "ball"
+            return {what: lambda: (*self.field.target[:2], 0.0)}
         ends = {"box": 0.0, "box, left end": -WIDTH / 2.0, "box, right end": WIDTH / 2.0}
         return {name: partial(self._beside, aside) for name, aside in ends.items()}
 

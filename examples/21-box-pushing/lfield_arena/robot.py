@@ -5,6 +5,7 @@ A request is a line, and so is its answer:
     ?                     where it is, what its wheels do, what it sees: names and numbers
     go NORTH EAST SPEED   metres, m/s: goes there, and stands
     drive NORTH EAST      m/s
+    kick SPEED            m/s: the ball, away from it; `no ball` when none is near enough
     stop
     watchdog SECONDS      without a request for longer it stops by itself; 0 is off
     wrong GRIP BROKEN     by its fake: the share of its grip that is left, 1 when its motors are off
@@ -21,7 +22,7 @@ from lfield_arena.field import Body, Field
 #: metres that count as there.
 FASTEST, SLOWEST, BRAKE, THERE = 0.5, 0.1, 0.3, 0.01
 #: So many numbers each request has, and which of its words there are.
-REQUESTS = {"go": 3, "drive": 2, "stop": 0, "watchdog": 1, "wrong": 2}
+REQUESTS = {"go": 3, "drive": 2, "kick": 1, "stop": 0, "watchdog": 1, "wrong": 2}
 
 
 class Robot:
@@ -77,10 +78,16 @@ class Robot:
             return "what?"
         if len(numbers) != REQUESTS.get(word) or not all(map(math.isfinite, numbers)):
             return "what?"
-        if self._broken and word in ("go", "drive"):
+        if self._broken and word in ("go", "drive", "kick"):
             return "its motors are off: a fault"
+        if word == "kick":
+            return self._kick(numbers[0])
         self._obey(word, numbers)
         return "ok"
+
+    def _kick(self, speed: float) -> str:
+        ball, body = self._field.ball, self.body
+        return "ok" if ball is not None and ball.kicked(body.place, body.radius, speed) else "no ball"
 
     def _obey(self, word: str, numbers: list[float]) -> None:
         if word == "wrong":
@@ -100,7 +107,9 @@ class Robot:
         """`north 0.5 east 1.0 moving 0 ...`, each a name and a number."""
         place, target = self.body.place, self._field.target
         moving = self._goal is not None or self._velocity != (0.0, 0.0)
+        goals = self._field.ball.goals if self._field.ball is not None else [0, 0]
         told: dict[str, float] = {"north": place[0], "east": place[1], "moving": moving}
         told |= {"broken": self._broken, "watchdog": self.watchdog}
         told |= {"target_north": target[0], "target_east": target[1], "target_heading": target[2]}
+        told |= {"now": self._field.now, "north_goals": goals[0], "south_goals": goals[1]}
         return " ".join(f"{name} {float(value):.6f}" for name, value in told.items())

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from lfield_arena import PLUGIN
+from lfield_arena.ball import Ball
 from lfield_arena.box import FRICTION, MASS, Box
 from lfield_arena.driver import ArenaDriver
 from lfield_arena.fake import SIM
@@ -228,6 +229,19 @@ def test_what_it_cannot_reach_in_time_ends_where_it_is(bench, wire):
         assert await robot.execute("driveTo", [3.0, -1.2, 1.0]) is False
         assert 0.3 < wire.robot.body.place[0] < 0.5, "at 0.4 m/s"
         await bench.until(lambda: robot.moving() == "")
+
+    bench.run(story)
+
+
+def test_the_driver_kicks_and_tells_the_score(bench, wire):
+    async def story(robot):
+        wire.field.ball = Ball((0.0, 5.0))
+        assert await robot.execute("kick", [1.0]) is False
+        place = wire.robot.body.place
+        wire.field.ball = Ball((place[0] + 0.22, place[1]), goals=[2, 1])
+        assert await robot.execute("kick", [1.0]) is True
+        assert wire.field.ball.speed[0] > 0.9
+        await bench.until(lambda: bench.values["match"][1:] == [2, 1])
 
     bench.run(story)
 

@@ -1,0 +1,107 @@
+"""The ball and its pitch: properties of what examples/23-soccer is played on."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lfield_arena.ball import BALL_RADIUS, GOAL, HARDEST, LENGTH, PAUSE, REACH, ROLL, WIDTH, Ball
+from lfield_arena.field import LAYOUTS, RADIUS, Body, Field
+from lfield_arena.plane import TICK
+from lfield_arena.robot import Robot
+
+COORDINATES = st.tuples(st.floats(-1.9, 1.9), st.floats(-1.4, 1.4))
+SPEEDS = st.tuples(st.floats(-HARDEST, HARDEST), st.floats(-HARDEST, HARDEST))
+#: For each robot where it runs, and whether it kicks all the time.
+WILLS = st.lists(st.tuples(COORDINATES, st.booleans()), min_size=6, max_size=6)
+
+
+def on_pitch(ball):
+    """Whether it is within the walls, or between the posts of a goal."""
+    north, east = abs(ball.place[0]), abs(ball.place[1])
+    between = east <= GOAL / 2.0 - BALL_RADIUS + 1e-9
+    return east <= WIDTH / 2.0 - BALL_RADIUS + 1e-9 and (
+        north <= LENGTH / 2.0 - BALL_RADIUS + 1e-9 or between
+    )
+
+
+@given(COORDINATES, SPEEDS)
+def test_a_ball_left_alone_stays_on_the_pitch_loses_energy_and_comes_to_rest(place, speed):
+    ball = Ball(place, speed)
+    fast = math.hypot(*speed)
+    for _ in range(1 + round(fast / ROLL / TICK)):
+        ball.step(TICK)
+        assert on_pitch(ball)
+        assert math.hypot(*ball.speed) <= max(0.0, fast - ROLL * TICK) + 1e-9
+        fast = math.hypot(*ball.speed)
+    assert fast == pytest.approx(0.0, abs=1e-6)
+
+
+@given(COORDINATES, SPEEDS, WILLS)
+@settings(max_examples=40, deadline=None)
+def test_it_leaves_through_a_goal_only_and_is_never_where_a_robot_is(place, speed, wills):
+    field = Field.of(LAYOUTS["pitch"])
+    field.ball.place, field.ball.speed = place, speed
+    robots = [Robot(field, number) for number in field.robots]
+    for robot, ((north, east), _) in zip(robots, wills, strict=True):
+        robot.answer(f"go {north} {east} 0.5")
+    overlaps = 0
+    for _ in range(300):
+        before = sum(field.ball.goals)
+        for robot, (_, kicks) in zip(robots, wills, strict=True):
+            if kicks:
+                robot.answer("kick 2")
+            robot.step(TICK)
+        field.step(TICK)
+        assert on_pitch(field.ball)
+        assert (sum(field.ball.goals) > before) == (field.ball.rests == PAUSE)
+        near = min(field.ball.touch(body.place, RADIUS)[0] for body in field.robots.values())
+        overlaps = overlaps + 1 if near < -1e-3 and not field.ball.rests else 0
+        assert overlaps < 5, "not for longer than 50 ms"
+
+
+@given(COORDINATES, SPEEDS)
+@settings(max_examples=50)
+def test_robots_that_stand_take_energy_and_give_none(place, speed):
+    field = Field.of(LAYOUTS["pitch"])
+    field.ball.place, field.ball.speed = place, speed
+    for _ in range(300):
+        fast = math.hypot(*field.ball.speed)
+        field.step(TICK)
+        assert math.hypot(*field.ball.speed) <= fast + 1e-9
+
+
+@pytest.mark.parametrize(("way", "goals"), [(1.0, [1, 0]), (-1.0, [0, 1])])
+def test_a_goal_counts_once_and_the_ball_is_back_in_the_middle(way, goals):
+    ball = Ball((1.8 * way, 0.3), (1.5 * way, 0.0))
+    for _ in range(round(PAUSE / TICK)):
+        ball.step(TICK)
+    assert (ball.goals, abs(ball.place[0]) > LENGTH / 2.0) == (goals, True)
+    for _ in range(100):
+        ball.step(TICK)
+    assert (ball.goals, ball.place, ball.speed) == (goals, (0.0, 0.0), (0.0, 0.0))
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.0, REACH - 1e-6), st.floats(-1.0, 5.0))
+def test_a_kick_goes_straight_away_from_who_kicks(bearing, gap, speed):
+    away = RADIUS + BALL_RADIUS + gap
+    ball = Ball((away * math.cos(bearing), away * math.sin(bearing)))
+    assert ball.kicked((0.0, 0.0), RADIUS, speed)
+    fast = min(HARDEST, max(0.0, speed))
+    assert ball.speed == pytest.approx((fast * math.cos(bearing), fast * math.sin(bearing)))
+
+
+def test_a_ball_too_far_away_in_a_goal_or_not_there_is_not_kicked():
+    there = Body((0.0, 0.0))
+    assert Robot(Field({1: there}), 1).answer("kick 1") == "no ball"
+    ball = Ball((RADIUS + BALL_RADIUS + REACH + 0.01, 0.0))
+    robot = Robot(Field({1: there}, ball=ball), 1)
+    assert robot.answer("kick 1") == "no ball"
+    ball.place, ball.rests = (0.2, 0.0), 1.0
+    assert robot.answer("kick 1") == "no ball"
+    ball.rests = 0.0
+    assert robot.answer("kick 1") == "ok"
+    robot.answer("wrong 1 1")
+    assert robot.answer("kick 1") == "its motors are off: a fault"

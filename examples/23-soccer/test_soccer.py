@@ -1,0 +1,108 @@
+"""Two teams of three and a ball, on virtual time: `lfield test examples/23-soccer`."""
+
+from __future__ import annotations
+
+import math
+import re
+from itertools import pairwise
+
+import pytest
+
+#: Metres: to the goal lines, the side walls and the posts from the middle; radii of the ball and of a robot.
+LINE, SIDE, POST, BALL, ROBOT = 2.0, 1.5, 0.5, 0.06, 0.15
+HOSTS = {"red1": "ann", "red2": "bob", "red3": "cid"}
+
+
+def goals(team):
+    """How often the ball was seen to go over the lines: for the reds, in the north, and for the blues."""
+    norths = [point.north for point in team.tracks["ball"]]
+    went = [now for before, now in pairwise(norths) if abs(before) <= LINE + BALL < abs(now)]
+    return sum(north > 0.0 for north in went), sum(north < 0.0 for north in went)
+
+
+def told(team, who):
+    """The score as a coach tells it, its own goals first."""
+    (line,) = [
+        line.text for line in team.log if line.text.startswith(f"{who}: ") and " rounds and " in line.text
+    ]
+    ours, theirs = re.search(r"(\d+):(\d+)", line).groups()
+    return int(ours), int(theirs)
+
+
+def way(team, who, since, until):
+    """How far a robot went in that time, in metres."""
+    there = [point for point in team.tracks[f"{who}.wheels"] if since <= point.at <= until]
+    return sum(math.dist((a.north, a.east), (b.north, b.east)) for a, b in pairwise(there))
+
+
+@pytest.mark.parametrize("seed", [0, 2, 4])
+def test_a_match_has_goals_and_both_coaches_count_them(lfield_mission, seed):
+    team = lfield_mission("mission.dL", seed=seed)
+    team.run(until_done=True)
+    assert team.ended == {"red": "done", "blue": "done"}
+    assert sum(goals(team)) > 0
+    assert told(team, "red") == goals(team)
+    assert told(team, "blue") == goals(team)[::-1]
+    # Once around is N hops, where each telling each other would take N(N-1) = 6 messages.
+    rounds = len([call for call in team.calls if call.resource in HOSTS.values()]) / 3
+    assert len([hop for hop in team.hops if hop.agent == "red"]) <= 3 * rounds
+
+
+def test_the_same_seed_is_the_same_match_and_another_is_another(lfield_mission):
+    matches = []
+    for seed in (1, 1, 2):
+        team = lfield_mission("mission.dL", seed=seed)
+        team.run(12.0)
+        matches.append((team.tracks, team.hops, team.log))
+    assert matches[0] == matches[1]
+    assert matches[0] != matches[2]
+
+
+def test_who_fails_leaves_two_to_play(lfield_mission):
+    team = lfield_mission("mission.dL", seed=1)
+    team.at(8.0, lambda: team.fake("cid.wheels").set("broken=true"))
+    team.run(25.0)
+    assert team.said("cid does not play: ") > 0
+    others = min(way(team, who, 10.0, 25.0) for who in ("ann", "bob"))
+    assert others > 2.0 * way(team, "cid", 10.0, 25.0), "it is only pushed aside"
+    orders = [call for call in team.calls if call.at > 10.0 and call.resource in HOSTS.values()]
+    attack = [call.resource for call in orders if call.arguments[0]]
+    assert "cid" not in attack
+    assert attack
+
+
+def test_who_is_mended_plays_again(lfield_mission):
+    team = lfield_mission("mission.dL", seed=1)
+    team.at(5.0, lambda: team.fake("cid.wheels").set("broken=true"))
+    team.at(10.0, lambda: team.fake("cid.wheels").set("broken=false"))
+    team.run(25.0)
+    assert way(team, "cid", 15.0, 25.0) > 1.0
+
+
+def test_a_team_plays_on_without_its_coach_and_gets_it_back(lfield_mission):
+    team, killed = lfield_mission("mission.dL", seed=1), []
+
+    def kill():
+        # The coach is where it came to last.
+        killed.append([hop for hop in team.hops if hop.agent == "red"][-1].target)
+        team.power_off(killed[0])
+
+    team.at(8.0, kill)
+    team.run(until="is recovered here")
+    back, left = team.now, [who for host, who in HOSTS.items() if host != killed[0]]
+    assert sum(way(team, who, 8.0, back) for who in left) > 0.5, "they play while nobody tells them anything"
+    team.run(until_done=True)
+    assert team.ended == {"red": "done", "blue": "done"}
+    assert told(team, "red") == goals(team)
+    assert told(team, "blue") == goals(team)[::-1]
+    assert {call.resource for call in team.calls if call.at > back and call.result} >= set(left)
+
+
+def test_the_ball_leaves_between_the_posts_and_nobody_else_leaves(lfield_mission):
+    """From the kick-off to the first goal: with `-k posts --tracks DIR` the picture of the README."""
+    team = lfield_mission("mission.dL", seed=3)
+    team.run(until=lambda: abs(team.fake("ball").place[0]) > LINE + BALL)
+    assert abs(team.fake("ball").place[1]) < POST - BALL + 0.01
+    robots = [point for name, points in team.tracks.items() if name != "ball" for point in points]
+    assert max(abs(point.north) for point in robots) < LINE - ROBOT + 0.01
+    assert max(abs(point.east) for point in robots) < SIDE - ROBOT + 0.01
