@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import re
 import socket
 import subprocess
@@ -78,10 +79,14 @@ class Team:
             while not (found := [x for x in self.lines if words in x.text and x.at > since]):
                 ended = [host for host, process in self._hosts.items() if process.poll() is not None]
                 if ended or time.monotonic() > end:
-                    why = f"{ended[0]} has ended" if ended else f"it did not come within {PATIENCE:.0f} s"
+                    why = self._last_of(ended[0]) if ended else f"it did not come within {PATIENCE:.0f} s"
                     raise Failed(f"{self._policy}: no {words!r}: {why}")
                 self._said.wait(0.2)
         return found[0]
+
+    def _last_of(self, host: str) -> str:
+        last = [x.text for x in self.lines if x.host == host][-3:]
+        return " / ".join([f"{host} has ended, and its last words were", *last or ["none"]])
 
     def end(self) -> None:
         """End the hosts, which bring their devices to rest, then the fakes."""
@@ -115,7 +120,12 @@ def popen(*words: str) -> subprocess.Popen[str]:
 
 
 def free_port() -> int:
-    """A port of loopback that nobody has."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port of loopback that nobody has, below those that the kernel gives to the near ends of connections.
+
+    A host listens there seconds later, and again after it was killed: nobody may have got it meanwhile.
+    """
+    for port in random.SystemRandom().sample(range(20_000, 32_000), 100):
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) != 0:
+                return port
+    raise Failed("a hundred ports between 20000 and 32000 are all taken")
