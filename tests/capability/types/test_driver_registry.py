@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,7 @@ from lfield.cli.main import main
 from lfield.driver.plugin import Plugin
 from lfield.driver.plugins import Installed, Plugins
 from lfield.errors import ProgramError
-from lfield.mission import load
+from lfield.mission import load, registry_check
 from lfield.mission.load import load_mission
 
 PROGRAM = """include <hall/lorry.L>;
@@ -48,7 +47,7 @@ def hall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.syspath_prepend(str(tmp_path))
     plugin = Plugin("hall", "lfield_hall", "lfield_hall.driver:None", manifests=())
     known = Plugins({"hall": Installed("hall", "lfield_hall:PLUGIN", {}, {}, "", plugin=plugin)})
-    for module in (load, sys.modules["lfield.mission.registry_check"]):
+    for module in (load, registry_check):
         monkeypatch.setattr(module, "discover", lambda: known)
     folder = tmp_path / "mission"
     folder.mkdir()
