@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
+from unittest.mock import NonCallableMock
 
 from lfield.bytecode.disassemble import type_name
 from lfield.bytecode.program import MethodRecord, Program
@@ -204,9 +205,17 @@ def _portals(program: Program, type: str) -> dict[str, list[MethodRecord]]:
 
 
 def _methods(double: object) -> Iterator[tuple[str, Callable[..., object]]]:
-    """What of an object can be called, and is not its own affair; no property is asked."""
+    """What of an object can be called, and is not its own affair; no property is asked.
+
+    A mock has methods for the test, beside those that it stands for.
+    """
+    own = dir(NonCallableMock) if isinstance(double, NonCallableMock) else ()
     for name in dir(double):
-        if name.startswith("_") or isinstance(inspect.getattr_static(double, name, None), property):
+        if (
+            name.startswith("_")
+            or name in own
+            or isinstance(inspect.getattr_static(double, name, None), property)
+        ):
             continue
         value = getattr(double, name)
         if callable(value) and not isinstance(value, type):

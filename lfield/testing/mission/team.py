@@ -9,13 +9,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from lfield.errors import MissionTestError, Stuck
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet, Life
+from lfield.testing.mission import asked
 from lfield.testing.mission.calls import Calls, PortalCall
 from lfield.testing.mission.doubles import Doubles, later_in
 from lfield.testing.mission.fakes import FakeDevice, Fakes
@@ -61,13 +64,16 @@ class Team:
         path: Path,
         *,
         seed: int = 0,
-        doubles: Mapping[str, object] | None = None,
-        fakes: Mapping[str, Sequence[str]] | None = None,
+        doubles: Mapping[str, object] = MappingProxyType({}),
+        fakes: Mapping[str, Sequence[str]] = MappingProxyType({}),
         keeps: bool = True,
     ) -> None:
-        doubled = Doubles(load_mission(path, simulate=True), doubles or {})
+        wrong, doubled = (
+            asked.wrong(fakes),
+            Doubles(load_mission(path, simulate=True), asked.doubles(doubles)),
+        )
         mission = self.mission = doubled.mission
-        self._fakes, self._doubles = Fakes(fakes or {}, self._mark), doubled
+        self._fakes, self._doubles = Fakes(wrong, self._mark), doubled
         #: How coordinators ended, with the start that did: hosts that are gone tell it no more.
         self._outcomes: dict[str, tuple[int, str]] = {}
         #: What the test has done to the team, for its picture.
@@ -81,10 +87,11 @@ class Team:
         self._patience = math.inf
         #: Words that somebody shall say, and how much of the log was looked at for them.
         self._awaited, self._read = "", 0
-        with fenced() as self._caught:
+        self._runs = False
+        with self._running(), fenced() as self._caught:
             self._fleet = Fleet(
                 mission,
-                seed,
+                asked.seed(seed),
                 watch=self._watch,
                 unreachable_after=mission.bindings.unreachable_after,
                 keeps=keeps,
@@ -112,9 +119,9 @@ class Team:
 
     def run(
         self,
-        seconds: float = 0.0,
+        seconds: float | None = None,
         *,
-        until: str | Callable[[], bool] = "",
+        until: str | Callable[[], bool] | None = None,
         until_done: bool = False,
         at_most: float = AT_MOST,
     ) -> None:
@@ -123,19 +130,22 @@ class Team:
 
         Raises Stuck when that has not come after `at_most` seconds, or cannot come any more, or when this
         takes PATIENCE seconds of real time; and what went wrong in a double, or wanted to touch this
-        computer.
+        computer. Raises MissionTestError for what is no end, and where time goes on already.
         """
-        self._patience = time.monotonic() + PATIENCE
-        if until_done:
-            waited = "the coordinators have not ended"
-            self._wait(lambda: self._have_ended, at_most, waited)
-        elif callable(until):
-            self._wait(until, at_most, "what the test waits for has not come")
-        elif until:
-            self._awaited, self._read = until, len(self._fleet.log)
-            self._wait(lambda: not self._awaited, at_most, f"nobody has said {until!r}")
-        else:
-            self._go(seconds)
+        asked.one_end(seconds, until, until_done=until_done)
+        at_most = asked.seconds(at_most, "run(at_most=...)")
+        with self._running():
+            self._patience = time.monotonic() + PATIENCE
+            if until_done:
+                waited = "the coordinators have not ended"
+                self._wait(lambda: self._have_ended, at_most, waited)
+            elif callable(until):
+                self._wait(until, at_most, "what the test waits for has not come")
+            elif until is not None:
+                self._awaited, self._read = until, len(self._fleet.log)
+                self._wait(lambda: not self._awaited, at_most, f"nobody has said {until!r}")
+            else:
+                self._go(asked.seconds(seconds, "run(...)"))
 
     def _wait(self, come: Callable[[], bool], at_most: float, why: str) -> None:
         began, end, over = self.now, self.now + at_most, False
@@ -153,6 +163,25 @@ class Team:
     def _go(self, seconds: float) -> None:
         with fenced() as self._caught:
             self._fleet.run(seconds)
+
+    @contextmanager
+    def _running(self) -> Iterator[None]:
+        """The mission runs, once at a time, and ends no process but its own."""
+        if self._runs:
+            raise MissionTestError(
+                "time goes on already: a double, an action or a condition cannot run the team; "
+                "a double that takes its time returns After(seconds, value)"
+            )
+        self._runs = True
+        try:
+            yield
+        except SystemExit as error:
+            raise MissionTestError(
+                f"something under test wants to end Python by sys.exit({error.code!r}); let it raise an "
+                "error of its own, or return"
+            ) from error
+        finally:
+            self._runs = False
 
     def _watch(self, fleet: Fleet) -> None:
         """Something has happened: raise what went wrong with it, and stop at a line that is waited for."""
@@ -231,21 +260,25 @@ class Team:
         return self._fakes.devices[device]
 
     def at(self, seconds: float, action: Callable[[], None]) -> None:
-        """Do something at a moment, in seconds since the team began."""
-        self._fleet.timeline.at(seconds, action)
+        """Do something at a moment, in seconds since the team began; now, if that is past.
+
+        Raises MissionTestError.
+        """
+        call = f"at({seconds!r}, ...)"
+        self._fleet.timeline.at(asked.seconds(seconds, call), asked.action(action, call))
 
     def when(self, line: str, action: Callable[[], None]) -> None:
         """Do something, once, as soon as anybody comes to `mission.L:42`. Raises MissionTestError."""
-        self._lines.when(line, action)
+        self._lines.when(line, asked.action(action, f"when({line!r}, ...)"))
 
     def cut(self, one: str, other: str) -> None:
         """Break what connects two hosts, and let nothing through until `heal`."""
-        self._fleet.cut(self._host(one), self._host(other))
+        self._fleet.cut(*self._two(one, other))
         self._mark(f"{one} and {other} are cut off")
 
     def heal(self, one: str, other: str) -> None:
         """Let everything through again."""
-        self._fleet.heal(self._host(one), self._host(other))
+        self._fleet.heal(*self._two(one, other))
         self._mark(f"{one} and {other} hear each other again")
 
     def crash(self, host: str) -> None:
@@ -272,7 +305,8 @@ class Team:
         """Tell hosts, or all, to end in order, as by SIGTERM: their devices come to rest first."""
         for host in hosts or tuple(self._fleet.lives):
             self._away.add(self._host(host))
-            self._fleet.stop(host)
+            if host in self._fleet.lives:
+                self._fleet.stop(host)
 
     def close(self) -> None:
         """End all that runs, at once."""
@@ -280,6 +314,11 @@ class Team:
 
     def _mark(self, words: str, device: str = "") -> None:
         self.marks.append(Mark(self.now, device, words))
+
+    def _two(self, one: str, other: str) -> tuple[str, str]:
+        if one == other:
+            raise MissionTestError(f"nothing lies between {one} and itself; name two hosts")
+        return self._host(one), self._host(other)
 
     def _host(self, name: str) -> str:
         if name not in self._fleet.computers:
