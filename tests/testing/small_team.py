@@ -8,7 +8,7 @@ from pathlib import Path
 from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet, Life
 from lfield.testing.mission.calls import Calls, PortalCall
-from lfield.testing.mission.doubles import Doubles, later_in
+from lfield.testing.mission.doubles import Doubles
 
 
 class SmallTeam(Fleet):
@@ -33,9 +33,10 @@ class SmallTeam(Fleet):
 
     def _watched(self, name: str, life: Life) -> None:
         self.calls.watch(life.core.machine)
-        self.doubles.watch(life.core.machine, later_in(life))
+        self.doubles.watch(life)
 
     def _look(self) -> None:  # type: ignore[override]
+        self.doubles.take_turns()
         if self.doubles.trouble:
             raise self.doubles.trouble.pop(0)
 

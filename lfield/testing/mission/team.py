@@ -20,7 +20,7 @@ from lfield.mission.load import load_mission
 from lfield.simulate.fleet import Fleet, Life
 from lfield.testing.mission import asked
 from lfield.testing.mission.calls import Calls, PortalCall
-from lfield.testing.mission.doubles import Doubles, later_in
+from lfield.testing.mission.doubles import Doubles
 from lfield.testing.mission.fakes import FakeDevice, Fakes
 from lfield.testing.mission.fence import fenced
 from lfield.testing.mission.picture import Mark
@@ -106,7 +106,7 @@ class Team:
     def _born(self, name: str, life: Life) -> None:
         machine = life.core.machine
         self._calls.watch(machine)
-        self._doubles.watch(machine, later_in(life))
+        self._doubles.watch(life)
         self._hops.watch(life)
         self._lines.watch(life)
 
@@ -189,6 +189,7 @@ class Team:
             self._awaited = ""
             fleet.timeline.pause()
         self._read = len(fleet.log)
+        self._doubles.take_turns()
         for trouble in (*self._doubles.trouble, *self._caught, *self._fakes.trouble):
             raise trouble
         if fleet.failed:
