@@ -27,9 +27,10 @@ class SmallTeam(Fleet):
         if program:
             (folder / "mission.L").write_text(program)
             (folder / "mission.dL").write_text("\n".join([*deployment.split(), ""]))
-        self.doubles = Doubles(load_mission(folder / "mission.dL", simulate=True), doubles or {})
+        mission = load_mission(folder / "mission.dL", simulate=True, doubled=doubles or {})
+        self.doubles = Doubles(mission, doubles or {})
         self.calls = Calls(lambda: self.now)
-        super().__init__(self.doubles.mission, 1, watch=SmallTeam._look, born=self._watched)
+        super().__init__(mission, 1, watch=SmallTeam._look, born=self._watched)
 
     def _watched(self, name: str, life: Life) -> None:
         self.calls.watch(life.core.machine)

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 from small_team import SmallTeam
 
-from lfield.errors import DoubleError, LfieldError, Stuck
+from lfield.errors import BindingError, DoubleError, LfieldError, ProgramError, Stuck
 from lfield.mission.load import load_mission
 from lfield.testing import After, LObject, Throws
 from lfield.testing.mission.doubles import Doubles
@@ -91,8 +91,8 @@ def test_a_double_answers_and_neither_init_nor_devices_are_there(tmp_path: Path)
     assert pump.total == 7
     assert team.said("the init of other")
     assert not team.said("the init of pump")
-    assert team.doubles.mission.bindings.devices["pump"] == {}
-    assert team.doubles.mission.bindings.devices["other"].keys() == {"fc"}
+    assert team.mission.bindings.devices["pump"] == {}
+    assert team.mission.bindings.devices["other"].keys() == {"fc"}
     first, second = team.calls.record
     assert (first.caller, first.resource, first.portal) == ("boss", "pump", "flow")
     assert (first.arguments, first.result, first.ended) == ((3, 0.5), 3, first.at)
@@ -304,6 +304,68 @@ def test_the_same_seed_is_the_same_run(tmp_path: Path) -> None:
         team.until("the end")
         digests.add(team.digest)
     assert len(digests) == 1
+
+
+# --- what a double has instead of devices ---------------------------------------------------------------
+
+NO_DRIVER = """
+resource Welder {
+    Xyzzy torch;
+    real heat = torch.heat();
+    init(string[] arg) { torch.release(); }
+    portal synchronized weld(real seconds) emit boolean { torch.arc(seconds); return hot(torch); }
+    portal cool() { torch.arc(0.0); }
+    private boolean hot(Xyzzy one) { return one.heat() > 0.0; }
+}
+resource Pump {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal fill() { fc.release(); }
+}
+coordinator Boss {
+    init(string[] arg) {
+        if (findWelder("welder").weld(1.0)) print("welded");
+        findPump("pump").fill();
+        print("the end");
+    }
+}
+"""
+ITS_DEVICES = """
+agents:
+  welder:
+    heap: 64 KiB
+    devices: {torch: {driver: xyzzy, endpoint: "serial:/dev/ttyUSB9"}}
+"""
+
+
+class Welder:
+    def weld(self, seconds: float) -> bool:
+        return True
+
+
+def test_the_driver_of_a_doubled_resource_need_not_be_there(tmp_path: Path) -> None:
+    hosts = "//Welder:welder@alpha //Pump:pump@alpha //Boss:boss@bravo"
+    (tmp_path / "mission.devices.yaml").write_text(ITS_DEVICES)
+    team = SmallTeam(tmp_path, NO_DRIVER, hosts, {"welder": Welder()})
+    team.until("the end")
+    assert team.said("welded")
+    assert team.mission.bindings.limits("welder").heap == 64 << 10
+    assert team.mission.bindings.devices.get("welder", {}) == {}
+    assert team.mission.bindings.devices["pump"].keys() == {"fc"}
+    # Of one that does run, it must.
+    with pytest.raises(ProgramError) as caught:
+        SmallTeam(tmp_path, NO_DRIVER, f"{hosts} //Welder:other@alpha", {"welder": Welder()})
+    assert "Xyzzy" in caught.value.diagnostics[0].render()
+
+
+def test_a_doubled_resource_needs_no_binding(tmp_path: Path) -> None:
+    (tmp_path / "mission.L").write_text(PROGRAM)
+    (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
+    with pytest.raises(BindingError) as caught:
+        load_mission(tmp_path / "mission.dL", doubled={"pump"})
+    assert [problem.partition(" (")[0] for problem in caught.value.problems] == ["other.fc"]
+    mission = load_mission(tmp_path / "mission.dL", doubled={"pump", "other"})
+    assert mission.bindings.all == []
 
 
 # --- what goes wrong ----------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from unittest.mock import NonCallableMock
 
@@ -28,7 +28,7 @@ from lfield.vm.memory.threads import place_of
 class Doubles:
     """Objects that answer for resources, by the ids of those: a method for each portal, or an attribute that
     can be called. It is given the arguments as Python values (`values`) and returns the result, or `After`;
-    it may raise `Throws`.
+    it may raise `Throws`. The mission was loaded with them `doubled`.
 
     The resource of a double is open at once: its `init` does not run, and it has no devices. Its live
     attributes are what the double says of them (`stated`); in all else it offers what its class does.
@@ -40,14 +40,13 @@ class Doubles:
     """
 
     def __init__(self, mission: Mission, doubles: Mapping[str, object]) -> None:
+        self._mission = mission
         self._doubles: list[tuple[Member, object]] = []
         for id, double in doubles.items():
             member = _stood_for(mission, id)
             _check(mission.program, member, double)
             stated.check(mission, member, double)
             self._doubles.append((member, double))
-        #: The mission, in which those resources have no devices.
-        self.mission = without_devices(mission, doubles)
         self.trouble: list[BaseException] = []
         self._monitors: list[_Monitor] = []
 
@@ -59,7 +58,7 @@ class Doubles:
             machine.attached.stand_ins[member.id] = monitor.asked
             self._monitors.append(monitor)
             if stated.tells(double):
-                stated.attach(self.mission, member, life, double, self.trouble)
+                stated.attach(self._mission, member, life, double, self.trouble)
 
     def take_turns(self) -> None:
         """Something has happened: where nobody is in a synchronized portal any more, the next one is."""
@@ -144,12 +143,6 @@ class _Monitor:
 def _goes_on(asked: Asked) -> bool:
     """Whether a call was not cancelled, and has no answer yet."""
     return not asked.resource.ended and bool(place_of(asked.resource.block, asked.thread))
-
-
-def without_devices(mission: Mission, ids: Mapping[str, object]) -> Mission:
-    """The same mission in which these agents have no devices."""
-    devices = {agent: {} if agent in ids else fields for agent, fields in mission.bindings.devices.items()}
-    return mission.with_bindings(replace(mission.bindings, devices=devices))
 
 
 # --- when a portal is called --------------------------------------------------------------------------

@@ -68,12 +68,9 @@ class Team:
         fakes: Mapping[str, Sequence[str]] = MappingProxyType({}),
         keeps: bool = True,
     ) -> None:
-        wrong, doubled = (
-            asked.wrong(fakes),
-            Doubles(load_mission(path, simulate=True), asked.doubles(doubles)),
-        )
-        mission = self.mission = doubled.mission
-        self._fakes, self._doubles = Fakes(wrong, self._mark), doubled
+        doubles = asked.doubles(doubles)
+        mission = self.mission = load_mission(path, simulate=True, doubled=doubles)
+        self._fakes, self._doubles = Fakes(asked.wrong(fakes), self._mark), Doubles(mission, doubles)
         #: How coordinators ended, with the start that did: hosts that are gone tell it no more.
         self._outcomes: dict[str, tuple[int, str]] = {}
         #: What the test has done to the team, for its picture.
