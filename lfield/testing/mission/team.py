@@ -149,7 +149,7 @@ class Team:
         while not come():
             if self.now >= end:
                 took = f"{self.now - began:.0f} s of the mission" + (", which has ended" if over else "")
-                raise Stuck(f"{why} after {took}", standing(self._fleet))
+                raise Stuck(f"{why} after {took}", self._standing())
             self._go(LOOK)
             if self._awaited and not over and self._have_ended:
                 over, end = True, min(end, self.now + AFTERWARDS)
@@ -193,7 +193,10 @@ class Team:
             raise Stuck("a host has ended because of a bug in lfield", self._last_words())
         if time.monotonic() > self._patience:
             why = f"the test has run for {PATIENCE:g} s; does a loop of L neither wait nor end?"
-            raise Stuck(f"at {fleet.now:.3f} s of the mission {why}", standing(fleet))
+            raise Stuck(f"at {fleet.now:.3f} s of the mission {why}", self._standing())
+
+    def _standing(self) -> list[str]:
+        return standing(self._fleet, self.ended, self.hops)
 
     def _last_words(self, host: str = "") -> list[str]:
         said = [line for line in self.log if host in ("", line.host)]
