@@ -189,3 +189,22 @@ def test_a_picture_shows_every_device_and_what_was_done_to_it():
     assert "height over 1 s, up to 2.0 m" in texts
     with pytest.raises(ValueError, match="nobody has told where it was"):
         draw({"nowhere": []}, "empty")
+
+
+def test_names_of_devices_that_end_at_one_place_do_not_lie_on_each_other():
+    from lfield.testing.mission.picture import LINE, draw
+    from lfield.testing.mission.watching import Point
+
+    names = ["a.fc", "b.fc", "c.fc", "far.fc"]
+    tracks = {
+        name: [Point(0.0, 9.0, 9.0, 0.0), Point(1.0, 0.1 * n, 0.0, 0.0)] for n, name in enumerate(names)
+    }
+    tracks["far.fc"] = [Point(0.0, 0.0, 0.0, 0.0), Point(1.0, 0.0, 5.0, 0.0)]
+    root = ElementTree.fromstring(draw(tracks, "a landing"))
+    found = root.iter("{http://www.w3.org/2000/svg}text")
+    places = {text.text: (float(text.get("x")), float(text.get("y"))) for text in found}
+    heights = sorted(places[name][1] for name in names[:3])
+    assert heights[1] - heights[0] >= LINE
+    assert heights[2] - heights[1] >= LINE
+    # Where nobody else is, a name is beside its disc.
+    assert places["far.fc"][1] == places["a.fc"][1]
