@@ -197,6 +197,27 @@ def test_a_stop_brings_devices_to_rest_first(lfield_mission):
     assert team.fake("wing.fc").facts["airborne"] is False
 
 
+def test_a_person_pauses_a_mission_and_lets_it_go_on(walk):
+    team = walk("sleep(5.0);")
+    team.run(5.0)
+    team.pause()
+    team.run(20.0)
+    assert (team.said("over"), team.ended) == (0, {})
+    assert [mark.words for mark in team.marks] == ["the mission is paused"]
+    team.resume()
+    team.run(until_done=True)
+    assert (team.said("over"), team.ended) == (1, {"boss": "done"})
+
+
+def test_devices_come_to_rest_in_a_pause(lfield_mission):
+    team = lfield_mission(FLIGHT)
+    team.run(until="at (3.5, 0.0)")
+    team.pause()
+    team.run(20.0)
+    # The safe state that its binding chooses is to land.
+    assert team.fake("lead.fc").facts["airborne"] is False
+
+
 def test_a_loop_of_l_that_never_waits_ends_the_test_too(walk, monkeypatch):
     monkeypatch.setattr("lfield.testing.mission.team.PATIENCE", 1.0)
     team = walk("while (true) { }")

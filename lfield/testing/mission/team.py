@@ -11,12 +11,14 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from types import MappingProxyType
-from typing import NamedTuple
+from types import MappingProxyType, SimpleNamespace
+from typing import NamedTuple, cast
 
 from lfield.errors import MissionTestError, Stuck
 from lfield.mission.load import load_mission
+from lfield.net.transport import Link
 from lfield.simulate.fleet import Fleet, Life
 from lfield.testing.mission import asked
 from lfield.testing.mission.calls import Calls, PortalCall
@@ -26,6 +28,8 @@ from lfield.testing.mission.fence import fenced
 from lfield.testing.mission.picture import Mark
 from lfield.testing.mission.standing import standing
 from lfield.testing.mission.watching import Hop, Hops, Lines, Point, Tracks
+from lfield.wire.messages import Control
+from lfield.wire.observing import Pause
 
 #: Seconds of virtual time after which what has not come is not waited for any more.
 AT_MOST = 3600.0
@@ -41,6 +45,10 @@ MOVED = 0.5
 PATIENCE = 120.0
 #: So many lines are shown of a host that has ended.
 LAST_WORDS = 5
+
+
+#: Who gives commands, as somebody at a desk does, and waits for no answer.
+_PERSON = cast(Link, SimpleNamespace(peer="the test", send=lambda message: None))
 
 
 class Line(NamedTuple):
@@ -308,6 +316,20 @@ class Team:
             self._away.add(self._host(host))
             if host in self._fleet.lives:
                 self._fleet.stop(host)
+
+    def pause(self) -> None:
+        """As `lfield pause`: no program runs, and devices come to rest, until `resume`."""
+        self._command(Pause())
+        self._mark("the mission is paused")
+
+    def resume(self) -> None:
+        """Let all go on."""
+        self._command(Pause(lift=True))
+        self._mark("the mission goes on")
+
+    def _command(self, word: Control) -> None:
+        for life in self._fleet.lives.values():
+            life.process.loop.enter(partial(life.host.received, "", word, _PERSON))
 
     def close(self) -> None:
         """End all that runs, at once."""
