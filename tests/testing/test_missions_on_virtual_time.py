@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import socket
 from pathlib import Path
 
 import pytest
 
-from lfield.errors import MissionTestError, RealEndpoint, Stuck
+from lfield.errors import MissionTestError, Stuck
 from lfield.testing.mission.team import Team
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -205,33 +204,6 @@ def test_a_wrong_program_is_shown_as_lfield_check_shows_it(walk):
     with pytest.raises(pytest.fail.Exception, match=r"walk\.L:11:\d+: error") as failed:
         walk("int n = true;")
     assert "^" in str(failed.value)
-
-
-def test_nothing_real_is_touched_also_by_who_says_nothing_of_it(walk):
-    team = walk()
-
-    def reach_out() -> None:
-        try:
-            socket.create_connection(("127.0.0.1", 9), timeout=0.1)
-        except Exception:
-            return
-
-    team.at(0.5, reach_out)
-    with pytest.raises(RealEndpoint, match=r"it wanted to reach 127.0.0.1:9"):
-        team.run(1.0)
-
-    def open_port() -> None:
-        Path("/dev/ttyS0").open("rb").close()
-
-    team.at(1.5, open_port)
-    with pytest.raises(RealEndpoint, match="it wanted to open /dev/ttyS0"):
-        team.run(1.0)
-
-
-def test_outside_of_a_run_a_test_may_do_what_it_likes(walk):
-    walk().run(1.0)
-    with socket.socket() as door:
-        door.bind(("127.0.0.1", 0))
 
 
 def test_a_stop_brings_devices_to_rest_first(lfield_mission):

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import asyncio
 import ctypes
+import errno
 import math
+import sys
 from collections.abc import Callable, Coroutine, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from lfield.simulate.computers.machines import Machine
 from lfield.simulate.computers.timeline import Planned
@@ -29,6 +31,12 @@ GRAIN = 0.001
 _pin, _unpin = ctypes.pythonapi.Py_IncRef, ctypes.pythonapi.Py_DecRef
 _pin.argtypes = _unpin.argtypes = (ctypes.py_object,)
 _pin.restype = _unpin.restype = None
+
+
+def beyond(deed: str) -> NoReturn:
+    """A process wants to do what leads out of the simulation; who fences that in is told first (PEP 578)."""
+    sys.audit("lfield.beyond", deed)
+    raise OSError(errno.ENETUNREACH, f"it wanted to {deed}, and nothing simulated leads there")
 
 
 class _Nothing:
