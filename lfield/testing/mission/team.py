@@ -8,7 +8,6 @@ seed is one run.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -16,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 from typing import NamedTuple, cast
 
-from lfield.errors import MissionTestError, Stuck
+from lfield.errors import MissionTestError, RealEndpoint, Stuck
 from lfield.mission.load import load_mission
 from lfield.net.transport import Link
 from lfield.simulate.fleet import Fleet, Life
@@ -24,7 +23,8 @@ from lfield.testing.mission import asked
 from lfield.testing.mission.calls import Calls, PortalCall
 from lfield.testing.mission.doubles import Doubles
 from lfield.testing.mission.fakes import FakeDevice, Fakes
-from lfield.testing.mission.fence import fenced
+from lfield.testing.mission.fence import Fence
+from lfield.testing.mission.patience import Held, Patience
 from lfield.testing.mission.picture import Mark
 from lfield.testing.mission.standing import standing
 from lfield.testing.mission.watching import Hop, Hops, Lines, Point, Tracks
@@ -41,7 +41,7 @@ LOOK = 0.02
 DAY = (1.8e9, 1.8e9 + 0.5)
 #: Metres that are a move.
 MOVED = 0.5
-#: Seconds of real time that one `run` may take.
+#: Seconds of real time that one `run` may take, and the making of a team.
 PATIENCE = 120.0
 #: So many lines are shown of a host that has ended.
 LAST_WORDS = 5
@@ -88,22 +88,25 @@ class Team:
         self._away: set[str] = set()
         self._calls, self._hops = Calls(lambda: self.now), Hops(lambda: self.now)
         self._lines = Lines(mission.program, lambda seconds, event: self._fleet.later(seconds, event))
-        self._caught: Sequence[MissionTestError] = ()
-        self._patience = math.inf
         #: Words that somebody shall say, and how much of the log was looked at for them.
         self._awaited, self._read = "", 0
         self._runs = False
-        with self._running(), fenced() as self._caught:
-            self._fleet = Fleet(
-                mission,
-                asked.seed(seed),
-                watch=self._watch,
-                unreachable_after=mission.bindings.unreachable_after,
-                keeps=keeps,
-                born=self._born,
-                plug=self._fakes.plug,
-            )
-        self._watch(self._fleet)
+        self._fence = Fence()
+        try:
+            with self._running(), self._patiently():
+                self._fleet = Fleet(
+                    mission,
+                    asked.seed(seed),
+                    watch=self._watch,
+                    unreachable_after=mission.bindings.unreachable_after,
+                    keeps=keeps,
+                    born=self._born,
+                    plug=self._fakes.plug,
+                )
+                self._watch(self._fleet)
+        except BaseException:
+            self._fence.down()
+            raise
         for machine in self._fleet.machines.values():
             machine.set_day(DAY)
         self._tracks = Tracks(self._fakes.devices, lambda: self.now, self._fleet.later)
@@ -139,8 +142,7 @@ class Team:
         """
         asked.one_end(seconds, until, until_done=until_done)
         at_most = asked.seconds(at_most, "run(at_most=...)")
-        with self._running():
-            self._patience = time.monotonic() + PATIENCE
+        with self._running(), self._patiently():
             if until_done:
                 waited = "the coordinators have not ended"
                 self._wait(lambda: self._have_ended, at_most, waited)
@@ -150,7 +152,7 @@ class Team:
                 self._awaited, self._read = until, len(self._fleet.log)
                 self._wait(lambda: not self._awaited, at_most, f"nobody has said {until!r}")
             else:
-                self._go(asked.seconds(seconds, "run(...)"))
+                self._fleet.run(asked.seconds(seconds, "run(...)"))
 
     def _wait(self, come: Callable[[], bool], at_most: float, why: str) -> None:
         began, end, over = self.now, self.now + at_most, False
@@ -158,16 +160,32 @@ class Team:
             if self.now >= end:
                 took = f"{self.now - began:.0f} s of the mission" + (", which has ended" if over else "")
                 raise Stuck(f"{why} after {took}", self._standing())
-            self._go(LOOK)
+            self._fleet.run(LOOK)
             if self._awaited and not over and self._have_ended:
                 over, end = True, min(end, self.now + AFTERWARDS)
             if gone := self._team_hosts - self._fleet.lives.keys() - self._away:
                 name = min(gone)
                 raise Stuck(f"{why}, and {name} has ended by itself", self._last_words(name))
 
-    def _go(self, seconds: float) -> None:
-        with fenced() as self._caught:
-            self._fleet.run(seconds)
+    @contextmanager
+    def _patiently(self) -> Iterator[None]:
+        """What is not the test's own may run within: it touches nothing real, and has an end."""
+        try:
+            with self._fence.running(), Patience(PATIENCE) as self._patience:
+                yield
+        except Held:
+            raise self._held() from None
+        except RealEndpoint:
+            # It is told, however often it was tried.
+            self._fence.caught.clear()
+            raise
+
+    def _held(self) -> Stuck:
+        fleet = getattr(self, "_fleet", None)
+        when = f"at {fleet.now:.3f} s of the mission" if fleet else "before the mission has begun"
+        by = f", held by {self._patience.holder}" if self._patience.holder else ""
+        took = f"the test has run for {PATIENCE:g} s of real time"
+        return Stuck(f"{when} {took}{by}", self._standing() if fleet else [])
 
     @contextmanager
     def _running(self) -> Iterator[None]:
@@ -195,13 +213,19 @@ class Team:
             fleet.timeline.pause()
         self._read = len(fleet.log)
         self._doubles.take_turns()
-        for trouble in (*self._doubles.trouble, *self._caught, *self._fakes.trouble):
+        if self._patience.over:
+            raise self._held()
+        self._raise_caught()
+        for trouble in (*self._doubles.trouble, *self._fakes.trouble):
             raise trouble
         if fleet.failed:
             raise Stuck("a host has ended because of a bug in lfield", self._last_words())
-        if time.monotonic() > self._patience:
-            why = f"the test has run for {PATIENCE:g} s; does a loop of L neither wait nor end?"
-            raise Stuck(f"at {fleet.now:.3f} s of the mission {why}", self._standing())
+
+    def _raise_caught(self) -> None:
+        """What was tried with what is real, the first of it."""
+        caught, self._fence.caught = self._fence.caught, []
+        for error in caught:
+            raise error
 
     def _standing(self) -> list[str]:
         return standing(self._fleet, self.ended, self.hops)
@@ -332,8 +356,10 @@ class Team:
             life.process.loop.enter(partial(life.host.received, "", word, _PERSON))
 
     def close(self) -> None:
-        """End all that runs, at once."""
+        """End all that runs, at once. Raises what has touched this computer and nobody has been told of."""
         self._fleet.close()
+        self._fence.down()
+        self._raise_caught()
 
     def _mark(self, words: str, device: str = "") -> None:
         self.marks.append(Mark(self.now, device, words))
