@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
 import signal
-import sys
 import sysconfig
 import threading
 import time
@@ -39,7 +39,7 @@ class Patience:
 
     def __enter__(self) -> Patience:
         """Begin to wait."""
-        self._caller, self._began = _foreign(sys._getframe(1), None), time.monotonic()
+        self._caller, self._began = _foreign(inspect.currentframe(), None), time.monotonic()
         self._left, self._interval = signal.getitimer(signal.ITIMER_REAL)
         in_main = threading.current_thread() is threading.main_thread()
         self._set = in_main and not 0.0 < self._left <= self._seconds
