@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,11 +55,11 @@ def lfield_mission(request: pytest.FixtureRequest) -> Iterator[OpenMission]:
         return team
 
     yield opened
-    for number, team in enumerate(teams, 1):
-        try:
+    with ExitStack() as closing:
+        for team in teams:
+            closing.callback(team.close)
+        for number, team in enumerate(teams, 1):
             _draw(request, team, "" if len(teams) == 1 else f"~{number}")
-        finally:
-            team.close()
 
 
 def _draw(request: pytest.FixtureRequest, team: Team, which: str) -> None:
