@@ -22,7 +22,7 @@ from lfield.vm.memory.layout import (
     W_SEQUENCE,
 )
 from lfield.vm.memory.parcels import parcel_made, parcel_of, plain_parcel
-from lfield.vm.memory.threads import count, place_of
+from lfield.vm.memory.threads import count, place_of, threads
 from lfield.vm.scheduler import Scheduler
 
 _RESTARTED = (
@@ -291,6 +291,21 @@ def _rethrow(
         scheduler.refuse(caller, waiter, trap.kind, trap.message, resource.id)
     else:
         scheduler.throw(caller, waiter, copied)
+
+
+def of_others(scheduler: Scheduler, resource: Agent, agent: str) -> bool:
+    """Whether a portal call of anybody but that coordinator is under way in a resource.
+
+    One that was taken from its caller is somebody else's: nothing is known of it any more.
+    """
+    if resource.ended:
+        return False
+    for place in threads(resource.block):
+        waits = scheduler.calls.get(number := resource.block.w[place + THREAD_CALL])
+        who = waits if waits is None or isinstance(waits, Begun) else waits[0]
+        if number and (who is None or who.id != agent):
+            return True
+    return False
 
 
 def abandon(scheduler: Scheduler, caller: Agent) -> bool:
