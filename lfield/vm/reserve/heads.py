@@ -26,6 +26,8 @@ class Reserving:
     def __init__(self, scheduler: Scheduler, held: Held, here: int) -> None:
         self._scheduler, self._held, self._here = scheduler, held, here
         kinds = scheduler.program.core.types
+        classes = scheduler.program.core.classes
+        self._offers = frozenset(i for i, record in enumerate(classes) if record.capability)
         self._array = kinds.index(TypeRecord(ARRAY, INT)) if TypeRecord(ARRAY, INT) in kinds else 0
 
     def heads(self) -> dict[str, Handler]:
@@ -57,18 +59,23 @@ class Reserving:
         waiting, seen, found = [place], {place}, set()
         while waiting:
             place = waiting.pop()
-            kind = w[place] & 0xFF
-            inner = [w[place + offset] for offset in self._scheduler.layouts.references(w[place])]
-            if kind == layout.PROXY:
+            if w[place] & 0xFF == layout.PROXY:
                 found.add(w[place + PROXY_MEMBER])
-            elif kind == layout.ARRAY and 0 in inner:
-                raise Trap("NullException", f"'reserve' of null (element {inner.index(0)})")
-            elif kind == layout.OBJECT:
-                # First what it says of itself; of its ways only those that it was found by are there.
-                inner = [part for part in inner[1:] if part]
+            inner = self._parts(w, place)
             waiting += [part for part in dict.fromkeys(inner) if part not in seen]
             seen.update(inner)
         return self._held.in_order(found)
+
+    def _parts(self, w: memoryview[int], place: int) -> list[int]:
+        """The elements of an array, none of them null; of an offer the ways by which it was found."""
+        inner = [w[place + offset] for offset in self._scheduler.layouts.references(w[place])]
+        if w[place] & 0xFF == layout.ARRAY and 0 in inner:
+            raise Trap("NullException", f"'reserve' of null (element {inner.index(0)})")
+        if w[place] & 0xFF != layout.OBJECT:
+            return inner
+        # What it says of itself comes first. What is no offer was made from its parts, which are here too.
+        offer = w[place] >> 8 & 0xFFFFFF in self._offers
+        return [part for part in inner[1:] if part] if offer else []
 
     # --- take -----------------------------------------------------------------------------------------
 
