@@ -115,7 +115,9 @@ def serves(scheduler: Scheduler, resource: Agent, caller: Agent, reservation: in
     except Trap:
         caller.frozen = False
         raise
-    caller.frozen = not served
+    if served:
+        # Else it is frozen, or may have been let go already.
+        caller.frozen = False
     return served
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from reserving_hosts import Reserving, program, ran
 
+from lfield.vm.agent import Agent, Member
+
 ALL = ["take r0", "take r1", "take r2"]
 BACK = ["drop r0 7", "drop r1 8", "drop r2 9"]
 
@@ -226,12 +228,49 @@ def test_or_until_it_is_served(calls: str) -> None:
     assert joined.printed == ["111" if "together" in calls else "010"]
 
 
+@pytest.mark.parametrize(
+    "calls",
+    ["r[1].work(1.0);", "together { for (Post one : r) one.work(1.0); }", "reserve (r) { r[1].work(1.0); }"],
+)
+def test_a_host_may_let_it_ask_again_at_once(calls: str) -> None:
+    """Who has no disk has nothing to wait for, and says so while it is asked."""
+    joined = Reserving(program(RESERVED % calls))
+    machine = joined.machines[1]
+    machine.agents["r1"].reserved = True
+    joined.book.busy.add("r1")
+    joined.run(until=1.0)
+    boss = machine.agents["boss"]
+    book, place = joined.book, joined.places[1]
+    take, serves = place.take, place.serves
+
+    def let() -> None:
+        book.busy.clear()
+        machine.go(boss)
+
+    def taken(agent: Agent, resource: Member, *, nested: bool) -> int:
+        number = take(agent, resource, nested=nested)
+        if book.busy:
+            let()
+        return number
+
+    def served(agent: Agent, resource: Member, number: int) -> bool:
+        answer = serves(agent, resource, number)
+        if book.busy:
+            let()
+        return answer
+
+    place.take, place.serves = taken, served  # type: ignore[method-assign]
+    machine.go(boss)
+    joined.run()
+    assert joined.printed == ["111" if "together" in calls else "010"]
+
+
 def test_in_a_together_the_others_of_that_host_go_on() -> None:
     """Two calls of one host, of which one is reserved by somebody else: only that one throws."""
     joined = Reserving(
         program("try { together { r[1].work(1.0); r[2].work(1.0); } } catch (Exception e) { }")
     )
-    joined.team[2:3] = [type(joined.team[2])(2, "r2", "Post", "resource", 1)]
+    joined.team[2:3] = [Member(2, "r2", "Post", "resource", 1)]
     machine = joined.restart(1)
     machine.start(joined.team[2], joined.limits, 0)
     joined.still()
