@@ -13,6 +13,7 @@ from reserving_hosts import Reserving, program
 from lfield.errors import BlockError
 from lfield.vm import machine as machine_module
 from lfield.vm.contract import Limits
+from lfield.vm.inspect.decode import view
 from lfield.vm.memory import layout
 
 BODY = """
@@ -50,6 +51,12 @@ def test_what_it_has_is_told_wherever_it_stands() -> None:
     whole = (("r0", 7), ("r1", 8), ("r2", 9))
     assert list(dict.fromkeys(seen)) == [(("r0", 7),), (("r0", 7), ("r1", 8)), whole]
     assert joined.printed == ["0", "1", "behind"]
+
+
+def test_what_is_inspected_says_what_is_reserved() -> None:
+    joined = waiting()
+    shown = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
+    assert shown.threads[0].frames[0].reserved == ("r0, by number 7",)
 
 
 def test_a_restored_one_goes_on_taking_by_itself() -> None:
