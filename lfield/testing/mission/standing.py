@@ -90,7 +90,8 @@ def _waits(fleet: Fleet, life: Life, agent: Agent, state: int) -> str:
     names = [f"{call.resource}.{call.portal}()" for call in begun if call.state == "running"]
     running = listed(names) if names else ""
     if called:
-        words = f"{core.waits(agent) or 'waits'} for {called[0].id}.{called[1]}()"
+        what = f"for {called[0].id}.{called[1]}()" if called[1] else f"to reserve {called[0].id}"
+        words = f"{core.waits(agent) or 'waits'} {what}"
         return f"{words}, beside {running}" if running else words
     if running and state == CALLING:
         return f"waits for {running}"
