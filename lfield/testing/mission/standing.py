@@ -60,7 +60,7 @@ def _missing(fleet: Fleet, member: Member, outcome: str, hops: Sequence[Hop]) ->
 
 
 def _has_left(fleet: Fleet, agent: Agent) -> bool:
-    """Whether a coordinator goes on elsewhere already, and only the answer of that host is on its way here."""
+    """Whether a coordinator goes on elsewhere already; only the answer of that host is on its way here."""
     copies = [life.core.machine.agents.get(agent.id) for life in fleet.lives.values()]
     return agent.frozen and any(copy is not None and _is_later(copy, agent) for copy in copies)
 
