@@ -77,3 +77,14 @@ def test_one_rover_alone_gives_up_and_says_where_the_box_is(lfield_mission):
     team.run(until_done=True)
     assert team.ended == {"movers": "done"}
     assert team.said("the box is at (0.00, 0.00)") == 1
+
+
+def test_things_that_are_no_devices_keep_the_order_of_their_fake(lfield_mission):
+    """Colours of a picture go by it: that of a set would differ from process to process."""
+    team = lfield_mission("mission.dL")
+    team.run(0.5)
+    assert [name for name in team.tracks if name.startswith("box")] == [
+        "box",
+        "box, left end",
+        "box, right end",
+    ]

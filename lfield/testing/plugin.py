@@ -45,6 +45,8 @@ def lfield_mission(request: pytest.FixtureRequest) -> Iterator[OpenMission]:
 
     def opened(path: str | Path, **options: Any) -> Team:
         __tracebackhide__ = True
+        if not isinstance(path, str | Path):
+            pytest.fail(f"lfield_mission({path!r}): give the path of a deployment", pytrace=False)
         try:
             team = Team(request.path.parent / path, **options)
         except ProgramError as error:

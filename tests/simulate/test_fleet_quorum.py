@@ -173,7 +173,7 @@ def test_a_coordinator_does_not_start_without_a_majority(tmp_path: Path) -> None
     for name in ("bravo", "charlie"):
         fleet.cut("alpha", name)
     fleet.run(20.0)
-    assert said(fleet, "walker: not started before a majority of the team can be heard")
+    assert said(fleet, "walker is not started before a majority of the team can be heard")
     assert not said(fleet, "stamp")
     fleet.heal("alpha", "charlie")
     run_until(fleet, "stamp 0", 10.0)

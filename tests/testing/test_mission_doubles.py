@@ -524,6 +524,9 @@ def test_an_exception_that_l_does_not_have_and_a_time_that_is_none_are_refused()
         Throws("DeviceExeption", "x")
     with pytest.raises(DoubleError, match="take one of Exception, Unreach"):
         Throws("xyzzy")
+    for kind, message in ((3, ""), ("DeviceException", 3)):
+        with pytest.raises(DoubleError, match="give the name of a built-in exception of L, and a text"):
+            Throws(kind, message)  # type: ignore[arg-type]
     for seconds in (-1.0, math.nan, math.inf, "1"):
         with pytest.raises(DoubleError, match="is no time to wait"):
             After(seconds, 1)  # type: ignore[arg-type]

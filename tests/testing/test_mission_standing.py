@@ -85,3 +85,26 @@ def test_a_coordinator_that_is_nowhere_is_named(stuck_in):
 def test_a_coordinator_that_has_ended_is_told_as_that(stuck_in):
     lines = stuck_in("one.work();", more="//Other:other@bravo\n")
     assert of("boss", lines) == "boss: done"
+
+
+def test_a_paused_team_says_so(stuck_in):
+    lines = stuck_in("sleep(100.0);", disturb=lambda team: team.at(3.0, team.pause))
+    assert "alpha is paused: nothing runs there until it is resumed" in lines
+
+
+def test_who_waits_for_a_majority_to_begin_is_told_so(stuck_in):
+    def crash(team: Team) -> None:
+        team.crash("bravo")
+        team.crash("charlie")
+
+    lines = stuck_in("heartbeatInterval(5.0); one.work();", more="//@charlie\n", disturb=crash)
+    told = "boss is nowhere: it has not begun on alpha; alpha said: boss is not started before a majority of"
+    assert of("boss", lines).startswith(told)
+
+
+def test_a_coordinator_on_its_way_is_told_once(stuck_in):
+    body = "while (true) { one.quick(); two.quick(); }"
+    lines = stuck_in(body.replace("quick", "work"))
+    assert of("boss", lines)
+    lines = stuck_in("together { one.slow(); two.slow(); }")
+    assert of("boss", lines).count("one.slow()") == 1

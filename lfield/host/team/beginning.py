@@ -76,7 +76,8 @@ class Beginning:
         known = self._team.mobility.knowledge()
         waiting = [a for a in self._own if a in self._leases.fenced and not self._why_not(a, known)]
         if waiting and not self._told:
-            self._say(f"{' and '.join(waiting)}: not started before a majority of the team can be heard")
+            names = f"{' and '.join(waiting)} {'is' if len(waiting) == 1 else 'are'}"
+            self._say(f"{names} not started before a majority of the team can be heard")
         self._told = bool(waiting)
         if waiting:
             self._leases.want()

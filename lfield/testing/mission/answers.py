@@ -89,10 +89,14 @@ def _same(one: object, other: object) -> bool:
 class Throws(Exception):
     """Raised by a double: the built-in exception of L of this kind is thrown to whoever called the portal.
 
-    Raises DoubleError when L has no such exception.
+    Raises DoubleError when L has no such exception, or the message is no text.
     """
 
     def __init__(self, kind: str, message: str = "") -> None:
+        if not isinstance(kind, str) or not isinstance(message, str):
+            raise DoubleError(
+                f"Throws({kind!r}, {message!r}): give the name of a built-in exception of L, and a text"
+            )
         if kind not in BUILTIN_CLASSES:
             hint = did_you_mean(kind, BUILTIN_CLASSES)
             raise DoubleError(

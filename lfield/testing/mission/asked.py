@@ -25,6 +25,13 @@ def action(value: object, call: str) -> Callable[[], None]:
     return found
 
 
+def line(value: object) -> str:
+    """A line of L."""
+    if not isinstance(value, str):
+        raise MissionTestError(f"when({value!r}, ...): a line is written as mission.L:42")
+    return value
+
+
 def one_end(duration: object, until: object, *, until_done: bool) -> None:
     """A `run` has one end: a time, something to wait for, or the end of the mission."""
     if [duration is not None, until is not None, until_done].count(True) != 1:

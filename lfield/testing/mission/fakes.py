@@ -114,5 +114,5 @@ class Fakes:
             number = numbers.get(device.name, next(iter(fake.devices), ""))
             self.devices[device.name] = FakeDevice(device.name, process, fake, number, self._mark)
         # What several fakes have between them, such as a box that their robots push, has a name of its own.
-        for thing in fake.places.keys() - fake.devices.keys():
+        for thing in [name for name in fake.places if name not in fake.devices]:
             self.devices[thing] = FakeDevice(thing, process, fake, thing, self._mark)

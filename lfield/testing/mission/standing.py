@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 
 from lfield.simulate.fleet import Fleet, Life
@@ -9,7 +10,17 @@ from lfield.testing.mission.watching import Hop
 from lfield.text.suggest import listed
 from lfield.vm.agent import Agent, Member
 from lfield.vm.inspect import traceback
-from lfield.vm.memory.layout import BLOCKED, CALLING, STATE_NAMES, THREAD_PC, THREAD_STATE, W_OWNER, WAITING
+from lfield.vm.memory.layout import (
+    BLOCKED,
+    CALLING,
+    STATE_NAMES,
+    THREAD_PC,
+    THREAD_STATE,
+    W_GENERATION,
+    W_HOPS,
+    W_OWNER,
+    WAITING,
+)
 from lfield.vm.memory.threads import place_of, threads
 
 
@@ -23,8 +34,11 @@ def standing(fleet: Fleet, ended: Mapping[str, str], hops: Sequence[Hop]) -> lis
             lines.append(f"{name} does not run")
             continue
         lines += _links(life, fleet.mission.team.hosts)
+        if life.core.coordinators.paused:
+            lines.append(f"{name} is paused: nothing runs there until it is resumed")
         for agent in life.core.machine.agents.values():
-            lines += _agent(fleet, life, agent)
+            if not _has_left(fleet, agent):
+                lines += _agent(fleet, life, agent)
     there = {id for life in fleet.lives.values() for id in life.core.machine.agents}
     missing = (member for member in fleet.mission.team.coordinators if member.id not in there)
     return lines + [_missing(fleet, member, ended.get(member.id, ""), hops) for member in missing]
@@ -39,9 +53,22 @@ def _missing(fleet: Fleet, member: Member, outcome: str, hops: Sequence[Hop]) ->
     host = last or home
     if host not in fleet.lives:
         return f"{member.id} is nowhere: {'it was on' if last else 'it begins on'} {host}, which does not run"
-    said = [text.strip() for _, name, text in fleet.log if name == host and text.startswith(f"{member.id} ")]
+    about = re.compile(rf"(^|.* and ){re.escape(member.id)} ")
+    said = [text.strip() for _, name, text in fleet.log if name == host and about.match(text)]
     why = f"; {host} said: {said[-1]}" if said else ""
     return f"{member.id} is nowhere: {'it was last on' if last else 'it has not begun on'} {host}{why}"
+
+
+def _has_left(fleet: Fleet, agent: Agent) -> bool:
+    """Whether a coordinator goes on elsewhere already; only the answer of that host is on its way here."""
+    copies = [life.core.machine.agents.get(agent.id) for life in fleet.lives.values()]
+    return agent.frozen and any(copy is not None and _is_later(copy, agent) for copy in copies)
+
+
+def _is_later(copy: Agent, agent: Agent) -> bool:
+    """Whether it is the same start, after more hops."""
+    mine, other = agent.block.w, copy.block.w
+    return other[W_GENERATION] == mine[W_GENERATION] and other[W_HOPS] > mine[W_HOPS]
 
 
 def _links(life: Life, hosts: Sequence[str]) -> list[str]:
@@ -88,11 +115,13 @@ def _waits(fleet: Fleet, life: Life, agent: Agent, state: int) -> str:
     lives = fleet.lives.values()
     begun = [call for one in lives for call in one.core.machine.begun_calls() if call.agent == agent.id]
     names = [f"{call.resource}.{call.portal}()" for call in begun if call.state == "running"]
-    running = listed(names) if names else ""
     if called:
-        what = f"for {called[0].id}.{called[1]}()" if called[1] else f"to reserve {called[0].id}"
+        first = f"{called[0].id}.{called[1]}()"
+        beside = [name for name in names if name != first]
+        what = f"for {first}" if called[1] else f"to reserve {called[0].id}"
         words = f"{core.waits(agent) or 'waits'} {what}"
-        return f"{words}, beside {running}" if running else words
+        return f"{words}, beside {listed(beside)}" if beside else words
+    running = listed(names) if names else ""
     if running and state == CALLING:
         return f"waits for {running}"
     return core.waits(agent) or STATE_NAMES[state]

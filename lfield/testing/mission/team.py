@@ -302,7 +302,7 @@ class Team:
 
     def when(self, line: str, action: Callable[[], None]) -> None:
         """Do something, once, as soon as anybody comes to `mission.L:42`. Raises MissionTestError."""
-        self._lines.when(line, asked.action(action, f"when({line!r}, ...)"))
+        self._lines.when(asked.line(line), asked.action(action, f"when({line!r}, ...)"))
 
     def cut(self, one: str, other: str) -> None:
         """Break what connects two hosts, and let nothing through until `heal`."""
@@ -370,7 +370,7 @@ class Team:
         return self._host(one), self._host(other)
 
     def _host(self, name: str) -> str:
-        if name not in self._fleet.computers:
+        if not isinstance(name, str) or name not in self._fleet.computers:
             known = ", ".join(self._fleet.computers)
-            raise MissionTestError(f"there is no host '{name}'; there are: {known}")
+            raise MissionTestError(f"there is no host {name!r}; there are: {known}")
         return name
