@@ -12,13 +12,14 @@ stopped renewing, and all values of a host that was away until it has told every
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Sample, Trouble
-from lfield.capability.model import Live, Registry
-from lfield.capability.offer import Candidate, Fact
+from lfield.capability.matching.expression import POSITION
+from lfield.capability.model import Attribute, Live, Registry
+from lfield.capability.offer import Candidate, Fact, Place
 from lfield.clock import Clock
 
 #: Answers within so many seconds are the same objects, with the same ages: the matcher goes by that.
@@ -93,6 +94,7 @@ class Directory:
     ) -> None:
         self._registry, self._here, self._links, self._clock = registry, here, links, clock
         self._agents: dict[str, Deployed] = {a.id: a for a in agents if a.type in registry.providers}
+        self._numbers = {agent.id: number for number, agent in enumerate(agents)}
         self._by_type: dict[str, list[Deployed]] = {}
         for agent in self._agents.values():
             self._by_type.setdefault(agent.type, []).append(agent)
@@ -169,6 +171,12 @@ class Directory:
         now = self._clock.monotonic()
         return [self._candidate(agent, now) for agent in self._by_type.get(resource, ())]
 
+    def here(self) -> Place | None:
+        """Where this host is: where the first of its agents is whose place is known."""
+        now = self._clock.monotonic()
+        own = (self._candidate(agent, now) for agent in self._agents.values() if agent.host == self._here)
+        return place_of(own, self._registry.attributes)
+
     def everybody(self) -> list[Candidate]:
         """All agents as they are now, in the order of the deployment."""
         now = self._clock.monotonic()
@@ -197,7 +205,8 @@ class Directory:
                 unknown = {**{name: f"{agent.host} has not told {name} yet" for name in untold}, **unknown}
         refusal = trouble.sentence(now) if trouble else ""
         hops = 0 if agent.host == self._here else 1
-        candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown)
+        number = self._numbers[agent.id]
+        candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown, number)
         return _Shown(candidate, condition, away, now + MOMENT if live or trouble else math.inf)
 
     def _told(self, agent: Deployed) -> Condition:
@@ -215,6 +224,23 @@ class Directory:
 def _true_at(sample: Sample, kept_until: float) -> float:
     """When a value was last true: one that is kept has moved on with its host, up to `kept_until`."""
     return sample.when + max(0.0, kept_until - sample.at) if sample.kept else sample.when
+
+
+def place_of(candidates: Iterable[Candidate], attributes: Mapping[str, Attribute]) -> Place | None:
+    """Where the first of some agents is that tells north and east, and has done so lately."""
+    for candidate in candidates:
+        found = [_fresh(candidate, axis, attributes) for axis in POSITION]
+        if found[0] is not None and found[1] is not None:
+            return found[0], found[1], found[2]
+    return None
+
+
+def _fresh(candidate: Candidate, name: str, attributes: Mapping[str, Attribute]) -> float | None:
+    fact, attribute = candidate.facts.get(name), attributes.get(name)
+    if fact is None or attribute is None or (attribute.live and fact.age > attribute.max_age):
+        return None
+    known = isinstance(fact.value, int | float) and math.isfinite(fact.value)
+    return float(fact.value) if known else None  # type: ignore[arg-type]  # it is a number
 
 
 def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
