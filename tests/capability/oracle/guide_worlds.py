@@ -99,7 +99,7 @@ def world(dice: random.Random) -> World:
         made.providers[type] = _provider(dice)
     for name in dice.sample(["a-way", "b-way", "c-way", "d-way", "e-way"], dice.randint(0, 4)):
         serves, by = dice.sample(PRIMITIVES, 2)
-        rule: dict[str, Any] = {"serves": serves, "by": by, "loss": dice.choice([0.0, 0.0, 0.25, 1.0])}
+        rule: dict[str, Any] = {"serves": serves, "by": by, "loss": dice.choice([0.0, 0.0, 0.0, 0.25])}
         if dice.random() < 0.4:
             rule["when"] = condition(dice, 1)
         made.one_to_one[name] = rule
@@ -196,7 +196,8 @@ def _between(dice: random.Random, one: str, other: str) -> Tree:
             ("!=", ("is", f"{one}.robot"), ("is", f"{other}.robot")),
             (">=", ("+", first, second), ("number", 2.0)),
             ("<=", first, second),
-            (">=", ("call", "min", first, second), ("number", 1.0)),
+            (dice.choice(["<", ">="]), ("call", dice.choice(["min", "max"]), first, second), ("number", 1.0)),
+            (dice.choice(["<", ">="]), ("number", 1.0), ("call", dice.choice(["min", "max"]), first, second)),
             ("<=", ("call", "distance", ("is", one), ("is", other)), ("number", 4.0))
             if one != other
             else (">=", first, ("number", 1.0)),

@@ -19,7 +19,7 @@ from lfield.capability.reading.reader import check_files
 from lfield.operator.query import from_hosts
 from lfield.wire.observing import Told, ToldFact
 
-WORLDS, QUESTIONS = 300, 4
+WORLDS, QUESTIONS = 300, 5
 
 
 class Deployed:
