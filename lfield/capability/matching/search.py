@@ -211,7 +211,7 @@ class Search:
             (0.0, self._branch(assembly, narrowed, depth, used | {assembly.rule.name}, effort))
             for narrowed in assembly.narrowed(wishes)
         ]
-        yield from branches[0][1] if len(branches) == 1 else _merged(branches)
+        yield from _merged(branches)
 
     def _branch(
         self, assembly: Assembly, narrowed: Narrowed, depth: int, used: Used, effort: Effort
@@ -260,7 +260,7 @@ class Search:
         if way.assembly is None:
             behind = fulfilling(self.agents(_end(way.chain, primitive)), judges(asked))
         else:
-            behind = self.composed(way.assembly, depth - len(way.chain) - 1, used, asked)
+            behind = _each(self.composed(way.assembly, depth - len(way.chain) - 1, used, asked))
         for plan in behind:
             for rule in reversed(way.chain):
                 plan = standing_in(rule, plan, self.rules.ranking)
@@ -287,12 +287,23 @@ def _end(chain: Chain, primitive: str) -> str:
     return chain[-1].by if chain else primitive
 
 
+def _each(stream: Stream) -> Iterator[Plan]:
+    """The plans of a stream, as they are asked for."""
+    number = 0
+    while (plan := stream.at(number)) is not None:
+        yield plan
+        number += 1
+
+
 def _merged(streams: Iterable[tuple[float, Iterator[Plan]]]) -> Iterator[Plan]:
     """The plans of ordered streams in the order of their ranks; of equal ones the earlier stream's first.
 
     A stream that is not begun waits with the least that its plans can cost.
     """
     started = list(streams)
+    if len(started) == 1:
+        yield from started[0][1]
+        return
     waiting: list[tuple[Rank | tuple[float], int, Plan | None]] = [
         ((bound,), number, None) for number, (bound, _) in enumerate(started)
     ]
