@@ -29,6 +29,7 @@ FIGURES = {
     "query": "capability.query",
     "find": "capability.find",
     "compositions": "capability.compositions",
+    "rankings": "capability.rankings",
     "directory": "capability.directory",
     "traffic": "team.traffic",
     "leases": "team.leases",

@@ -15,7 +15,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain as joined
 from itertools import islice
-from operator import attrgetter
 
 from lfield.capability.matching.assembly import Assembly
 from lfield.capability.matching.evaluate import Judge, conjuncts, evaluator, names
@@ -113,7 +112,9 @@ class Search:
                 provided.plans(self.candidates(provided.type), self.asked)
                 for provided in self.rules.providers(primitive)
             ]
-            self._agents[primitive] = sorted(joined(*found), key=attrgetter("rank"))
+            # In the order of the deployment first: of equal cost that counts, and types are in it already.
+            plans = found[0] if len(found) == 1 else sorted(joined(*found), key=_number)
+            self._agents[primitive] = sorted(plans, key=_cost)
         return self._agents[primitive]
 
     def plans(self) -> Iterator[Plan]:
@@ -138,8 +139,9 @@ class Search:
         found = 0
         for way in self._ways(self.primitive, self.limits.depth, NOTHING):
             if way.assembly is None:
-                conditions = judges((*_asked(way.chain), *self.wishes))
-                found += sum(1 for _ in fulfilling(self.agents(_end(way.chain, self.primitive)), conditions))
+                agents, asked = self.agents(_end(way.chain, self.primitive)), _asked(way.chain)
+                plans = fulfilling(agents, judges((*asked, *self.wishes)))
+                found += sum(1 for _ in plans) if asked or self.wishes else len(agents)
             else:
                 plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.wishes)
                 wholes.setdefault(way.assembly.rule.name, []).append(plans)
@@ -285,6 +287,15 @@ def _asked(chain: Chain) -> Wishes:
 def _end(chain: Chain, primitive: str) -> str:
     """The primitive at the end of a chain."""
     return chain[-1].by if chain else primitive
+
+
+def _cost(plan: Plan) -> float:
+    return plan.rank[0]
+
+
+def _number(plan: Plan) -> int:
+    number: int = plan.rank[3][0]
+    return number
 
 
 def _each(stream: Stream) -> Iterator[Plan]:
