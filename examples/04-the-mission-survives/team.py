@@ -86,7 +86,7 @@ class Team:
 
     def _last_of(self, host: str) -> str:
         last = [x.text for x in self.lines if x.host == host][-3:]
-        return " / ".join([f"{host} has ended, and its last words were", *last or ["none"]])
+        return " / ".join([f"{host} has ended, and its last words were", *(last or ["none"])])
 
     def end(self) -> None:
         """End the hosts, which bring their devices to rest, then the fakes."""
