@@ -54,6 +54,30 @@ class Expression:
 
 
 @dataclass(frozen=True, slots=True)
+class Key:
+    """What offers are ordered by: a number, the least first, or the most first where it is `descending`."""
+
+    value: Expression
+    descending: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What is asked of offers: a condition (None: any will do), what to order by first, and how many.
+
+    Where the keys are equal, and where there are none, the ranking decides; what is not known comes last.
+    """
+
+    condition: Expression | None = None
+    order: tuple[Key, ...] = ()
+    limit: int | None = None
+
+
+#: Whoever it is.
+ANYBODY = Wish()
+
+
+@dataclass(frozen=True, slots=True)
 class Term:
     """A node of the taxonomy. `id` is dotted, its parent is what stands before the last dot.
 
@@ -224,7 +248,7 @@ class Composition:
     The class is `coordinator specific`, has the portals of the primitive as public methods, and takes the
     parts in its constructor in the order of `needs`. `where` are conditions over the parts (`grip.robot !=
     climb.robot`); `attributes` are expressions over them for what the whole is worth (`min(grip.payload,
-    climb.payload)`).
+    climb.payload)`). Parts that are `distinct` have no agent in common.
     """
 
     name: str
@@ -234,6 +258,7 @@ class Composition:
     source: Path
     span: Span = NOWHERE
     where: tuple[Expression, ...] = ()
+    distinct: tuple[str, ...] = ()
     attributes: Mapping[str, Expression] = field(default_factory=dict)
     loss: float = 0.0
     meaning: str = ""
@@ -243,14 +268,17 @@ class Composition:
 class Weights:
     """What the parts of a cost count (matching/ranking.py has the formula); a mission may set its own.
 
-    `attributes` weighs single attributes within the fitness; one that is not there counts 1.
+    `attributes` weighs single attributes within the fitness; one that is not there counts 1. `nearby` is a
+    usual distance between two of the team, in metres, against which nearness is measured.
     """
 
     fitness: float = 1.0
     loss: float = 2.0
     part: float = 0.5
     hop: float = 0.1
+    near: float = 0.2
     age: float = 0.2
+    nearby: float = 50.0
     attributes: Mapping[str, float] = field(default_factory=dict)
 
 

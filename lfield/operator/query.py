@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from lfield.capability.directory.directory import Deployed, live_attributes
+from lfield.capability.directory.directory import Deployed, live_attributes, place_of
 from lfield.capability.model import Attribute, Registry
-from lfield.capability.offer import Candidate, Fact
+from lfield.capability.offer import Candidate, Fact, Place
 from lfield.capability.reading.reader import read_registry
 from lfield.driver.plugins import discover
 from lfield.errors import LfieldError, UsageError
@@ -22,12 +22,21 @@ Views = Mapping[str, Mapping[str, Told]]
 
 
 class Roster:
-    """Agents by resource type, in the order of the deployment. Implements `offer.Team`."""
+    """Agents by resource type, in the order of the deployment. Implements `offer.Team`.
 
-    def __init__(self, candidates: Iterable[Candidate]) -> None:
+    Where is asked: where the first agent is whose host is the one that asks.
+    """
+
+    def __init__(self, candidates: Iterable[Candidate], attributes: Mapping[str, Attribute]) -> None:
         self._by_type: dict[str, list[Candidate]] = {}
-        for candidate in candidates:
+        found = list(candidates)
+        for candidate in found:
             self._by_type.setdefault(candidate.type, []).append(candidate)
+        self._place = place_of((candidate for candidate in found if candidate.hops == 0), attributes)
+
+    def here(self) -> Place | None:
+        """Where the host is that asks."""
+        return self._place
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
         """The agents of a resource type."""
@@ -59,10 +68,11 @@ def from_files(registry: Registry, agents: Sequence[Deployed], at: str = "") -> 
 
     `at` is the host where the question is asked, for the count of hops; '' is none of them.
     """
-    return Roster(
-        _candidate(registry, agent, at, Told(agent.id, "", {}, {}), "the team is not running")
-        for agent in _providers(registry, agents)
+    found = (
+        _candidate(registry, number, agent, at, Told(agent.id, "", {}, {}), "the team is not running")
+        for number, agent in _providers(registry, agents)
     )
+    return Roster(found, registry.attributes)
 
 
 def from_hosts(
@@ -72,10 +82,11 @@ def from_hosts(
 
     Of each agent counts what the host `at` says, else what its own host says, else what any other does.
     """
-    return Roster(
-        _candidate(registry, agent, at, _view(agent, views, silent, at), "no host tells it")
-        for agent in _providers(registry, agents)
+    found = (
+        _candidate(registry, number, agent, at, _view(agent, views, silent, at), "no host tells it")
+        for number, agent in _providers(registry, agents)
     )
+    return Roster(found, registry.attributes)
 
 
 def views_of(answers: Answers[Status]) -> Views:
@@ -87,9 +98,9 @@ def views_of(answers: Answers[Status]) -> Views:
     }
 
 
-def _providers(registry: Registry, agents: Sequence[Deployed]) -> list[Deployed]:
-    """The agents of a type that the registry knows."""
-    return [agent for agent in agents if agent.type in registry.providers]
+def _providers(registry: Registry, agents: Sequence[Deployed]) -> list[tuple[int, Deployed]]:
+    """The agents of a type that the registry knows, with their numbers in the deployment."""
+    return [(number, agent) for number, agent in enumerate(agents) if agent.type in registry.providers]
 
 
 def _view(agent: Deployed, views: Views, silent: Collection[str], at: str) -> Told:
@@ -101,7 +112,7 @@ def _view(agent: Deployed, views: Views, silent: Collection[str], at: str) -> To
     return Told(agent.id, why, {}, {})
 
 
-def _candidate(registry: Registry, agent: Deployed, at: str, told: Told, why: str) -> Candidate:
+def _candidate(registry: Registry, number: int, agent: Deployed, at: str, told: Told, why: str) -> Candidate:
     """An agent with its own values, and those live ones that are told and make sense."""
     facts = {name: Fact(value) for name, value in registry.agents.get(agent.id, {}).items()}
     unknown = {}
@@ -112,7 +123,7 @@ def _candidate(registry: Registry, agent: Deployed, at: str, told: Told, why: st
         else:
             unknown[name] = told.unknown.get(name) or f"{name} is not known: {why}"
     hops = 0 if agent.host == at else 1
-    return Candidate(agent.id, agent.type, agent.host, hops, told.refusal, facts, unknown)
+    return Candidate(agent.id, agent.type, agent.host, hops, told.refusal, facts, unknown, number)
 
 
 def _fits(value: bool | int | float | str, attribute: Attribute) -> bool:

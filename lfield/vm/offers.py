@@ -24,7 +24,8 @@ class Found:
     `way` is the field of the capability's class that stands for how. Directly, that is a proxy for the agent
     with the number `member`; otherwise `parts` are the offers in the fields they belong to. `kind` says the
     same in words. For each attribute there is a name, a number (NaN when it is none), a text (None: show the
-    number) and an age in seconds; the four are equally long.
+    number) and an age in seconds; the four are equally long. `found` is how many offers there were (of a part
+    0), and `note` what was left out, in words.
     """
 
     way: str
@@ -38,6 +39,12 @@ class Found:
     numbers: tuple[float, ...] = ()
     texts: tuple[str | None, ...] = ()
     ages: tuple[float, ...] = ()
+    found: int = 0
+    note: str = ""
+
+
+class SearchGivenUp(Exception):
+    """Nobody was found, and not everything could be tried; the message says what."""
 
 
 class UnknownWay(Exception):
@@ -87,8 +94,9 @@ class Shapes:
         core = program.core
         kinds = {record: i for i, record in enumerate(core.types)}
         self.of: dict[int, Shape] = {}
-        #: The type of an array of offers, where the program has such an array.
+        #: The type of an array of offers, and of an array of such arrays, where the program has them.
         self.arrays: dict[int, int] = {}
+        self.teams: dict[int, int] = {}
         for index, record in enumerate(core.classes):
             if not record.capability:
                 continue
@@ -96,8 +104,11 @@ class Shapes:
             array = kinds.get(TypeRecord(ARRAY, kinds.get(TypeRecord(OBJECT, index), -1)))
             if array is not None:
                 self.arrays[index] = array
+                self.teams[index] = kinds.get(TypeRecord(ARRAY, array), -1)
             #: The class of what offers say of themselves, and its two types of arrays.
             self.facts = core.types[record.fields[0].type].of
+            #: So many fields it has: a program of an older lfield has fewer.
+            self.told = len(core.classes[self.facts].fields)
             self.strings, self.reals = (core.classes[self.facts].fields[i].type for i in (4, 5))
 
 
@@ -113,8 +124,17 @@ def ways(program: Program) -> dict[str, frozenset[str]]:
 def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[Found]) -> int:
     """An array of offers on the heap; raises Full before it writes anything, and UnknownWay."""
     writer = _Writer(shapes, block.top)
-    offers = [writer.offer(shapes.of[capability], one) for one in found]
-    place = writer.put(layout.ARRAY, shapes.arrays[capability], offers)
+    return _written(block, writer, writer.offers(capability, found))
+
+
+def write_teams(block: Block, shapes: Shapes, capability: int, found: Sequence[Sequence[Found]]) -> int:
+    """An array of teams, each an array of offers; raises what `write_offers` does."""
+    writer = _Writer(shapes, block.top)
+    teams = [writer.offers(capability, team) for team in found]
+    return _written(block, writer, writer.put(layout.ARRAY, shapes.teams[capability], teams))
+
+
+def _written(block: Block, writer: _Writer, place: int) -> int:
     block.require(len(writer.words))
     end = block.top + len(writer.words)
     block.w[block.top : end] = memoryview(writer.words)
@@ -129,6 +149,11 @@ class _Writer:
         self.words = array("q")
         self._shapes, self._base = shapes, base
         self._made: dict[tuple[int, object], int] = {}
+
+    def offers(self, capability: int, found: Sequence[Found]) -> int:
+        """An array of offers; where it begins."""
+        offers = [self.offer(self._shapes.of[capability], one) for one in found]
+        return self.put(layout.ARRAY, self._shapes.arrays[capability], offers)
 
     def offer(self, shape: Shape, found: Found) -> int:
         """An offer with all it consists of; where it begins."""
@@ -157,7 +182,8 @@ class _Writer:
         said.append(self.put(layout.ARRAY, reals, _bits(found.numbers)))
         said.append(self._once(strings, found.texts, lambda: map(self._text, found.texts)))
         said.append(self._once(reals, found.ages, lambda: _bits(found.ages)))
-        return self.put(layout.OBJECT, self._shapes.facts, said)
+        said += [found.found, self._text(found.note)]
+        return self.put(layout.OBJECT, self._shapes.facts, said[: self._shapes.told])
 
     def _once(self, type: int, value: tuple[object, ...], body: Callable[[], Iterable[int]]) -> int:
         """The array of some values, the same for all offers that have these."""

@@ -12,15 +12,16 @@ stopped renewing, and all values of a host that was away until it has told every
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from msgspec import Struct
 
 from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Sample, Trouble
-from lfield.capability.model import Live, Registry
-from lfield.capability.offer import Candidate, Fact
+from lfield.capability.matching.expression import POSITION
+from lfield.capability.model import Attribute, Live, Registry
+from lfield.capability.offer import Candidate, Fact, Place
 from lfield.clock import Clock
 
 #: Answers within so many seconds are the same objects, with the same ages: the matcher goes by that.
@@ -94,6 +95,7 @@ class Directory:
     ) -> None:
         self._registry, self._here, self._links, self._clock = registry, here, links, clock
         self._agents: dict[str, Deployed] = {a.id: a for a in agents if a.type in registry.providers}
+        self._numbers = {agent.id: number for number, agent in enumerate(agents)}
         #: The agents of this host, whose conditions `own` wants.
         self.own_agents = [agent.id for agent in self._agents.values() if agent.host == here]
         self._by_type: dict[str, list[Deployed]] = {}
@@ -167,6 +169,12 @@ class Directory:
         now = self._clock.monotonic()
         return [self._candidate(agent, now) for agent in self._by_type.get(resource, ())]
 
+    def here(self) -> Place | None:
+        """Where this host is: where the first of its agents is whose place is known."""
+        now = self._clock.monotonic()
+        own = (self._candidate(agent, now) for agent in self._agents.values() if agent.host == self._here)
+        return place_of(own, self._registry.attributes)
+
     def everybody(self) -> list[Candidate]:
         """All agents as they are now, in the order of the deployment."""
         now = self._clock.monotonic()
@@ -194,7 +202,8 @@ class Directory:
                 unknown = {**{name: f"{agent.host} has not told {name} yet" for name in untold}, **unknown}
         refusal = trouble.sentence(now) if trouble else ""
         hops = 0 if agent.host == self._here else 1
-        candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown)
+        number = self._numbers[agent.id]
+        candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown, number)
         return _Shown(candidate, condition, away, now + MOMENT if live or trouble else math.inf)
 
     def _kept_until(self, host: str) -> float:
@@ -217,6 +226,23 @@ def _with_ages(
             true_at += kept_until - sample.at
         facts[name] = Fact(sample.value, now - true_at if now > true_at else 0.0)
     return facts
+
+
+def place_of(candidates: Iterable[Candidate], attributes: Mapping[str, Attribute]) -> Place | None:
+    """Where the first of some agents is that tells north and east, and has done so lately."""
+    for candidate in candidates:
+        found = [_fresh(candidate, axis, attributes) for axis in POSITION]
+        if found[0] is not None and found[1] is not None:
+            return found[0], found[1], found[2]
+    return None
+
+
+def _fresh(candidate: Candidate, name: str, attributes: Mapping[str, Attribute]) -> float | None:
+    fact, attribute = candidate.facts.get(name), attributes.get(name)
+    if fact is None or attribute is None or (attribute.live and fact.age > attribute.max_age):
+        return None
+    known = isinstance(fact.value, int | float) and math.isfinite(fact.value)
+    return float(fact.value) if known else None  # type: ignore[arg-type]  # it is a number
 
 
 def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:

@@ -14,7 +14,7 @@ from typing import Literal
 
 from lfield.capability import condition, condition_reader
 from lfield.capability.condition import Mistake
-from lfield.capability.model import Attribute, Expression
+from lfield.capability.model import Attribute, Expression, Key, Wish
 from lfield.errors import ConstraintError
 from lfield.text.source import Span
 from lfield.text.suggest import did_you_mean, listed
@@ -100,9 +100,37 @@ def compile_constraint(text: str, attributes: Mapping[str, Attribute]) -> Expres
     if expression is not None:
         mistakes = check(expression, Scope.of_offer(attributes), "boolean")
     if expression is None or mistakes:
-        shown = text if len(text) <= 80 else f"{text[:77]}..."
-        raise ConstraintError(shown, [str(mistake) for mistake in mistakes])
+        raise _wrong(text, mistakes)
     return expression
+
+
+def compile_wish(text: str, attributes: Mapping[str, Attribute]) -> Wish:
+    """A wish over the attributes of offers. Raises ConstraintError with everything wrong in it."""
+    question, mistakes = read_wish(text, attributes)
+    if question is None or mistakes:
+        raise _wrong(text, mistakes)
+    return question
+
+
+def read_wish(text: str, attributes: Mapping[str, Attribute]) -> tuple[Wish | None, list[Mistake]]:
+    """The wish in a text, or None and everything wrong in it."""
+    written, mistakes = condition_reader.parse_wish(text)
+    if written is None:
+        return None, mistakes
+    scope = Scope.of_offer(attributes)
+    wished = written.condition
+    condition = None if wished is None else Expression(written.text, wished)
+    keys = tuple(Key(Expression(tree.span.text, tree), descending) for tree, descending in written.order)
+    if condition is not None:
+        mistakes += check(condition, scope, "boolean")
+    for key in keys:
+        mistakes += check(key.value, scope, "number")
+    return (None if mistakes else Wish(condition, keys, written.limit)), mistakes
+
+
+def _wrong(text: str, mistakes: list[Mistake]) -> ConstraintError:
+    shown = text if len(text) <= 80 else f"{text[:77]}..."
+    return ConstraintError(shown, [str(mistake) for mistake in mistakes])
 
 
 def parse(text: str) -> tuple[Expression | None, list[Mistake]]:
@@ -290,11 +318,24 @@ class _Checker:
     def _distance(self, tree: condition.Call) -> Kind:
         scope = self._scope
         if not scope.needs:
-            hint = "only the rule of a composition has parts"
-            return self.report(tree.span, "distance() is between two parts", hint)
+            return self._distance_to(tree)
         if lacking := [name for name in POSITION if name not in scope.members]:
             return self.report(tree.span, f"distance() needs the attributes {listed(lacking)}")
         parts = [a for a in tree.arguments if isinstance(a, condition.Name) and a.name in scope.needs]
         if len(parts) != 2 or len(tree.arguments) != 2:
             return self.report(tree.span, "distance() takes two parts", f"these are {listed(scope.needs)}")
         return _NUMBER
+
+    def _distance_to(self, tree: condition.Call) -> Kind:
+        """From an offer to a place."""
+        if lacking := [name for name in POSITION if name not in self._scope.names]:
+            return self.report(tree.span, f"distance() needs the attributes {listed(lacking)}")
+        if len(tree.arguments) not in (2, 3):
+            message = "distance() here takes a place: north, east and, if that counts, down"
+            return self.report(tree.span, message, "such as distance(12.0, 4.0), in metres")
+        for argument in tree.arguments:
+            if not isinstance(argument, condition.Literal_):
+                return self.report(
+                    argument.span, "a place is written in numbers", "such as distance(12.0, 4.0)"
+                )
+        return self._all(tree.arguments, _NUMBER, "distance()")

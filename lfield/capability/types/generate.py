@@ -49,6 +49,8 @@ _FACTS = (
     ("real attribute(string name)", "attribute(name)"),
     ("string text(string name)", "text(name)"),
     ("real age(string name)", "age(name)"),
+    ("int found()", "found()"),
+    ("string note()", "note()"),
 )
 
 

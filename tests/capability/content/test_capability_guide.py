@@ -12,8 +12,10 @@ import pytest
 from shipped_registry import REGISTRY
 
 from lfield.capability import units
+from lfield.capability.condition_reader import MAX_LIMIT
 from lfield.capability.matching.expression import compile_constraint
 from lfield.capability.matching.matcher import Matcher
+from lfield.capability.matching.ranking import formula
 from lfield.capability.matching.search import Limits
 from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
@@ -45,6 +47,9 @@ class Team:
     def candidates(self, resource: str) -> Sequence[Candidate]:
         """The agents of a type."""
         return [member for member in self.members if member.type == resource]
+
+    def here(self) -> None:
+        """Nobody knows where the question is asked."""
 
 
 def mission(tmp_path: Path, text: str) -> Registry:
@@ -97,6 +102,9 @@ def test_the_walk_through_gives_the_answers_it_says(tmp_path: Path) -> None:
     assert {offer.way for offer in matcher.offers("FollowPath")} == {"of_point_by_point"}
 
 
+TERMS = ("fitness", "loss", "part", "hop", "near", "age")
+
+
 def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
     assert f"{len(REGISTRY.primitives)} primitives" in GUIDE
     numbers = ("", "one", "two", "three", "four", "five")
@@ -104,8 +112,18 @@ def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
     assert f"to a depth of {numbers[limits.depth]}" in GUIDE
     assert ("the best sixteen combinations" in GUIDE) == (limits.per_rule == 16)
     weights = REGISTRY.weights
-    said = "The weights are `fitness` {:g}, `loss` {:g}, `part` {:g}, `hop` {:g} and `age` {:g}."
-    assert said.format(weights.fitness, weights.loss, weights.part, weights.hop, weights.age) in GUIDE
+    *terms, last = [f"`{name}` {getattr(weights, name):g}" for name in TERMS]
+    said = f"The weights are {', '.join(terms)} and {last}, and `nearby` is {weights.nearby:g} m."
+    assert said in " ".join(GUIDE.split())
+    assert limits.combinations == 1000
+    assert "a thousand in vain at most" in GUIDE
+    assert "32 unless the question says how many" in GUIDE
+    assert limits.offers == 32
+    assert f"from 1 to {MAX_LIMIT}" in GUIDE
+
+
+def test_the_formula_of_the_guide_is_that_of_the_code() -> None:
+    assert f"```text drawing\n{formula()}\n```" in GUIDE
 
 
 def test_the_units_of_the_guide_are_known() -> None:
@@ -141,6 +159,17 @@ equivalences:
 """
 
 
+def example_team(crane: str = "Crane", copter: str = "Copter", hand: str = "Hand") -> Team:
+    """Crane, copter and hand, of these types."""
+    return Team(
+        (
+            Candidate("crane", crane, "here"),
+            Candidate("copter", copter, "sky", 1, facts={"battery": Fact(1.0, 5.0)}),
+            Candidate("hand", hand, "bench", 1),
+        )
+    )
+
+
 def figures() -> Iterator[tuple[float, float]]:
     """Cost and score of every row of the table."""
     (table,) = re.findall(r"\| offer \| F \| cost \| score \|\n.*\n((?:\|.*\n)+)", GUIDE)
@@ -153,14 +182,30 @@ def test_the_worked_example_is_what_the_ranking_gives(tmp_path: Path) -> None:
     (tmp_path / "whole.L").write_text("", encoding="utf-8")
     path = tmp_path / "example.yaml"
     path.write_text(EXAMPLE, encoding="utf-8")
-    team = Team(
-        (
-            Candidate("crane", "Crane", "here"),
-            Candidate("copter", "Copter", "sky", 1, facts={"battery": Fact(1.0, 5.0)}),
-            Candidate("hand", "Hand", "bench", 1),
-        )
-    )
-    offers = Matcher(read_registry([path]), team).offers("Lift")
+    offers = Matcher(read_registry([path]), example_team()).offers("Lift")
     assert [offer.kind for offer in offers] == ["direct", "equivalent", "composed"]
     given = [(round(offer.cost, 3), round(offer.score, 3)) for offer in offers]
     assert given == list(figures())
+
+
+def test_what_nobody_of_the_team_is_of_changes_no_score(tmp_path: Path) -> None:
+    """The same example beside all that we ship: no stock type is in the team, so none counts."""
+    path = tmp_path / "mission.capabilities.yaml"
+    path.write_text(STOCKED, encoding="utf-8")
+    registry = read_registry(mission=path)
+    offers = Matcher(registry, example_team("Bridge", "Kite")).offers("Lift")
+    assert (offers[0].agent, round(offers[0].score, 3)) == ("crane", 0.800)
+    assert [round(offer.cost, 3) for offer in offers if offer.rule == "climb-carries"] == [1.45]
+
+
+STOCKED = """
+registry: 1
+providers:
+  Bridge: {attributes: {payload: 6.0}, serves: {Lift: {portals: {lift: up, lower: down}}}}
+  Kite:
+    attributes: {payload: 0.5}
+    live: {battery: fc.battery}
+    serves: {Climb: {portals: {climb: up, descend: down}}}
+equivalences:
+  climb-carries: {serves: Lift, by: Climb, portals: {lift: climb, lower: descend}, loss: 0.3}
+"""
