@@ -54,9 +54,9 @@ MESSAGE, SOURCE, TRACE, OTHERS = 0, 1, 2, 3
 BESIDE = ""
 
 #: The first field of a capability, and the fields of its class: what every offer tells about itself. `names`,
-#: `numbers`, `texts` and `ages` have one element for each attribute.
+#: `numbers`, `texts`, `ages` and `sources` have one element for each attribute.
 FACTS = "facts"
-FACT_FIELDS = ("agent", "host", "way", "score", "names", "numbers", "texts", "ages")
+FACT_FIELDS = ("agent", "host", "way", "score", "names", "numbers", "texts", "ages", "sources", "found")
 
 UnitKind = Literal["class", "resource", "coordinator"]
 

@@ -15,7 +15,7 @@ from lfield.lang import syntax, tree
 from lfield.text.source import Diagnostic, Source
 
 #: What every offer tells about itself. The other public methods of a capability's class are its portals.
-OFFER_METHODS = frozenset({"agent", "host", "way", "score", "has", "attribute", "text", "age"})
+OFFER_METHODS = frozenset({"agent", "host", "way", "score", "has", "attribute", "text", "age", "source"})
 
 Verb = Literal["find", "explain"]
 VERBS: tuple[Verb, ...] = ("find", "explain")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from lfield.capability.directory.directory import Deployed, live_attributes
+from lfield.capability.directory.showing import Deployed, Known, known_agents
 from lfield.capability.model import Attribute, Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.capability.reading.reader import read_registry
@@ -15,7 +15,7 @@ from lfield.mission import bundle
 from lfield.mission.load import CAPABILITIES, beside
 from lfield.mission.team import Team
 from lfield.operator.ask import Answers
-from lfield.wire.observing import Status, Told
+from lfield.wire.observing import Status, Told, ToldFact
 
 #: For each host, what its directory says of the agents.
 Views = Mapping[str, Mapping[str, Told]]
@@ -60,8 +60,8 @@ def from_files(registry: Registry, agents: Sequence[Deployed], at: str = "") -> 
     `at` is the host where the question is asked, for the count of hops; '' is none of them.
     """
     return Roster(
-        _candidate(registry, agent, at, Told(agent.id, "", {}, {}), "the team is not running")
-        for agent in _providers(registry, agents)
+        known.shown(_hops(known, at), "", {}, {}, "{0} is not known: the team is not running")
+        for known in known_agents(registry, agents).values()
     )
 
 
@@ -73,8 +73,8 @@ def from_hosts(
     Of each agent counts what the host `at` says, else what its own host says, else what any other does.
     """
     return Roster(
-        _candidate(registry, agent, at, _view(agent, views, silent, at), "no host tells it")
-        for agent in _providers(registry, agents)
+        _candidate(registry, known, at, _view(known.agent, views, silent, at))
+        for known in known_agents(registry, agents).values()
     )
 
 
@@ -87,11 +87,6 @@ def views_of(answers: Answers[Status]) -> Views:
     }
 
 
-def _providers(registry: Registry, agents: Sequence[Deployed]) -> list[Deployed]:
-    """The agents of a type that the registry knows."""
-    return [agent for agent in agents if agent.type in registry.providers]
-
-
 def _view(agent: Deployed, views: Views, silent: Collection[str], at: str) -> Told:
     for host in dict.fromkeys((at, agent.host, *views)):
         told = views.get(host, {}).get(agent.id)
@@ -101,22 +96,34 @@ def _view(agent: Deployed, views: Views, silent: Collection[str], at: str) -> To
     return Told(agent.id, why, {}, {})
 
 
-def _candidate(registry: Registry, agent: Deployed, at: str, told: Told, why: str) -> Candidate:
-    """An agent with its own values, and those live ones that are told and make sense."""
-    facts = {name: Fact(value) for name, value in registry.agents.get(agent.id, {}).items()}
-    unknown = {}
-    for name in live_attributes(registry, agent):
-        fact = told.facts.get(name)
-        if fact is not None and _fits(fact.value, registry.attributes[name]):
-            facts[name] = Fact(fact.value, fact.age)
-        else:
-            unknown[name] = told.unknown.get(name) or f"{name} is not known: {why}"
-    hops = 0 if agent.host == at else 1
-    return Candidate(agent.id, agent.type, agent.host, hops, told.refusal, facts, unknown)
+def _candidate(registry: Registry, known: Known, at: str, told: Told) -> Candidate:
+    """An agent with what a host has told of it, as far as it makes sense."""
+    facts = {name: _fact(fact) for name, fact in told.facts.items()}
+    facts = {name: fact for name, fact in facts.items() if _fits(fact, registry.attributes.get(name))}
+    return known.shown(
+        _hops(known, at), told.refusal, facts, told.unknown, "{0} is not known: no host tells it"
+    )
 
 
-def _fits(value: bool | int | float | str, attribute: Attribute) -> bool:
+def _hops(known: Known, at: str) -> int:
+    return 0 if known.agent.host == at else 1
+
+
+def _fact(told: ToldFact) -> Fact:
+    value = frozenset(told.value) if isinstance(told.value, list) else told.value
+    return Fact(value, told.age, told.of)
+
+
+def _fits(fact: Fact, attribute: Attribute | None) -> bool:
     """Whether a value that came is one of its attribute."""
-    if isinstance(value, bool | str):
-        return attribute.type == ("boolean" if isinstance(value, bool) else "text")
-    return attribute.type in ("real", "int")
+    match fact.value:
+        case _ if attribute is None:
+            return False
+        case bool():
+            return attribute.type == "boolean"
+        case str():
+            return attribute.type == "text"
+        case frozenset():
+            return attribute.type == "set"
+        case _:
+            return attribute.type in ("real", "int")

@@ -24,7 +24,7 @@ class Found:
     `way` is the field of the capability's class that stands for how. Directly, that is a proxy for the agent
     with the number `member`; otherwise `parts` are the offers in the fields they belong to. `kind` says the
     same in words. For each attribute there is a name, a number (NaN when it is none), a text (None: show the
-    number) and an age in seconds; the four are equally long.
+    number), an age in seconds (NaN: it does not grow) and where it is from; the five are equally long.
     """
 
     way: str
@@ -38,6 +38,7 @@ class Found:
     numbers: tuple[float, ...] = ()
     texts: tuple[str | None, ...] = ()
     ages: tuple[float, ...] = ()
+    sources: tuple[str, ...] = ()
 
 
 class UnknownWay(Exception):
@@ -110,9 +111,12 @@ def ways(program: Program) -> dict[str, frozenset[str]]:
     }
 
 
-def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[Found]) -> int:
-    """An array of offers on the heap; raises Full before it writes anything, and UnknownWay."""
-    writer = _Writer(shapes, block.top)
+def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[Found], now: float) -> int:
+    """An array of offers on the heap; raises Full before it writes anything, and UnknownWay.
+
+    `now` is the time of the coordinator's own clock, in seconds: from then on ages grow.
+    """
+    writer = _Writer(shapes, block.top, now)
     offers = [writer.offer(shapes.of[capability], one) for one in found]
     place = writer.put(layout.ARRAY, shapes.arrays[capability], offers)
     end = block.top + len(writer.words)
@@ -126,9 +130,9 @@ def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[
 class _Writer:
     """The words of things to be, which shall stand from the word `base` on; what is equal is written once."""
 
-    def __init__(self, shapes: Shapes, base: int) -> None:
+    def __init__(self, shapes: Shapes, base: int, now: float) -> None:
         self.words = array("q")
-        self._shapes, self._base = shapes, base
+        self._shapes, self._base, self._now = shapes, base, now
         self._made: dict[tuple[int, object], int] = {}
 
     def offer(self, shape: Shape, found: Found) -> int:
@@ -157,7 +161,9 @@ class _Writer:
         said.append(self._once(strings, found.names, lambda: map(self._text, found.names)))
         said.append(self.put(layout.ARRAY, reals, _bits(found.numbers)))
         said.append(self._once(strings, found.texts, lambda: map(self._text, found.texts)))
-        said.append(self._once(reals, found.ages, lambda: _bits(found.ages)))
+        said.append(self._once(reals, _same(found.ages), lambda: _bits(found.ages)))
+        said.append(self._once(strings, found.sources, lambda: map(self._text, found.sources)))
+        said += _bits([self._now])
         return self.put(layout.OBJECT, self._shapes.facts, said)
 
     def _once(self, type: int, value: tuple[object, ...], body: Callable[[], Iterable[int]]) -> int:
@@ -176,6 +182,11 @@ class _Writer:
             whole = array("q", raw.ljust(len(raw) + 7 & ~7, b"\0"))
             place = self._made[layout.STRING, text] = self.put(layout.STRING, 0, [len(raw), *whole])
         return place
+
+
+def _same(numbers: Iterable[float]) -> tuple[object, ...]:
+    """Numbers as what can be compared: NaN is like NaN."""
+    return tuple(None if number != number else number for number in numbers)
 
 
 def _bits(numbers: Iterable[float]) -> array[int]:

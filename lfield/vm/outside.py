@@ -53,6 +53,7 @@ class Outsiders:
             "yield": self._yield,
             "sleep": self._sleep,
             "now": self._now,
+            "lived": self._lived,
             "random": self._random,
             "random_int": self._random_int,
             "find": self._find,
@@ -81,7 +82,7 @@ class Outsiders:
 
     def _note_poll(self, agent: Agent, thread: int, name: str) -> None:
         """Anything but asking and yielding shows that a thread does more than poll."""
-        if name in ("now", "device", "offers", "explain"):
+        if name in ("now", "lived", "device", "offers", "explain"):
             agent.asked.add(thread)
         elif name not in ("yield", "agent", "host"):
             agent.polls.pop(thread, None)
@@ -161,6 +162,12 @@ class Outsiders:
     def _now(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         self._scheduler.go_on(agent, thread, word_of(self._scheduler.clock.time()))
 
+    def _lived(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        self._scheduler.go_on(agent, thread, word_of(self._lifetime(agent)))
+
+    def _lifetime(self, agent: Agent) -> float:
+        return self._scheduler.clock_of(agent) / 1e9
+
     def _limit(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         seconds = real_of(words[0])
         if math.isnan(seconds):
@@ -225,7 +232,10 @@ class Outsiders:
         constraint = agent.block.string(words[0]) if words[0] else None
         try:
             found = scheduler.world.offers(agent, name, constraint)
-            scheduler.complete(agent, thread, lambda: write_offers(agent.block, self._shapes, operand, found))
+            now = self._lifetime(agent)
+            scheduler.complete(
+                agent, thread, lambda: write_offers(agent.block, self._shapes, operand, found, now)
+            )
         except (ConstraintError, UnknownWay) as error:
             scheduler.refuse(agent, thread, "ConstraintException", str(error), name)
 

@@ -59,7 +59,8 @@ def guards():
 
 @pytest.fixture
 def sampler(guards):
-    return Sampler(ATTRIBUTES, {"arm": Running()}, {"arm": ["fc", "hand"], "gone": []}, guards, guards.clock)
+    fields = {"arm": ["fc", "hand"], "gone": []}
+    return Sampler(ATTRIBUTES, {"arm": Running()}, fields, guards, guards, guards.clock)
 
 
 @pytest.mark.parametrize(

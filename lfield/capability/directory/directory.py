@@ -17,28 +17,13 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Sample, Trouble
+from lfield.capability.directory.showing import Deployed, known_agents, live_attributes
 from lfield.capability.model import Live, Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.clock import Clock
 
 #: Answers within so many seconds are the same objects, with the same ages: the matcher goes by that.
 MOMENT = 0.1
-
-
-class Deployed(Protocol):
-    """An agent as the deployment has it."""
-
-    @property
-    def id(self) -> str:
-        """Its name in the mission."""
-
-    @property
-    def type(self) -> str:
-        """Its type in L."""
-
-    @property
-    def host(self) -> str:
-        """Where it lives."""
 
 
 class Links(Protocol):
@@ -96,10 +81,7 @@ class Directory:
         self._by_type: dict[str, list[Deployed]] = {}
         for agent in self._agents.values():
             self._by_type.setdefault(agent.type, []).append(agent)
-        self._values: dict[str, dict[str, Fact]] = {
-            id: {name: Fact(value) for name, value in registry.agents.get(id, {}).items()}
-            for id in self._agents
-        }
+        self._known = known_agents(registry, agents)
         self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
         self._own: dict[str, Condition] = {}
         self._shown: dict[str, _Shown] = {}
@@ -184,21 +166,17 @@ class Directory:
         return shown.candidate
 
     def _show(self, agent: Deployed, condition: Condition, away: float | None, now: float) -> _Shown:
-        facts, unknown, live = self._values[agent.id], condition.unknown, self._live[agent.id]
+        known, told = self._known[agent.id], {}
         trouble = condition.trouble if away is None else Trouble("unreachable", away)
-        if live:
+        if condition.samples:
             kept_until = self._kept_until(agent.host)
-            facts = facts | {
-                name: Fact(sample.value, max(0.0, now - _true_at(sample, kept_until)))
-                for name, sample in condition.samples.items()
-            }
-            if len(condition.samples) + len(unknown) < len(live):
-                untold = (name for name in live if name not in facts and name not in unknown)
-                unknown = {**{name: f"{agent.host} has not told {name} yet" for name in untold}, **unknown}
+            told = {name: _fact(sample, now, kept_until) for name, sample in condition.samples.items()}
         refusal = trouble.sentence(now) if trouble else ""
         hops = 0 if agent.host == self._here else 1
-        candidate = Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown)
-        return _Shown(candidate, condition, away, now + MOMENT if live or trouble else math.inf)
+        untold = f"{agent.host} has not told {{}} yet"
+        candidate = known.shown(hops, refusal, told, condition.unknown, untold)
+        passing = trouble or known.measured
+        return _Shown(candidate, condition, away, now + MOMENT if passing else math.inf)
 
     def _told(self, agent: Deployed) -> Condition:
         return self._remotes[agent.host].conditions.get(agent.id, SILENCE)
@@ -212,16 +190,12 @@ class Directory:
         return remote.kept_until if heard is None else max(remote.kept_until, heard)
 
 
+def _fact(sample: Sample, now: float, kept_until: float) -> Fact:
+    """A value with the age that it has now."""
+    age = max(0.0, now - _true_at(sample, kept_until)) if sample.of == "measured" else 0.0
+    return Fact(sample.value, age, sample.of)
+
+
 def _true_at(sample: Sample, kept_until: float) -> float:
     """When a value was last true: one that is kept has moved on with its host, up to `kept_until`."""
     return sample.when + max(0.0, kept_until - sample.at) if sample.kept else sample.when
-
-
-def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
-    """The attributes of an agent that come from its devices, in the order of their names.
-
-    What the mission states of an agent counts before what its devices say.
-    """
-    stated = registry.agents.get(agent.id, {})
-    live = registry.providers[agent.type].live
-    return {name: live[name] for name in sorted(live) if name not in stated}

@@ -29,7 +29,11 @@ class Provided:
         self._live = {name: attribute.max_age for name, attribute in attributes.items() if attribute.live}
         self._way = ways.direct(provider.type)
         self._values: dict[str, Value] = {**provider.attributes, **served.attributes}
-        self._facts = {name: Fact(value) for name, value in self._values.items()}
+        nominal = served.nominal | (provider.nominal - served.attributes.keys())
+        self._facts = {
+            name: Fact(value, of="nominal" if name in nominal else "stated")
+            for name, value in self._values.items()
+        }
         self._kept: dict[str, tuple[Candidate, Plan]] = {}
         self._named: frozenset[str] = frozenset()
         self._counted = ranking.counted(primitive, ())

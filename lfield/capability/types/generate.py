@@ -49,6 +49,7 @@ _FACTS = (
     ("real attribute(string name)", "attribute(name)"),
     ("string text(string name)", "text(name)"),
     ("real age(string name)", "age(name)"),
+    ("string source(string name)", "source(name)"),
 )
 
 

@@ -1,0 +1,73 @@
+"""An agent as an answer shows it: one way for a host's own directory, and for whoever asks from outside.
+
+What is said of an agent, the surest first: by the mission's registry; by its binding, which its host tells;
+by its devices. What its type states comes last, and is added where somebody wants to know what it can do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from lfield.capability.model import Live, Registry
+from lfield.capability.offer import Candidate, Fact
+
+
+class Deployed(Protocol):
+    """An agent as the deployment has it."""
+
+    @property
+    def id(self) -> str:
+        """Its name in the mission."""
+
+    @property
+    def type(self) -> str:
+        """Its type in L."""
+
+    @property
+    def host(self) -> str:
+        """Where it lives."""
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What never changes of an agent: what the mission states of it, and which values must be measured."""
+
+    agent: Deployed
+    stated: Mapping[str, Fact]
+    measured: Collection[str]
+
+    def shown(
+        self, hops: int, refusal: str, told: Mapping[str, Fact], unknown: Mapping[str, str], untold: str
+    ) -> Candidate:
+        """The agent with what its host has told of it.
+
+        `untold` is the reason, with the name as `{}`, for a value that is neither told nor known to be none.
+        """
+        facts = {**told, **self.stated} if told else self.stated
+        lacking = [name for name in self.measured if name not in facts and name not in unknown]
+        if lacking:
+            unknown = {**{name: untold.format(name) for name in lacking}, **unknown}
+        return Candidate(self.agent.id, self.agent.type, self.agent.host, hops, refusal, facts, unknown)
+
+
+def known_agents(registry: Registry, agents: Collection[Deployed]) -> dict[str, Known]:
+    """The agents of a type that the registry knows, by id, in their order."""
+    return {agent.id: _known(registry, agent) for agent in agents if agent.type in registry.providers}
+
+
+def _known(registry: Registry, agent: Deployed) -> Known:
+    stated = {name: Fact(value) for name, value in registry.agents.get(agent.id, {}).items()}
+    live = live_attributes(registry, agent)
+    return Known(agent, stated, tuple(name for name in live if registry.attributes[name].live))
+
+
+def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
+    """The attributes of an agent that it tells itself, in the order of their names.
+
+    What the mission states of an agent counts before what its devices say.
+    """
+    stated = registry.agents.get(agent.id, {})
+    live = registry.providers[agent.type].live
+    return {name: live[name] for name in sorted(live) if name not in stated}
