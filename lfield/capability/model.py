@@ -235,7 +235,7 @@ class Composition:
     The class is `coordinator specific`, has the portals of the primitive as public methods, and takes the
     parts in its constructor in the order of `needs`. `where` are conditions over the parts (`grip.robot !=
     climb.robot`); `attributes` are expressions over them for what the whole is worth (`min(grip.payload,
-    climb.payload)`).
+    climb.payload)`). Parts that are `distinct` have no agent in common.
     """
 
     name: str
@@ -245,6 +245,7 @@ class Composition:
     source: Path
     span: Span = NOWHERE
     where: tuple[Expression, ...] = ()
+    distinct: tuple[str, ...] = ()
     attributes: Mapping[str, Expression] = field(default_factory=dict)
     loss: float = 0.0
     meaning: str = ""
@@ -254,14 +255,17 @@ class Composition:
 class Weights:
     """What the parts of a cost count (matching/ranking.py has the formula); a mission may set its own.
 
-    `attributes` weighs single attributes within the fitness; one that is not there counts 1.
+    `attributes` weighs single attributes within the fitness; one that is not there counts 1. `nearby` is a
+    usual distance between two of the team, in metres, against which nearness is measured.
     """
 
     fitness: float = 1.0
     loss: float = 2.0
     part: float = 0.5
     hop: float = 0.1
+    near: float = 0.2
     age: float = 0.2
+    nearby: float = 50.0
     attributes: Mapping[str, float] = field(default_factory=dict)
 
 

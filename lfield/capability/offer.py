@@ -38,6 +38,10 @@ class Fact:
                 return said
 
 
+#: Where something is: north, east and, where that is known, down, in metres, in the frame of the team.
+Place = tuple[float, float, float | None]
+
+
 @dataclass(frozen=True, slots=True)
 class Candidate:
     """An agent of a resource type as this host knows it now.
@@ -45,7 +49,7 @@ class Candidate:
     `facts` are its own values and its live ones by attribute; those of its type and of the primitive are the
     registry's. `hops` is 0 when it is on this host, else 1. `refusal` says why it cannot be called at all
     (`unreachable for 12 s`), '' when it can. `unknown` tells of single live attributes why there is no value
-    (`fc has not reported battery`).
+    (`fc has not reported battery`). `number` is its place in the deployment.
     """
 
     agent: str
@@ -55,6 +59,7 @@ class Candidate:
     refusal: str = ""
     facts: Mapping[str, Fact] = field(default_factory=dict)
     unknown: Mapping[str, str] = field(default_factory=dict)
+    number: int = 0
 
 
 class Team(Protocol):
@@ -63,6 +68,28 @@ class Team(Protocol):
     def candidates(self, resource: str) -> Sequence[Candidate]:
         """The agents of a resource type, in the order of the deployment."""
 
+    def here(self) -> Place | None:
+        """Where the question is asked, None when nobody knows."""
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """A term of a cost (matching/ranking.py): the weight called `name`, times an amount."""
+
+    name: str
+    amount: float
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class Penalty:
+    """What an attribute adds to the fitness of an agent: `share * penalty`. None: its value is not known."""
+
+    attribute: str
+    value: Value | None
+    share: float
+    penalty: float
+
 
 @dataclass(frozen=True, slots=True)
 class Offer:
@@ -70,7 +97,8 @@ class Offer:
 
     A direct offer has no `parts`; an equivalent one has one, named as its way; a composed one has one for
     each need, named by `ways.part`. `agent` and `host` are those of a direct or equivalent offer; of a
-    composed one they are those of its parts, joined with '+'. The less `cost`, the better.
+    composed one they are those of its parts, joined with '+'. The less `cost`, the better: it is the sum of
+    its `terms` and of the costs of its parts. `penalties` make up the fitness of a direct one.
     """
 
     primitive: str
@@ -82,6 +110,8 @@ class Offer:
     facts: Mapping[str, Fact] = field(default_factory=dict)
     parts: Mapping[str, Offer] = field(default_factory=dict)
     rule: str = ""
+    terms: tuple[Term, ...] = ()
+    penalties: tuple[Penalty, ...] = ()
 
     @property
     def score(self) -> float:

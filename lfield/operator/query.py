@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from lfield.capability.directory.showing import Deployed, Known, known_agents
+from lfield.capability.directory.showing import Deployed, Known, known_agents, place_of
 from lfield.capability.model import Attribute, Registry
-from lfield.capability.offer import Candidate, Fact
+from lfield.capability.offer import Candidate, Fact, Place
 from lfield.capability.reading.reader import read_registry
 from lfield.driver.plugins import discover
 from lfield.errors import LfieldError, UsageError
@@ -22,12 +22,21 @@ Views = Mapping[str, Mapping[str, Told]]
 
 
 class Roster:
-    """Agents by resource type, in the order of the deployment. Implements `offer.Team`."""
+    """Agents by resource type, in the order of the deployment. Implements `offer.Team`.
 
-    def __init__(self, candidates: Iterable[Candidate]) -> None:
+    Where is asked: where the first agent is whose host is the one that asks.
+    """
+
+    def __init__(self, candidates: Iterable[Candidate], attributes: Mapping[str, Attribute]) -> None:
         self._by_type: dict[str, list[Candidate]] = {}
-        for candidate in candidates:
+        found = list(candidates)
+        for candidate in found:
             self._by_type.setdefault(candidate.type, []).append(candidate)
+        self._place = place_of((candidate for candidate in found if candidate.hops == 0), attributes)
+
+    def here(self) -> Place | None:
+        """Where the host is that asks."""
+        return self._place
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
         """The agents of a resource type."""
@@ -59,10 +68,11 @@ def from_files(registry: Registry, agents: Sequence[Deployed], at: str = "") -> 
 
     `at` is the host where the question is asked, for the count of hops; '' is none of them.
     """
-    return Roster(
+    found = (
         known.shown(_hops(known, at), "", {}, {}, "{0} is not known: the team is not running")
         for known in known_agents(registry, agents).values()
     )
+    return Roster(found, registry.attributes)
 
 
 def from_hosts(
@@ -72,10 +82,11 @@ def from_hosts(
 
     Of each agent counts what the host `at` says, else what its own host says, else what any other does.
     """
-    return Roster(
+    found = (
         _candidate(registry, known, at, _view(known.agent, views, silent, at))
         for known in known_agents(registry, agents).values()
     )
+    return Roster(found, registry.attributes)
 
 
 def views_of(answers: Answers[Status]) -> Views:

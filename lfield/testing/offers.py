@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from lfield.bytecode.program import Program
 from lfield.capability.model import Registry, Value
-from lfield.capability.offer import Candidate, Fact
+from lfield.capability.offer import Candidate, Fact, Place
 from lfield.host.offers import Answers
 from lfield.vm.agent import Member
 from lfield.vm.offers import ways
@@ -24,9 +24,13 @@ class StillTeam:
         """The agents of a resource type, in the order of the deployment."""
         return [self._candidate(m) for m in self.members if m.type == resource]
 
+    def here(self) -> Place | None:
+        """Nobody is anywhere."""
+        return None
+
     def _candidate(self, member: Member) -> Candidate:
         facts = {name: Fact(value) for name, value in self.agents.get(member.id, {}).items()}
-        return Candidate(member.id, member.type, str(member.host), facts=facts)
+        return Candidate(member.id, member.type, str(member.host), facts=facts, number=member.number)
 
 
 def still_answers(registry: Registry, program: Program, members: Sequence[Member]) -> Answers:

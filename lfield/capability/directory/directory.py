@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from lfield.capability.directory.news import SILENCE, Announcer, Condition, News, Sample, Trouble
-from lfield.capability.directory.showing import Deployed, known_agents, live_attributes
+from lfield.capability.directory.showing import Deployed, known_agents, live_attributes, place_of
 from lfield.capability.model import Live, Registry
-from lfield.capability.offer import Candidate, Fact
+from lfield.capability.offer import Candidate, Fact, Place
 from lfield.clock import Clock
 
 #: Answers within so many seconds are the same objects, with the same ages: the matcher goes by that.
@@ -150,6 +150,12 @@ class Directory:
         """The agents of a resource type as they are now, in the order of the deployment."""
         now = self._clock.monotonic()
         return [self._candidate(agent, now) for agent in self._by_type.get(resource, ())]
+
+    def here(self) -> Place | None:
+        """Where this host is: where the first of its agents is whose place is known."""
+        now = self._clock.monotonic()
+        own = (self._candidate(agent, now) for agent in self._agents.values() if agent.host == self._here)
+        return place_of(own, self._registry.attributes)
 
     def everybody(self) -> list[Candidate]:
         """All agents as they are now, in the order of the deployment."""

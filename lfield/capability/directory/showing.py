@@ -6,12 +6,14 @@ by its devices. What its type states comes last, and is added where somebody wan
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import math
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from lfield.capability.model import Live, Registry
-from lfield.capability.offer import Candidate, Fact
+from lfield.capability.matching.expression import POSITION
+from lfield.capability.model import Attribute, Live, Registry
+from lfield.capability.offer import Candidate, Fact, Place
 
 
 class Deployed(Protocol):
@@ -32,9 +34,12 @@ class Deployed(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What never changes of an agent: what the mission states of it, and which values must be measured."""
+    """What never changes of an agent: its number in the deployment, what the mission states of it, and which
+    values must be measured.
+    """
 
     agent: Deployed
+    number: int
     stated: Mapping[str, Fact]
     measured: Collection[str]
 
@@ -49,18 +54,20 @@ class Known:
         lacking = [name for name in self.measured if name not in facts and name not in unknown]
         if lacking:
             unknown = {**{name: untold.format(name) for name in lacking}, **unknown}
-        return Candidate(self.agent.id, self.agent.type, self.agent.host, hops, refusal, facts, unknown)
+        agent = self.agent
+        return Candidate(agent.id, agent.type, agent.host, hops, refusal, facts, unknown, self.number)
 
 
 def known_agents(registry: Registry, agents: Collection[Deployed]) -> dict[str, Known]:
     """The agents of a type that the registry knows, by id, in their order."""
-    return {agent.id: _known(registry, agent) for agent in agents if agent.type in registry.providers}
+    numbered = enumerate(agents)
+    return {a.id: _known(registry, a, number) for number, a in numbered if a.type in registry.providers}
 
 
-def _known(registry: Registry, agent: Deployed) -> Known:
+def _known(registry: Registry, agent: Deployed, number: int) -> Known:
     stated = {name: Fact(value) for name, value in registry.agents.get(agent.id, {}).items()}
     live = live_attributes(registry, agent)
-    return Known(agent, stated, tuple(name for name in live if registry.attributes[name].live))
+    return Known(agent, number, stated, tuple(name for name in live if registry.attributes[name].live))
 
 
 def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
@@ -71,3 +78,20 @@ def live_attributes(registry: Registry, agent: Deployed) -> dict[str, Live]:
     stated = registry.agents.get(agent.id, {})
     live = registry.providers[agent.type].live
     return {name: live[name] for name in sorted(live) if name not in stated}
+
+
+def place_of(candidates: Iterable[Candidate], attributes: Mapping[str, Attribute]) -> Place | None:
+    """Where the first of some agents is that tells north and east, and has done so lately."""
+    for candidate in candidates:
+        found = [_fresh(candidate, axis, attributes) for axis in POSITION]
+        if found[0] is not None and found[1] is not None:
+            return found[0], found[1], found[2]
+    return None
+
+
+def _fresh(candidate: Candidate, name: str, attributes: Mapping[str, Attribute]) -> float | None:
+    fact, attribute = candidate.facts.get(name), attributes.get(name)
+    if fact is None or attribute is None or (attribute.live and fact.age > attribute.max_age):
+        return None
+    known = isinstance(fact.value, int | float) and math.isfinite(fact.value)
+    return float(fact.value) if known else None  # type: ignore[arg-type]  # it is a number

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache, partial
+from itertools import combinations
 from typing import get_args
 
 from lfield.capability import ways
-from lfield.capability.matching.evaluate import Facts, conjuncts, evaluator, names
+from lfield.capability.matching.evaluate import Facts, evaluator, names
 from lfield.capability.matching.expression import POSITION
+from lfield.capability.matching.joining import Combinations, Effort, Stream
+from lfield.capability.matching.narrowing import Narrowed, narrow
 from lfield.capability.matching.plan import Plan
-from lfield.capability.matching.ranking import Ranking
+from lfield.capability.matching.ranking import ONE_TO_MANY, Ranking
 from lfield.capability.matching.reasons import reasons
-from lfield.capability.model import Composition, Value
+from lfield.capability.model import Composition, Expression, Value
 from lfield.capability.offer import Fact, Offer, Provenance
+from lfield.text.suggest import listed
 
+#: Of so many questions it is kept what they ask of the parts.
+KEPT = 64
+#: The less sure first.
 _SURER: Sequence[Provenance] = get_args(Provenance)
 
 
@@ -28,40 +35,51 @@ class Assembly:
         self._way = ways.composed(rule.name)
         self._fields = [ways.part(rule.name, need) for need in rule.needs]
         self._attributes = [(name, evaluator(e), e) for name, e in sorted(rule.attributes.items())]
-        self._where = [evaluator(c) for condition in rule.where for c in conjuncts(condition)]
+        self._distinct = frozenset(self._needs.index(need) for need in rule.distinct)
         expressions = [*rule.where, *rule.attributes.values()]
         self._looked_at = [
             (name, *self._place(name))
             for name in dict.fromkeys(name for e in expressions for name in names(e))
             if "." in name
         ]
+        self.narrowed = lru_cache(KEPT)(self._narrowed)
+
+    def _narrowed(self, wishes: tuple[Expression, ...]) -> list[Narrowed]:
+        """What the rule and the wishes ask of the parts."""
+        return narrow(self.rule, wishes)
 
     def _place(self, name: str) -> tuple[int, str]:
         """Which part, and which of its attributes, `need.attribute` is."""
         need, _, attribute = name.partition(".")
         return self._needs.index(need), attribute
 
-    def cost(self, parts: Sequence[Plan]) -> float:
-        """What the whole costs."""
-        return self._ranking.whole((part.cost for part in parts), self.rule.loss)
+    def cost(self, parts: Iterable[float]) -> float:
+        """What the whole costs when its parts cost that."""
+        return self._ranking.whole(parts, self.rule.loss)
 
     def least(self, costs: Mapping[str, float]) -> float | None:
         """The least the whole can cost when primitives cost that; None when one of them is not there."""
         found = [costs.get(need.primitive) for need in self.rule.needs.values()]
         known = [cost for cost in found if cost is not None]
-        return self._ranking.whole(known, self.rule.loss) if len(known) == len(found) else None
+        return self.cost(known) if len(known) == len(found) else None
 
-    def plan(self, parts: Sequence[Plan]) -> Plan | None:
-        """The whole, or None when the parts do not fit together."""
-        facts = self._facts(parts)
-        if any(judge(facts) is not True for judge in self._where):
-            return None
-        return self._whole(parts, facts)
+    def combinations(
+        self, streams: Sequence[Stream], narrowed: Narrowed, effort: Effort
+    ) -> Iterable[tuple[Plan, ...]]:
+        """The choices of parts that fit together, the best first. Raises GivenUp."""
+        return Combinations(streams, self.cost, effort, narrowed.joins, narrowed.checks, self._distinct)
 
     def misfits(self, parts: Sequence[Plan]) -> tuple[str, ...]:
         """Why the parts do not fit together; () when they do."""
         facts, why = self._facts(parts), self._why(parts)
-        return tuple(reason for condition in self.rule.where for reason in reasons(condition, facts, why))
+        found = [reason for condition in self.rule.where for reason in reasons(condition, facts, why)]
+        return (*found, *self._shared(parts))
+
+    def _shared(self, parts: Sequence[Plan]) -> Iterator[str]:
+        """Which parts that must be distinct have an agent in common."""
+        for one, other in combinations(sorted(self._distinct), 2):
+            if both := parts[one].agents & parts[other].agents:
+                yield f"{self._needs[one]} and {self._needs[other]} are both {listed(sorted(both))}"
 
     def _facts(self, parts: Sequence[Plan]) -> dict[str, Value]:
         """What the rule's expressions look at: of the parts, and of the whole."""
@@ -74,14 +92,17 @@ class Assembly:
             name: value for name, judge, _ in self._attributes if (value := judge(facts)) is not None
         }
 
-    def _whole(self, parts: Sequence[Plan], facts: Facts) -> Plan:
+    def plan(self, parts: Sequence[Plan]) -> Plan:
+        """The whole of parts that fit together."""
+        facts = self._facts(parts)
         values = {name: facts[name] for name, _, _ in self._attributes if name in facts}
         values["agent"] = _joined([part.values["agent"] for part in parts])
         values["robot"] = values["host"] = _joined([part.values["host"] for part in parts])
         why = self._why(parts)
         unknown = {name: why(name) for name, _, _ in self._attributes if name not in facts}
-        cost = self.cost(parts)
-        return Plan(partial(self._offer, parts, facts, cost), cost, values, unknown, self.rule.name)
+        cost = self.cost([part.cost for part in parts])
+        rank = (cost, 1, (self.rule.name,), tuple(part.rank for part in parts))
+        return Plan(partial(self._offer, parts, facts, cost), rank, values, unknown, self.rule.name)
 
     def _offer(self, parts: Sequence[Plan], facts: Facts, cost: float) -> Offer:
         rule, offers = self.rule, [part.offer for part in parts]
@@ -100,6 +121,7 @@ class Assembly:
             known,
             dict(zip(self._fields, offers, strict=True)),
             rule.name,
+            self._ranking.terms(ONE_TO_MANY, [rule.loss, len(parts) - 1]),
         )
 
     def _fact(self, value: Value, looked_at: Sequence[str], offers: Sequence[Offer]) -> Fact:

@@ -17,6 +17,7 @@ from typing import Any
 from lfield.capability import condition
 from lfield.capability.matching.expression import POSITION
 from lfield.capability.model import Expression, Value
+from lfield.capability.offer import Place
 
 Facts = Mapping[str, Value]
 Judge = Callable[[Facts], Value | None]
@@ -81,8 +82,12 @@ def named(tree: condition.Expr) -> Iterator[str]:
         case condition.Binary(left=left, right=right):
             yield from named(left)
             yield from named(right)
-        case condition.Call(arguments=arguments) if function(tree) == "distance":
+        case condition.Call(arguments=arguments) if is_between_parts(tree):
             yield from (f"{key(part)}.{axis}" for part in arguments for axis in POSITION)
+        case condition.Call(arguments=arguments) if function(tree) == "distance":
+            yield from POSITION[: len(arguments)]
+            for argument in arguments:
+                yield from named(argument)
         case condition.Call(arguments=arguments):
             for argument in arguments:
                 yield from named(argument)
@@ -97,6 +102,11 @@ def key(tree: condition.Expr) -> str:
             return f"{need}.{name}"
         case _:
             raise _unchecked(tree)
+
+
+def is_between_parts(tree: condition.Call) -> bool:
+    """Whether it is `distance(part, part)`; else a `distance` is to a place, which is written in numbers."""
+    return function(tree) == "distance" and all(isinstance(a, condition.Name) for a in tree.arguments)
 
 
 def function(tree: condition.Call) -> str:
@@ -124,8 +134,10 @@ def value_of(tree: condition.Expr) -> Judge:
             return _applied(operator.neg, [value_of(operand)])
         case condition.Binary():
             return _binary(tree)
-        case condition.Call(arguments=arguments) if function(tree) == "distance":
+        case condition.Call(arguments=arguments) if is_between_parts(tree):
             return _distance(key(arguments[0]), key(arguments[1]))
+        case condition.Call(arguments=arguments) if function(tree) == "distance":
+            return _distance_to([value_of(argument) for argument in arguments])
         case condition.Call(arguments=arguments):
             return _applied(_FUNCTIONS[function(tree)], [value_of(argument) for argument in arguments])
         case _:
@@ -233,3 +245,32 @@ def _distance(one: str, other: str) -> Judge:
         return math.sqrt(squares)
 
     return judge
+
+
+def _distance_to(place: list[Judge]) -> Judge:
+    """From an offer to a place: north, east and, where three are given, down."""
+
+    def judge(facts: Facts) -> float | None:
+        squares = 0.0
+        for axis, asked in zip(POSITION, place, strict=False):
+            is_at, wanted = facts.get(axis), asked(facts)
+            if is_at is None or wanted is None:
+                return None
+            squares += (_real(is_at) - _real(wanted)) ** 2
+        return math.sqrt(squares)
+
+    return judge
+
+
+def distance_to(facts: Facts, place: Place) -> float | None:
+    """Metres from an offer to a place, over ground where one of the two does not say how deep it is.
+
+    None where nobody knows where it is.
+    """
+    north, east, down = (facts.get(axis) for axis in POSITION)
+    if north is None or east is None:
+        return None
+    squares = (_real(north) - place[0]) ** 2 + (_real(east) - place[1]) ** 2
+    if down is not None and place[2] is not None:
+        squares += (_real(down) - place[2]) ** 2
+    return math.sqrt(squares)

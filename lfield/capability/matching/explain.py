@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 from lfield.capability.matching.assembly import Assembly
-from lfield.capability.matching.plan import Plan, fulfilling
+from lfield.capability.matching.evaluate import conjuncts
+from lfield.capability.matching.plan import Plan
 from lfield.capability.matching.provided import Provided
 from lfield.capability.matching.reasons import reasons
 from lfield.capability.matching.rules import Chain
-from lfield.capability.matching.search import Search, judges
+from lfield.capability.matching.search import Search
 from lfield.capability.model import Equivalence, Expression
 from lfield.capability.offer import Refusal
 
@@ -112,10 +113,10 @@ class Explanation:
         return inner
 
     def _agents(self, provided: Provided, place: _Place) -> Iterator[Refusal]:
-        named = self._search.named
+        asked = self._search.asked
         for candidate in self._search.candidates(provided.type):
-            found = provided.refusal(candidate, named)
-            found = found or _unfulfilled(provided.plan(candidate, named), place.asked)
+            found = provided.refusal(candidate, asked)
+            found = found or _unfulfilled(provided.plan(candidate, asked), place.asked)
             if found:
                 yield Refusal(candidate.agent, found)
 
@@ -125,8 +126,8 @@ class Explanation:
             return
         below = replace(place, chain=(*place.chain, rule))
         inner = self._inside(below)
-        wished = [judge for condition in place.conditions for judge in judges(condition)]
-        offered = self._search.serves(place.primitive, below.chain, place.depth, place.used, wished)
+        wishes = _taken_apart(place.conditions)
+        offered = self._search.serves(place.primitive, below.chain, place.depth, place.used, wishes)
         if not offered:
             yield Refusal(rule.name, (f"no {rule.by}",), inner)
         elif inner:
@@ -140,8 +141,7 @@ class Explanation:
         if rule.name in place.used:
             yield Refusal(rule.name, ("it would be a part of itself",))
             return
-        asked = [judge for condition in place.asked for judge in judges(condition)]
-        plans = fulfilling(search.composed(assembly, place.left - 1, place.used), asked)
+        plans = search.composed(assembly, place.left - 1, place.used, _taken_apart(place.asked))
         offered = len(list(islice(plans, search.limits.per_rule + 1)))
         notes = self._notes(rule.name, offered, place)
         if offered:
@@ -176,13 +176,16 @@ class Explanation:
         """The cheapest combinations of parts, and why they are not offered."""
         combinations = self._search.combinations(assembly, place.left - 1, place.used)
         for parts in islice(combinations, SHOWN):
-            plan = assembly.plan(parts)
-            found = assembly.misfits(parts) if plan is None else _unfulfilled(plan, place.asked)
+            found = assembly.misfits(parts) or _unfulfilled(assembly.plan(parts), place.asked)
             yield Refusal("+".join(part.offer.agent for part in parts), found)
 
     def _too_deep(self, rule: str) -> Refusal:
         depth = self._search.limits.depth
         return Refusal(rule, (f"at most {depth} rules stand on top of one another",))
+
+
+def _taken_apart(conditions: Sequence[Expression]) -> tuple[Expression, ...]:
+    return tuple(conjunct for condition in conditions for conjunct in conjuncts(condition))
 
 
 def _unfulfilled(plan: Plan, conditions: Sequence[Expression]) -> tuple[str, ...]:

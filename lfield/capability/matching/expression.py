@@ -290,11 +290,24 @@ class _Checker:
     def _distance(self, tree: condition.Call) -> Kind:
         scope = self._scope
         if not scope.needs:
-            hint = "only the rule of a composition has parts"
-            return self.report(tree.span, "distance() is between two parts", hint)
+            return self._distance_to(tree)
         if lacking := [name for name in POSITION if name not in scope.members]:
             return self.report(tree.span, f"distance() needs the attributes {listed(lacking)}")
         parts = [a for a in tree.arguments if isinstance(a, condition.Name) and a.name in scope.needs]
         if len(parts) != 2 or len(tree.arguments) != 2:
             return self.report(tree.span, "distance() takes two parts", f"these are {listed(scope.needs)}")
         return _NUMBER
+
+    def _distance_to(self, tree: condition.Call) -> Kind:
+        """From an offer to a place."""
+        if lacking := [name for name in POSITION if name not in self._scope.names]:
+            return self.report(tree.span, f"distance() needs the attributes {listed(lacking)}")
+        if len(tree.arguments) not in (2, 3):
+            message = "distance() here takes a place: north, east and, if that counts, down"
+            return self.report(tree.span, message, "such as distance(12.0, 4.0), in metres")
+        for argument in tree.arguments:
+            if not isinstance(argument, condition.Literal_):
+                return self.report(
+                    argument.span, "a place is written in numbers", "such as distance(12.0, 4.0)"
+                )
+        return self._all(tree.arguments, _NUMBER, "distance()")

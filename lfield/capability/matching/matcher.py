@@ -30,7 +30,7 @@ class Matcher:
         #: So many offers are given.
         self.most = self._limits.offers
         self._team = team
-        self._rules = Rules(registry, ways, self._limits.depth)
+        self._rules = Rules(registry, team.candidates, ways, self._limits.depth)
 
     def offers(self, primitive: str, constraint: Expression | None = None) -> list[Offer]:
         """The best who serve the primitive and fulfil the constraint, the cheapest first, at most `most`.

@@ -5,29 +5,46 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from typing import Any
 
 from lfield.capability import ways
 from lfield.capability.matching.evaluate import Facts, Judge
-from lfield.capability.matching.ranking import Ranking
+from lfield.capability.matching.ranking import ONE_TO_ONE, Ranking
 from lfield.capability.model import Equivalence
 from lfield.capability.offer import Offer
+
+#: The cost, how many rules lead to the agent or the whole, their names, and what stands at their end: the
+#: number of the agent in the deployment, or the ranks of the parts, one by one.
+Rank = tuple[float, int, tuple[str, ...], tuple[Any, ...]]
 
 
 @dataclass(slots=True, eq=False)
 class Plan:
-    """An offer, its cost, and its attributes as flat facts with `agent`, `robot` and `host`.
+    """An offer, its rank, and its attributes as flat facts with `agent`, `robot` and `host`.
 
-    Where a plan takes several agents, the three are sets. `unknown` tells of attributes why they have no
-    value. `composition` is the rule that puts several parts together, '' when it is one agent. The offer
-    itself is made by `make` when it is asked for: most plans of a search are not offered in the end.
+    Plans are offered in the order of their ranks. Where a plan takes several agents, the three are sets.
+    `unknown` tells of attributes why they have no value. `composition` is the rule that puts several parts
+    together, '' when it is one agent. The offer itself is made by `make` when it is asked for: most plans of
+    a search are not offered in the end.
     """
 
     make: Callable[[], Offer]
-    cost: float
+    rank: Rank
     values: Facts
     unknown: Mapping[str, str]
     composition: str = ""
     _offer: Offer | None = None
+
+    @property
+    def cost(self) -> float:
+        """The less, the better."""
+        return self.rank[0]
+
+    @property
+    def agents(self) -> frozenset[str]:
+        """Who takes part."""
+        found = self.values["agent"]
+        return found if isinstance(found, frozenset) else frozenset((str(found),))
 
     @property
     def offer(self) -> Offer:
@@ -59,12 +76,14 @@ _way = cache(ways.equivalent)
 
 def standing_in(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
     """The plan by a one-to-one rule, from one for what the rule asks."""
-    cost = ranking.by_rule(behind.cost, rule.loss)
-    make = partial(_equivalent, rule, behind, cost)
-    return Plan(make, cost, behind.values, behind.unknown, behind.composition)
+    cost, rules, names, end = behind.rank
+    cost = ranking.by_rule(cost, rule.loss)
+    make = partial(_equivalent, rule, behind, cost, ranking)
+    rank = (cost, rules + 1, (rule.name, *names), end)
+    return Plan(make, rank, behind.values, behind.unknown, behind.composition)
 
 
-def _equivalent(rule: Equivalence, behind: Plan, cost: float) -> Offer:
+def _equivalent(rule: Equivalence, behind: Plan, cost: float, ranking: Ranking) -> Offer:
     inner, way = behind.offer, _way(rule.name)
     return Offer(
         rule.serves,
@@ -76,4 +95,5 @@ def _equivalent(rule: Equivalence, behind: Plan, cost: float) -> Offer:
         inner.facts,
         {way: inner},
         rule.name,
+        ranking.terms(ONE_TO_ONE, [rule.loss]),
     )

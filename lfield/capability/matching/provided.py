@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from functools import partial
+from dataclasses import dataclass
 
 from lfield.capability import ways
 from lfield.capability.matching.evaluate import conjuncts, evaluator
 from lfield.capability.matching.plan import Plan, fulfilling
-from lfield.capability.matching.ranking import Ranking
+from lfield.capability.matching.ranking import AGENT, Ranking
 from lfield.capability.matching.reasons import reasons
 from lfield.capability.model import Attribute, Provider, Value
-from lfield.capability.offer import Candidate, Fact, Offer
+from lfield.capability.offer import Candidate, Fact, Offer, Place
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What of a question counts for the cost of an agent: the attributes it names, and where it is asked."""
+
+    named: frozenset[str] = frozenset()
+    here: Place | None = None
 
 
 class Provided:
@@ -35,27 +43,28 @@ class Provided:
             for name, value in self._values.items()
         }
         self._kept: dict[str, tuple[Candidate, Plan]] = {}
-        self._named: frozenset[str] = frozenset()
-        self._counted = ranking.counted(primitive, ())
+        self._asked: Asked | None = None
+        self._counted: Mapping[str, float] = {}
+        self._here: Place | None = None
 
-    def plans(self, candidates: Iterable[Candidate], named: frozenset[str]) -> list[Plan]:
-        """Of the candidates that can do it now; `named` are the attributes in the constraint."""
-        found = [self.plan(candidate, named) for candidate in candidates if not candidate.refusal]
+    def plans(self, candidates: Iterable[Candidate], asked: Asked) -> list[Plan]:
+        """Of the candidates that can do it now."""
+        found = [self.plan(candidate, asked) for candidate in candidates if not candidate.refusal]
         return list(fulfilling(found, self._judges)) if self._judges else found
 
-    def refusal(self, candidate: Candidate, named: frozenset[str]) -> tuple[str, ...]:
+    def refusal(self, candidate: Candidate, asked: Asked) -> tuple[str, ...]:
         """Why a candidate cannot do it whatever is wished; () when it can."""
         if candidate.refusal:
             return (candidate.refusal,)
         if self._when is None:
             return ()
-        plan = self.plan(candidate, named)
+        plan = self.plan(candidate, asked)
         return reasons(self._when, plan.values, plan.why)
 
-    def plan(self, candidate: Candidate, named: frozenset[str]) -> Plan:
+    def plan(self, candidate: Candidate, asked: Asked) -> Plan:
         """What a candidate would be, made anew only when something about it changed."""
-        if named != self._named:
-            self._count(named)
+        if asked is not self._asked:
+            self._count(asked)
         kept = self._kept.get(candidate.agent)
         if kept is not None and (kept[0] is candidate or kept[0] == candidate):
             return kept[1]
@@ -63,12 +72,12 @@ class Provided:
         self._kept[candidate.agent] = candidate, plan
         return plan
 
-    def _count(self, named: frozenset[str]) -> None:
-        """From now on the ages of what the constraint names count too."""
-        counted = self._ranking.counted(self.primitive, named)
-        if counted != self._counted:
+    def _count(self, asked: Asked) -> None:
+        """From now on the ages of what is named count too, and distances from where is asked."""
+        counted = self._ranking.counted(self.primitive, asked.named)
+        if counted != self._counted or asked.here != self._here:
             self._kept.clear()
-        self._named, self._counted = named, counted
+        self._asked, self._counted, self._here = asked, counted, asked.here
 
     def _made(self, candidate: Candidate) -> Plan:
         host, known, staleness = candidate.host, candidate.facts, 0.0
@@ -84,9 +93,22 @@ class Provided:
         for name in unknown:
             facts.pop(name, None)
             values.pop(name, None)
-        cost = self._ranking.agent(self.primitive, values, candidate.hops, staleness)
-        make = partial(Offer, self.primitive, "direct", self._way, candidate.agent, host, cost, facts)
-        return Plan(make, cost, values, unknown)
+        cost, amounts = self._ranking.agent(self.primitive, values, candidate.hops, staleness, self._here)
+
+        def make() -> Offer:
+            return Offer(
+                self.primitive,
+                "direct",
+                self._way,
+                candidate.agent,
+                host,
+                cost,
+                facts,
+                terms=self._ranking.terms(AGENT, amounts),
+                penalties=self._ranking.penalties(self.primitive, values),
+            )
+
+        return Plan(make, (cost, 0, (), (candidate.number,)), values, unknown)
 
     def _useless(self, name: str, fact: Fact) -> dict[str, str]:
         """Why a live fact says nothing; {} when it does."""

@@ -1,33 +1,59 @@
 """The cost of an offer, by which offers are ranked: the less, the better. It is never below 0.
 
-Of an agent that serves the primitive itself:
+`formula` is the whole of it, made of the tables that the code computes with: the guide prints it, and
+`lfield query --explain` shows its terms. Each term is a weight of the mission times an amount:
 
-    cost = fitness * F + hop * H + age * A
-
-- F is the mean penalty of the rated attributes, weighed by `attributes` of the weights (1 by default). Rated
-  for a primitive is every number with a `better` of more or less that a provider of it, or a single agent of
-  the mission, states or measures. A value x of an attribute with the typical value t has the penalty
-  t / (t + x) when more is better and x / (t + x) when less is, x being at least 0: from 0 over 0.5 for
-  the typical value up to 1. What is not stated or not known counts as typical, so silence is no merit.
+- F, the fitness, is the mean penalty of the rated attributes, weighed by `attributes` of the weights (1 by
+  default). Rated for a primitive is every number with a `better` of more or less that an agent of the team
+  which serves it itself states or measures, now or at another time: what nobody here is of does not count,
+  and a lost link changes no score of the others. A value x of an attribute with the typical value t has the
+  penalty t / (t + x) when more is better and x / (t + x) when less is, x being at least 0: from 0 over 0.5
+  for the typical value up to 1. What is not stated or not known counts as typical, so silence is no merit.
 - H is the number of hops: 0 on this host, else 1.
-- A is the largest age / max_age of the live attributes that are rated or named in the constraint, at most 1;
+- N is d / (nearby + d) for an agent d metres from where the question is asked, 0.5 where its place is not
+  known; it is 0 for all where nobody knows where the question is asked.
+- A is the largest age / max_age of the live attributes that are rated or named in the question, at most 1;
   one that is too old counts 1.
 
-Of an offer by a one-to-one rule: the cost of the offer behind it + loss * the rule's loss. Of a composition:
-the sum of its parts' costs + loss * the rule's loss + part * (parts - 1). Both grow with the costs of what
-they are made of, so the cheapest parts make the cheapest whole, and a search may stop early.
+All grow with the costs of what they are made of, so the cheapest parts make the cheapest whole, and a search
+may stop early. Costs are rounded to nine decimals: equal ones are equal however they were added up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from operator import mul
 from typing import NamedTuple
 
-from lfield.capability.matching.evaluate import Facts
-from lfield.capability.model import Attribute, Registry
+from lfield.capability.matching.evaluate import Facts, conjuncts, distance_to, evaluator, names
+from lfield.capability.model import Attribute, Provider, Registry, Value
+from lfield.capability.offer import Candidate, Penalty, Place, Term
 
 #: The penalty of a typical value, and of one that is not known.
 TYPICAL_PENALTY = 0.5
+#: Digits behind the point of a cost.
+DIGITS = 9
+
+#: The terms of each kind of offer: the weight of the mission, and what it is multiplied with.
+AGENT: Mapping[str, str] = {"fitness": "F", "hop": "H", "near": "N", "age": "A"}
+ONE_TO_ONE: Mapping[str, str] = {"loss": "its loss"}
+ONE_TO_MANY: Mapping[str, str] = {"loss": "its loss", "part": "(parts - 1)"}
+TEAM: Mapping[str, str] = {"part": "(members - 1)"}
+
+
+def formula() -> str:
+    """The cost of everything that is offered, a line each."""
+    rows = (
+        ("an agent", "", AGENT),
+        ("one-to-one", "the cost of who stands in", ONE_TO_ONE),
+        ("one-to-many", "the sum of the parts' costs", ONE_TO_MANY),
+        ("a team", "the sum of the members' costs", TEAM),
+    )
+    return "\n".join(f"{kind:<17}{'  +  '.join(_summands(base, terms))}" for kind, base, terms in rows)
+
+
+def _summands(base: str, terms: Mapping[str, str]) -> list[str]:
+    return [*filter(None, [base]), *(f"{weight} * {amount}" for weight, amount in terms.items())]
 
 
 class Rated(NamedTuple):
@@ -40,11 +66,12 @@ class Rated(NamedTuple):
 
 
 class Ranking:
-    """The costs of one registry, with its weights."""
+    """The costs of one registry, with its weights, for a team: `agents` gives those of a resource type."""
 
-    def __init__(self, registry: Registry) -> None:
-        self._registry = registry
+    def __init__(self, registry: Registry, agents: Callable[[str], Sequence[Candidate]]) -> None:
+        self._registry, self._agents = registry, agents
         self._weights = registry.weights
+        self._of_agent = [float(getattr(registry.weights, name)) for name in AGENT]
         self._rated: dict[str, tuple[Rated, ...]] = {}
 
     def rated(self, primitive: str) -> tuple[Rated, ...]:
@@ -55,16 +82,46 @@ class Ranking:
 
     def _stated(self, primitive: str) -> Iterator[str]:
         for provider in self._registry.providers.values():
-            if primitive in provider.serves:
-                yield from provider.attributes
-                yield from provider.live
-                yield from provider.serves[primitive].attributes
-        for values in self._registry.agents.values():
-            yield from values
+            served = provider.serves.get(primitive)
+            for candidate in self._agents(provider.type) if served is not None else ():
+                assert served is not None
+                own = self._own(candidate)
+                values = {**provider.attributes, **served.attributes, **own}
+                live = provider.live.keys() - own.keys()
+                if self._may_serve(provider, primitive, candidate, values, live):
+                    yield from (*values, *live)
 
-    def _shares(self, names: Iterable[str]) -> tuple[Rated, ...]:
+    def _own(self, candidate: Candidate) -> dict[str, Value]:
+        """What is stated of a single agent, whatever is measured."""
         known = self._registry.attributes
-        counted = [known[name] for name in names if name in known and _is_rated(known[name])]
+        told = {n: f.value for n, f in candidate.facts.items() if n in known and not known[n].live}
+        return {**told, **self._registry.agents.get(candidate.agent, {})}
+
+    def _may_serve(
+        self,
+        provider: Provider,
+        primitive: str,
+        candidate: Candidate,
+        stated: Mapping[str, Value],
+        live: Iterable[str],
+    ) -> bool:
+        """Whether the condition of its type lets an agent serve, now or when it measures something else."""
+        when = provider.serves[primitive].when
+        if when is None:
+            return True
+        changing = set(live)
+        host = candidate.host
+        values: dict[str, Value] = {n: v for n, v in stated.items() if n not in changing}
+        values |= {"agent": candidate.agent, "robot": host, "host": host}
+        for conjunct in conjuncts(when):
+            value = evaluator(conjunct)(values)
+            if value is False or (value is None and changing.isdisjoint(names(conjunct))):
+                return False
+        return True
+
+    def _shares(self, stated: Iterable[str]) -> tuple[Rated, ...]:
+        known = self._registry.attributes
+        counted = [known[name] for name in stated if name in known and _is_rated(known[name])]
         weights = [max(self._weights.attributes.get(attribute.name, 1.0), 0.0) for attribute in counted]
         total = sum(weights)
         return tuple(
@@ -74,36 +131,72 @@ class Ranking:
         )
 
     def counted(self, primitive: str, named: Iterable[str]) -> dict[str, float]:
-        """The attributes whose age counts, with their `max_age`; `named` are those in the constraint."""
-        names = {rated.name for rated in self.rated(primitive)}.union(named)
+        """The attributes whose age counts, with their `max_age`; `named` are those in the question."""
+        rated = {rated.name for rated in self.rated(primitive)}.union(named)
         known = self._registry.attributes
         return {
             name: known[name].max_age
-            for name in sorted(names)
+            for name in sorted(rated)
             if name in known and known[name].live and known[name].max_age > 0.0
         }
 
-    def agent(self, primitive: str, values: Facts, hops: int, staleness: float) -> float:
-        """The cost of an agent that serves the primitive itself; `staleness` is A of the formula."""
+    # --- an agent -------------------------------------------------------------------------------------
+
+    def agent(
+        self, primitive: str, values: Facts, hops: int, staleness: float, here: Place | None
+    ) -> tuple[float, tuple[float, ...]]:
+        """The cost of an agent that serves the primitive itself, and the amounts of its terms.
+
+        `staleness` is A of the formula before it is cut off at 1; `here` is where the question is asked.
+        """
+        near = 0.0 if here is None else self._nearness(values, here)
+        amounts = (self._fitness(primitive, values), float(hops), near, min(staleness, 1.0))
+        return round(sum(map(mul, self._of_agent, amounts)), DIGITS), amounts
+
+    def _fitness(self, primitive: str, values: Facts) -> float:
         fitness = 0.0
-        for name, share, typical, more in self.rated(primitive):
-            value = values.get(name)
-            if value is None:
-                fitness += share * TYPICAL_PENALTY
-                continue
-            amount = max(float(value), 0.0)  # type: ignore[arg-type]  # what is rated is a number
-            fitness += share * (typical if more else amount) / (typical + amount)
-        weights = self._weights
-        return weights.fitness * fitness + weights.hop * hops + weights.age * min(staleness, 1.0)
+        for rated in self.rated(primitive):
+            fitness += rated.share * _penalty(rated, values.get(rated.name))
+        return fitness
+
+    def _nearness(self, values: Facts, here: Place) -> float:
+        distance = distance_to(values, here)
+        return TYPICAL_PENALTY if distance is None else distance / (self._weights.nearby + distance)
+
+    def terms(self, kind: Mapping[str, str], amounts: Iterable[float]) -> tuple[Term, ...]:
+        """The terms of a cost, for people: those of AGENT, ONE_TO_ONE, ONE_TO_MANY or TEAM."""
+        return tuple(
+            Term(name, amount, getattr(self._weights, name))
+            for name, amount in zip(kind, amounts, strict=True)
+        )
+
+    def penalties(self, primitive: str, values: Facts) -> tuple[Penalty, ...]:
+        """What the fitness of an agent is made of, for people."""
+        return tuple(
+            Penalty(r.name, values.get(r.name), r.share, _penalty(r, values.get(r.name)))
+            for r in self.rated(primitive)
+        )
+
+    # --- rules and teams ------------------------------------------------------------------------------
 
     def by_rule(self, behind: float, loss: float) -> float:
         """The cost of an offer that stands in by a one-to-one rule, from that of the one behind it."""
-        return behind + self._weights.loss * loss
+        return round(behind + self._weights.loss * loss, DIGITS)
 
-    def whole(self, parts: Iterable[float], loss: float) -> float:
-        """The cost of a composition, from those of its parts."""
-        costs = list(parts)
-        return sum(costs) + self._weights.loss * loss + self._weights.part * (len(costs) - 1)
+    def whole(self, parts: Iterable[float], loss: float = 0.0) -> float:
+        """The cost of a composition, from those of its parts; that of a team has no loss."""
+        total, count = 0.0, -1
+        for cost in parts:
+            total += cost
+            count += 1
+        return round(total + self._weights.loss * loss + self._weights.part * count, DIGITS)
+
+
+def _penalty(rated: Rated, value: Value | None) -> float:
+    if value is None:
+        return TYPICAL_PENALTY
+    amount = max(float(value), 0.0)  # type: ignore[arg-type]  # what is rated is a number
+    return (rated.typical if rated.more else amount) / (rated.typical + amount)
 
 
 def _is_rated(attribute: Attribute) -> bool:

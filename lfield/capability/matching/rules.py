@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import islice
 
 from lfield.capability import ways
@@ -16,6 +16,7 @@ from lfield.capability.matching.assembly import Assembly
 from lfield.capability.matching.provided import Provided
 from lfield.capability.matching.ranking import Ranking
 from lfield.capability.model import Equivalence, Registry
+from lfield.capability.offer import Candidate
 
 #: One-to-one rules from the primitive that is wanted down to the one that is asked.
 Chain = tuple[Equivalence, ...]
@@ -27,14 +28,19 @@ MAX_CHAINS = 256
 class Rules:
     """The rules of a registry by the primitive they serve, always in the order of their names.
 
-    `open_ways` are the fields a program was compiled with by primitive; None leaves all ways open.
+    `agents` gives those of a resource type. `open_ways` are the fields a program was compiled with by
+    primitive; None leaves all ways open.
     """
 
     def __init__(
-        self, registry: Registry, open_ways: Mapping[str, Collection[str]] | None, depth: int
+        self,
+        registry: Registry,
+        agents: Callable[[str], Sequence[Candidate]],
+        open_ways: Mapping[str, Collection[str]] | None,
+        depth: int,
     ) -> None:
         self._open, self._depth = open_ways, depth
-        self.ranking = Ranking(registry)
+        self.ranking = Ranking(registry, agents)
         self._providers: dict[str, list[Provided]] = defaultdict(list)
         self._equivalences: dict[str, list[Equivalence]] = defaultdict(list)
         self._compositions: dict[str, list[Assembly]] = defaultdict(list)

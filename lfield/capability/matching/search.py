@@ -18,10 +18,20 @@ from operator import attrgetter
 
 from lfield.capability.matching.assembly import Assembly
 from lfield.capability.matching.evaluate import Judge, conjuncts, evaluator, names
-from lfield.capability.matching.plan import Plan, fulfilling, standing_in
+from lfield.capability.matching.joining import Combinations, Effort, GivenUp, Stream
+from lfield.capability.matching.narrowing import Narrowed
+from lfield.capability.matching.plan import Plan, Rank, fulfilling, standing_in
+from lfield.capability.matching.provided import Asked
 from lfield.capability.matching.rules import Chain, Rules, least_costs
 from lfield.capability.model import Expression, Need
 from lfield.capability.offer import Candidate, Team
+
+#: Conditions that must all be true of a plan.
+Wishes = tuple[Expression, ...]
+#: The compositions that something is part of.
+Used = frozenset[str]
+
+NOTHING: Used = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +40,9 @@ class Limits:
 
     depth           rules on top of one another
     per_rule        offers of each composition
-    combinations    combinations of parts that are tried for one composition
-    tried           combinations that are tried in all
+    combinations    combinations of parts that are tried in vain for one composition
+    tried           combinations that are tried in vain in all
+    steps           parts that are chosen in all
     offers          offers that are given, the best of all
     """
 
@@ -39,30 +50,8 @@ class Limits:
     per_rule: int = 16
     combinations: int = 1_000
     tried: int = 2_000
+    steps: int = 20_000
     offers: int = 32
-
-
-class Stream:
-    """Plans that are made when they are first asked for, and kept."""
-
-    def __init__(self, plans: Iterable[Plan]) -> None:
-        self._rest = iter(plans)
-        self._made: list[Plan] = []
-
-    def at(self, index: int) -> Plan | None:
-        """The plan with that number, or None behind the last one."""
-        while len(self._made) <= index:
-            plan = next(self._rest, None)
-            if plan is None:
-                return None
-            self._made.append(plan)
-        return self._made[index]
-
-    def __iter__(self) -> Iterator[Plan]:
-        index = 0
-        while (plan := self.at(index)) is not None:
-            yield plan
-            index += 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,26 +62,38 @@ class _Way:
     assembly: Assembly | None
     bound: float
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its rules, as they count in ties."""
+        whole = () if self.assembly is None else (self.assembly.rule.name,)
+        return (*(rule.name for rule in self.chain), *whole)
+
 
 class Search:
-    """One query for a primitive, on what the team is now."""
+    """One query for a primitive, on what the team is now: for all plans of which `wishes` are true."""
 
     def __init__(
-        self, rules: Rules, team: Team, limits: Limits, primitive: str, constraint: Expression | None
+        self,
+        rules: Rules,
+        team: Team,
+        limits: Limits,
+        primitive: str,
+        constraint: Expression | None,
+        also_named: Iterable[str] = (),
     ) -> None:
         self.rules, self.limits = rules, limits
         self.primitive, self.constraint = primitive, constraint
-        #: The attributes in the constraint.
-        self.named = named(constraint)
+        self.wishes: Wishes = () if constraint is None else conjuncts(constraint)
+        #: What of the question counts for the cost of an agent.
+        self.asked = Asked(named(constraint).union(also_named), team.here())
         #: Compositions of which not all combinations were tried.
         self.cut: set[str] = set()
         self._team = team
-        self._tried = 0
+        self._effort = Effort(limits.tried, limits.steps)
         self._candidates: dict[str, Sequence[Candidate]] = {}
         self._agents: dict[str, list[Plan]] = {}
-        self._streams: dict[tuple[str, int, frozenset[str]], Stream] = {}
-        self._composed: dict[tuple[str, int, frozenset[str]], Stream] = {}
-        self._needs: dict[tuple[str, str, int, frozenset[str]], Stream] = {}
+        self._streams: dict[tuple[str, int, Used, Wishes], Stream] = {}
+        self._composed: dict[tuple[str, int, Used, Wishes], Stream] = {}
         self._least = least_costs(rules, primitive, self._cheapest)
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
@@ -102,21 +103,21 @@ class Search:
         return self._candidates[resource]
 
     def agents(self, primitive: str) -> list[Plan]:
-        """The agents that serve a primitive themselves, the cheapest first."""
+        """The agents that serve a primitive themselves, the best first."""
         if primitive not in self._agents:
             found = [
-                provided.plans(self.candidates(provided.type), self.named)
+                provided.plans(self.candidates(provided.type), self.asked)
                 for provided in self.rules.providers(primitive)
             ]
-            self._agents[primitive] = sorted(joined(*found), key=attrgetter("cost"))
+            self._agents[primitive] = sorted(joined(*found), key=attrgetter("rank"))
         return self._agents[primitive]
 
     def plans(self) -> Iterator[Plan]:
-        """All plans that fulfil the constraint, the cheapest first; of each composition the best."""
+        """All plans that fulfil the constraint, the best first; of each composition the best."""
         given: Counter[str] = Counter()
-        found, wished = [], judges(self.constraint)
-        for way in self._ways(self.primitive, self.limits.depth, frozenset()):
-            plans = self._plans(way, self.primitive, self.limits.depth, frozenset(), wished)
+        found = []
+        for way in self._ways(self.primitive, self.limits.depth, NOTHING):
+            plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.wishes)
             if way.assembly is not None:
                 plans = self._not_full(plans, way.assembly, given)
             found.append((way.bound, plans))
@@ -135,86 +136,87 @@ class Search:
                 return
             yield plan
 
-    def serves(
-        self, primitive: str, chain: Chain, depth: int, used: frozenset[str], wished: Sequence[Judge]
-    ) -> bool:
+    def serves(self, primitive: str, chain: Chain, depth: int, used: Used, wishes: Wishes) -> bool:
         """Whether there is any plan by a chain that begins with this one."""
         found = (way for way in self._ways(primitive, depth, used) if way.chain[: len(chain)] == chain)
-        plans = (self._plans(way, primitive, depth, used, wished) for way in found)
+        plans = (self._plans(way, primitive, depth, used, wishes) for way in found)
         return next(joined.from_iterable(plans), None) is not None
 
-    def stream(self, primitive: str, depth: int, used: frozenset[str]) -> Stream:
-        """All plans for a primitive; `used` are the compositions that it is part of already."""
+    def stream(self, primitive: str, depth: int, used: Used, wishes: Wishes = ()) -> Stream:
+        """All plans for a primitive that fulfil the wishes; `used` are the compositions it is part of."""
         # What cannot occur below makes no difference: without it the node is shared.
         used &= self.rules.inside(primitive)
-        node = (primitive, depth, used)
+        node = (primitive, depth, used, wishes)
         if node not in self._streams:
             found = self._ways(primitive, depth, used)
-            plans = _merged([(way.bound, self._plans(way, primitive, depth, used, ())) for way in found])
+            plans = _merged([(way.bound, self._plans(way, primitive, depth, used, wishes)) for way in found])
             self._streams[node] = Stream(plans)
         return self._streams[node]
 
-    def composed(self, assembly: Assembly, depth: int, used: frozenset[str]) -> Stream:
+    def composed(self, assembly: Assembly, depth: int, used: Used, wishes: Wishes = ()) -> Stream:
         """The combinations of parts that fit, with so many rules below the composition's own."""
         used &= self.rules.inside(assembly.rule.serves)
-        node = (assembly.rule.name, depth, used)
+        node = (assembly.rule.name, depth, used, wishes)
         if node not in self._composed:
-            self._composed[node] = Stream(self._fitting(assembly, depth, used))
+            self._composed[node] = Stream(self._fitting(assembly, depth, used, wishes))
         return self._composed[node]
 
-    def need(self, assembly: Assembly, need: Need, depth: int, used: frozenset[str]) -> Stream:
-        """The plans for one part of a composition."""
-        used |= {assembly.rule.name}
-        if need.when is None:
-            return self.stream(need.primitive, depth, used)
-        node = (assembly.rule.name, need.name, depth, used & self.rules.inside(need.primitive))
-        if node not in self._needs:
-            plans = fulfilling(self.stream(need.primitive, depth, used), judges(need.when))
-            self._needs[node] = Stream(plans)
-        return self._needs[node]
+    def need(self, assembly: Assembly, need: Need, depth: int, used: Used) -> Stream:
+        """The plans for one part of a composition, whatever is asked of the whole."""
+        wishes = () if need.when is None else conjuncts(need.when)
+        return self.stream(need.primitive, depth, used | {assembly.rule.name}, wishes)
 
-    def combinations(
-        self, assembly: Assembly, depth: int, used: frozenset[str]
-    ) -> Iterator[tuple[Plan, ...]]:
+    def combinations(self, assembly: Assembly, depth: int, used: Used) -> Iterator[tuple[Plan, ...]]:
         """Every choice of parts, the cheapest first, whether they fit together or not."""
         streams = [self.need(assembly, need, depth, used) for need in assembly.rule.needs.values()]
-        numbers, raised = (0,) * len(streams), 0
-        first = _chosen(streams, numbers)
-        waiting = [] if first is None else [(assembly.cost(first), numbers, raised, first)]
-        while waiting:
-            _, numbers, raised, parts = heapq.heappop(waiting)
-            yield parts
-            # Each choice is reached from one other, in which its last raised number is one less.
-            for place in range(raised, len(streams)):
-                following = (*numbers[:place], numbers[place] + 1, *numbers[place + 1 :])
-                if (choice := _chosen(streams, following)) is not None:
-                    heapq.heappush(waiting, (assembly.cost(choice), following, place, choice))
+        return iter(Combinations(streams, assembly.cost, Effort(self.limits.combinations, self.limits.steps)))
 
     def _cheapest(self, primitive: str) -> float | None:
         found = self.agents(primitive)
         return found[0].cost if found else None
 
-    def _fitting(self, assembly: Assembly, depth: int, used: frozenset[str]) -> Iterator[Plan]:
-        for tried, parts in enumerate(self.combinations(assembly, depth, used)):
-            if tried == self.limits.combinations or self._tried >= self.limits.tried:
-                self.cut.add(assembly.rule.name)
-                return
-            self._tried += 1
-            if (plan := assembly.plan(parts)) is not None:
-                yield plan
+    def _fitting(self, assembly: Assembly, depth: int, used: Used, wishes: Wishes) -> Iterator[Plan]:
+        """The wholes that fulfil the wishes, the best first."""
+        effort = Effort(self.limits.combinations, self.limits.steps, self._effort)
+        branches = [
+            (0.0, self._branch(assembly, narrowed, depth, used | {assembly.rule.name}, effort))
+            for narrowed in assembly.narrowed(wishes)
+        ]
+        yield from branches[0][1] if len(branches) == 1 else _merged(branches)
 
-    def _ways(self, primitive: str, depth: int, used: frozenset[str]) -> Iterator[_Way]:
+    def _branch(
+        self, assembly: Assembly, narrowed: Narrowed, depth: int, used: Used, effort: Effort
+    ) -> Iterator[Plan]:
+        needs = assembly.rule.needs.values()
+        streams = [
+            self.stream(need.primitive, depth, used, wishes)
+            for need, wishes in zip(needs, narrowed.parts, strict=True)
+        ]
+        whole = judges(narrowed.whole)
+        try:
+            for parts in assembly.combinations(streams, narrowed, effort):
+                plan = assembly.plan(parts)
+                if all(judge(plan.values) is True for judge in whole):
+                    yield plan
+                elif not effort.fail():
+                    raise GivenUp
+        except GivenUp:
+            self.cut.add(assembly.rule.name)
+
+    def _ways(self, primitive: str, depth: int, used: Used) -> list[_Way]:
         """All ways to a primitive, in the order in which they win ties."""
+        found = []
         for chain in self.rules.chains(primitive):
             if len(chain) > depth:
-                return
+                break
             end = _end(chain, primitive)
             if own := self.agents(end):
-                yield _Way(chain, None, self._by_chain(chain, own[0].cost))
+                found.append(_Way(chain, None, self._by_chain(chain, own[0].cost)))
             for assembly in self.rules.compositions(end) if len(chain) < depth else ():
                 least = assembly.least(self._least)
                 if least is not None and assembly.rule.name not in used:
-                    yield _Way(chain, assembly, self._by_chain(chain, least))
+                    found.append(_Way(chain, assembly, self._by_chain(chain, least)))
+        return sorted(found, key=lambda way: (len(way.names), way.names))
 
     def _by_chain(self, chain: Chain, cost: float) -> float:
         """What an offer by a chain costs, from the cost at its end."""
@@ -222,25 +224,23 @@ class Search:
             cost = self.rules.ranking.by_rule(cost, rule.loss)
         return cost
 
-    def _plans(
-        self, way: _Way, primitive: str, depth: int, used: frozenset[str], wished: Sequence[Judge]
-    ) -> Iterator[Plan]:
+    def _plans(self, way: _Way, primitive: str, depth: int, used: Used, wishes: Wishes) -> Iterator[Plan]:
         """The plans of one way that fulfil what its rules ask and what is wished."""
+        asked = (*(c for rule in way.chain if rule.when is not None for c in conjuncts(rule.when)), *wishes)
         behind: Iterable[Plan]
         if way.assembly is None:
-            behind = self.agents(_end(way.chain, primitive))
+            behind = fulfilling(self.agents(_end(way.chain, primitive)), judges(asked))
         else:
-            behind = self.composed(way.assembly, depth - len(way.chain) - 1, used)
-        asked = [judge for rule in way.chain for judge in judges(rule.when)]
-        for plan in fulfilling(behind, [*asked, *wished]):
+            behind = self.composed(way.assembly, depth - len(way.chain) - 1, used, asked)
+        for plan in behind:
             for rule in reversed(way.chain):
                 plan = standing_in(rule, plan, self.rules.ranking)
             yield plan
 
 
-def judges(condition: Expression | None) -> list[Judge]:
-    """One function for each conjunct of a condition."""
-    return [] if condition is None else [evaluator(conjunct) for conjunct in conjuncts(condition)]
+def judges(conditions: Iterable[Expression]) -> list[Judge]:
+    """One function for each condition."""
+    return [evaluator(condition) for condition in conditions]
 
 
 def named(condition: Expression | None) -> frozenset[str]:
@@ -253,29 +253,22 @@ def _end(chain: Chain, primitive: str) -> str:
     return chain[-1].by if chain else primitive
 
 
-def _chosen(streams: Sequence[Stream], numbers: Sequence[int]) -> tuple[Plan, ...] | None:
-    """The plans with these numbers, or None when one of the streams is not as long."""
-    found = [stream.at(number) for stream, number in zip(streams, numbers, strict=True)]
-    plans = tuple(plan for plan in found if plan is not None)
-    return plans if len(plans) == len(streams) else None
-
-
 def _merged(streams: Iterable[tuple[float, Iterator[Plan]]]) -> Iterator[Plan]:
-    """The plans of ordered streams in the order of their costs; of equal ones the earlier stream's first.
+    """The plans of ordered streams in the order of their ranks; of equal ones the earlier stream's first.
 
     A stream that is not begun waits with the least that its plans can cost.
     """
     started = list(streams)
-    waiting: list[tuple[float, int, Plan | None]] = [
-        (bound, rank, None) for rank, (bound, _) in enumerate(started)
+    waiting: list[tuple[Rank | tuple[float], int, Plan | None]] = [
+        ((bound,), number, None) for number, (bound, _) in enumerate(started)
     ]
     heapq.heapify(waiting)
     while waiting:
-        _, rank, plan = waiting[0]
+        _, number, plan = waiting[0]
         if plan is not None:
             yield plan
-        following = next(started[rank][1], None)
+        following = next(started[number][1], None)
         if following is None:
             heapq.heappop(waiting)
         else:
-            heapq.heapreplace(waiting, (following.cost, rank, following))
+            heapq.heapreplace(waiting, (following.rank, number, following))

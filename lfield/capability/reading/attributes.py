@@ -5,7 +5,7 @@ attributes:
   payload: {type: real, unit: kg, better: more, typical: 2.0, meaning: what it can carry or lift}
   environment: {type: set, values: [aerial, aquatic, terrestrial], meaning: where it can work}
   battery: {type: real, better: more, live: true, max_age: 10.0, meaning: charge from 0 to 1}
-ranking: {weights: {loss: 2.0, hop: 0.1}, attributes: {payload: 2.0}}
+ranking: {weights: {loss: 2.0, hop: 0.1}, attributes: {payload: 2.0}, nearby: 20.0}
 ```
 """
 
@@ -26,7 +26,7 @@ from lfield.text.yaml_source import Entry
 RESERVED_ATTRIBUTES = frozenset({"agent", "robot", "host", "distance", "min", "max", "abs"})
 
 #: The terms of the cost that have a weight; the weights of single attributes stand beside them.
-_TERMS = tuple(f.name for f in fields_of(Weights) if f.name != "attributes")
+_TERMS = tuple(f.name for f in fields_of(Weights) if f.name not in ("attributes", "nearby"))
 _HEAVIEST = 1e6
 
 
@@ -73,7 +73,8 @@ def read_ranking(draft: Draft) -> None:
         }
         stated.done()
         attributes = {**draft.weights.attributes, **_attribute_weights(draft, section.section("attributes"))}
-        draft.weights = replace(draft.weights, attributes=attributes, **weights)
+        nearby = section.number("nearby", draft.weights.nearby, minimum=0.1, maximum=_HEAVIEST)
+        draft.weights = replace(draft.weights, attributes=attributes, nearby=nearby, **weights)
         section.done()
 
 

@@ -143,6 +143,8 @@ NUMBER_OF_NEEDS = _message(
     "what is made of parts can be a part; write it as a rule of its own",
 )
 
+NOT_DISTINCT = _message("C180", "{problem}", "'distinct' is true, or a list of two parts or more: {parts}")
+
 # --- C16x: agents ---------------------------------------------------------------------------------------
 
 UNKNOWN_AGENT = _message("C160", "the deployment has no agent '{name}'", "its agents are {agents}")

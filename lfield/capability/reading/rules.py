@@ -12,6 +12,7 @@ equivalences:
     serves: Lift
     needs: {grip: {capability: Grip, when: "payload >= 0.1"}, climb: {capability: Climb}}
     where: ["grip.robot != climb.robot"]
+    distinct: [grip, climb]          # or true: no agent is two of them
     through: GripAndClimb            # the class in L, in the file `source` beside this one
     source: L/grip_and_climb.L
     attributes: {payload: "min(grip.payload, climb.payload)"}
@@ -37,7 +38,8 @@ from lfield.capability.reading.signatures import same_call
 from lfield.capability.reading.values import read_attribute_expression, read_expression
 from lfield.text.source import Span
 from lfield.text.yaml_fields import Fields
-from lfield.text.yaml_source import Entry
+from lfield.text.suggest import listed
+from lfield.text.yaml_source import Entry, Listing, Scalar
 
 #: Most parts that a composition can have: what can be put together grows with each of them.
 MAX_NEEDS = 8
@@ -102,6 +104,7 @@ def _one_to_many(draft: Draft, entry: Entry, fields: Fields, serves: Primitive, 
         through=_through(draft, fields),
         source=_source(draft, fields, folder),
         where=_conditions(draft, fields, whole),
+        distinct=_distinct(draft, fields, [need.key for need in stated.named()]),
         attributes=_worth(draft, worth, parts),
         loss=fields.number("loss", minimum=0.0, maximum=1.0),
         meaning=fields.text("meaning"),
@@ -115,14 +118,35 @@ def _needs(draft: Draft, section: Fields, span: Span) -> list[Need]:
     if not 0 < len(section) <= MAX_NEEDS:
         draft.tell(messages.NUMBER_OF_NEEDS, span, most=MAX_NEEDS, count=len(section))
     scope, needs = Scope.of_offer(draft.attributes), []
-    for entry, fields in section.entries():
+    for entry in section.named():
         draft.check_name(entry.key, NAME, "a part", entry.key_span)
-        name, place = fields.text("capability", required=True), fields.value_span("capability")
-        when = read_expression(draft, fields.node("when"), scope, "boolean")
-        fields.done()
+        if isinstance(entry.value, Scalar) and isinstance(entry.value.value, str):
+            # `left: Haul` is short for `left: {capability: Haul}`.
+            name, place, when = entry.value.value, entry.value.span, None
+        else:
+            fields = section.section(entry.key)
+            name, place = fields.text("capability", required=True), fields.value_span("capability")
+            when = read_expression(draft, fields.node("when"), scope, "boolean")
+            fields.done()
         if draft.primitive(name, place) is not None:
             needs.append(Need(entry.key, name, entry.key_span, when))
     return needs
+
+
+def _distinct(draft: Draft, fields: Fields, parts: list[str]) -> tuple[str, ...]:
+    """The parts that have no agent in common: all of them for `true`."""
+    node = fields.node("distinct")
+    named = tuple(parts) if isinstance(node, Scalar) and node.value is True else fields.texts("distinct")
+    if not isinstance(node, Listing) and not named:
+        return ()
+    if unknown := [name for name in named if name not in parts]:
+        problem = f"there is no part {listed(map(repr, unknown))}"
+    elif len(set(named)) < max(2, len(named)):
+        problem = "what is distinct is so from another one"
+    else:
+        return named
+    draft.tell(messages.NOT_DISTINCT, fields.value_span("distinct"), problem=problem, parts=listed(parts))
+    return ()
 
 
 def _through(draft: Draft, fields: Fields) -> str:

@@ -46,6 +46,9 @@ class Team:
         """The agents of a type."""
         return [member for member in self.members if member.type == resource]
 
+    def here(self) -> None:
+        """Nobody knows where the question is asked."""
+
 
 def mission(tmp_path: Path, text: str) -> Registry:
     """What we ship with a file of the guide, which has its L class beside it."""
@@ -141,6 +144,17 @@ equivalences:
 """
 
 
+def example_team(crane: str = "Crane", copter: str = "Copter", hand: str = "Hand") -> Team:
+    """Crane, copter and hand, of these types."""
+    return Team(
+        (
+            Candidate("crane", crane, "here"),
+            Candidate("copter", copter, "sky", 1, facts={"battery": Fact(1.0, 5.0)}),
+            Candidate("hand", hand, "bench", 1),
+        )
+    )
+
+
 def figures() -> Iterator[tuple[float, float]]:
     """Cost and score of every row of the table."""
     (table,) = re.findall(r"\| offer \| F \| cost \| score \|\n.*\n((?:\|.*\n)+)", GUIDE)
@@ -153,14 +167,30 @@ def test_the_worked_example_is_what_the_ranking_gives(tmp_path: Path) -> None:
     (tmp_path / "whole.L").write_text("", encoding="utf-8")
     path = tmp_path / "example.yaml"
     path.write_text(EXAMPLE, encoding="utf-8")
-    team = Team(
-        (
-            Candidate("crane", "Crane", "here"),
-            Candidate("copter", "Copter", "sky", 1, facts={"battery": Fact(1.0, 5.0)}),
-            Candidate("hand", "Hand", "bench", 1),
-        )
-    )
-    offers = Matcher(read_registry([path]), team).offers("Lift")
+    offers = Matcher(read_registry([path]), example_team()).offers("Lift")
     assert [offer.kind for offer in offers] == ["direct", "equivalent", "composed"]
     given = [(round(offer.cost, 3), round(offer.score, 3)) for offer in offers]
     assert given == list(figures())
+
+
+def test_what_nobody_of_the_team_is_of_changes_no_score(tmp_path: Path) -> None:
+    """The same example beside all that we ship: no stock type is in the team, so none counts."""
+    path = tmp_path / "mission.capabilities.yaml"
+    path.write_text(STOCKED, encoding="utf-8")
+    registry = read_registry(mission=path)
+    offers = Matcher(registry, example_team("Bridge", "Kite")).offers("Lift")
+    assert (offers[0].agent, round(offers[0].score, 3)) == ("crane", 0.800)
+    assert [round(offer.cost, 3) for offer in offers if offer.rule == "climb-carries"] == [1.45]
+
+
+STOCKED = """
+registry: 1
+providers:
+  Bridge: {attributes: {payload: 6.0}, serves: {Lift: {portals: {lift: up, lower: down}}}}
+  Kite:
+    attributes: {payload: 0.5}
+    live: {battery: fc.battery}
+    serves: {Climb: {portals: {climb: up, descend: down}}}
+equivalences:
+  climb-carries: {serves: Lift, by: Climb, portals: {lift: climb, lower: descend}, loss: 0.3}
+"""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from lfield.capability.matching.expression import (
@@ -25,7 +26,7 @@ from lfield.capability.model import (
     Value,
     Weights,
 )
-from lfield.capability.offer import Candidate, Fact
+from lfield.capability.offer import Candidate, Fact, Place
 from lfield.text.source import Source, Span
 
 NOWHERE = Span(Source("test.yaml", ""), 0, 0)
@@ -85,6 +86,7 @@ def composition(
     needs: Mapping[str, str | tuple[str, str]],
     where: Sequence[str] = (),
     loss: float = 0.0,
+    distinct: tuple[str, ...] = (),
     **attributes: str,
 ) -> Composition:
     """A one-to-many rule; a need is a primitive, or one with its condition."""
@@ -100,6 +102,7 @@ def composition(
         Path("through.L"),
         NOWHERE,
         where=tuple(over_parts(text, needs, "boolean", attributes) for text in where),
+        distinct=distinct,
         attributes={key: over_parts(text, needs) for key, text in attributes.items()},
         loss=loss,
     )
@@ -149,10 +152,14 @@ def candidate(
 class Crew:
     """A team of these candidates, which counts how often it was asked."""
 
-    def __init__(self, *members: Candidate) -> None:
-        self.members = list(members)
+    def __init__(self, *members: Candidate, place: Place | None = None) -> None:
+        self.members, self.place = list(members), place
         self.asked = 0
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
         self.asked += 1
-        return [member for member in self.members if member.type == resource]
+        numbered = enumerate(self.members)
+        return [replace(member, number=n) for n, member in numbered if member.type == resource]
+
+    def here(self) -> Place | None:
+        return self.place

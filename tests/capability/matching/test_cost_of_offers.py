@@ -90,7 +90,7 @@ def test_ties_go_to_fewer_rules_then_names_then_the_deployment() -> None:
     crew = Crew(candidate("b1", "B"), candidate("a2", "A"), candidate("a1", "A"))
     offers = Matcher(registry(*types, *rules), crew).offers("Lift")
     assert [f"{o.way} {o.agent}" for o in offers] == [
-        *("byA a2", "byA a1", "byB b1"),
+        *("byB b1", "byA a2", "byA a1"),
         *("as_x a2", "as_x a1", "as_y a2", "as_y a1"),
     ]
 

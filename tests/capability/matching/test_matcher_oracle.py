@@ -123,9 +123,9 @@ def agent_cost(world: World, primitive: str, member: Candidate) -> float:
     facts = facts_of(world, member)
     stated = {
         name
-        for type in world.registry.providers.values()
-        if primitive in type.serves
-        for name in type.attributes
+        for other in world.crew.members
+        if primitive in world.registry.providers[other.type].serves
+        for name in facts_of(world, other)
     }
     penalties = []
     for name in stated:

@@ -48,8 +48,9 @@ def test_the_schema_lists_what_the_reader_knows() -> None:
     assert set(known["primitive"]["properties"]["portals"]["propertyNames"]["not"]["enum"]) == OFFER_METHODS
     assert known["composition"]["properties"]["needs"]["maxProperties"] == MAX_NEEDS
     assert known["name"]["maxLength"] == MAX_NAME
-    weights = SCHEMA["properties"]["ranking"]["properties"]["weights"]["properties"]
-    assert {*weights, "attributes"} == set(Weights.__dataclass_fields__)
+    ranking = SCHEMA["properties"]["ranking"]["properties"]
+    weights = ranking["weights"]["properties"]
+    assert {*weights, *ranking} - {"weights"} == set(Weights.__dataclass_fields__)
 
 
 def test_nothing_may_be_added_anywhere() -> None:
@@ -105,7 +106,8 @@ WHOLE: dict[str, Any] = {
         },
         "grip-and-sew": {
             "serves": "Lift",
-            "needs": {"hand": {"capability": "Grip"}},
+            "needs": {"hand": {"capability": "Grip"}, "other": "Grip"},
+            "distinct": ["hand", "other"],
             "through": "GripAndSew",
             "source": str(GOLDEN / "L" / "grip_and_climb.L"),
             "where": ["hand.payload > 1.0"],
