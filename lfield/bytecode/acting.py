@@ -22,7 +22,7 @@ _WRITES = frozenset({BY_NAME["putf"].code, BY_NAME["pute"].code})
 #: Results that did not exist before the instruction: no other thread can hold them.
 _MAKES = frozenset(BY_NAME[name].code for name in ("new", "newarray", "lds"))
 #: Heads that leave the engine and change nothing but what people read, time and chance.
-_READING = ("now", "lived", "random", "find", "findall", "agent", "host", "offers", "explain")
+_READING = ("now", "lived", "random", "find", "findall", "agent", "host", "offers", "explain", "teams")
 _TELLING = ("write", "print", *_READING, "yield", "sleep")
 _HARMLESS = frozenset(row.code for row in BY_CODE.values() if row.name.partition("_")[0] in _TELLING)
 

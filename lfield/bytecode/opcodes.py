@@ -237,6 +237,15 @@ TABLE: tuple[Opcode, ...] = (
     ),
     _head(1304, "agent", "ref->string", "The id of the agent that a proxy is for.", exits=True),
     _head(1305, "host", "ref->string", "The name of the host where the agent of a proxy is.", exits=True),
+    _head(
+        1310,
+        "teams",
+        "string int->ref",
+        "An array of arrays of 2 offers of a capability that have no agent in common, best first; "
+        "ConstraintException.",
+        "C",
+        True,
+    ),
     _quad(1400, "throw", "V:ref", "Throws an object; NullException when it is null."),
     _quad(
         1401,

@@ -56,7 +56,12 @@ BESIDE = ""
 #: The first field of a capability, and the fields of its class: what every offer tells about itself. `names`,
 #: `numbers`, `texts`, `ages` and `sources` have one element for each attribute.
 FACTS = "facts"
-FACT_FIELDS = ("agent", "host", "way", "score", "names", "numbers", "texts", "ages", "sources", "found")
+FACT_FIELDS = (
+    *("agent", "host", "way", "score", "names", "numbers", "texts", "ages"),
+    *("found", "note", "sources", "since"),
+)
+#: So many of them has a program of lfield 0.4. Later ones are only added behind.
+OLDEST_FACTS = 8
 
 UnitKind = Literal["class", "resource", "coordinator"]
 

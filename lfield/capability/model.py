@@ -54,6 +54,30 @@ class Expression:
 
 
 @dataclass(frozen=True, slots=True)
+class Key:
+    """What offers are ordered by: a number, the least first, or the most first where it is `descending`."""
+
+    value: Expression
+    descending: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What is asked of offers: a condition (None: any will do), what to order by first, and how many.
+
+    Where the keys are equal, and where there are none, the ranking decides; what is not known comes last.
+    """
+
+    condition: Expression | None = None
+    order: tuple[Key, ...] = ()
+    limit: int | None = None
+
+
+#: Whoever it is.
+ANYBODY = Wish()
+
+
+@dataclass(frozen=True, slots=True)
 class Term:
     """A node of the taxonomy. `id` is dotted, its parent is what stands before the last dot.
 

@@ -42,9 +42,10 @@ class Calls:
             case Find(id=Expr() as name):
                 self._evaluated("find", [name], tables.class_index(expr.resource.name))
             case Query():
-                head = "offers" if expr.verb == "find" else "explain"
+                head = "offers" if expr.verb == "find" else expr.verb
                 constraint = expr.constraint or Literal_(expr.span, NULL, None)
-                self._evaluated(head, [constraint], tables.class_index(expr.capability.name))
+                asked = [constraint] if expr.size is None else [constraint, expr.size]
+                self._evaluated(head, asked, tables.class_index(expr.capability.name))
             case Library():
                 self._evaluated(expr.operation, expr.arguments)
             case DeviceCall():

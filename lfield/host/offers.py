@@ -9,14 +9,15 @@ import math
 from collections.abc import Collection, Mapping
 from functools import lru_cache
 
-from lfield.capability.matching.explain import cut_short, render
-from lfield.capability.matching.expression import compile_constraint
+from lfield.capability.matching.explain import render
+from lfield.capability.matching.expression import compile_wish
 from lfield.capability.matching.matcher import Matcher
-from lfield.capability.model import Expression, Registry, Value
+from lfield.capability.model import ANYBODY, Registry, Value, Wish
 from lfield.capability.offer import Fact, Offer, Team
+from lfield.errors import ConstraintError
 from lfield.host.directory import TeamDirectory
 from lfield.mission.mission import Mission
-from lfield.vm.offers import Found, ways
+from lfield.vm.offers import Found, SearchGivenUp, ways
 
 #: How many conditions are kept compiled.
 MOST_CONSTRAINTS = 256
@@ -31,9 +32,17 @@ class Offers:
         self._answers = Answers(directory.registry, directory.directory, ways(mission.program), numbers)
 
     def offers(self, capability: str, constraint: str | None) -> list[Found]:
-        """Who offers a capability and fulfils the condition, best first. Raises ConstraintError."""
+        """Who offers a capability and fulfils the condition, best first.
+
+        Raises ConstraintError, and SearchGivenUp where nobody was found and not everything could be tried.
+        """
         self._directory.look()
         return self._answers.offers(capability, constraint)
+
+    def teams(self, capability: str, constraint: str | None, size: int) -> list[list[Found]]:
+        """Teams of so many that have no agent in common, best first. Raises what `offers` does."""
+        self._directory.look()
+        return self._answers.teams(capability, constraint, size)
 
     def explain(self, capability: str, constraint: str | None) -> str:
         """Why everybody else does not, a line each. Raises ConstraintError."""
@@ -59,27 +68,42 @@ class Answers:
         self._compiled = lru_cache(MOST_CONSTRAINTS)(self._compile)
 
     def offers(self, capability: str, constraint: str | None) -> list[Found]:
-        """The best who offer a capability and fulfil the condition, best first. Raises ConstraintError."""
-        offers = self._matcher.offers(capability, self._compiled(constraint))
-        return [found(offer, self._numbers) for offer in offers]
+        """The best who offer a capability and fulfil the condition, best first.
+
+        Raises ConstraintError, and SearchGivenUp where nobody was found and not everything could be tried.
+        """
+        answer = self._matcher.find(capability, self._compiled(constraint))
+        if answer.cut and not answer.offers:
+            raise SearchGivenUp(f"nobody was found for {capability}, but {'; '.join(answer.notes)}")
+        note = "; ".join(answer.notes)
+        return [found(offer, self._numbers, answer.count, note) for offer in answer.offers]
+
+    def teams(self, capability: str, constraint: str | None, size: int) -> list[list[Found]]:
+        """Teams of so many that have no agent in common, best first. Raises what `offers` does."""
+        if size < 1:
+            raise ConstraintError(str(size), ["a team has one member at least"])
+        answer = self._matcher.teams(capability, size, self._compiled(constraint))
+        note = "; ".join(answer.notes)
+        if note and not answer.teams:
+            raise SearchGivenUp(f"no team of {size} was found for {capability}, but {note}")
+        return [[found(offer, self._numbers, answer.agents, note) for offer in team] for team in answer.teams]
 
     def explain(self, capability: str, constraint: str | None) -> str:
-        """Why everybody else does not, a line each; '' when there is nobody else. Raises ConstraintError.
-
-        Where there are more offers than a find gives, the first line says how many.
-        """
-        wanted = self._compiled(constraint)
-        count, refusals = self._matcher.count(capability, wanted), self._matcher.explain(capability, wanted)
-        if not count and not refusals:
+        """How many offers there are, and why everybody else does not, a line each. Raises ConstraintError."""
+        wish = self._compiled(constraint)
+        answer = self._matcher.find(capability, wish)
+        refusals = self._matcher.explain(capability, wish.condition)
+        if not answer.count and not refusals:
             return f"no agent of this program serves {capability}, alone or with others"
-        return "\n".join(filter(None, [cut_short(count, self._matcher.most), render(refusals)]))
+        agents = self._matcher.agents(capability, wish)
+        return "\n".join([*answer.summary(agents), *filter(None, [render(refusals)])])
 
-    def _compile(self, constraint: str | None) -> Expression | None:
-        return None if constraint is None else compile_constraint(constraint, self._attributes)
+    def _compile(self, constraint: str | None) -> Wish:
+        return ANYBODY if constraint is None else compile_wish(constraint, self._attributes)
 
 
-def found(offer: Offer, numbers: Mapping[str, int]) -> Found:
-    """What L gets to know of an offer."""
+def found(offer: Offer, numbers: Mapping[str, int], count: int = 0, note: str = "") -> Found:
+    """What L gets to know of an offer, of which there were so many."""
     direct = offer.kind == "direct"
     values = [fact.value for fact in offer.facts.values()]
     return Found(
@@ -95,6 +119,8 @@ def found(offer: Offer, numbers: Mapping[str, int]) -> Found:
         texts=tuple(_text(value) for value in values),
         ages=tuple(_growing(fact) for fact in offer.facts.values()),
         sources=tuple("measured" if fact.of == "measured" else fact.source for fact in offer.facts.values()),
+        found=count,
+        note=note,
     )
 
 

@@ -15,10 +15,12 @@ from lfield.lang import syntax, tree
 from lfield.text.source import Diagnostic, Source
 
 #: What every offer tells about itself. The other public methods of a capability's class are its portals.
-OFFER_METHODS = frozenset({"agent", "host", "way", "score", "has", "attribute", "text", "age", "source"})
+OFFER_METHODS = frozenset(
+    {"agent", "host", "way", "score", "has", "attribute", "text", "age", "source", "found", "note"}
+)
 
-Verb = Literal["find", "explain"]
-VERBS: tuple[Verb, ...] = ("find", "explain")
+Verb = Literal["find", "explain", "teams"]
+VERBS: tuple[Verb, ...] = ("find", "explain", "teams")
 
 
 class Mistake(Protocol):

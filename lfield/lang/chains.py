@@ -103,8 +103,10 @@ def parts(expr: tree.Expr) -> list[tree.Expr]:
             return expr.lengths
         case tree.Elements():
             return expr.elements
-        case tree.Find(id=tree.Expr() as argument) | tree.Query(constraint=tree.Expr() as argument):
+        case tree.Find(id=tree.Expr() as argument):
             return [argument]
+        case tree.Query(constraint=constraint, size=size):
+            return [argument for argument in (constraint, size) if argument is not None]
     return []
 
 

@@ -249,11 +249,12 @@ class Find(Expr):
 
 @dataclass(slots=True, eq=False)
 class Query(Expr):
-    """`findC(constraint)`: an array of offers; `explainC`: why there are no others. None: any will do."""
+    """`findC(constraint)`: offers; `teamsC(constraint, size)`: teams of them; `explainC`: why no others."""
 
     capability: Unit
     constraint: Expr | None
-    verb: Literal["find", "explain"]
+    verb: Literal["find", "explain", "teams"]
+    size: Expr | None = None
 
 
 @dataclass(slots=True, eq=False)

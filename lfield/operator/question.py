@@ -1,8 +1,8 @@
-"""A question to the registry in one text: `Lift where payload >= 2.0`.
+"""A question to the registry in one text: `Lift where payload >= 2.0 order by battery desc limit 5`.
 
-Before `where` stands a primitive by its type in L, or an id of the taxonomy, which asks for everything that
-can be called there or below. Behind it stands a condition over attributes (matching/expression.py); both may
-be left out together.
+First stands a primitive by its type in L, or an id of the taxonomy, which asks for everything that can be
+called there or below. Behind `where` stands what a find of L takes: a condition over attributes, what to
+order by, and how many are wanted (matching/expression.py). All of that may be left out.
 """
 
 from __future__ import annotations
@@ -12,15 +12,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lfield.capability.condition import Mistake
-from lfield.capability.matching.expression import Scope, check, parse
-from lfield.capability.model import Expression, Primitive, Registry
+from lfield.capability.matching.expression import read_wish
+from lfield.capability.model import ANYBODY, Expression, Primitive, Registry, Wish
 from lfield.capability.reading import messages
 from lfield.errors import ProgramError, UsageError
 from lfield.operator.registry.taxonomy import primitives_below, term_of
 from lfield.text.source import Diagnostic, Source, Span
 from lfield.text.suggest import did_you_mean
 
-_QUESTION = re.compile(r"\s*(?P<what>\S+)(?:\s+where\b(?P<where>.*))?\s*", re.DOTALL)
+_QUESTION = re.compile(
+    r"\s*(?P<what>\S+)(?:\s+where\b(?P<where>.*)|\s+(?P<how>(?:order\s+by|limit)\b.*))?\s*", re.DOTALL
+)
 
 #: The longest question, in characters.
 MAX_LENGTH = 4000
@@ -28,11 +30,16 @@ MAX_LENGTH = 4000
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What is asked for: any of the primitives, and the condition, None when everybody will do."""
+    """What is asked for: any of the primitives, as is wished."""
 
     text: str
     primitives: tuple[Primitive, ...]
-    constraint: Expression | None = None
+    wish: Wish = ANYBODY
+
+    @property
+    def constraint(self) -> Expression | None:
+        """The condition, None when everybody will do."""
+        return self.wish.condition
 
 
 def read_question(text: str, registry: Registry) -> Question:
@@ -43,12 +50,13 @@ def read_question(text: str, registry: Registry) -> Question:
     source = Source("query", text)
     found: list[Diagnostic] = []
     primitives = _primitives(match["what"], Span(source, *match.span("what")), registry, found)
-    constraint, mistakes = _constraint(match["where"], registry)
-    start = match.start("where")
+    asked = "where" if match["where"] is not None else "how"
+    wish, mistakes = (ANYBODY, []) if match[asked] is None else read_wish(match[asked], registry.attributes)
+    start = match.start(asked)
     found += [_diagnostic(mistake, start, source) for mistake in mistakes]
     if found:
         raise ProgramError(found)
-    return Question(text.strip(), tuple(primitives), constraint)
+    return Question(text.strip(), tuple(primitives), wish or ANYBODY)
 
 
 def _primitives(what: str, place: Span, registry: Registry, found: list[Diagnostic]) -> Sequence[Primitive]:
@@ -65,15 +73,6 @@ def _primitives(what: str, place: Span, registry: Registry, found: list[Diagnost
         problem = f"nothing at or below '{term.id}' can be called"
         found.append(messages.BAD_EXPRESSION.at(place, problem=problem))
     return below
-
-
-def _constraint(where: str | None, registry: Registry) -> tuple[Expression | None, Sequence[Mistake]]:
-    if where is None:
-        return None, ()
-    expression, mistakes = parse(where)
-    if expression is not None:
-        mistakes = check(expression, Scope.of_offer(registry.attributes), "boolean")
-    return expression, mistakes
 
 
 def _diagnostic(mistake: Mistake, start: int, source: Source) -> Diagnostic:

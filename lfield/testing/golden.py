@@ -119,6 +119,12 @@ class Desk:
         """What the registry knows, if there is one."""
         return self.answers.offers(capability, constraint) if self.answers else []
 
+    def teams(
+        self, agent: Agent, capability: str, constraint: str | None, size: int
+    ) -> Sequence[Sequence[Found]]:
+        """The teams of what the registry knows."""
+        return self.answers.teams(capability, constraint, size) if self.answers else []
+
     def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
         """Why the others do not, if there is a registry."""
         return self.answers.explain(capability, constraint) if self.answers else ""

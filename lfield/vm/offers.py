@@ -7,11 +7,12 @@ own way are filled: a proxy, or the offers that stand in for it.
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from lfield.bytecode.program import ARRAY, FACTS, OBJECT, PROXY, Program, TypeRecord
+from lfield.bytecode.program import ARRAY, FACTS, OBJECT, OLDEST_FACTS, PROXY, Program, TypeRecord
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block, Full
 from lfield.vm.memory.layout import header
@@ -25,6 +26,7 @@ class Found:
     with the number `member`; otherwise `parts` are the offers in the fields they belong to. `kind` says the
     same in words. For each attribute there is a name, a number (NaN when it is none), a text (None: show the
     number), an age in seconds (NaN: it does not grow) and where it is from; the five are equally long.
+    `found` is how many offers there were (of a part 0), and `note` what was left out, in words.
     """
 
     way: str
@@ -39,6 +41,12 @@ class Found:
     texts: tuple[str | None, ...] = ()
     ages: tuple[float, ...] = ()
     sources: tuple[str, ...] = ()
+    found: int = 0
+    note: str = ""
+
+
+class SearchGivenUp(Exception):
+    """Nobody was found, and not everything could be tried; the message says what."""
 
 
 class UnknownWay(Exception):
@@ -88,8 +96,9 @@ class Shapes:
         core = program.core
         kinds = {record: i for i, record in enumerate(core.types)}
         self.of: dict[int, Shape] = {}
-        #: The type of an array of offers, where the program has such an array.
+        #: The type of an array of offers, and of an array of such arrays, where the program has them.
         self.arrays: dict[int, int] = {}
+        self.teams: dict[int, int] = {}
         for index, record in enumerate(core.classes):
             if not record.capability:
                 continue
@@ -97,8 +106,11 @@ class Shapes:
             array = kinds.get(TypeRecord(ARRAY, kinds.get(TypeRecord(OBJECT, index), -1)))
             if array is not None:
                 self.arrays[index] = array
+                self.teams[index] = kinds.get(TypeRecord(ARRAY, array), -1)
             #: The class of what offers say of themselves, and its two types of arrays.
             self.facts = core.types[record.fields[0].type].of
+            #: So many fields it has: a program of an older lfield has fewer.
+            self.told = len(core.classes[self.facts].fields)
             self.strings, self.reals = (core.classes[self.facts].fields[i].type for i in (4, 5))
 
 
@@ -117,8 +129,19 @@ def write_offers(block: Block, shapes: Shapes, capability: int, found: Sequence[
     `now` is the time of the coordinator's own clock, in seconds: from then on ages grow.
     """
     writer = _Writer(shapes, block.top, now)
-    offers = [writer.offer(shapes.of[capability], one) for one in found]
-    place = writer.put(layout.ARRAY, shapes.arrays[capability], offers)
+    return _written(block, writer, writer.offers(capability, found))
+
+
+def write_teams(
+    block: Block, shapes: Shapes, capability: int, found: Sequence[Sequence[Found]], now: float
+) -> int:
+    """An array of teams, each an array of offers; raises what `write_offers` does."""
+    writer = _Writer(shapes, block.top, now)
+    teams = [writer.offers(capability, team) for team in found]
+    return _written(block, writer, writer.put(layout.ARRAY, shapes.teams[capability], teams))
+
+
+def _written(block: Block, writer: _Writer, place: int) -> int:
     end = block.top + len(writer.words)
     if end > block.end:
         raise Full(len(writer.words))
@@ -134,6 +157,11 @@ class _Writer:
         self.words = array("q")
         self._shapes, self._base, self._now = shapes, base, now
         self._made: dict[tuple[int, object], int] = {}
+
+    def offers(self, capability: int, found: Sequence[Found]) -> int:
+        """An array of offers; where it begins."""
+        offers = [self.offer(self._shapes.of[capability], one) for one in found]
+        return self.put(layout.ARRAY, self._shapes.arrays[capability], offers)
 
     def offer(self, shape: Shape, found: Found) -> int:
         """An offer with all it consists of; where it begins."""
@@ -161,10 +189,12 @@ class _Writer:
         said.append(self._once(strings, found.names, lambda: map(self._text, found.names)))
         said.append(self.put(layout.ARRAY, reals, _bits(found.numbers)))
         said.append(self._once(strings, found.texts, lambda: map(self._text, found.texts)))
-        said.append(self._once(reals, _same(found.ages), lambda: _bits(found.ages)))
+        ages = found.ages if self._shapes.told > OLDEST_FACTS else tuple(map(_still, found.ages))
+        said.append(self._once(reals, _same(ages), lambda: _bits(ages)))
+        said += [found.found, self._text(found.note)]
         said.append(self._once(strings, found.sources, lambda: map(self._text, found.sources)))
         said += _bits([self._now])
-        return self.put(layout.OBJECT, self._shapes.facts, said)
+        return self.put(layout.OBJECT, self._shapes.facts, said[: self._shapes.told])
 
     def _once(self, type: int, value: tuple[object, ...], body: Callable[[], Iterable[int]]) -> int:
         """The array of some values, the same for all offers that have these."""
@@ -182,6 +212,11 @@ class _Writer:
             whole = array("q", raw.ljust(len(raw) + 7 & ~7, b"\0"))
             place = self._made[layout.STRING, text] = self.put(layout.STRING, 0, [len(raw), *whole])
         return place
+
+
+def _still(age: float) -> float:
+    """An age as programs of lfield 0.4 have it: 0 for what does not grow."""
+    return 0.0 if math.isnan(age) else age
 
 
 def _same(numbers: Iterable[float]) -> tuple[object, ...]:

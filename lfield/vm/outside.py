@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 from msgspec import structs
 
@@ -20,7 +21,7 @@ from lfield.vm.memory import layout
 from lfield.vm.memory.layout import PARKED, PROXY_MEMBER, WAITING
 from lfield.vm.memory.threads import place_of, still_image
 from lfield.vm.memory.values import plain, real_of, real_text, word_for, word_of
-from lfield.vm.offers import Shapes, UnknownWay, write_offers
+from lfield.vm.offers import SearchGivenUp, Shapes, UnknownWay, write_offers, write_teams
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.world import Pending
 
@@ -60,6 +61,7 @@ class Outsiders:
             "findall": self._find_all,
             "offers": self._offers,
             "explain": self._explain,
+            "teams": self._teams,
             "agent": self._agent,
             "host": self._host,
             "device": self._device,
@@ -82,7 +84,7 @@ class Outsiders:
 
     def _note_poll(self, agent: Agent, thread: int, name: str) -> None:
         """Anything but asking and yielding shows that a thread does more than poll."""
-        if name in ("now", "lived", "device", "offers", "explain"):
+        if name in ("now", "lived", "device", "offers", "explain", "teams"):
             agent.asked.add(thread)
         elif name not in ("yield", "agent", "host"):
             agent.polls.pop(thread, None)
@@ -230,14 +232,33 @@ class Outsiders:
         scheduler = self._scheduler
         name = scheduler.program.core.classes[operand].name
         constraint = agent.block.string(words[0]) if words[0] else None
-        try:
+        with self._refused(agent, thread, name):
             found = scheduler.world.offers(agent, name, constraint)
             now = self._lifetime(agent)
             scheduler.complete(
                 agent, thread, lambda: write_offers(agent.block, self._shapes, operand, found, now)
             )
+
+    def _teams(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
+        scheduler = self._scheduler
+        name = scheduler.program.core.classes[operand].name
+        constraint = agent.block.string(words[0]) if words[0] else None
+        with self._refused(agent, thread, name):
+            found = scheduler.world.teams(agent, name, constraint, words[1])
+            now = self._lifetime(agent)
+            scheduler.complete(
+                agent, thread, lambda: write_teams(agent.block, self._shapes, operand, found, now)
+            )
+
+    @contextmanager
+    def _refused(self, agent: Agent, thread: int, capability: str) -> Iterator[None]:
+        """What a question can go wrong with, as exceptions of L."""
+        try:
+            yield
         except (ConstraintError, UnknownWay) as error:
-            scheduler.refuse(agent, thread, "ConstraintException", str(error), name)
+            self._scheduler.refuse(agent, thread, "ConstraintException", str(error), capability)
+        except SearchGivenUp as error:
+            self._scheduler.refuse(agent, thread, "LimitException", str(error), capability)
 
     def _explain(self, agent: Agent, thread: int, operand: int, words: list[int]) -> None:
         scheduler = self._scheduler

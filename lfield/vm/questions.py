@@ -30,7 +30,7 @@ class Questions:
         self._scheduler = scheduler
 
     def ask(self, resource: Agent, portal: str, told: Told) -> None:
-        """Begin a portal of one that is `open`; `told` hears its end, maybe at once; none of one that dies."""
+        """Begin a portal of one that is `open`; `told` hears its end, unless the resource dies."""
         method = self._askable.get((resource.block.w[W_CLASS], portal))
         if method is None:
             told(None, f"{resource.member.type} has no portal {portal}() that takes nothing and only queries")

@@ -94,8 +94,14 @@ class World(Protocol):
     def offers(self, agent: Agent, capability: str, constraint: str | None) -> Sequence[Found]:
         """Who offers a capability now and fulfils the condition, best first.
 
-        Only by ways that the program was built with (`offers.ways`). Raises ConstraintError.
+        Only by ways that the program was built with (`offers.ways`). Raises ConstraintError, and
+        SearchGivenUp where nobody was found and not everything could be tried.
         """
+
+    def teams(
+        self, agent: Agent, capability: str, constraint: str | None, size: int
+    ) -> Sequence[Sequence[Found]]:
+        """Teams of so many offers that have no agent in common, best first. Raises what `offers` does."""
 
     def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
         """Why everybody else does not, a line each; '' when there is nobody else. Raises ConstraintError."""

@@ -167,7 +167,7 @@ def test_equal_words_are_written_once() -> None:
     written(many, found)
     words = {block.top - layout.HEADER_WORDS for block in (few, many)}
     # The object, what it says, its numbers, its proxy, and its place in the array.
-    assert max(words) - min(words) == 99 * (7 + 9 + 3 + 3 + 1)
+    assert max(words) - min(words) == 99 * (7 + 11 + 3 + 3 + 1)
 
 
 @pytest.mark.parametrize("agent", ["a", "a very long name " * 50])

@@ -205,6 +205,18 @@ def _offers(view: MethodView, pc: int, quad: Quad) -> Signature:
     return Signature([_accepts(STRING)], is_array_of_offers)
 
 
+def _teams(view: MethodView, pc: int, quad: Quad) -> Signature:
+    _check_query(view, pc, quad)
+    offer = TypeRecord(OBJECT, quad.a)
+
+    def is_array_of_teams(view: MethodView, index: int) -> bool:
+        record = view.types.record(index)
+        team = view.types.record(record.of) if record.kind == ARRAY else record
+        return record.kind == team.kind == ARRAY and view.types.record(team.of) == offer
+
+    return Signature([_accepts(STRING), _accepts(INT)], is_array_of_teams)
+
+
 def _explain(view: MethodView, pc: int, quad: Quad) -> Signature:
     _check_query(view, pc, quad)
     return Signature([_accepts(STRING)], _accepts(STRING))
@@ -238,6 +250,7 @@ _SPECIAL: dict[str, Callable[[MethodView, int, Quad], Signature]] = {
     "findall": _findall,
     "offers": _offers,
     "explain": _explain,
+    "teams": _teams,
     "agent": _about,
     "host": _about,
     "device": _device,

@@ -16,6 +16,7 @@ from lfield.bytecode.program import (
     INT,
     OBJECT,
     OLDEST_BUILTINS,
+    OLDEST_FACTS,
     PROXY,
     REAL,
     STRING,
@@ -44,9 +45,12 @@ _OLD_RECORDS = tuple(
     ClassRecord(name, "class", "global", _TEXT_FIELDS) for name in BUILTIN_CLASSES[:OLDEST_BUILTINS]
 )
 
-_TEXT, _NUMBER = TypeRecord(STRING), TypeRecord(REAL)
+_TEXT, _NUMBER, _COUNT = TypeRecord(STRING), TypeRecord(REAL), TypeRecord(INT)
 _TEXTS, _NUMBERS = TypeRecord(ARRAY, STRING), TypeRecord(ARRAY, REAL)
-_FACT_TYPES = (_TEXT, _TEXT, _TEXT, _NUMBER, _TEXTS, _NUMBERS, _TEXTS, _NUMBERS, _TEXTS, _NUMBER)
+_FACT_TYPES = (
+    *(_TEXT, _TEXT, _TEXT, _NUMBER, _TEXTS, _NUMBERS, _TEXTS, _NUMBERS),
+    *(_COUNT, _TEXT, _TEXTS, _NUMBER),
+)
 _FACT_SHAPE = list(zip(FACT_FIELDS, _FACT_TYPES, strict=True))
 
 _INT_MIN, _INT_MAX = -(1 << 63), (1 << 63) - 1
@@ -130,7 +134,7 @@ def _check_capability(record: ClassRecord, table: TypeTable) -> None:
         raise ProgramFileError(f"the capability {record.name} is no coordinator specific class")
     facts = table.fields(record.fields[0].type) if record.fields else ()
     shape = [(field.name, table.record(field.type)) for field in facts]
-    if shape != _FACT_SHAPE or record.fields[0].name != FACTS:
+    if shape not in (_FACT_SHAPE, _FACT_SHAPE[:OLDEST_FACTS]) or record.fields[0].name != FACTS:
         raise ProgramFileError(f"the capability {record.name} does not begin with what offers tell")
 
 

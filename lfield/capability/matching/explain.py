@@ -25,6 +25,9 @@ from lfield.capability.offer import Refusal
 #: Combinations of parts that do not fit, of which an explanation tells why.
 SHOWN = 16
 
+#: What is said of a rule of which not everything was tried.
+TOO_MANY = "there are more combinations of parts than could be tried"
+
 #: So often an explanation goes into what a rule asks for.
 MAX_TOLD = 100
 
@@ -38,11 +41,6 @@ def _lines(refusals: Iterable[Refusal], indent: str) -> Iterator[str]:
     for refusal in refusals:
         yield f"{indent}{refusal}"
         yield from _lines(refusal.inner, f"{indent}  ")
-
-
-def cut_short(count: int, most: int) -> str:
-    """That there are more offers than are given, '' when there are not."""
-    return f"the best {most} of {count} offers are given" if count > most else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +157,7 @@ class Explanation:
         """What the limits of the search left out."""
         limits = self._search.limits
         if rule in self._search.cut:
-            return ("there are more combinations of parts than could be tried",)
+            return (TOO_MANY,)
         if offered > limits.per_rule and not place.used:
             return (f"only the best {limits.per_rule} combinations are offered",)
         return ()

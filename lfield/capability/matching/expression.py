@@ -14,7 +14,7 @@ from typing import Literal
 
 from lfield.capability import condition, condition_reader
 from lfield.capability.condition import Mistake
-from lfield.capability.model import Attribute, Expression
+from lfield.capability.model import Attribute, Expression, Key, Wish
 from lfield.errors import ConstraintError
 from lfield.text.source import Span
 from lfield.text.suggest import did_you_mean, listed
@@ -100,9 +100,37 @@ def compile_constraint(text: str, attributes: Mapping[str, Attribute]) -> Expres
     if expression is not None:
         mistakes = check(expression, Scope.of_offer(attributes), "boolean")
     if expression is None or mistakes:
-        shown = text if len(text) <= 80 else f"{text[:77]}..."
-        raise ConstraintError(shown, [str(mistake) for mistake in mistakes])
+        raise _wrong(text, mistakes)
     return expression
+
+
+def compile_wish(text: str, attributes: Mapping[str, Attribute]) -> Wish:
+    """A wish over the attributes of offers. Raises ConstraintError with everything wrong in it."""
+    question, mistakes = read_wish(text, attributes)
+    if question is None or mistakes:
+        raise _wrong(text, mistakes)
+    return question
+
+
+def read_wish(text: str, attributes: Mapping[str, Attribute]) -> tuple[Wish | None, list[Mistake]]:
+    """The wish in a text, or None and everything wrong in it."""
+    written, mistakes = condition_reader.parse_wish(text)
+    if written is None:
+        return None, mistakes
+    scope = Scope.of_offer(attributes)
+    wished = written.condition
+    condition = None if wished is None else Expression(written.text, wished)
+    keys = tuple(Key(Expression(tree.span.text, tree), descending) for tree, descending in written.order)
+    if condition is not None:
+        mistakes += check(condition, scope, "boolean")
+    for key in keys:
+        mistakes += check(key.value, scope, "number")
+    return (None if mistakes else Wish(condition, keys, written.limit)), mistakes
+
+
+def _wrong(text: str, mistakes: list[Mistake]) -> ConstraintError:
+    shown = text if len(text) <= 80 else f"{text[:77]}..."
+    return ConstraintError(shown, [str(mistake) for mistake in mistakes])
 
 
 def parse(text: str) -> tuple[Expression | None, list[Mistake]]:

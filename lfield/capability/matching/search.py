@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain as joined
+from itertools import islice
 from operator import attrgetter
 
 from lfield.capability.matching.assembly import Assembly
@@ -70,7 +71,10 @@ class _Way:
 
 
 class Search:
-    """One query for a primitive, on what the team is now: for all plans of which `wishes` are true."""
+    """One query for a primitive, on what the team is now.
+
+    Attributes that are `also_named` count for the age of an agent as those of the constraint do.
+    """
 
     def __init__(
         self,
@@ -127,6 +131,31 @@ class Search:
             elif given[plan.composition] < self.limits.per_rule:
                 given[plan.composition] += 1
                 yield plan
+
+    def count(self) -> int:
+        """How many there are of `plans`, without making those of single agents."""
+        wholes: dict[str, list[Iterator[Plan]]] = {}
+        found = 0
+        for way in self._ways(self.primitive, self.limits.depth, NOTHING):
+            if way.assembly is None:
+                conditions = judges((*_asked(way.chain), *self.wishes))
+                found += sum(1 for _ in fulfilling(self.agents(_end(way.chain, self.primitive)), conditions))
+            else:
+                plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.wishes)
+                wholes.setdefault(way.assembly.rule.name, []).append(plans)
+        most = self.limits.per_rule
+        return found + sum(len(list(islice(joined(*plans), most))) for plans in wholes.values())
+
+    def every_plan(self) -> Iterator[Plan]:
+        """All plans that fulfil the constraint, of compositions as many as may be tried; in no order."""
+        for way in self._ways(self.primitive, self.limits.depth, NOTHING):
+            plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.wishes)
+            if way.assembly is None:
+                yield from plans
+                continue
+            yield from islice(plans, self.limits.combinations)
+            if next(plans, None) is not None:
+                self.cut.add(way.assembly.rule.name)
 
     def _not_full(self, plans: Iterator[Plan], assembly: Assembly, given: Counter[str]) -> Iterator[Plan]:
         """The plans, until enough of the composition were given, here or by other chains."""
@@ -226,7 +255,7 @@ class Search:
 
     def _plans(self, way: _Way, primitive: str, depth: int, used: Used, wishes: Wishes) -> Iterator[Plan]:
         """The plans of one way that fulfil what its rules ask and what is wished."""
-        asked = (*(c for rule in way.chain if rule.when is not None for c in conjuncts(rule.when)), *wishes)
+        asked = (*_asked(way.chain), *wishes)
         behind: Iterable[Plan]
         if way.assembly is None:
             behind = fulfilling(self.agents(_end(way.chain, primitive)), judges(asked))
@@ -246,6 +275,11 @@ def judges(conditions: Iterable[Expression]) -> list[Judge]:
 def named(condition: Expression | None) -> frozenset[str]:
     """The attributes that a condition looks at."""
     return frozenset() if condition is None else frozenset(names(condition))
+
+
+def _asked(chain: Chain) -> Wishes:
+    """What the rules of a chain ask of who stands at its end."""
+    return tuple(c for rule in chain if rule.when is not None for c in conjuncts(rule.when))
 
 
 def _end(chain: Chain, primitive: str) -> str:

@@ -37,8 +37,8 @@ from lfield.capability.reading.rule_checks import check_calls
 from lfield.capability.reading.signatures import same_call
 from lfield.capability.reading.values import read_attribute_expression, read_expression
 from lfield.text.source import Span
-from lfield.text.yaml_fields import Fields
 from lfield.text.suggest import listed
+from lfield.text.yaml_fields import Fields
 from lfield.text.yaml_source import Entry, Listing, Scalar
 
 #: Most parts that a composition can have: what can be put together grows with each of them.

@@ -50,6 +50,8 @@ _FACTS = (
     ("string text(string name)", "text(name)"),
     ("real age(string name)", "age(name)"),
     ("string source(string name)", "source(name)"),
+    ("int found()", "found()"),
+    ("string note()", "note()"),
 )
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from lfield.capability.condition import Mistake
 from lfield.capability.matching import expression
-from lfield.capability.matching.expression import Scope
 from lfield.capability.model import Provider, Registry
 from lfield.capability.reading.reader import is_shipped
 from lfield.capability.reading.signatures import signatures_of
@@ -60,10 +59,7 @@ class RegistryTypes:
 
     def mistakes(self, constraint: str) -> Sequence[Mistake]:
         """What is wrong with the text of a condition over attributes."""
-        parsed, found = expression.parse(constraint)
-        if parsed is None:
-            return found
-        return expression.check(parsed, Scope.of_offer(self.registry.attributes), "boolean")
+        return expression.read_wish(constraint, self.registry.attributes)[1]
 
 
 def _served(registry: Registry, files: Sequence[syntax.File]) -> Served:

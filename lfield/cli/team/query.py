@@ -10,11 +10,16 @@ from lfield.cli.mission_argument import add_running_mission, meant_parties, mean
 from lfield.errors import UsageError
 from lfield.text.suggest import listed
 
+#: The largest team that can be asked for.
+MAX_TEAM = 1000
+
 if TYPE_CHECKING:
-    from lfield.capability.model import Registry
-    from lfield.cli.views.query_view import Known
+    from lfield.capability.matching.matcher import Matcher
+    from lfield.capability.model import Primitive, Registry
+    from lfield.cli.views.query_view import Answer, Known
     from lfield.mission.team import Team
     from lfield.operator.addressed import Party
+    from lfield.operator.question import Question
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,8 +33,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--at", metavar="HOST", default="", help="answer as this host would")
     parser.add_argument("--files", action="store_true", help="from the files alone: ask no host")
-    parser.add_argument("--explain", action="store_true", help="also tell why the others are not offered")
+    parser.add_argument(
+        "--explain",
+        action="store_true",
+        help="also tell every term of the scores, and why others are not offered",
+    )
+    parser.add_argument(
+        "--team", metavar="N", type=_size, help="also the best teams of N with no agent twice"
+    )
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
+
+
+def _size(text: str) -> int:
+    """The number of members of a team."""
+    if not text.isdecimal() or not 1 <= int(text[:9]) <= MAX_TEAM:
+        raise argparse.ArgumentTypeError(f"a team has from 1 to {MAX_TEAM} members, not {text!r}")
+    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -48,21 +67,25 @@ def run(args: argparse.Namespace) -> int:
     at = team.lookup(args.at) if args.at else ""
     known = _known(args, team, registry, at)
     matcher = Matcher(registry, known.team)
-    answers = [
-        query_view.Answer(
-            primitive,
-            matcher.offers(primitive.name, question.constraint),
-            matcher.count(primitive.name, question.constraint),
-            matcher.explain(primitive.name, question.constraint),
-        )
-        for primitive in question.primitives
-    ]
+    answers = [_answer(matcher, primitive, question, args.team) for primitive in question.primitives]
     tell_silent(known.silent)
     if args.json:
         print(query_view.as_json(question, known, answers, registry))
     else:
         query_view.show(question, known, answers, registry, explain=args.explain)
-    return 0 if any(answer.offers for answer in answers) else 1
+    return 0 if any(answer.offers if args.team is None else answer.teams for answer in answers) else 1
+
+
+def _answer(matcher: Matcher, primitive: Primitive, question: Question, size: int | None) -> Answer:
+    from lfield.cli.views.query_view import Answer
+
+    found = matcher.find(primitive.name, question.wish)
+    refusals = matcher.explain(primitive.name, question.constraint)
+    if size is None:
+        return Answer(primitive, found.offers, found.count, refusals, found.notes)
+    formed = matcher.teams(primitive.name, size, question.wish)
+    notes = list(dict.fromkeys([*found.notes, *formed.notes]))
+    return Answer(primitive, found.offers, found.count, refusals, notes, formed.teams)
 
 
 def _known(args: argparse.Namespace, team: Team, registry: Registry, at: str) -> Known:

@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from lfield.capability.matching.explain import cut_short, render
+from lfield.capability.matching.explain import render
 from lfield.capability.matching.search import named
 from lfield.capability.model import Primitive, Registry
 from lfield.capability.offer import Fact, Offer, Refusal, Team
+from lfield.cli.views.score_view import score_lines, terms_json
 from lfield.cli.views.trees import plain_console, print_tree
 from lfield.errors import LfieldError
 from lfield.operator.question import Question
@@ -48,12 +49,17 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Who serves a primitive: the best of them, best first, and how many there are; and who does not."""
+    """Who serves a primitive: the best of them, best first, and how many there are; and who does not.
+
+    `teams` are of these offers, where teams were asked for. `notes` say what was left out.
+    """
 
     primitive: Primitive
     offers: Sequence[Offer]
     count: int
     refusals: Sequence[Refusal]
+    notes: Sequence[str] = ()
+    teams: Sequence[Sequence[Offer]] | None = None
 
 
 # --- for people ---------------------------------------------------------------------------------------
@@ -68,10 +74,15 @@ def show(
         print(f"\n{answer.primitive.name} ({answer.primitive.id})")
         if answer.offers:
             _show_offers(answer.offers, _Attributes(registry, question))
-            if cut := cut_short(answer.count, len(answer.offers)):
-                print(cut)
         else:
             print("nobody can" if explain else "nobody can; --explain says why")
+        if answer.teams is not None:
+            _show_teams(answer)
+        for note in answer.notes:
+            print(note)
+        if explain and answer.offers:
+            print("\nscores:")
+            print("\n".join(f"  {printable(line)}" for line in score_lines(answer.offers)))
         if explain and answer.refusals:
             print("\nnot offered:")
             print("\n".join(map(printable, render(answer.refusals, "  ").splitlines())))
@@ -105,6 +116,13 @@ def _show_offers(offers: Sequence[Offer], attributes: _Attributes) -> None:
     if composed:
         print()
         print_tree(_tree(f"{rank}: {how(offer)}", offer, attributes) for rank, offer in composed)
+
+
+def _show_teams(answer: Answer) -> None:
+    """The teams by their members; who they are stands in the table above."""
+    print("\nteams:" if answer.teams else "\nno team can")
+    for rank, team in enumerate(answer.teams or (), 1):
+        print(f"{rank:>4}  {printable(', '.join(offer.agent for offer in team))}")
 
 
 def _table(offers: Sequence[Offer], attributes: _Attributes) -> Table:
@@ -162,6 +180,10 @@ def as_json(question: Question, known: Known, answers: Sequence[Answer], registr
                 "primitive": answer.primitive.name,
                 "id": answer.primitive.id,
                 "count": answer.count,
+                "notes": list(answer.notes),
+                "teams": None
+                if answer.teams is None
+                else [[offer.agent for offer in team] for team in answer.teams],
                 "offers": [_offer(offer, registry) for offer in answer.offers],
                 "refusals": [_refusal(refusal) for refusal in answer.refusals],
             }
@@ -179,6 +201,7 @@ def _offer(offer: Offer, registry: Registry) -> dict[str, Any]:
         "kind": offer.kind,
         "rule": offer.rule or None,
         "score": round(offer.score, 6),
+        **terms_json(offer),
         "attributes": {name: _fact(name, fact, registry) for name, fact in offer.facts.items()},
         "parts": {need: _offer(part, registry) for need, part in parts_of(offer).items()},
     }

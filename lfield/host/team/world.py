@@ -105,6 +105,10 @@ class HostWorld:
         """Who offers a capability now, best first."""
         return self._offers.offers(capability, constraint)
 
+    def teams(self, agent: Agent, capability: str, constraint: str | None, size: int) -> list[list[Found]]:
+        """Teams of so many who offer it, best first."""
+        return self._offers.teams(capability, constraint, size)
+
     def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
         """Why everybody else does not."""
         return self._offers.explain(capability, constraint)

@@ -1,4 +1,4 @@
-"""`findR(...)` of a resource; `findC(...)`, `explainC(...)` of a capability: who offers it, who does not."""
+"""`findR(...)` of a resource; `findC(...)`, `explainC(...)`, `teamsC(..., n)` of a capability: who offers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from lfield.lang.capabilities import Verb
 from lfield.lang.checker.fitting import Candidate, choose, unknown
 from lfield.lang.checker.scope import Body
 from lfield.lang.checker.symbols import describe
-from lfield.lang.types import STRING, ClassType, ResourceType, Type, array_of
+from lfield.lang.types import INT, STRING, ClassType, ResourceType, Type, array_of
 from lfield.text.source import Span
 
 
@@ -35,7 +35,7 @@ def names_of_finds(body: Body) -> list[str]:
     """The names of all methods that find something in this program, for hints."""
     capabilities = body.symbols.capability_names()
     found = [f"find{name}" for name in (*body.symbols.resource_names(), *capabilities)]
-    return [*found, *(f"explain{name}" for name in capabilities)]
+    return [*found, *(f"{verb}{name}" for name in capabilities for verb in ("explain", "teams"))]
 
 
 def ask(
@@ -45,16 +45,18 @@ def ask(
     if body.unit.usage != "coordinator":
         body.report(messages.FIND_PLACE, place, viewer=describe(body.unit), what="capabilities")
         return unknown(raw.span)
-    result: Type = array_of(ClassType(capability.name)) if verb == "find" else STRING
-    name = f"{verb}{capability.name}"
-    candidates = [Candidate(name, (STRING,), result), Candidate(name, (), result)]
+    offers = array_of(ClassType(capability.name))
+    result: Type = {"find": offers, "teams": array_of(offers), "explain": STRING}[verb]
+    name, size = f"{verb}{capability.name}", (INT,) if verb == "teams" else ()
+    candidates = [Candidate(name, (STRING, *size), result), Candidate(name, size, result)]
     chosen = choose(body.symbols, place, candidates, given)
     if chosen is None:
         return unknown(raw.span)
-    constraint = chosen[1][0] if chosen[1] else None
+    asked = chosen[1][: len(chosen[1]) - len(size)]
+    constraint = asked[0] if asked else None
     if isinstance(constraint, tree.Literal_) and isinstance(constraint.value, str):
         _check(body, constraint.span, constraint.value)
-    return tree.Query(raw.span, result, capability, constraint, verb)
+    return tree.Query(raw.span, result, capability, constraint, verb, chosen[1][-1] if size else None)
 
 
 def _check(body: Body, literal: Span, text: str) -> None:

@@ -101,6 +101,7 @@ def test_everybody_is_offered_or_refused(ask):
     status, out, _ = ask("Lift where payload >= 5.0", "--explain")
     assert status == 0
     assert sum("arm1" in line for line in out) == 1
+    assert "  1: score 0.xxx = 1 / (1 + cost)" in out
     refused = out[out.index("not offered:") + 1 :]
     assert "  arm2: payload 1.2 < 5.0" in refused
     assert any(line.startswith("  climb-lifts: ") for line in refused)
@@ -146,7 +147,13 @@ def test_json(ask):
     (lift,) = whole["capabilities"]
     assert (lift["primitive"], lift["id"]) == ("Lift", "skill.material_handling.lifting")
     first, _, third, fourth = lift["offers"]
-    assert set(first) == {"primitive", "agent", "host", "kind", "rule", "score", "attributes", "parts"}
+    told = {"primitive", "agent", "host", "kind", "rule", "score", "attributes", "parts"}
+    assert set(first) == {*told, "cost", "terms", "fitness"}
+    terms = first["terms"].values()
+    assert sum(term["weight"] * term["amount"] for term in terms) == pytest.approx(first["cost"])
+    shares = first["fitness"].values()
+    fitness = sum(share["share"] * share["penalty"] for share in shares)
+    assert fitness == pytest.approx(first["terms"]["fitness"]["amount"])
     assert (first["agent"], first["kind"], first["rule"], first["parts"]) == ("arm1", "direct", None, {})
     assert first["attributes"]["payload"] == {"value": 20.0, "unit": "kg", "age": 0.0}
     assert first["attributes"]["environment"] == {"value": ["terrestrial"], "unit": "", "age": 0.0}

@@ -1,8 +1,9 @@
-"""What an offer says of an agent, and where each value is from: its type, its binding, its devices, its portals."""
+"""What an offer says of an agent, and where it is from: its type, its binding, its devices, its portals."""
 
 from __future__ import annotations
 
 import asyncio
+import re
 
 import pytest
 
@@ -16,7 +17,11 @@ resource Hoist {
     boolean broken;
     int asked;
     init(string[] arg) { raised = 1500.0; }
-    portal lift(real height) emit real { raised = raised + 1000.0 * height; broken = height > 8.0; return height; }
+    portal lift(real height) emit real {
+        raised = raised + 1000.0 * height;
+        broken = height > 8.0;
+        return height;
+    }
     portal lower(real height) emit real { raised = raised - 1000.0 * height; return height; }
     portal level() emit real {
         if (broken) throw new DeviceException("the rope is torn");
@@ -180,7 +185,7 @@ coordinator Foreman {
         alpha, bravo, _ = await hoists(team, program)
         await team.until(lambda: "no younger" in alpha.log)
         assert "older by 7.0 and 0.0" in bravo.log
-        assert "it was measured " in bravo.log and " s ago, nominal" in bravo.log
+        assert re.search(r"it was measured \d\.\d s ago, nominal", bravo.log)
         assert "no younger: true" in alpha.log
 
     fleet(story)
@@ -203,7 +208,8 @@ def test_a_portal_that_cannot_feed_an_attribute_is_refused(fleet, source, code, 
         with pytest.raises(ProgramError) as error:
             team.mission(HOISTS + IDLE, TEAM, capabilities=capabilities, simulate=True)
         said = "\n".join(d.render() for d in error.value.diagnostics)
-        assert code in said and told in said, said
+        assert code in said, said
+        assert told in said, said
 
     fleet(story)
 

@@ -1,0 +1,49 @@
+"""Every term of a score: the formula of the ranking (capability/matching/ranking.py) with its numbers.
+
+1: score 0.408 = 1 / (1 + cost)
+  cost 1.45 = 0.85 + loss 2 * 0.3
+    copter: cost 0.85 = fitness 1 * 0.65 + hop 0.1 * 1 + near 0.2 * 0 + age 0.2 * 0.5
+      fitness 0.65 = payload 0.5 * 0.8 + battery 0.5 * 0.5
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from lfield.capability.offer import Offer
+
+
+def score_lines(offers: Sequence[Offer]) -> Iterator[str]:
+    """The scores of some offers by their ranks, with everything they are made of."""
+    for rank, offer in enumerate(offers, 1):
+        yield f"{rank}: score {offer.score:.3f} = 1 / (1 + cost)"
+        yield from _cost_lines(offer, "  ", "")
+
+
+def _cost_lines(offer: Offer, indent: str, who: str) -> Iterator[str]:
+    summands = [_short(part.cost) for part in offer.parts.values()]
+    summands += [f"{term.name} {_short(term.weight)} * {_short(term.amount)}" for term in offer.terms]
+    yield f"{indent}{who}cost {_short(offer.cost)} = {' + '.join(summands)}"
+    if offer.penalties:
+        shares = [f"{p.attribute} {_short(p.share)} * {_short(p.penalty)}" for p in offer.penalties]
+        fitness = sum(p.share * p.penalty for p in offer.penalties)
+        yield f"{indent}  fitness {_short(fitness)} = {' + '.join(shares)}"
+    for part in offer.parts.values():
+        yield from _cost_lines(part, f"{indent}  ", f"{part.agent}, {part.primitive}: ")
+
+
+def terms_json(offer: Offer) -> dict[str, Any]:
+    """The cost of an offer with its terms and penalties; those of its parts are told with the parts."""
+    return {
+        "cost": offer.cost,
+        "terms": {term.name: {"weight": term.weight, "amount": term.amount} for term in offer.terms},
+        "fitness": {
+            penalty.attribute: {"share": penalty.share, "penalty": penalty.penalty}
+            for penalty in offer.penalties
+        },
+    }
+
+
+def _short(number: float) -> str:
+    return f"{number:.4g}"
