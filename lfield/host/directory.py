@@ -15,9 +15,9 @@ from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
 from lfield.clock import Clock
 from lfield.errors import WireError
-from lfield.host.asking import Asking, Machine
-from lfield.host.reports import Reports, said
-from lfield.host.sampling import Devices, Sampler
+from lfield.host.telling.asking import Asking, Machine
+from lfield.host.telling.reports import Reports, said
+from lfield.host.telling.sampling import Devices, Sampler
 from lfield.mission.mission import Mission
 from lfield.mobility.effects import Send
 from lfield.wire.fields import age, clip

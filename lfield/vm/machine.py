@@ -16,6 +16,7 @@ from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import portals
 from lfield.vm.agent import Agent, Member
+from lfield.vm.asking.questions import Questions
 from lfield.vm.begun import Begun, Key
 from lfield.vm.cancelling import CANCELLED, Cancelling
 from lfield.vm.contract import Blocked, Done, Exit, Limits, NoRoom, Outside, Reading, Spent, Thrown, Trap
@@ -29,7 +30,6 @@ from lfield.vm.memory.soundness import Soundness
 from lfield.vm.memory.threads import place_of
 from lfield.vm.memory.values import word_for
 from lfield.vm.outside import Outsiders
-from lfield.vm.questions import Questions, Told
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.calls import BegunCalls
 from lfield.vm.together.heads import Together
@@ -81,7 +81,7 @@ class Machine:
         heads = self._together.heads()
         self._outsiders = Outsiders(scheduler, team, here, dice, cancelling, self._limits, heads)
         self._liveness = Liveness(program, scheduler.layouts)
-        self._questions = Questions(scheduler)
+        self.questions = Questions(scheduler)
         self._soundness = Soundness(program, scheduler.layouts, [member.type for member in team])
 
     # --- agents come and go ---------------------------------------------------------------------------
@@ -268,16 +268,9 @@ class Machine:
         return found if found is None or isinstance(found, Begun) else found[0]
 
     def is_left(self, resource: Agent, thread: int) -> bool:
-        """Whether no coordinator waits for the portal that a thread serves.
-
-        The call was taken from its caller, or it is a question of the host.
-        """
+        """Whether a thread serves a portal that was taken from its caller, or that the host itself asks."""
         number = resource.block.w[place_of(resource.block, thread) + THREAD_CALL]
         return bool(number) and number not in self._scheduler.calls
-
-    def ask(self, resource: Agent, portal: str, told: Told) -> None:
-        """Have a resource answer by a portal that takes nothing and only queries (questions.py)."""
-        self._questions.ask(resource, portal, told)
 
     # --- answers from the world -----------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from lfield.devices.lateness import Lateness, Limit
 from lfield.devices.snapshots import LOST_AFTER, Snapshots
 from lfield.driver.plugins import Plugins
 from lfield.guard.messages import Latched, Snapshot
-from lfield.host.sampling import Sampler
+from lfield.host.telling.sampling import Sampler
 from lfield.manifest import Observation
 from lfield.mission.bindings_file import read_bindings
 from lfield.text.source import Source, Span

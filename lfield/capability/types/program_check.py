@@ -49,7 +49,7 @@ def _check_live(
     attribute = registry.attributes[live.attribute]
     results = [result for parameters, result in resource.portals.get(live.portal, ()) if not parameters]
     if not results:
-        hint = did_you_mean(live.portal, resource.portals)
+        hint = None if live.portal in resource.portals else did_you_mean(live.portal, resource.portals)
         found.add(messages.LIVE_PORTAL.at(live.span, hint=hint, type=provider.type, portal=live.portal))
     elif element(results[0], live.index) not in TELLING[attribute.type]:
         message = messages.WRONG_QUANTITY.at(

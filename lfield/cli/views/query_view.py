@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from lfield.capability.matching.explain import render
@@ -96,18 +97,19 @@ class _Attributes:
         self._named = named(question.constraint)
 
     def words(self, facts: Mapping[str, Fact], most: int = SHOWN) -> str:
-        """`payload 2 kg (nominal), battery 0.8 (measured 3.0 s ago)`, and how many there are besides."""
+        """`nominal: payload 2 kg, speed 3 m/s; measured 3.0 s ago: battery 0.8`, and how many more."""
         first = sorted(facts, key=lambda name: (name not in self._named, not self._is_rated(name)))
-        words = [self._word(name, facts[name]) for name in first[:most]]
+        alike = groupby(first[:most], key=lambda name: facts[name].source)
+        words = [f"{source}: {', '.join(self._word(n, facts[n]) for n in names)}" for source, names in alike]
         words += [f"and {len(first) - most} more"] if len(first) > most else []
-        return ", ".join(words)
+        return "; ".join(words)
 
     def _is_rated(self, name: str) -> bool:
         attribute = self._registry.attributes.get(name)
         return attribute is not None and attribute.better != "none"
 
     def _word(self, name: str, fact: Fact) -> str:
-        return f"{name} {worth(fact.value, unit_of(self._registry, name))} ({fact.source})"
+        return f"{name} {worth(fact.value, unit_of(self._registry, name))}"
 
 
 def _show_offers(offers: Sequence[Offer], attributes: _Attributes) -> None:

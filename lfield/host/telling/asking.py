@@ -14,7 +14,7 @@ from lfield.capability.model import Live
 from lfield.clock import Clock
 from lfield.manifest import DeviceValue, Observation
 from lfield.vm.agent import Agent
-from lfield.vm.questions import Told
+from lfield.vm.asking.questions import Questions
 
 
 class Machine(Protocol):
@@ -24,8 +24,9 @@ class Machine(Protocol):
     def agents(self) -> Mapping[str, Agent]:
         """By id."""
 
-    def ask(self, resource: Agent, portal: str, told: Told) -> None:
-        """Begin a portal that only queries; `told` hears the value, or why there is none."""
+    @property
+    def questions(self) -> Questions:
+        """What asks them."""
 
 
 @dataclass(slots=True)
@@ -72,4 +73,4 @@ class Asking:
         def told(value: DeviceValue, why: str) -> None:
             question.open, question.said = False, why or Observation(value, question.asked)
 
-        self._machine.ask(agent, portal, told)
+        self._machine.questions.ask(agent, portal, told)
